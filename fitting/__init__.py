@@ -1,0 +1,1 @@
+"""Poses to the restitution coefficient and the initial conditions."""

@@ -1,0 +1,110 @@
+"""Where the throw leads: seen in the track, or simulated on from the fit.
+
+A landing counts as decided only when every throw drawn from the fit ends on the same face: with 100 draws, another face
+then has odds below 3 % (95 %). A bounce law that failed on the way is not asked what comes next.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.impacts import SmoothImpact
+from ..model.motion import State, Throw
+from ..model.rotations import matrix_from_quat, rotation_between
+from ..model.simulate import Until, throw_die
+from ..model.solids import Die, lowest_face
+from ..model.tangent import propagate
+from ..tracking.track import Track
+from .flights import moved_state
+
+Array = NDArray[np.float64]
+
+DRAWS = 100
+
+_STILL_FRAMES = 8
+_STILL_RAD = np.deg2rad(0.5)
+_FLAT_RAD = np.deg2rad(3.0)
+
+
+def resting_face(track: Track, die: Die) -> int | None:
+    """Number of the face that the die lies on at the end of the track; None unless it lies there flat and still.
+
+    Still: the last eight frames turn by less than 0.5° and shift by less than 1 % of the inscribed radius; flat: the
+    face within 3° of the table and the centre at its height within 5 %.
+    """
+    last = np.flatnonzero(track.tracked)[-_STILL_FRAMES:]
+    if len(last) < _STILL_FRAMES or last[-1] - last[0] >= 2 * _STILL_FRAMES:
+        return None
+    position, quaternion = track.position_m[last], track.quaternion[last]
+    size = die.solid.inradius
+    # Halves are compared, so that the noise of single frames does not pass for motion.
+    half = _STILL_FRAMES // 2
+    shift = position[half:].mean(0) - position[:half].mean(0)
+    turn = rotation_between(quaternion[:half], quaternion[half:]).mean(0)
+    if np.linalg.norm(shift) > 0.01 * size or np.linalg.norm(turn) > _STILL_RAD:
+        return None
+    rotation = matrix_from_quat(quaternion[-1])
+    face = lowest_face(die.solid, rotation)
+    down = -float(rotation[2] @ die.solid.normals[face - 1])
+    flat = down > np.cos(_FLAT_RAD) and abs(position[:, 2].mean() - die.solid.offsets[face - 1]) < 0.05 * size
+    return face if flat else None
+
+
+def continued(die: Die, throw: Throw, chi: float, end_s: float) -> Throw:
+    """The throw simulated on from its last flight until `end_s`, or until its bounces crowd together.
+
+    Unchanged where the last flight begins with a corner below the table, as a fit through prescribed vertices may.
+    """
+    last = throw.flights[-1]
+    # The reach of the numbers of a fitted impact: a vertex that has just touched may be this much under.
+    depth = float((matrix_from_quat(last.start.quaternion) @ die.solid.vertices.T)[2].min() + last.start.position_m[2])
+    if end_s <= last.start.time_s or depth < -1e-9 * die.solid.circumradius:
+        return throw
+    on = throw_die(die, last.start, SmoothImpact(chi), until=Until(time_s=end_s)).throw
+    return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
+
+
+def landing_odds(
+    die: Die, throw: Throw, chi: float, initial: State, covariance: Array, vertices: tuple[int, ...]
+) -> tuple[int | None, dict[int, float] | None, tuple[str, ...]]:
+    """Face on which throws drawn from the fit come to rest, the odds of every face, and what to say of them.
+
+    `covariance` (13, 13) is that of `initial` and χ, `vertices` the impacts through which the fit runs.
+    """
+    rng = np.random.default_rng(0)
+    values, axes = np.linalg.eigh(covariance)
+    spread = axes * np.sqrt(np.clip(values, 0.0, None))
+    landed: Counter[int] = Counter()
+    undecided = 0
+    for _ in range(DRAWS):
+        x = spread @ rng.standard_normal(13)
+        drawn_chi = float(np.clip(chi + x[12], 0.0, 1.0))
+        face = _landing(die, moved_state(initial, x[:12]), drawn_chi, vertices, throw.flights[-1].start.time_s)
+        if face is None:
+            undecided += 1
+        else:
+            landed[face] += 1
+    if undecided > 0.1 * DRAWS:
+        words = (
+            f"The landed face is not known: {undecided} of {DRAWS} throws drawn from the fit end in sliding or rocking "
+            "contact, which is not simulated."
+        )
+        return None, None, (words,)
+    odds = {face + 1: landed[face + 1] / landed.total() for face in range(len(die.solid.faces))}
+    likely = max(odds, key=lambda face: odds[face])
+    if odds[likely] < 1.0 or undecided:
+        words = f"The landed face is not decided by the fit: the likeliest, {likely}, has odds of {odds[likely]:.2f}."
+        return None, odds, (words,)
+    return likely, odds, ()
+
+
+def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], until_s: float) -> int | None:
+    """The face of one throw, through the fitted impacts and then by itself; None where it is not decided."""
+    last = propagate(die, start, chi, [until_s], vertices=vertices).throw.flights[-1].start
+    depth = float((matrix_from_quat(last.quaternion) @ die.solid.vertices.T)[2].min() + last.position_m[2])
+    if depth < -1e-9 * die.solid.circumradius:
+        return None
+    return throw_die(die, last, SmoothImpact(chi)).landed_face

@@ -1,0 +1,100 @@
+"""Rotations as unit quaternions `wxyz` that take body axes to world axes.
+
+Thin, vectorised functions over `scipy.spatial.transform.Rotation`, so that every other module has one spelling
+and one order of components. The paper's Euler angles (ψ, ϑ, φ; Kapitaniak et al., Chaos 22, 047504, Eq. 5) are the
+intrinsic z-x-z sequence: R = Rz(ψ) Rx(ϑ) Rz(φ).
+"""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+
+
+def matrix_from_quat(quaternion: ArrayLike) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4) wxyz."""
+    q = np.asarray(quaternion, float)
+    flat = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_matrix()
+    return np.asarray(flat.reshape(*q.shape[:-1], 3, 3))
+
+
+def quat_from_matrix(matrix: ArrayLike) -> Array:
+    """Unit quaternions (..., 4) wxyz, with w >= 0, of rotation matrices (..., 3, 3)."""
+    m = np.asarray(matrix, float)
+    flat = Rotation.from_matrix(m.reshape(-1, 3, 3)).as_quat(canonical=True, scalar_first=True)
+    return np.asarray(flat.reshape(*m.shape[:-2], 4))
+
+
+def quat_from_rotvec(rotvec: ArrayLike) -> Array:
+    """Unit quaternions (..., 4) wxyz of rotation vectors (..., 3) [rad]."""
+    v = np.asarray(rotvec, float)
+    flat = Rotation.from_rotvec(v.reshape(-1, 3)).as_quat(scalar_first=True)
+    return np.asarray(flat.reshape(*v.shape[:-1], 4))
+
+
+def rotvec_from_quat(quaternion: ArrayLike) -> Array:
+    """Rotation vectors (..., 3) [rad], no longer than pi, of quaternions (..., 4) wxyz."""
+    q = np.asarray(quaternion, float)
+    flat = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_rotvec()
+    return np.asarray(flat.reshape(*q.shape[:-1], 3))
+
+
+def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
+    """Hamilton products (..., 4): first `right`, then `left`. Keeps the sign, unlike scipy's composition."""
+    a, b = np.broadcast_arrays(np.asarray(left, float), np.asarray(right, float))
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        axis=-1,
+    )
+
+
+def quat_conjugate(quaternion: ArrayLike) -> Array:
+    """The inverse rotations (..., 4) of unit quaternions (..., 4)."""
+    return np.asarray(quaternion, float) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
+    """Rotation vectors (..., 3) [rad, world axes] that take orientation `start` to `end`: end = exp(v) start."""
+    return rotvec_from_quat(quat_multiply(end, quat_conjugate(start)))
+
+
+def continuous_sign(quaternions: ArrayLike) -> Array:
+    """The same rotations (n, 4) with signs chosen so that neighbours never differ by a flip; NaN rows stay."""
+    q = np.array(quaternions, float)
+    last = None
+    for k, row in enumerate(q):
+        if not np.isfinite(row).all():
+            continue
+        if last is not None and last @ row < 0:
+            q[k] = -row
+        last = q[k]
+    return q
+
+
+def quat_from_euler(euler_rad: ArrayLike) -> Array:
+    """Quaternions (..., 4) of the paper's Euler angles (..., 3): ψ, ϑ, φ [rad], R = Rz(ψ) Rx(ϑ) Rz(φ)."""
+    e = np.asarray(euler_rad, float)
+    flat = Rotation.from_euler("ZXZ", e.reshape(-1, 3)).as_quat(scalar_first=True)
+    return np.asarray(flat.reshape(*e.shape[:-1], 4))
+
+
+def euler_from_quat(quaternion: ArrayLike) -> Array:
+    """The paper's Euler angles (..., 3) ψ, ϑ, φ [rad]. At ϑ = 0 and π only ψ ± φ is determined; φ is then 0."""
+    q = np.asarray(quaternion, float)
+    with warnings.catch_warnings():
+        # scipy warns at ϑ = 0 and π and sets the third angle to zero, which is the convention stated above.
+        warnings.filterwarnings("ignore", message="Gimbal lock")
+        flat = Rotation.from_quat(q.reshape(-1, 4), scalar_first=True).as_euler("ZXZ")
+    return np.asarray(flat.reshape(*q.shape[:-1], 3))

@@ -1,0 +1,156 @@
+"""The pictures of a throw on paper: each function draws on the axes that it is given, and returns them.
+
+Measured poses are blue dots and the model orange lines, as in the recording. Every axis carries its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from ..model.motion import Impact
+from ..model.rotations import matrix_from_quat
+from ..model.solids import Solid
+from ..tracking.camera import Camera
+from ..tracking.clip import Clip
+from .outline import outlines
+from .palette import AXIS_COLOURS, COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
+from .record import Motion, Residuals
+from .video import display_window
+
+if TYPE_CHECKING:
+    from ..fitting.results import Parameter
+
+Array = NDArray[np.float64]
+
+
+def corner_heights(
+    ax: Axes,
+    solid: Solid,
+    times_s: ArrayLike,
+    positions_m: ArrayLike,
+    quaternions: ArrayLike,
+    impacts: Sequence[Impact] = (),
+    label: str = "simulated",
+) -> Axes:
+    """Height of every corner over time, as in Fig. 5 of Kapitaniak et al. (Chaos 22, 047504, 2012).
+
+    Poses at times (n,) [s]: positions (n, 3) [m] and quaternions (n, 4) wxyz; rows of NaN break the curves. A label
+    `measured` draws blue dots, any other an orange line. A thin line marks each impact. Called twice on the same axes
+    it shows experiment and model together.
+    """
+    rotations = _matrices(quaternions)
+    corners = np.einsum("nj,vj->nv", rotations[:, 2], solid.vertices) + np.asarray(positions_m, float)[:, 2, None]
+    milliseconds = 1e3 * np.asarray(times_s, float)
+    heights = 1e3 * corners
+    if label == "measured":
+        lines = ax.plot(milliseconds, heights, "o", markersize=2.0, color=hex_colour(MEASURED), zorder=2)
+    else:
+        lines = ax.plot(milliseconds, heights, linewidth=0.9, color=hex_colour(SIMULATED), zorder=3)
+    lines[0].set_label(label)
+    _mark_impacts(ax, impacts)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    ax.set_ylabel("height of each corner [mm]")
+    return _time_axis(ax)
+
+
+def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Measured minus simulated position on every frame, by world axis."""
+    for axis, colour, values in zip("xyz", AXIS_COLOURS, rest.position_mm.T, strict=True):
+        ax.plot(1e3 * rest.time_s, values, ".", markersize=2.5, color=hex_colour(colour), label=axis)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("position residual [mm]")
+    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    return _time_axis(ax)
+
+
+def angle_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Angle between the measured and the simulated orientation on every frame."""
+    ax.plot(1e3 * rest.time_s, rest.rotation_deg, ".", markersize=2.5, color=hex_colour(MEASURED))
+    ax.set_ylim(bottom=0.0)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("angle residual [°]")
+    return _time_axis(ax)
+
+
+def sigma_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Position and orientation together, in standard errors: the root mean square of six; noise alone gives about 1."""
+    ax.plot(1e3 * rest.time_s, rest.sigmas, ".", markersize=2.5, color=hex_colour(MEASURED))
+    ax.axhline(1.0, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    ax.set_ylim(bottom=0.0)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("residual [standard errors]")
+    return _time_axis(ax)
+
+
+def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> Axes:
+    """Apparent restitution of every bounce with its interval; the fitted one as a band across all of them."""
+    for number, impact in enumerate(impacts, 1):
+        if not np.isfinite(impact.chi):
+            continue
+        if np.isfinite([impact.chi_low, impact.chi_high]).all():
+            ax.plot([number, number], [impact.chi_low, impact.chi_high], color=hex_colour(MEASURED), linewidth=1.6)
+        ax.plot(number, impact.chi, "o", color=hex_colour(MEASURED), markersize=5)
+    if fitted is not None and fitted.value is not None:
+        ax.axhline(fitted.value, color=hex_colour(SIMULATED), linewidth=1.2, zorder=1)
+        if fitted.low is not None and fitted.high is not None:
+            ax.axhspan(fitted.low, fitted.high, color=hex_colour(SIMULATED), alpha=0.22, linewidth=0, zorder=0)
+    ax.set_xlim(0.5, max(len(impacts), 1) + 0.5)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlabel("bounce [number]")
+    ax.set_ylabel("restitution χ [1]")
+    return _plain(ax)
+
+
+def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int) -> Axes:
+    """One frame of the clip with the visible edges of the die drawn on it, as each motion has them there.
+
+    A motion that does not know its pose on this frame draws nothing. Raises IndexError for a frame that the clip lacks.
+    """
+    index = frame - clip.first_frame
+    if not 0 <= index < len(clip):
+        raise IndexError(f"frame {frame}: the clip has {clip.first_frame} to {clip.first_frame + len(clip) - 1}")
+    picture = display_window(clip).apply(clip.frame(index))
+    ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    for motion, width in zip(motions, (1.8, 0.7), strict=False):
+        rows = np.flatnonzero(motion.frame == frame)
+        for drawn in outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
+            for edge in (*drawn.silhouette_px, *drawn.inner_px):
+                ax.plot(*edge.T, color=hex_colour(COLOURS[motion.name]), linewidth=width)
+    ax.set_xlim(-0.5, clip.width_px - 0.5)
+    ax.set_ylim(clip.height_px - 0.5, -0.5)
+    ax.set_xlabel("x [px]")
+    ax.set_ylabel("y [px]")
+    return ax
+
+
+def _matrices(quaternions: ArrayLike) -> Array:
+    """Rotation matrices (n, 3, 3); NaN where the quaternion is."""
+    q = np.asarray(quaternions, float)
+    known = np.isfinite(q).all(1)
+    matrices = np.full((len(q), 3, 3), np.nan)
+    if known.any():
+        matrices[known] = matrix_from_quat(q[known])
+    return matrices
+
+
+def _mark_impacts(ax: Axes, impacts: Sequence[Impact]) -> None:
+    for impact in impacts:
+        ax.axvline(1e3 * impact.time_s, color=hex_colour(IMPACT), linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
+
+
+def _time_axis(ax: Axes) -> Axes:
+    ax.set_xlabel("time [ms]")
+    ax.margins(x=0.01)
+    return _plain(ax)
+
+
+def _plain(ax: Axes) -> Axes:
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax

@@ -1,0 +1,318 @@
+"""From a clip to a replay: follow the die, find its bounces, fit the model, and write everything down.
+
+Each step is one public function of its stage; this module only carries values from one to the next, keeps the time,
+and puts the records into a folder that appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .fitting.results import Fit
+from .fitting.shooting import fit_throw
+from .model.motion import Throw
+from .model.solids import Die
+from .outputs import whole_folder
+from .provenance import Stopwatch, write_provenance
+from .records import (
+    covariance_path,
+    read_track,
+    simulated_track,
+    write_bounces,
+    write_fit,
+    write_simulated,
+    write_track,
+    write_vertices,
+)
+from .replay.record import Record
+from .replay.recording import write_recording
+from .replay.report import write_report
+from .scene import ClipSource, Scene, View
+from .settings import SceneError, refuse
+from .tracking.background import load_background
+from .tracking.bounces import NoFlightError, measure_throw
+from .tracking.clip import Clip, open_clip
+from .tracking.follow import follow
+from .tracking.smooth import smooth
+from .tracking.track import ABSENT, LOST, Track
+
+Progress = Callable[[str, int, int], None]
+"""Told the name of the stage, what is done and what there is to do; a total of 0 where that is not known."""
+
+
+class RunError(ValueError):
+    """A run whose input is well formed and still gives no result; the text says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """What the footage says, before any model of an impact."""
+
+    clip: Clip
+    frames: Track
+    """The pose of each frame alone."""
+    measured: Throw
+    smoothed: Track
+    """The same frames, with the exact motion of the flights where it holds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A whole analysis, as it was written to `folder`."""
+
+    folder: Path
+    track: Track
+    measured: Throw
+    fit: Fit
+    notices: tuple[str, ...]
+    """What a careful reader should know of the footage, one sentence each."""
+    seconds: dict[str, float]
+    """Time that each stage took."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody sees."""
+
+
+def analyze(
+    scene: Scene, out: Path, *, force: bool = False, progress: Progress = silent, command: tuple[str, ...] = ()
+) -> Analysis:
+    """Everything from clip to replay, written to the folder `out`.
+
+    `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
+    without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
+    """
+    watch = Stopwatch()
+    check_scene(scene)
+    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
+        tracking = track_scene(scene, progress, watch)
+        fit = _fit(tracking.frames, tracking.measured, scene, progress, watch)
+        notices = tracking.clip.notices
+        write_tracking(folder, scene, tracking)
+        simulated = _write_model(folder, fit, tracking.frames)
+        record = Record(
+            title=scene.path.resolve().parent.name,
+            die=scene.die,
+            track=tracking.smoothed,
+            measured=tracking.measured,
+            fps=_rate_hz(tracking.frames),
+            clip=tracking.clip,
+            camera=scene.only_view().camera,
+            fit=fit,
+            simulated=simulated if fit.throw else None,
+            notices=notices,
+        )
+        _write_replay(folder, record, progress, watch)
+        _write_origin(folder, scene, command, input_paths(scene), watch)
+    return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
+
+
+def track_only(
+    scene: Scene, out: Path, *, force: bool = False, progress: Progress = silent, command: tuple[str, ...] = ()
+) -> Tracking:
+    """The tracking stage alone, written to the folder `out`. Raises as `analyze`."""
+    watch = Stopwatch()
+    check_scene(scene)
+    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
+        tracking = track_scene(scene, progress, watch)
+        write_tracking(folder, scene, tracking)
+        _write_origin(folder, scene, command, input_paths(scene), watch)
+    return tracking
+
+
+def fit_track(
+    track_path: Path,
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> Analysis:
+    """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
+    watch = Stopwatch()
+    scene.still_table()
+    frames = read_track(track_path)
+    inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
+    with whole_folder(out, force=force, inputs=inputs) as folder:
+        measured, smoothed = _bounces(frames, track_path, scene.die, progress, watch)
+        fit = _fit(frames, measured, scene, progress, watch)
+        write_vertices(folder / "vertices.csv", scene.die.solid)
+        write_bounces(folder / "bounces.csv", measured.impacts)
+        simulated = _write_model(folder, fit, frames)
+        record = Record(
+            title=track_path.stem,
+            die=scene.die,
+            track=smoothed,
+            measured=measured,
+            fps=_rate_hz(frames),
+            fit=fit,
+            simulated=simulated if fit.throw else None,
+            notices=smoothed_notices(track_path),
+        )
+        _write_replay(folder, record, progress, watch)
+        _write_origin(folder, scene, command, inputs, watch)
+    return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
+
+
+def smoothed_notices(track_path: Path) -> tuple[str, ...]:
+    """A sentence where the track is a smoothed one, and one of independent frames lies beside it."""
+    independent = track_path.with_name("track_frames.csv")
+    if track_path.name != "track.csv" or not independent.exists():
+        return ()
+    return (
+        f"{track_path} is smoothed, so its errors go together and the intervals come out too narrow; "
+        f"fit {independent.name} beside it.",
+    )
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises SceneError for a well-formed scene that cannot be analysed: no footage, two views, a table that moves."""
+    scene.only_view()
+    scene.still_table()
+
+
+def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | None = None) -> Tracking:
+    """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
+
+    Raises SceneError for footage that does not fit the scene, RunError where no die is found.
+    """
+    watch = watch or Stopwatch()
+    view = scene.only_view()
+    with watch.stage("open"):
+        clip = open_footage(scene, view)
+        background = _background(scene, view, clip)
+    with watch.stage("track"):
+        progress("Following the die", 0, len(clip))
+        frames = _follow(scene, view, clip, background, progress)
+    measured, smoothed = _bounces(frames, scene.path, scene.die, progress, watch)
+    return Tracking(clip, frames, measured, smoothed)
+
+
+def open_footage(scene: Scene, view: View) -> Clip:
+    """The clip of a view. Raises SceneError where it cannot be read, or its frames are not the camera's."""
+    source: ClipSource = scene.clip
+    assert view.path is not None, "only_view() demands a path"
+    try:
+        clip = open_clip(view.path, fps=source.fps, frame_range=source.frame_range)
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: clip.path = {view.path.name}: {error}") from error
+    camera = view.camera
+    if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
+        wanted = f"the frames of {view.path.name} have {clip.width_px} × {clip.height_px} px; wanted their own camera"
+        raise refuse(scene.path, "camera.width and camera.height", [camera.width_px, camera.height_px], wanted)
+    return clip
+
+
+def input_paths(scene: Scene) -> tuple[Path, ...]:
+    """Every file or folder that an analysis of this scene reads."""
+    views = [path for view in scene.cameras for path in (view.path, view.background_path) if path is not None]
+    return (scene.path, *views)
+
+
+def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
+    """The files of the tracking stage."""
+    write_vertices(folder / "vertices.csv", scene.die.solid)
+    write_track(folder / "track.csv", tracking.smoothed)
+    write_track(folder / "track_frames.csv", tracking.frames)
+    write_bounces(folder / "bounces.csv", tracking.measured.impacts)
+
+
+def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
+    if view.background_path is None:
+        return None
+    try:
+        return load_background(view.background_path, clip)
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
+
+
+def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32] | None, progress: Progress) -> Track:
+    try:
+        return follow(
+            clip,
+            view.camera,
+            scene.die,
+            background=background,
+            exposure_s=scene.clip.exposure_s,
+            progress=lambda done, total: progress("Following the die", done, total),
+        )
+    except (ValueError, OSError) as error:
+        raise RunError(f"{scene.path}: {error}") from error
+
+
+def _bounces(frames: Track, source: Path, die: Die, progress: Progress, watch: Stopwatch) -> tuple[Throw, Track]:
+    _demand_a_die(frames, source, die)
+    with watch.stage("bounces"):
+        progress("Finding the bounces", 0, 0)
+        try:
+            measured = measure_throw(frames, die)
+        except NoFlightError as error:
+            raise RunError(f"{source}: {error}") from error
+        return measured, smooth(frames, measured)
+
+
+def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
+    """Raises RunError where there is no pose at all, with the likely reason."""
+    absent, lost = int((frames.status == ABSENT).sum()), int((frames.status == LOST).sum())
+    if absent == len(frames):
+        raise RunError(
+            f"{source}: no die was found in any frame (absent in all {absent}); "
+            "look whether the clip shows a throw, and whether the background is the scene without the die"
+        )
+    if absent + lost == len(frames):
+        raise RunError(
+            f"{source}: something moves, but no frame shows a {die.solid.name} of this size "
+            f"(lost in {lost} frames, absent in {absent}); look whether [die] and [camera] belong to this clip"
+        )
+
+
+def _fit(frames: Track, measured: Throw, scene: Scene, progress: Progress, watch: Stopwatch) -> Fit:
+    with watch.stage("fit"):
+        progress("Fitting the model", 0, 0)
+        return fit_throw(frames, measured, scene.die)
+
+
+def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:
+    """fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
+    write_fit(folder / "fit.json", fit)
+    if fit.throw is not None:
+        simulated = simulated_track(fit.throw, frames.frame, frames.time_s)
+    else:
+        n = len(frames)
+        nothing = np.full((n, 3), np.nan), np.full((n, 4), np.nan), np.full((n, 6, 6), np.nan)
+        simulated = Track(frames.frame, frames.time_s, *nothing, np.full(n, ABSENT))
+    write_simulated(folder / "simulated.csv", simulated)
+    return simulated
+
+
+def _write_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+    with watch.stage("replay"):
+        progress("Writing the replay", 0, 0)
+        write_recording(folder / "replay.rrd", record)
+    with watch.stage("report"):
+        progress("Writing the report", 0, 0)
+        write_report(folder / "report.html", record)
+
+
+def _write_origin(
+    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[Path, ...], watch: Stopwatch
+) -> None:
+    write_provenance(
+        folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
+    )
+
+
+def _rate_hz(track: Track) -> float:
+    """Frames a second of the clock of the track, whatever it came from."""
+    steps = np.diff(track.time_s) / np.maximum(np.diff(track.frame), 1)
+    return 1.0 / float(np.median(steps))
+
+
+def _if_there(path: Path) -> tuple[Path, ...]:
+    return (path,) if path.exists() else ()

@@ -1,0 +1,184 @@
+"""TOML files in, checked tables out: every mistake becomes one sentence.
+
+A settings file is described by a private pydantic model whose fields say in their `description` what they accept. That
+description is the second half of the sentence a user gets, so the rule and the message cannot drift apart.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+Array = NDArray[np.float64]
+AnyTable = TypeVar("AnyTable", bound="TomlTable")
+
+LONGEST_VALUE = 90
+"""Characters of a value that an error repeats before it is cut."""
+
+
+class SceneError(ValueError):
+    """A scene or throw file that cannot be used; the text names the file, the key, the value and what is accepted."""
+
+
+class TomlTable(BaseModel):
+    """One TOML table. Strict: no text that looks like a number, no number that stands for a truth value."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=True)
+
+
+def _shaped(*shape: int) -> Callable[[list[Any]], list[Any]]:
+    def check(value: list[Any]) -> list[Any]:
+        lengths = [value, *(value if len(shape) == 2 else [])]
+        wanted = [shape[0], *([shape[1]] * len(value) if len(shape) == 2 else [])]
+        if [len(part) for part in lengths] != wanted:
+            raise ValueError("wrong shape")
+        return value
+
+    return check
+
+
+Vector2i = Annotated[list[int], AfterValidator(_shaped(2))]
+Vector3 = Annotated[list[float], AfterValidator(_shaped(3))]
+Vector4 = Annotated[list[float], AfterValidator(_shaped(4))]
+Vector5 = Annotated[list[float], AfterValidator(_shaped(5))]
+Matrix3 = Annotated[list[list[float]], AfterValidator(_shaped(3, 3))]
+
+
+def read_toml(path: Path) -> tuple[dict[str, Any], str]:
+    """The tables of a TOML file and its text. Raises SceneError where it is absent, not text, or not TOML."""
+    if not path.exists():
+        raise SceneError(f"{path}: there is no such file; wanted a TOML file")
+    if not path.is_file():
+        raise SceneError(f"{path}: this is a folder; wanted a TOML file, for example {path / 'scene.toml'}")
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: byte {error.start} is not UTF-8; wanted a TOML file in UTF-8") from error
+    except OSError as error:
+        raise SceneError(f"{path}: cannot be read ({error.strerror}); wanted a TOML file") from error
+    try:
+        return tomllib.loads(text), text
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path}: not valid TOML, {_lower_first(str(error))}") from error
+
+
+def validate(model: type[AnyTable], data: dict[str, Any], path: Path) -> AnyTable:
+    """`data` as `model`. Raises SceneError that tells the first mistake, and how many more there are."""
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        # An unknown key explains a missing one (edge_mm for edge_m), so it is told first.
+        first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
+        more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
+        raise SceneError(f"{path}: {_sentence(model, data, first)}{more}") from error
+
+
+def refuse(path: Path, key: str, value: Any, wanted: str) -> SceneError:
+    """The error for a value that is well formed and still impossible; `key` is dotted, as in `camera.rotation`."""
+    return SceneError(f"{path}: {key} = {shown(value)}: {wanted}")
+
+
+def shown(value: Any) -> str:
+    """A value as it may be repeated in a sentence: on one line and short."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):
+        text = str(value)
+    return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "..."
+
+
+def _sentence(model: type[BaseModel], data: dict[str, Any], problem: Any) -> str:
+    loc, kind = tuple(problem["loc"]), problem["type"]
+    owner, field_loc = _owner(model, loc)
+    key = _spelled(field_loc, data)
+    if kind == "extra_forbidden":
+        return f"{key} = {shown(problem['input'])}: there is no such key; {_nearest(str(loc[-1]), model, owner)}"
+    wanted = _accepted(owner, str(field_loc[-1]))
+    if kind == "missing":
+        return f"{key} is missing; wanted {wanted}"
+    return f"{key} = {shown(_at(data, field_loc))}: wanted {wanted}"
+
+
+def _owner(model: type[BaseModel], loc: tuple[Any, ...]) -> tuple[type[BaseModel], tuple[Any, ...]]:
+    """The table that a location lies in, and the location cut off at the table's key: no index into a matrix."""
+    owner = model
+    for depth, part in enumerate(loc):
+        if isinstance(part, int):
+            continue
+        inner = _table_of(owner, part)
+        if inner is None or depth == len(loc) - 1 or (depth == len(loc) - 2 and isinstance(loc[-1], int)):
+            return owner, loc[: depth + 1]
+        owner = inner
+    return owner, loc
+
+
+def _table_of(model: type[BaseModel], key: str) -> type[BaseModel] | None:
+    for name, field in model.model_fields.items():
+        if key in (name, field.alias):
+            return _first_model(field.annotation)
+    return None
+
+
+def _first_model(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _first_model(part))), None)
+
+
+def _accepted(owner: type[BaseModel], key: str) -> str:
+    for name, field in owner.model_fields.items():
+        if key in (name, field.alias) and field.description:
+            return field.description
+    return "a known key"
+
+
+def _nearest(key: str, model: type[BaseModel], owner: type[BaseModel]) -> str:
+    """What an unknown key may have been meant as: a neighbour in its table, or the same key of another table."""
+    known = _keys(owner)
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    if close:
+        return f"did you mean {close[0]}?"
+    for name in _keys(model):
+        inner = _table_of(model, name)
+        if inner is not None and inner is not owner and key in _keys(inner):
+            return f"it belongs into [{name}]"
+    return f"known here are {', '.join(known)}"
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _spelled(loc: tuple[Any, ...], data: dict[str, Any]) -> str:
+    """`camera.rotation`, or `camera[2].rotation` (counted from 1) where there are several cameras."""
+    words: list[str] = []
+    for depth, part in enumerate(loc):
+        if not isinstance(part, int):
+            words.append(str(part))
+        elif len(_at(data, loc[:depth])) > 1:
+            words[-1] += f"[{part + 1}]"
+    return ".".join(words)
+
+
+def _at(data: Any, loc: tuple[Any, ...]) -> Any:
+    for part in loc:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
+
+
+def _lower_first(text: str) -> str:
+    return text[:1].lower() + text[1:]

@@ -1,0 +1,90 @@
+"""One throw, simulated: from a release to its end, with the records, a figure and a replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .model.impacts import SmoothImpact
+from .model.simulate import Ending, ThrowResult, Until, throw_die
+from .outputs import whole_folder
+from .plan import Plan
+from .provenance import Stopwatch, write_provenance
+from .records import simulated_track, state_table, write_bounces, write_json, write_simulated, write_vertices
+from .replay.figures import corner_heights
+from .replay.recording import write_throw_recording
+from .settings import refuse
+from .tracking.track import Track
+
+MOST_ROWS = 10_000_000
+"""Of simulated.csv: beyond them `output.fps` or `until.time_s` is in another unit."""
+DRAWN_INSTANTS = 4000
+"""Instants of the figure: more than its pixels, and never so many that drawing takes longer than the throw."""
+
+
+def throw(plan: Plan, out: Path, *, force: bool = False, command: tuple[str, ...] = ()) -> ThrowResult:
+    """Simulate the throw of a plan and write it to the folder `out`.
+
+    Raises ValueError for a release that no die can have and OutputExistsError for a folder that exists (unless
+    `force`); then no folder is left.
+    """
+    watch = Stopwatch()
+    with whole_folder(out, force=force, inputs=(plan.path,)) as folder:
+        with watch.stage("throw"):
+            until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
+            result = throw_die(plan.die, plan.release, SmoothImpact(plan.chi), until=until)
+        with watch.stage("records"):
+            write_vertices(folder / "vertices.csv", plan.die.solid)
+            write_bounces(folder / "bounces.csv", result.throw.impacts)
+            write_simulated(folder / "simulated.csv", rows_of(plan, result))
+            write_json(folder / "throw.json", verdict(result))
+        with watch.stage("figure"):
+            draw_heights(folder / "heights.png", plan, result)
+        with watch.stage("replay"):
+            write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
+        write_provenance(
+            folder / "provenance.json", command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds
+        )
+    return result
+
+
+def rows_of(plan: Plan, result: ThrowResult) -> Track:
+    """The poses at t = k / fps, from the release to the end of the last flight."""
+    end_s = result.throw.flights[-1].end_s
+    count = int(np.floor(end_s * plan.fps + 1e-9)) + 1
+    if count > MOST_ROWS:
+        wanted = f"that makes {count} rows over {end_s:.3g} s; wanted at most {MOST_ROWS}"
+        raise refuse(plan.path, "output.fps", plan.fps, wanted)
+    frame = np.arange(count)
+    return simulated_track(result.throw, frame, frame / plan.fps)
+
+
+def verdict(result: ThrowResult) -> dict[str, Any]:
+    """What throw.json holds. Whether rounding could have changed the landing is not computed, and so null."""
+    messages = [result.ending.value]
+    if result.landed_face is None and result.ending is not Ending.RESTED:
+        messages.append("The landed face is open: the throw ended before the die had settled on one.")
+    messages.append("Whether double precision decides this throw is not computed.")
+    return {
+        "landed_face": result.landed_face,
+        "ending": result.ending.name.lower(),
+        "impact_count": result.impact_count,
+        "end": state_table(result.end),
+        "decidable": None,
+        "messages": messages,
+    }
+
+
+def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
+    """The height of every corner over time, with the impacts, as a picture."""
+    flights = result.throw.flights
+    times = np.linspace(flights[0].start.time_s, flights[-1].end_s, DRAWN_INSTANTS)
+    positions, quaternions = result.throw.poses(times)
+    figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    corner_heights(figure.add_subplot(), plan.die.solid, times, positions, quaternions, impacts=result.throw.impacts)
+    figure.savefig(path)

@@ -1,0 +1,84 @@
+"""The throw file: one release, said in the paper's words or in ours."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diethrow.model.rotations import matrix_from_quat, quat_from_euler
+from diethrow.plan import read_plan
+from diethrow.settings import SceneError
+
+PLAN = """\
+[die]
+shape = "cube"
+edge_m = 0.02
+mass_kg = 0.016
+
+[table]
+surface = "wood"
+
+[law]
+chi = 0.5
+
+[initial]
+position_m = [0.0, 0.0, 0.3]
+euler_rad = [0.1, 1.2, -0.4]
+velocity_m_s = [0.6, 0.0, -0.7]
+omega_body_rad_s = [0.0, 60.0, 0.0]
+
+[until]
+impacts = 8
+"""
+
+MISTAKES = {
+    "chi above 1": ("chi = 0.5", "chi = 1.5", ["law.chi = 1.5", "from 0 to 1"]),
+    "friction": ("chi = 0.5", "chi = 0.5\nmu = 0.2", ["law.mu = 0.2", "not modelled yet"]),
+    "degrees": ("[0.1, 1.2, -0.4]", "[10.0, 68.0, -23.0]", ["initial.euler_rad", "radians"]),
+    "millimetres": ("[0.0, 0.0, 0.3]", "[0.0, 0.0, 300.0]", ["initial.position_m", "metres", "0.3"]),
+    "below the table": ("[0.0, 0.0, 0.3]", "[0.0, 0.0, 0.001]", ["initial.position_m", "below the table"]),
+    "two numbers for three": ("[0.6, 0.0, -0.7]", "[0.6, 0.0]", ["initial.velocity_m_s", "3 numbers"]),
+    "no orientation": ("euler_rad = [0.1, 1.2, -0.4]\n", "", ["initial.euler_rad", "quaternion_wxyz", "neither"]),
+    "two orientations": ("[0.1, 1.2, -0.4]", "[0, 0, 0]\nquaternion_wxyz = [1, 0, 0, 0]", ["both", "one of the two"]),
+    "long quaternion": ("euler_rad = [0.1, 1.2, -0.4]", "quaternion_wxyz = [1, 1, 0, 0]", ["unit", "length 1.41421"]),
+    "no spin": ("omega_body_rad_s = [0.0, 60.0, 0.0]\n", "", ["initial.omega_rad_s", "neither"]),
+    "no impacts": ("impacts = 8", "impacts = 0", ["until.impacts = 0", "above 0"]),
+    "unknown key": ("impacts = 8", "impact = 8", ["until.impact", "did you mean impacts?"]),
+}
+
+
+def plan_file(folder: Path, text: str = PLAN) -> Path:
+    path = folder / "throw.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_every_mistake_is_one_sentence_that_names_file_key_and_value(tmp_path: Path, mistake: str) -> None:
+    old, new, said = MISTAKES[mistake]
+    assert old in PLAN
+    path = plan_file(tmp_path, PLAN.replace(old, new))
+    with pytest.raises(SceneError) as caught:
+        read_plan(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert "\n" not in str(caught.value)
+    for words in said:
+        assert words in str(caught.value)
+
+
+def test_the_papers_angles_and_body_spin_mean_the_same_as_a_quaternion_and_world_spin(tmp_path: Path) -> None:
+    paper = read_plan(plan_file(tmp_path)).release
+    q = quat_from_euler([0.1, 1.2, -0.4])
+    omega = matrix_from_quat(q) @ [0.0, 60.0, 0.0]
+    ours = PLAN.replace("euler_rad = [0.1, 1.2, -0.4]", f"quaternion_wxyz = {q.tolist()}")
+    ours = ours.replace("omega_body_rad_s = [0.0, 60.0, 0.0]", f"omega_rad_s = {omega.tolist()}")
+    release = read_plan(plan_file(tmp_path, ours)).release
+    np.testing.assert_allclose(release.quaternion, paper.quaternion, atol=1e-15)
+    np.testing.assert_allclose(release.omega_rad_s, paper.omega_rad_s, atol=1e-13)
+
+
+def test_the_table_of_a_throw_may_be_left_out(tmp_path: Path) -> None:
+    plan = read_plan(plan_file(tmp_path, PLAN.replace('[table]\nsurface = "wood"\n', "")))
+    assert (plan.chi, plan.until_impacts, plan.until_s, plan.fps) == (0.5, 8, None, 1500.0)

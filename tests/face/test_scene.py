@@ -1,0 +1,206 @@
+"""Every mistake in a scene is one sentence that names the file, the key, the value and what is accepted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.scene import SceneError, read_scene
+
+SCENE = """\
+[clip]
+path = "clip.avi"
+fps = 1500.0
+exposure_s = 0.0002
+background = "background.png"
+
+[camera]
+width = 384
+height = 384
+matrix = [[2700.0, 0.0, 197.0], [0.0, 2700.0, 189.0], [0.0, 0.0, 1.0]]
+rotation = [[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]
+translation_m = [0.0, 0.02, 0.6]
+
+[table]
+surface = "wood"
+
+[die]
+shape = "cube"
+edge_m = 0.016
+mass_kg = 0.0048
+marks = "pips"
+"""
+
+# What is replaced, by what, and what the sentence must say.
+MISTAKES = {
+    "missing key": ("edge_m = 0.016\n", "", ["die.edge_m", "missing", "metres"]),
+    "missing table": ('[table]\nsurface = "wood"\n', "", ["table is missing", "surface"]),
+    "unknown key": ("fps = 1500.0", "fps = 1500.0\nexpsure_s = 1e-4", ["clip.expsure_s", "0.0001", "exposure_s?"]),
+    "unit in another name": ("edge_m = 0.016", "edge_mm = 16", ["die.edge_mm", "16", "did you mean edge_m?"]),
+    "key of another table": ("edge_m =", "fps = 1500.0\nedge_m =", ["die.fps", "belongs into [clip]"]),
+    "unknown table": ("[table]", '[film]\na = "b"\n[table]', ["film", "there is no such key"]),
+    "millimetres": ("edge_m = 0.016", "edge_m = 16", ["die.edge_m = 16", "metres", "did you mean 0.016?"]),
+    "grams": ("mass_kg = 0.0048", "mass_kg = 4.8", ["die.mass_kg = 4.8", "kilograms", "did you mean 0.0048?"]),
+    "milliseconds": ("0.0002", "0.2", ["clip.exposure_s = 0.2", "seconds", "did you mean 0.0002?"]),
+    "camera in millimetres": ("[0.0, 0.02, 0.6]", "[0, 20, 600]", ["translation_m", "metres", "[0, 0.02, 0.6]?"]),
+    "text for a number": ("fps = 1500.0", 'fps = "1500"', ["clip.fps", '"1500"', "frames per second"]),
+    "truth value for a number": ("fps = 1500.0", "fps = true", ["clip.fps", "true", "frames per second"]),
+    "fps of zero": ("fps = 1500.0", "fps = 0", ["clip.fps = 0", "above 0"]),
+    "fps below zero": ("fps = 1500.0", "fps = -1500.0", ["clip.fps = -1500", "above 0"]),
+    "fps not finite": ("fps = 1500.0", "fps = inf", ["clip.fps", "above 0"]),
+    "fraction of a pixel": ("width = 384", "width = 384.5", ["camera.width = 384.5", "whole number"]),
+    "frames that fall": ("fps = 1500.0", "fps = 1500.0\nframes = [9, 3]", ["clip.frames = [9, 3]", "first < stop"]),
+    "matrix of two rows": ("[0.0, 2700.0, 189.0], ", "", ["camera.matrix", "3 rows of 3"]),
+    "matrix upside down": ("[0.0, 0.0, 1.0]]\nrot", "[0.0, 1.0, 0.0]]\nrot", ["camera.matrix", "fx, s, cx"]),
+    "text in a matrix": ("[2700.0, 0.0, 197.0]", '[2700.0, "0", 197.0]', ["camera.matrix", "3 rows of 3"]),
+    "distortion of four": ("rotation", "distortion = [0, 0, 0, 0]\nrotation", ["camera.distortion", "5 numbers"]),
+    "no rotation": ("[0.0, -0.6, -0.8]", "[0.0, -0.6, -0.9]", ["camera.rotation", "-0.9", "right angles"]),
+    "reflection": ("[[1.0, 0.0, 0.0]", "[[-1.0, 0.0, 0.0]", ["camera.rotation", "reflection"]),
+    "camera below the table": ("[0.0, 0.02, 0.6]", "[0.0, -0.9, 0.6]", ["camera.translation_m", "below the table"]),
+    "camera that looks up": (
+        "[[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]\ntranslation_m = [0.0, 0.02, 0.6]",
+        "[[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]\ntranslation_m = [0.0, 0.02, -0.6]",
+        ["camera.rotation", "looks away from the table"],
+    ),
+    "footage that is not there": ("clip.avi", "klip.avi", ["clip.path", "klip.avi", "does not exist"]),
+    "background that is not there": ('"background.png"', '"b.png"', ["clip.background", "b.png", "does not exist"]),
+    "empty path": ('"clip.avi"', '""', ["clip.path", '""', "path of the footage"]),
+    "unknown shape": ('"cube"', '"qube"', ["die.shape", "qube", "tetrahedron, cube, octahedron"]),
+    "pips on a tetrahedron": ('shape = "cube"', 'shape = "tetrahedron"', ["die.marks", "pips", "tetrahedron"]),
+    "unknown marks": ('"pips"', '"dots"', ["die.marks", "dots", "numbers"]),
+    "corner beyond the die": ("edge_m =", "corner_radius_m = 0.6\nedge_m =", ["corner_radius_m = 0.6", "0.0006?"]),
+    "mass outside the die": ("edge_m =", "inertia_kg_m2 = 2e-3\nedge_m =", ["inertia_kg_m2 = 0.002", "at the corners"]),
+    "value for a table": ('[table]\nsurface = "wood"', "", ["table is missing"]),
+    "table that swings without a rate": (
+        'surface = "wood"',
+        'surface = "wood"\nmotion = {amplitude_m = 0.001}',
+        ["table.motion.frequency_hz", "missing", "hertz"],
+    ),
+    "not TOML": ("fps = 1500.0", "fps = = 1500.0", ["not valid TOML", "line 3"]),
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with what the scene points at; no file is looked into here."""
+    (tmp_path / "clip.avi").write_bytes(b"")
+    (tmp_path / "background.png").write_bytes(b"")
+    return tmp_path
+
+
+def scene_file(folder: Path, text: str = SCENE) -> Path:
+    path = folder / "scene.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_every_mistake_is_one_sentence_that_names_file_key_and_value(folder: Path, mistake: str) -> None:
+    old, new, said = MISTAKES[mistake]
+    assert SCENE.count(old) >= 1
+    path = scene_file(folder, SCENE.replace(old, new))
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+    sentence = str(caught.value)
+    assert sentence.startswith(f"{path}: ")
+    assert "\n" not in sentence
+    for words in said:
+        assert words in sentence
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("command", ["analyze", "track"])
+def test_a_wrong_scene_ends_with_status_2_and_no_folder(folder: Path, mistake: str, command: str) -> None:
+    old, new, _ = MISTAKES[mistake]
+    path = scene_file(folder, SCENE.replace(old, new))
+    before = sorted(folder.rglob("*"))
+    result = CliRunner().invoke(app, [command, str(path), "--out", str(folder / "out")])
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"diethrow: {path}: ")
+    assert len(result.stderr.splitlines()) == 1
+    assert "Traceback" not in result.output
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_file_that_is_no_text_is_refused_in_a_sentence(folder: Path) -> None:
+    path = folder / "scene.toml"
+    path.write_bytes(b'[clip]\npath = "\xff\xfe"\n')
+    with pytest.raises(SceneError, match=r"scene\.toml: byte \d+ is not UTF-8"):
+        read_scene(path)
+    with pytest.raises(SceneError, match="there is no such file"):
+        read_scene(folder / "other.toml")
+    with pytest.raises(SceneError, match="this is a folder"):
+        read_scene(folder)
+
+
+def test_a_scene_becomes_the_values_of_the_stages(folder: Path) -> None:
+    scene = read_scene(scene_file(folder))
+    view = scene.only_view()
+    assert (scene.clip.fps, scene.clip.exposure_s, scene.clip.frame_range) == (1500.0, 0.0002, None)
+    assert view.path == folder / "clip.avi"
+    assert view.background_path == folder / "background.png"
+    assert (view.camera.width_px, view.camera.height_px) == (384, 384)
+    assert view.camera.distortion.tolist() == [0.0] * 5
+    # By hand: -Rᵀ t = -(0, -0.6·0.02 + 0.8·0.6, -0.8·0.02 - 0.6·0.6).
+    np.testing.assert_allclose(view.camera.centre_m, [0.0, -0.468, 0.376], atol=1e-15)
+    assert (scene.die.solid.name, scene.die.mass_kg, scene.die.marks) == ("cube", 0.0048, "pips")
+    # A homogeneous cube: m a² / 6.
+    assert scene.die.inertia_kg_m2 == pytest.approx(0.0048 * 0.016**2 / 6, rel=1e-12)
+    assert scene.table.surface == "wood"
+
+
+def test_a_byte_order_mark_changes_nothing(folder: Path) -> None:
+    assert read_scene(scene_file(folder, "\ufeff" + SCENE)).clip.fps == 1500.0
+
+
+def test_a_rotation_with_four_decimals_is_brought_onto_the_nearest_rotation(folder: Path) -> None:
+    angle = 0.9
+    c, s = round(float(np.cos(angle)), 4), round(float(np.sin(angle)), 4)
+    text = SCENE.replace("[0.0, -0.6, -0.8], [0.0, 0.8, -0.6]", f"[0.0, {-c}, {-s}], [0.0, {s}, {-c}]")
+    rotation = read_scene(scene_file(folder, text)).only_view().camera.rotation
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-14)
+    # No entry moves by more than its rounding.
+    np.testing.assert_allclose(rotation[1:, 1:], [[-c, -s], [s, -c]], atol=1e-4)
+
+
+def test_a_scene_without_footage_serves_a_fit_and_is_refused_by_tracking(folder: Path) -> None:
+    text = '[clip]\nfps = 148.0\n[table]\nsurface = "acrylic"\n[die]\nshape = "cube"\nedge_m = 0.1048\nmass_kg = 0.37\n'
+    scene = read_scene(scene_file(folder, text))
+    assert scene.cameras == ()
+    with pytest.raises(SceneError, match="camera is missing"):
+        scene.only_view()
+
+
+def test_two_cameras_are_read_and_a_mistake_tells_which(folder: Path) -> None:
+    head, camera, tail = SCENE.partition("[camera]")[0], SCENE[SCENE.index("[camera]") : SCENE.index("[table]")], ""
+    tail = SCENE[SCENE.index("[table]") :]
+    second = camera.replace("[camera]", '[[camera]]\npath = "clip.avi"')
+    text = head + camera.replace("[camera]", "[[camera]]") + second + tail
+    scene = read_scene(scene_file(folder, text))
+    assert [view.path for view in scene.cameras] == [folder / "clip.avi"] * 2
+    with pytest.raises(SceneError, match="camera is given 2 times"):
+        scene.only_view()
+    wrong = head + camera.replace("[camera]", "[[camera]]") + second.replace("width = 384", "width = 0") + tail
+    with pytest.raises(SceneError, match=r"camera\[2\]\.width = 0: wanted"):
+        read_scene(scene_file(folder, wrong))
+
+
+def test_a_table_that_moves_is_read_and_refused_by_what_knows_only_one_at_rest(folder: Path) -> None:
+    moving = 'surface = "wood"\nmotion = {amplitude_m = 0.001, frequency_hz = 25.0, phase_rad = 0.5}'
+    scene = read_scene(scene_file(folder, SCENE.replace('surface = "wood"', moving)))
+    assert scene.table.motion is not None
+    assert scene.table.motion.frequency_hz == 25.0
+    with pytest.raises(SceneError, match=r"table\.motion\.amplitude_m = 0\.001: an oscillating table is not modelled"):
+        scene.still_table()
+
+
+def test_a_pattern_of_images_is_a_path_when_it_matches_something(folder: Path) -> None:
+    text = SCENE.replace('"clip.avi"', '"frame_*.png"')
+    with pytest.raises(SceneError, match="does not exist"):
+        read_scene(scene_file(folder, text))
+    (folder / "frame_0001.png").write_bytes(b"")
+    assert read_scene(scene_file(folder, text)).clip.path == folder / "frame_*.png"

@@ -1,0 +1,148 @@
+"""From a clip to a replay: a rendered clip whose truth is known goes in, and the truth comes out."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.model.rotations import matrix_from_quat
+from diethrow.records import read_bounces, read_fit, read_simulated, read_track, read_vertices
+from diethrow.scene import read_scene
+from diethrow.tracking.track import ABSENT, LOST, TRACKED
+
+ROOT = Path(__file__).parents[2]
+SCENE = ROOT / "data_samples" / "cube_wood" / "scene.toml"
+TRUTH = ROOT / "tests" / "data" / "cube_wood"
+CHI = 0.5829
+
+CONTRACT_FILES = {
+    "vertices.csv",
+    "track.csv",
+    "track_covariance.npy",
+    "bounces.csv",
+    "fit.json",
+    "simulated.csv",
+    "replay.rrd",
+    "report.html",
+    "provenance.json",
+}
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("whole_way") / "out"
+    result = CliRunner().invoke(app, ["analyze", str(SCENE), "--out", str(out)])
+    assert result.exit_code == 0, result.stderr
+    return out
+
+
+@pytest.fixture(scope="module")
+def truth() -> dict[str, Array]:
+    """Columns of truth.csv."""
+    with (TRUTH / "truth.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
+
+
+def true_poses(truth: dict[str, Array]) -> tuple[Array, Array]:
+    positions = np.stack([truth[name] for name in "xyz"], axis=1)
+    return positions, matrix_from_quat(np.stack([truth[name] for name in ("qw", "qx", "qy", "qz")], axis=1))
+
+
+def cube_rotations() -> list[Array]:
+    """The 24 rotations of a cube, whose faces look alike but for their pips: the numbering of axes is nobody's."""
+    turned = []
+    for order in itertools.permutations(range(3)):
+        for signs in itertools.product((-1.0, 1.0), repeat=3):
+            matrix = np.zeros((3, 3))
+            matrix[range(3), order] = signs
+            if np.linalg.det(matrix) > 0:
+                turned.append(matrix)
+    return turned
+
+
+def test_every_file_is_there_and_none_is_empty(folder: Path) -> None:
+    assert {file.name for file in folder.iterdir()} >= CONTRACT_FILES
+    assert all(file.stat().st_size > 0 for file in folder.iterdir())
+    assert [path.name for path in folder.parent.iterdir()] == ["out"]
+
+
+def test_every_frame_has_a_row_in_every_track(folder: Path, truth: dict[str, Array]) -> None:
+    track = read_track(folder / "track.csv")
+    assert set(track.status) <= {TRACKED, LOST, ABSENT}
+    for other in (read_track(folder / "track_frames.csv"), read_simulated(folder / "simulated.csv")):
+        np.testing.assert_array_equal(other.frame, track.frame)
+        np.testing.assert_array_equal(other.time_s, track.time_s)
+    np.testing.assert_array_equal(track.frame, np.arange(len(truth["t"])))
+    np.testing.assert_allclose(track.time_s, truth["t"], atol=1e-12)
+
+
+def test_the_poses_are_the_true_ones(folder: Path, truth: dict[str, Array]) -> None:
+    track = read_track(folder / "track.csv")
+    visible = truth["fully_visible"] == 1
+    assert track.tracked[visible].mean() >= 0.99
+    both = visible & track.tracked
+    positions, rotations = true_poses(truth)
+    camera = read_scene(SCENE).only_view().camera
+    error = (track.position_m[both] - positions[both]) @ camera.rotation.T
+    # Across the line of sight; along it one camera sees several times worse.
+    assert np.median(np.linalg.norm(error[:, :2], axis=1)) < 0.02e-3
+    measured = matrix_from_quat(track.quaternion[both])
+    angles = [
+        np.arccos(np.clip((np.einsum("kij,kij->k", measured @ turn, rotations[both]) - 1) / 2, -1, 1))
+        for turn in cube_rotations()
+    ]
+    best = np.rad2deg(min(angles, key=np.median))
+    assert np.median(best) < 0.1
+    assert np.percentile(best, 95) < 0.5
+    assert best.max() < 5.0
+
+
+def test_the_bounces_are_the_true_ones(folder: Path) -> None:
+    with (TRUTH / "bounces.csv").open(newline="") as file:
+        times = [float(row["t"]) for row in csv.DictReader(file)]
+    impacts = read_bounces(folder / "bounces.csv")
+    assert [impact.contact for impact in impacts] == ["vertex"] * len(times)
+    # A tenth of a frame.
+    np.testing.assert_allclose([impact.time_s for impact in impacts], times, atol=0.1 / 1500.0)
+    corners = len(read_vertices(folder / "vertices.csv"))
+    assert all(0 <= vertex < corners for impact in impacts for vertex in impact.vertices)
+
+
+def test_the_restitution_is_the_true_one_and_inside_its_interval(folder: Path) -> None:
+    chi = read_fit(folder / "fit.json").parameters["chi"]
+    assert chi.value is not None
+    assert chi.low is not None
+    assert chi.high is not None
+    assert abs(chi.value - CHI) < 0.005
+    assert chi.low <= CHI <= chi.high
+    assert chi.level == 0.95
+
+
+def test_the_models_track_lies_on_the_measured_one(folder: Path) -> None:
+    track, simulated = read_track(folder / "track.csv"), read_simulated(folder / "simulated.csv")
+    both = track.tracked & simulated.tracked
+    assert both.sum() > 0.8 * track.tracked.sum()
+    distance = np.linalg.norm(track.position_m[both] - simulated.position_m[both], axis=1)
+    # A tenth of a millimetre in depth is what one camera leaves open.
+    assert np.median(distance) < 0.5e-3
+
+
+def test_the_provenance_names_every_input(folder: Path) -> None:
+    origin = json.loads((folder / "provenance.json").read_text())
+    named = {Path(entry["path"]).name for entry in origin["inputs"]}
+    scene = read_scene(SCENE)
+    view = scene.only_view()
+    assert view.path is not None
+    assert view.background_path is not None
+    assert named == {"scene.toml", view.path.name, view.background_path.name}
+    assert set(origin["timings_s"]) == {"open", "track", "bounces", "fit", "replay", "report"}

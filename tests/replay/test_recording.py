@@ -1,0 +1,283 @@
+"""What is written comes back: every frame, pose and bounce at its own nanosecond, and nothing where none is known."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import av
+import cv2
+import numpy as np
+import pytest
+import replay_records as made
+from rerun.chunk import RrdReader
+
+from diethrow.model.rotations import matrix_from_quat
+from diethrow.replay import recording, video
+from diethrow.replay.palette import MEASURED, SIMULATED
+from diethrow.replay.record import residuals
+from diethrow.replay.recording import write_recording, write_throw_recording
+from diethrow.tracking.track import ABSENT
+
+
+def nanoseconds(times_s: Any) -> list[int]:
+    return [round(float(t) * 1e9) for t in np.atleast_1d(times_s)]
+
+
+def rows(path: Path, entity: str, component: str, timeline: str = "t") -> list[tuple[int, Any]]:
+    """(time, value) of every row of one component on one timeline, in order; the static row at time -1."""
+    found = []
+    for chunk in RrdReader(path).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names:
+            continue
+        values = batch.column(component).to_pylist()
+        if timeline in batch.schema.names:
+            times = np.asarray(batch.column(timeline)).astype(np.int64).tolist()
+            found += list(zip(times, values, strict=True))
+        elif not {"t", "frame"} & set(batch.schema.names):
+            found += [(-1, value) for value in values]
+    return sorted(found, key=lambda row: row[0])
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def verify(path: Path) -> subprocess.CompletedProcess[str]:
+    tool = Path(sys.executable).with_name("rerun")
+    return subprocess.run([tool, "rrd", "verify", str(path)], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("replay") / "replay.rrd"
+    write_recording(path, made.record())
+    return path
+
+
+def test_the_viewer_accepts_the_file(written: Path) -> None:
+    done = verify(written)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_file_carries_its_own_views(written: Path) -> None:
+    assert len(RrdReader(written).recordings()) == 1
+    assert len(RrdReader(written).blueprints()) == 1
+
+
+@pytest.mark.parametrize(("timeline", "unit"), [("t", 1e9 / made.FPS), ("frame", 1.0)])
+def test_every_known_pose_stands_at_its_own_time(written: Path, timeline: str, unit: float) -> None:
+    track = made.track()
+    back = rows(written, "/world/measured/die", "Transform3D:translation", timeline)
+    assert [time for time, _ in back] == [round(k * unit) for k in track.frame[track.tracked].tolist()]
+    positions = np.array([value[0] for _, value in back])
+    # The file holds single precision: 0.05 m to one part in 2**24.
+    np.testing.assert_allclose(positions, track.position_m[track.tracked], atol=4e-9)
+
+
+def test_orientations_come_back_with_the_scalar_last(written: Path) -> None:
+    track = made.track()
+    back = np.array([value[0] for _, value in rows(written, "/world/measured/die", "Transform3D:quaternion")])
+    np.testing.assert_allclose(np.roll(back, 1, axis=1), track.quaternion[track.tracked], atol=1e-7)
+
+
+def test_no_die_stands_on_a_frame_without_a_pose(written: Path) -> None:
+    """The mesh begins with each run of poses, and everything is cleared on each frame without one."""
+    track = made.track()
+    for entity in ("/world/measured/die", "/world/camera/image/silhouette/measured", "/plots/height/measured"):
+        cleared = rows(written, entity, "Clear:is_recursive", "frame")
+        assert [frame for frame, _ in cleared] == track.frame[~track.tracked].tolist()
+    meshes = rows(written, "/world/measured/die", "Mesh3D:vertex_positions", "frame")
+    assert [frame for frame, _ in meshes] == [made.FIRST_FRAME + 3, made.FIRST_FRAME + 34]
+
+
+def test_a_bounce_stands_at_its_own_instant_and_on_the_first_frame_that_shows_it(written: Path) -> None:
+    for name in ("measured", "simulated"):
+        ((time, text),) = rows(written, f"/events/{name}", "TextLog:text", "t")
+        assert time == nanoseconds(made.IMPACT_S)[0]
+        assert "vertex 0" in text[0]
+        ((frame, _),) = rows(written, f"/events/{name}", "TextLog:text", "frame")
+        assert frame == int(np.ceil(made.IMPACT_S * made.FPS))
+
+
+def test_heights_are_those_of_the_corners(written: Path) -> None:
+    track, solid = made.track(), made.die().solid
+    known = track.tracked
+    heights = rows(written, "/plots/height/measured", "Scalars:scalars")
+    assert len(heights) == known.sum()
+    lowest = min(min(value) for _, value in heights)
+    # The corner comes down to the table between two frames; 0.6 m/s over one frame is 0.4 mm.
+    assert 0.0 <= lowest < 0.4
+    means = [np.mean(value) for _, value in heights]
+    np.testing.assert_allclose(means, 1e3 * track.position_m[known, 2], atol=1e-9)
+    assert all(len(value) == len(solid.vertices) for _, value in heights)
+
+
+def test_the_overlay_is_where_the_camera_sees_the_corners(written: Path) -> None:
+    """A visible corner lies half a pixel from where the camera model puts it: the viewer counts from the corner of
+    the first pixel, the camera model from its centre."""
+    track, solid, camera = made.track(), made.die().solid, made.camera()
+    frame, first = rows(written, "/world/camera/image/corners/measured", "Points2D:positions", "frame")[0]
+    row = frame - made.FIRST_FRAME
+    corners = solid.vertices @ matrix_from_quat(track.quaternion[row]).T + track.position_m[row]
+    projected = camera.project(corners) + 0.5
+    distances = np.linalg.norm(np.asarray(first)[:, None] - projected[None], axis=2).min(1)
+    assert len(first) in (4, 6, 7)
+    # Single precision at 100 px.
+    assert distances.max() < 1e-4
+
+
+def test_residuals_are_measured_minus_simulated(written: Path) -> None:
+    known = made.track().tracked
+    back = [value[0] for _, value in rows(written, "/plots/residual/position_mm/x", "Scalars:scalars")]
+    # The simulated track was set off by +0.01 mm.
+    np.testing.assert_allclose(back, np.full(known.sum(), -0.01), atol=1e-9)
+
+
+def test_measured_and_simulated_keep_their_colours_everywhere(written: Path) -> None:
+    for name, colour in (("measured", MEASURED), ("simulated", SIMULATED)):
+        packed = int.from_bytes(bytes([*colour, 255]), "big")
+        found = [
+            *rows(written, f"/world/camera/image/silhouette/{name}", "LineStrips2D:colors"),
+            *rows(written, f"/world/{name}/impacts", "Points3D:colors"),
+            *rows(written, f"/plots/spin/{name}", "SeriesLines:colors"),
+        ]
+        assert [value for _, value in found] == [[packed]] * 3
+
+
+def test_every_frame_of_the_film_shows_its_own_picture(written: Path) -> None:
+    """Decoded again, the picture that each frame refers to carries that frame's number."""
+    ((_, blob),) = rows(written, "/world/camera/image", "AssetVideo:blob")
+    references = rows(written, "/world/camera/image", "VideoFrameReference:timestamp", "frame")
+    assert [frame for frame, _ in references] == list(range(made.FIRST_FRAME, made.FIRST_FRAME + made.FRAMES))
+    with av.open(io.BytesIO(bytes(blob[0]))) as film:
+        shown = {round(picture.time * 1e9): picture.to_ndarray(format="gray") for picture in film.decode(video=0)}
+    for k, (_, stamp) in enumerate(references):
+        nearest = min(shown, key=lambda time: abs(time - stamp[0]))
+        assert abs(nearest - stamp[0]) <= 1
+        assert made.code_of(shown[nearest]) == k
+
+
+def test_without_av1_every_frame_is_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "can_encode_av1", lambda: False)
+    path = tmp_path / "jpeg.rrd"
+    write_recording(path, made.record(clip=made.coded_clip(5)))
+    pictures = rows(path, "/world/camera/image", "EncodedImage:blob", "frame")
+    for k, (frame, blob) in enumerate(pictures):
+        assert frame == made.FIRST_FRAME + k
+        data = np.frombuffer(bytes(blob[0]), np.uint8)
+        assert made.code_of(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)) == k
+    assert len(pictures) == 5
+    ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
+    assert "JPEG" in text[0]
+
+
+def test_deep_footage_is_shown_through_one_stated_window(tmp_path: Path) -> None:
+    clip = made.coded_clip(6, bit_depth=12)
+    window = video.display_window(clip)
+    np.testing.assert_array_equal(window.apply(np.array([[0, 4095]], np.uint16)), [[0, 255]])
+    path = tmp_path / "deep.rrd"
+    write_recording(path, made.record(clip=clip))
+    ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
+    assert "grey levels 0 to 4095 of 12 bits" in text[0]
+
+
+def test_eight_bits_are_shown_as_they_are() -> None:
+    clip = made.coded_clip(3)
+    np.testing.assert_array_equal(video.display_window(clip).apply(clip.frame(2)), clip.frame(2))
+
+
+def test_what_is_missing_is_absent(tmp_path: Path) -> None:
+    path = tmp_path / "bare.rrd"
+    write_recording(path, made.record(clip=None, camera=None, fit=None, simulated=None))
+    assert verify(path).returncode == 0
+    there = entities(path)
+    for prefix in ("/world/camera", "/world/simulated", "/plots/residual", "/plots/chi/estimate"):
+        assert not any(entity.startswith(prefix) for entity in there)
+    ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
+    assert "No model was fitted" in text[0]
+    assert "no film" in text[0]
+
+
+def test_a_track_without_any_pose_still_makes_a_recording(tmp_path: Path) -> None:
+    track = made.track()
+    nothing = np.full_like(track.position_m, np.nan)
+    empty = made.Track(
+        track.frame,
+        track.time_s,
+        nothing,
+        np.full_like(track.quaternion, np.nan),
+        np.full_like(track.covariance, np.nan),
+        np.full(len(track), ABSENT),
+    )
+    path = tmp_path / "empty.rrd"
+    write_recording(path, made.record(track=empty, fit=None, simulated=None))
+    assert verify(path).returncode == 0
+    assert rows(path, "/world/measured/die", "Transform3D:translation") == []
+
+
+def test_a_modelled_throw_alone_stands_on_the_frames_of_its_camera(tmp_path: Path) -> None:
+    path = tmp_path / "throw.rrd"
+    write_throw_recording(path, made.die(), made.throw(), 1000.0, "alone")
+    assert verify(path).returncode == 0
+    frames = [frame for frame, _ in rows(path, "/world/simulated/die", "Transform3D:translation", "frame")]
+    times = [time for time, _ in rows(path, "/world/simulated/die", "Transform3D:translation", "t")]
+    assert frames == list(range(frames[0], frames[0] + len(frames)))
+    assert times == [1_000_000 * frame for frame in frames]
+    assert not any(entity.startswith("/world/measured") for entity in entities(path))
+
+
+def test_a_rate_that_no_camera_has_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="fps = 0"):
+        write_throw_recording(tmp_path / "x.rrd", made.die(), made.throw(), 0.0, "x")
+    with pytest.raises(ValueError, match="raise fps"):
+        write_throw_recording(tmp_path / "x.rrd", made.die(), made.throw(), 1.0, "x")
+
+
+def test_a_folder_that_does_not_exist_is_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="is not a folder"):
+        write_recording(tmp_path / "nowhere" / "x.rrd", made.record())
+
+
+def test_a_failure_leaves_no_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("stopped half-way")
+
+    monkeypatch.setattr(recording, "_send_residuals", fail)
+    path = tmp_path / "x.rrd"
+    with pytest.raises(RuntimeError, match="half-way"):
+        write_recording(path, made.record())
+    assert not path.exists()
+
+
+def test_residuals_in_sigmas_are_those_of_the_covariance() -> None:
+    """Set off by one sigma along x alone: the root mean square of six is 1/√6. A turn is read as its angle."""
+    track, moved = made.track(), made.track(1e-5)
+    rest = residuals(track, moved)
+    np.testing.assert_allclose(rest.sigmas, 1.0 / np.sqrt(6.0), rtol=1e-6)
+    turned = made.Track(
+        track.frame,
+        track.time_s,
+        track.position_m,
+        np.where(
+            track.tracked[:, None],
+            made.turned(np.nan_to_num(track.quaternion, nan=0.5), np.array([0, 0, 0.01])),
+            np.nan,
+        ),
+        track.covariance,
+        track.status,
+    )
+    np.testing.assert_allclose(residuals(turned, track).rotation_deg, np.rad2deg(0.01), rtol=1e-6)
+    assert residuals(track, moved).frame.tolist() == track.frame[track.tracked].tolist()
+
+
+def test_a_singular_covariance_gives_no_sigmas() -> None:
+    track = made.track()
+    flat = made.Track(
+        track.frame, track.time_s, track.position_m, track.quaternion, np.zeros_like(track.covariance), track.status
+    )
+    assert np.isnan(residuals(flat, made.track(1e-5)).sigmas).all()

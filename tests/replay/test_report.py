@@ -1,0 +1,145 @@
+"""The page says what was found, what was not, and why; it needs no network and believes no text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import replay_records as made
+
+from diethrow.fitting.results import Parameter
+from diethrow.model.motion import Throw
+from diethrow.replay import words
+from diethrow.replay.report import page, write_report
+
+HOSTILE = "<script>alert(1)</script> \" onload='x' & <img src=http://example.org/x>"
+
+
+class Page(HTMLParser):
+    """Checks that every element closes, and keeps tags, attributes and text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.tags: list[str] = []
+        self.attributes: list[tuple[str, str | None]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        self.attributes += attrs
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self.words).split())
+
+
+@pytest.fixture(scope="module")
+def whole() -> str:
+    return page(made.record())
+
+
+def test_the_page_is_well_formed_and_holds_every_section(whole: str) -> None:
+    parsed = Page(whole)
+    assert parsed.open == []
+    for heading in ("The throw", "Bounces", "Fit", "Initial conditions", "Effects", "Messages of the fit"):
+        assert heading in parsed.text
+    assert "0.5831" in parsed.text
+    assert "0.5802 to 0.5859" in parsed.text
+    assert "The last frame is cut off." in parsed.text
+
+
+def test_the_page_asks_nothing_of_the_network(whole: str) -> None:
+    parsed = Page(whole)
+    assert not {"script", "link", "iframe", "object"} & set(parsed.tags)
+    addresses = [value for name, value in parsed.attributes if name in ("src", "href", "action", "data")]
+    assert addresses
+    assert all(value is not None and value.startswith("data:image/") for value in addresses)
+    assert not re.search(r"https?:|@import|url\(", whole)
+
+
+def test_every_text_is_escaped() -> None:
+    fit = made.fit(messages=(HOSTILE,), parameters={HOSTILE: Parameter(1.0, 0.9, 1.1, 0.95, True, False)})
+    hostile = page(made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
+    parsed = Page(hostile)
+    assert parsed.open == []
+    assert "script" not in parsed.tags
+    assert not [name for name, _ in parsed.attributes if name.startswith("on")]
+    assert parsed.text.count("<script>alert(1)</script>") >= 4
+
+
+def test_what_is_not_determined_is_said_with_its_reason() -> None:
+    reason = "χ is not determined: no bounce lies in the clip."
+    fit = made.fit(
+        parameters={"chi": Parameter(None, None, None, None, False, False)},
+        bounces_fitted=0,
+        residual_rms=None,
+        initial_covariance=None,
+        messages=(reason,),
+    )
+    flights = made.throw().flights[:1]
+    text = Page(page(made.record(fit=fit, measured=Throw(flights, ()), simulated=None))).text
+    assert "χ not determined" in text
+    assert f"not determined: {reason}" in text
+    assert "No bounce was seen." in text
+    assert "None" not in text
+    assert "nan" not in text
+
+
+def test_a_record_without_fit_clip_or_camera_is_a_page_too() -> None:
+    text = Page(page(made.record(fit=None, clip=None, camera=None, simulated=None, notices=()))).text
+    assert "No model was fitted" in text
+
+
+def test_a_bounce_of_which_little_is_known_is_a_row_without_numbers() -> None:
+    throw = made.throw()
+    vague = replace(
+        throw.impacts[0],
+        contact="unresolved",
+        vertices=(),
+        normal_velocity_before_m_s=np.nan,
+        normal_velocity_after_m_s=np.nan,
+        energy_before_J=np.nan,
+        energy_after_J=np.nan,
+        chi=np.nan,
+        chi_low=np.nan,
+        chi_high=np.nan,
+        sigma_time_s=np.nan,
+        point_m=np.full(2, np.nan),
+    )
+    text = Page(page(made.record(measured=Throw(throw.flights, (vague,))))).text
+    assert "could not be resolved" in text
+    assert "nan" not in text
+
+
+def test_the_same_record_gives_the_same_page(tmp_path: Path, whole: str) -> None:
+    write_report(tmp_path / "report.html", made.record())
+    assert (tmp_path / "report.html").read_text(encoding="utf-8") == whole
+
+
+@pytest.mark.parametrize(
+    ("width", "decimals"),
+    [(0.0057, 4), (0.031, 3), (0.4, 2), (3.0, 2), (0.0, 4), (1e-12, 8)],
+)
+def test_an_interval_is_written_with_two_digits_of_its_width(width: float, decimals: int) -> None:
+    assert words.decimals_for(width) == decimals
+
+
+def test_numbers_have_a_true_minus_sign_and_no_bare_nan() -> None:
+    assert words.number(-0.5) == "−0.5"
+    assert words.number(1.5e-7) == "1.5 × 10^−7"
+    assert words.number(np.nan) == words.fixed(np.nan, 3) == words.number(None) == "not determined"

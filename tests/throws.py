@@ -1,0 +1,103 @@
+"""Throws whose truth is known, seen through frames with known noise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import Die
+from diethrow.tracking.track import TRACKED, Track
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FPS = 1500.0
+
+
+def random_release(die: Die, rng: np.random.Generator, *, spin_rad_s: float = 30.0) -> State:
+    """A die in any orientation, a few centimetres up, on its way down."""
+    quaternion = rng.standard_normal(4)
+    velocity = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-1.0, -0.6)])
+    omega = rng.standard_normal(3) * spin_rad_s / np.sqrt(3.0)
+    height = die.solid.circumradius + rng.uniform(0.06, 0.09)
+    return State(0.0, np.array([0.0, 0.0, height]), quaternion / np.linalg.norm(quaternion), velocity, omega)
+
+
+def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_after: int = 60) -> Throw:
+    """The smooth throw through so many impacts, and on for at most so many frames, but not to the next impact."""
+    whole = throw_die(die, release, SmoothImpact(chi), until=Until(impacts=impacts)).throw
+    last = whole.flights[-1]
+    end_s = min(last.end_s, last.start.time_s + frames_after / FPS)
+    return Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
+
+
+def frame_covariance(rng: np.random.Generator, n: int, scale: float = 1.0) -> Array:
+    """Covariances (n, 6, 6) as tracking has them: 0.02 mm across the line of sight, 0.15 mm along it, 0.1 degrees."""
+    depth = np.array([0.3, 0.84, -0.45])
+    depth /= np.linalg.norm(depth)
+    position = 0.02e-3**2 * np.eye(3) + (0.15e-3**2 - 0.02e-3**2) * np.outer(depth, depth)
+    covariance = np.zeros((n, 6, 6))
+    covariance[:, :3, :3] = position
+    covariance[:, 3:, 3:] = np.deg2rad(0.1) ** 2 * np.eye(3)
+    return covariance * (scale * rng.uniform(0.7, 1.3, n))[:, None, None] ** 2
+
+
+def seen(throw: Throw, rng: np.random.Generator, *, noise: float = 1.0, stated: float = 1.0) -> Track:
+    """The throw on every frame, with white noise; the covariances state `stated` times the true sigmas."""
+    times = np.arange(0, int(np.floor(throw.flights[-1].end_s * FPS)) + 1) / FPS
+    positions, quaternions = throw.poses(times)
+    covariance = frame_covariance(rng, len(times), noise)
+    errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(times), 6)))
+    return Track(
+        np.arange(len(times)),
+        times,
+        positions + errors[:, :3],
+        quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions),
+        covariance * (stated / noise) ** 2 if noise else covariance,
+        np.full(len(times), TRACKED),
+    )
+
+
+def roughly_measured(throw: Throw, rng: np.random.Generator) -> Throw:
+    """The throw as tracking might measure it: states of the flights a little off, impacts within 0.1 frames."""
+    flights = []
+    for flight in throw.flights:
+        s = flight.start
+        start = State(
+            s.time_s,
+            s.position_m + 1e-4 * rng.standard_normal(3),
+            quat_multiply(quat_from_rotvec(0.01 * rng.standard_normal(3)), s.quaternion),
+            s.velocity_m_s + 0.01 * rng.standard_normal(3),
+            s.omega_rad_s + 2.0 * rng.standard_normal(3),
+        )
+        flights.append(Flight(start, flight.end_s))
+    impacts = [replace(i, time_s=i.time_s + rng.uniform(-0.1, 0.1) / FPS, sigma_time_s=5e-5) for i in throw.impacts]
+    return Throw(tuple(flights), tuple(impacts))
+
+
+def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames: float) -> Track:
+    """The same track with errors of the same size that stay alike over so many frames (AR(1))."""
+    positions, quaternions = throw.poses(track.time_s)
+    keep = np.exp(-1.0 / frames)
+    white = np.einsum("nij,nj->ni", np.linalg.cholesky(track.covariance), rng.standard_normal((len(track), 6)))
+    errors = white.copy()
+    for k in range(1, len(errors)):
+        errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * white[k]
+    turned = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions)
+    return replace(track, position_m=positions + errors[:, :3], quaternion=turned)
+
+
+def initial_errors(fitted: State, true: State) -> Array:
+    """(12,) true minus fitted: position, rotation vector, velocity, angular velocity."""
+    return np.concatenate(
+        [
+            true.position_m - fitted.position_m,
+            rotation_between(fitted.quaternion, true.quaternion),
+            true.velocity_m_s - fitted.velocity_m_s,
+            true.omega_rad_s - fitted.omega_rad_s,
+        ]
+    )

@@ -1,0 +1,300 @@
+"""The bounces of a track: flights found, joined, and each contact named.
+
+Wherever the lowest corner comes near the table, two exact motions, one before and one after, are compared with a single
+one through both: the instant that gains most parts the track, and so on until no parting gains anything (recursive
+binary segmentation of change points). Neighbouring flights are then joined at one instant each and all are fitted
+together (`joined`). A link that no single instant explains stays open and is reported as an unresolved contact.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
+from ..model.rotations import matrix_from_quat, rotation_between
+from ..model.solids import Die, lowest_face
+from .joined import Joined, Sightings, fit_joined, moved, transition
+from .track import Track
+
+Array = NDArray[np.float64]
+
+SLACK_POSITION_M, SLACK_ROTATION_RAD = 1.5e-5, 1.0e-3
+"""Added to each frame's own sigma: what shading and marks do to a single pose beyond its noise."""
+WINDOW = 12
+"""Frames on either side of an instant that say whether the motion changes there."""
+GAIN = 10.0
+"""By how much, in squared sigmas for each of the twelve numbers that it adds, a second motion must explain the frames
+better than one. Noise alone gives 1 ± 0.4; the weakest bounces of a die that still moves on give hundreds."""
+FEWEST = 3
+"""Frames that measure a flight."""
+TABLE_REACH = 0.35
+"""A contact's lowest vertex may seem this share of an edge off the table: rounding, calibration and depth error (half a
+per cent of the distance to the camera is a quarter of a die)."""
+OPEN_STRAIN = 5.0
+"""Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
+SAMPLES = 2000
+
+
+class NoFlightError(ValueError):
+    """The track holds no flight that could be measured."""
+
+
+def measure_throw(track: Track, die: Die) -> Throw:
+    """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
+
+    Raises NoFlightError where fewer than three frames in a row are tracked.
+    """
+    use = np.flatnonzero(track.tracked)
+    if len(use) < 3:
+        raise NoFlightError(f"{len(use)} frames are tracked: wanted at least three in a row to measure a flight")
+    seen = _sightings(track, use)
+    joined, opened = _join(seen, _part(seen, die), die)
+    return Throw(joined.flights, _impacts(joined, die, opened))
+
+
+def _sightings(track: Track, use: NDArray[np.int64]) -> Sightings:
+    """The tracked frames, each whitened by its covariance with slack; without a covariance, by the slack alone."""
+    slack = np.array([SLACK_POSITION_M**2] * 3 + [SLACK_ROTATION_RAD**2] * 3)
+    whitener = np.empty((len(use), 6, 6))
+    for row, k in enumerate(use):
+        C = track.covariance[k]
+        C = (C if np.isfinite(C).all() else np.zeros((6, 6))) + np.diag(slack)
+        whitener[row] = np.linalg.inv(np.linalg.cholesky(C))
+    return Sightings(track.time_s[use], track.position_m[use], track.quaternion[use], whitener)
+
+
+def _state_from(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float]:
+    """A flight's state at the middle of some frames, by weighted lines through positions and rotation vectors, and the
+    sum of squared sigmas that it leaves. Constant spin turns about a fixed axis, so the line is exact."""
+    middle = rows[len(rows) // 2]
+    t = seen.time_s[rows] - seen.time_s[middle]
+    fall = seen.position_m[rows] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
+    turns = _unwrapped(rotation_between(seen.quaternion[middle], seen.quaternion[rows]), t)
+    W = seen.whitener[rows]
+    design = np.concatenate([W, W * t[:, None, None]], axis=2).reshape(-1, 12)
+    target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1)).ravel()
+    # Columns differ by the frame spacing; scaling them keeps the normal matrix well conditioned.
+    scale = np.linalg.norm(design, axis=0)
+    x = np.linalg.lstsq(design / scale, target, rcond=1e-10)[0] / scale
+    left = float(((design @ x - target) ** 2).sum())
+    base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
+    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), left
+
+
+def _unwrapped(turns: Array, t: Array) -> Array:
+    """Rotation vectors followed past half a turn: each is taken on the branch nearest to its neighbour's course."""
+    out = turns.copy()
+    zero = int(np.argmin(np.abs(t)))
+    for direction in (1, -1):
+        k = zero + direction
+        while 0 <= k < len(t):
+            last = out[k - direction]
+            guess = last * (t[k] / t[k - direction]) if t[k - direction] != 0 else out[k]
+            angle = float(np.linalg.norm(turns[k]))
+            if angle > 1e-9:
+                axis = turns[k] / angle
+                rounds = np.round((guess @ axis - angle) / (2.0 * np.pi))
+                out[k] = axis * (angle + 2.0 * np.pi * rounds)
+            k += direction
+    return out
+
+
+def _misfit(seen: Sightings, state: State, rows: NDArray[np.int64]) -> Array:
+    """Distance (rows,) of frames from a motion, in sigmas (root mean square of six)."""
+    p, q = Flight(state, np.inf).poses(seen.time_s[rows])
+    raw = np.concatenate([seen.position_m[rows] - p, rotation_between(q, seen.quaternion[rows])], axis=1)
+    return np.asarray(np.sqrt((np.einsum("nij,nj->ni", seen.whitener[rows], raw) ** 2).mean(1)))
+
+
+def _part(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
+    """Rows of each flight, in order: the track parted wherever a second motion explains it better than one."""
+    n = len(seen.time_s)
+    low = _near_table(seen, die)
+    cuts = [0, n]
+    gains = np.full(n + 1, -np.inf)
+    stale = np.ones(n + 1, bool)
+    while True:
+        for s in np.flatnonzero(stale):
+            gains[s] = _gain(seen, cuts, int(s)) if low[s] else -np.inf
+        stale[:] = False
+        best = int(np.argmax(gains))
+        if not gains[best] > GAIN:
+            break
+        cuts = sorted([*cuts, best])
+        stale[max(0, best - WINDOW - 1) : best + WINDOW + 2] = True
+    return [np.arange(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= FEWEST]
+
+
+def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
+    """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on a frame beside it."""
+    heights = (matrix_from_quat(seen.quaternion) @ die.solid.vertices.T)[:, 2].min(1) + seen.position_m[:, 2]
+    fall = np.abs(np.diff(heights, prepend=heights[0]))
+    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    near = heights < TABLE_REACH * edge + 2.0 * fall
+    out = np.zeros(len(heights) + 1, bool)
+    out[:-1] |= near
+    out[1:] |= near
+    return out
+
+
+def _gain(seen: Sightings, cuts: list[int], s: int) -> float:
+    """Gain of a cut before row s over none, in squared sigmas for each number that it adds."""
+    below = max(c for c in cuts if c <= s)
+    above = min((c for c in cuts if c > s), default=s)
+    a, b = np.arange(max(below, s - WINDOW), s), np.arange(s, min(above, s + WINDOW))
+    if len(a) < FEWEST or len(b) < FEWEST:
+        return -np.inf
+    both = _state_from(seen, np.concatenate([a, b]))[1]
+    apart = _state_from(seen, a)[1] + _state_from(seen, b)[1]
+    free = max(6 * (len(a) + len(b)) - 24, 6)
+    return (both - apart) / 12.0 / max(apart / free, 1.0)
+
+
+def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Joined, list[bool]]:
+    """All flights fitted together. Links that cannot be bounces are removed, the weakest first; then links that one
+    instant cannot explain are opened, the worst first."""
+    opened = [False] * (len(parts) - 1)
+    while True:
+        joined = _fit_parts(seen, parts, opened)
+        faults = [k for k in range(len(opened)) if not _can_be_bounce(joined, k, die)]
+        if faults:
+            k = min(faults, key=lambda j: _jump(joined, j, die))
+            parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
+            opened = opened[:k] + opened[k + 1 :]
+            continue
+        strain = np.array([0.0 if o else _strain(joined, parts, k) for k, o in enumerate(opened)])
+        if not len(strain) or strain.max() < OPEN_STRAIN * max(float(np.median(joined.residual)), 0.5):
+            return joined, opened
+        opened[int(np.argmax(strain))] = True
+
+
+def _strain(joined: Joined, parts: list[NDArray[np.int64]], k: int) -> float:
+    """Mean misfit [sigmas] of the frames beside a link, less the worst: one may straddle the contact in its exposure."""
+    beside = np.arange(max(parts[k][-1] - 3, parts[k][0]), min(parts[k + 1][0] + 4, parts[k + 1][-1]))
+    return float(np.mean(np.sort(joined.residual[beside])[: max(1, len(beside) - 1)])) if len(beside) else 0.0
+
+
+def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
+    """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before
+    and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this."""
+    t = float(joined.links_s[k])
+    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    arms = die.solid.vertices @ a.rotation.T
+    low = int(np.argmin(arms[:, 2]))
+    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    if abs(arms[low, 2] + a.position_m[2]) > TABLE_REACH * edge or b.velocity_m_s[2] <= a.velocity_m_s[2]:
+        return False
+    if joined.open[k]:
+        return True
+    return _normal_velocity(a, arms[low]) < 0.0 < _normal_velocity(b, arms[low])
+
+
+def _jump(joined: Joined, k: int, die: Die) -> float:
+    """Size [m/s] of the change of motion at a link, at the die's surface."""
+    t = float(joined.links_s[k])
+    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    spin = die.solid.circumradius * np.linalg.norm(b.omega_rad_s - a.omega_rad_s)
+    return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
+
+
+def _fit_parts(seen: Sightings, parts: list[NDArray[np.int64]], opened: list[bool]) -> Joined:
+    """The joint fit of the frames of all flights, from each flight's own fit."""
+    states = [_state_from(seen, _best_rows(seen, rows))[0] for rows in parts]
+    links = []
+    for k in range(len(parts) - 1):
+        low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
+        links.append(_meeting(states[k], states[k + 1], low, high))
+    return fit_joined(seen, states, links, opened)
+
+
+def _best_rows(seen: Sightings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of a flight without those far off its own motion."""
+    state, _ = _state_from(seen, rows)
+    misfit = _misfit(seen, state, rows)
+    good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
+    return good if len(good) >= 3 else rows
+
+
+def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
+    """The instant near [low, high] at which two motions come closest, positions and turns (times 5 mm) together."""
+    spread = max(high_s - low_s, 1e-9)
+    times = np.linspace(low_s - 1.0 * spread, high_s + 1.0 * spread, 121)
+    pa, qa = Flight(before, np.inf).poses(times)
+    pb, qb = Flight(after, np.inf).poses(times)
+    distance = np.linalg.norm(pa - pb, axis=1) + 5e-3 * np.linalg.norm(rotation_between(qa, qb), axis=1)
+    return float(times[int(np.argmin(distance))])
+
+
+def _impacts(joined: Joined, die: Die, opened: list[bool]) -> tuple[Impact, ...]:
+    """What each link says about its bounce."""
+    rng = np.random.default_rng(20120404)
+    values, vectors = np.linalg.eigh(joined.covariance)
+    draws = rng.standard_normal((SAMPLES, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    return tuple(_impact(joined, die, k, opened[k], draws) for k in range(len(joined.links_s)))
+
+
+def _impact(joined: Joined, die: Die, k: int, is_open: bool, draws: Array) -> Impact:
+    """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
+    before, after = joined.flights[k], joined.flights[k + 1]
+    t = float(joined.links_s[k])
+    a, b = before.at(t), after.at(t)
+    arms = die.solid.vertices @ a.rotation.T
+    heights = arms[:, 2] + a.position_m[2]
+    order = np.argsort(heights)
+    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    touching = tuple(int(i) for i in order if heights[i] - heights[order[0]] < 0.01 * edge)
+    contact = "unresolved" if is_open else {1: "vertex", 2: "edge"}.get(len(touching), "face")
+    arm = arms[list(touching)].mean(0)
+    v_before, v_after = _normal_velocity(a, arm), _normal_velocity(b, arm)
+    chi, low, high = np.nan, np.nan, np.nan
+    if not is_open and v_before < 0:
+        chi = -v_after / v_before
+        low, high = _chi_interval(joined, k, t, arm, v_before, v_after, draws)
+    middle_before = before.at(0.5 * (before.start.time_s + before.end_s))
+    middle_after = after.at(0.5 * (after.start.time_s + after.end_s))
+    return Impact(
+        t,
+        contact,
+        () if is_open else touching,
+        (a.position_m + arm)[:2],
+        die.mass_kg * (b.velocity_m_s - a.velocity_m_s),
+        v_before,
+        v_after,
+        energy_J(die, a),
+        energy_J(die, b),
+        lowest_face(die.solid, middle_before.rotation),
+        lowest_face(die.solid, middle_after.rotation),
+        sigma_time_s=float(joined.sigma_time_s[k]),
+        chi=chi,
+        chi_low=low,
+        chi_high=high,
+    )
+
+
+def _normal_velocity(state: State, arm: Array) -> float:
+    """Vertical velocity [m/s] of a point of the die at `arm` from its centre."""
+    return float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
+
+
+def _chi_interval(
+    joined: Joined, k: int, t: float, arm: Array, v_before: float, v_after: float, draws: Array
+) -> tuple[float, float]:
+    """95 % interval of the apparent restitution, by drawing from the joint covariance of both flights."""
+    row = np.zeros((2, 12))
+    for side, flight in enumerate((joined.flights[k], joined.flights[k + 1])):
+        # d(v_z + (ω × r)_z), with r turning along: δr = δθ × r.
+        w = flight.start.omega_rad_s
+        row[side, 3:6] = _turn_derivative(w, arm)
+        row[side, 8] = 1.0
+        row[side, 9:12] = np.cross(arm, [0.0, 0.0, 1.0])
+    S = [transition(f, t) @ m for f, m in zip(joined.flights[k : k + 2], joined.maps[k : k + 2], strict=True)]
+    before = v_before + draws @ (row[0] @ S[0])
+    after = v_after + draws @ (row[1] @ S[1])
+    low, high = np.percentile(-after / before, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def _turn_derivative(omega: Array, arm: Array) -> Array:
+    """Derivative (3,) of (ω × r)_z with respect to a rotation of r: ẑ·(ω × (δθ × r)) = δθ·(r × (ẑ × ω))."""
+    return np.asarray(np.cross(arm, np.cross([0.0, 0.0, 1.0], omega)))

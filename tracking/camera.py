@@ -1,0 +1,47 @@
+"""A calibrated camera, in OpenCV's conventions.
+
+x_cam = rotation · X_world + translation; pixel centres at integers; distortion k1 k2 p1 p2 k3 (Brown-Conrady).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """Intrinsics and pose of one camera."""
+
+    width_px: int
+    height_px: int
+    matrix: Array
+    """(3, 3) intrinsics [px]."""
+    distortion: Array
+    """(5,) k1 k2 p1 p2 k3."""
+    rotation: Array
+    """(3, 3) world to camera."""
+    translation_m: Array
+    """(3,) position of the world's origin in the camera."""
+
+    @property
+    def centre_m(self) -> Array:
+        """(3,) of the optical centre, in the world."""
+        return np.asarray(-self.rotation.T @ self.translation_m)
+
+    def project(self, points_m: ArrayLike) -> Array:
+        """Pixel coordinates (..., 2) of world points (..., 3), lens distortion included; NaN behind the camera."""
+        cam = np.asarray(points_m, float) @ self.rotation.T + self.translation_m
+        depth = np.where(cam[..., 2] > 0, cam[..., 2], np.nan)
+        x, y = cam[..., 0] / depth, cam[..., 1] / depth
+        k1, k2, p1, p2, k3 = self.distortion
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        xd = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+        yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+        K = self.matrix
+        return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)

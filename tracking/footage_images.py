@@ -1,0 +1,265 @@
+"""Films kept as pictures: a folder, a glob pattern, one picture of a numbered sequence, or a multi-page TIFF.
+
+Pictures come at their own depth: 8-bit ones as uint8, 16-bit ones as uint16; colour becomes luma with the weights of BT.601.
+"""
+
+from __future__ import annotations
+
+import glob
+import logging
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import tifffile
+
+from .footage import Footage, Frame, check_size, times_from_rate
+
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
+
+
+def open_pictures(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
+    """A numbered sequence, named by its folder, by a glob pattern, or by one of its pictures; or a multi-page TIFF."""
+    if path.is_file() and is_tiff(path):
+        with _open_tiff(path) as tiff:
+            one_page = _page_count(tiff) == 1
+        if not one_page:
+            return TiffClip(path, fps, frame_range)
+    return PictureClip(path, picture_files(path), fps, frame_range)
+
+
+def is_tiff(path: Path) -> bool:
+    """Whether a file begins like a TIFF (classic or big)."""
+    with path.open("rb") as file:
+        return file.read(4) in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+
+
+def picture_files(path: Path) -> list[Path]:
+    """The files of a sequence in the order of their numbers (frame_2 before frame_10)."""
+    if path.is_dir():
+        files = [file for file in path.iterdir() if file.suffix.lower() in PICTURE_SUFFIXES and _number(file)]
+        kinds = sorted({_pattern(file) for file in files})
+        if len(kinds) > 1:
+            raise ValueError(
+                f"{path.name}: the folder holds pictures of {len(kinds)} kinds ({', '.join(kinds[:3])}); name one of the sequence"
+            )
+    elif path.is_file():
+        files = (
+            [file for file in path.parent.iterdir() if _pattern(file) == _pattern(path)] if _number(path) else [path]
+        )
+    else:
+        files = [Path(name) for name in glob.glob(str(path))]
+    if not files:
+        raise ValueError(f"{path.name}: no pictures there; accepted are {', '.join(PICTURE_SUFFIXES)}")
+    return sorted(files, key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)] or [0])
+
+
+def read_picture(path: Path) -> Frame:
+    """(height, width) grey levels at native depth; ValueError for what is no picture of 8 or 16 bit."""
+    if is_tiff(path):
+        with _open_tiff(path) as tiff:
+            return _page_pixels(path, tiff, 0)
+    data = np.fromfile(path, np.uint8)
+    try:
+        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    except cv2.error:
+        picture = None
+    if picture is None:
+        raise ValueError(
+            f"{path.name}: the picture is empty, damaged or of an unknown kind; save it again as PNG or TIFF"
+        )
+    return to_grey(path, picture, bgr=True)
+
+
+def to_grey(path: Path, picture: Any, *, bgr: bool) -> Frame:
+    """Luma of a picture (height, width) or (height, width, channels)."""
+    picture = np.asarray(picture)
+    if picture.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{path.name}: pixels of the kind {picture.dtype}; save 8- or 16-bit unsigned grey levels")
+    picture = picture.astype(picture.dtype.newbyteorder("="))
+    if picture.ndim == 3 and picture.shape[2] in (3, 4):
+        return np.asarray(
+            cv2.cvtColor(np.ascontiguousarray(picture[..., :3]), cv2.COLOR_BGR2GRAY if bgr else cv2.COLOR_RGB2GRAY)
+        )
+    if picture.ndim == 3 and picture.shape[2] in (1, 2):
+        picture = picture[..., 0]
+    if picture.ndim != 2:
+        raise ValueError(f"{path.name}: an array of shape {picture.shape} is no picture; save grey or RGB pictures")
+    return np.ascontiguousarray(picture)
+
+
+class PictureClip(Footage):
+    """One file a frame; the first picture gives size and depth."""
+
+    def __init__(self, path: Path, files: list[Path], fps: float | None, frame_range: tuple[int, int] | None) -> None:
+        first = read_picture(files[0])
+        self._files = files
+        self._dtype = first.dtype
+        super().__init__(
+            path,
+            width_px=first.shape[1],
+            height_px=first.shape[0],
+            bit_depth=8 * first.dtype.itemsize,
+            file_times_s=times_from_rate(path, fps, len(files)),
+            frame_range=frame_range,
+            notices=_missing_numbers(path, files),
+            facts={"format": "pictures", "first_file": files[0].name, "last_file": files[-1].name},
+        )
+
+    def _read(self, number: int) -> Frame:
+        frame = read_picture(self._files[number])
+        if frame.shape != (self.height_px, self.width_px) or frame.dtype != self._dtype:
+            h, w = frame.shape
+            raise ValueError(
+                f"{self._files[number].name}: the picture is {w} × {h} px {frame.dtype} and the first "
+                f"{self.width_px} × {self.height_px} px {self._dtype}; keep one sequence in a folder"
+            )
+        return frame
+
+
+class TiffClip(Footage):
+    """The pages of one TIFF, read one at a time."""
+
+    def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
+        self._tiff = _open_tiff(path)
+        count, notices = _readable_pages(path, self._tiff)
+        if not count:
+            raise ValueError(f"{path.name}: the TIFF is cut off within its first page; save it again")
+        first = _page_pixels(path, self._tiff, 0)
+        super().__init__(
+            path,
+            width_px=first.shape[1],
+            height_px=first.shape[0],
+            bit_depth=8 * first.dtype.itemsize,
+            file_times_s=times_from_rate(path, fps, count),
+            frame_range=frame_range,
+            notices=notices,
+            facts={"format": "tiff", "pages": count},
+        )
+
+    def _read(self, number: int) -> Frame:
+        return _page_pixels(self.path, self._tiff, number)
+
+
+def _number(path: Path) -> str | None:
+    """The last run of digits in a file's name, which counts the frames."""
+    runs = re.findall(r"\d+", path.stem)
+    return runs[-1] if runs else None
+
+
+def _pattern(path: Path) -> str:
+    """A file's name without its number: what the pictures of one sequence have in common."""
+    return re.sub(r"\d+(?!.*\d)", "#", path.stem) + path.suffix.lower()
+
+
+def _missing_numbers(path: Path, files: list[Path]) -> tuple[str, ...]:
+    numbers = [int(_number(file) or 0) for file in files]
+    steps = np.diff(numbers)
+    if len(set(_pattern(file) for file in files)) > 1 or not len(steps) or (steps == steps[0]).all():
+        return ()
+    missing = int(sum(step - 1 for step in steps if step > 1))
+    return (
+        f"{path.name}: {missing} numbers are missing between {files[0].name} and {files[-1].name}; "
+        "the pictures are taken to be evenly spaced at fps.",
+    )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """tifffile reports damage to a log on the terminal; here it is told by errors and notices."""
+    log = logging.getLogger("tifffile")
+    before = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
+
+
+def _open_tiff(path: Path) -> tifffile.TiffFile:
+    try:
+        with _quiet():
+            return tifffile.TiffFile(path)
+    except (tifffile.TiffFileError, ValueError, OSError, struct.error) as error:
+        raise ValueError(f"{path.name}: the TIFF is damaged from its first page on; save it again") from error
+
+
+def _page_count(tiff: tifffile.TiffFile) -> int:
+    """Pages, or the pictures behind one page (ImageJ describes a stack above 4 GB by its first page only)."""
+    with _quiet():
+        pages = len(tiff.pages)
+        if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
+            return max(1, int(tiff.series[0].size // tiff.pages.first.size))
+    return pages
+
+
+def _readable_pages(path: Path, tiff: tifffile.TiffFile) -> tuple[int, tuple[str, ...]]:
+    """How many pages have all their bytes in the file, and a notice where some have not."""
+    declared, size = _page_count(tiff), path.stat().st_size
+    count = declared
+    while count and _page_end(tiff, count - 1) > size:
+        count -= 1
+    with _quiet():
+        cut = count < declared or (declared > 1 and not _chain_ends(tiff))
+    notice = f"{path.name}: the TIFF seems cut off; its first {count} pages are used."
+    return count, (notice,) if cut else ()
+
+
+def _page_end(tiff: tifffile.TiffFile, number: int) -> float:
+    """The offset behind the last byte of a page; infinite where the page itself cannot be read."""
+    if number >= len(tiff.pages):
+        first = tiff.pages.first
+        return int(tiff.series[0].dataoffset) + (number + 1) * int(first.nbytes)
+    try:
+        with _quiet():
+            page = tiff.pages[number]
+            return max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=np.inf)
+    except (tifffile.TiffFileError, ValueError, IndexError, KeyError, OSError, struct.error):
+        return np.inf
+
+
+def _chain_ends(tiff: tifffile.TiffFile) -> bool:
+    """Whether the last page says that no page follows, as it does in a whole file."""
+    last, form = tiff.pages[-1], tiff.tiff
+    file = tiff.filehandle
+    file.seek(last.offset)
+    tags = int.from_bytes(file.read(form.tagnosize), "little" if tiff.byteorder == "<" else "big")
+    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
+    return not any(file.read(form.offsetsize))
+
+
+def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
+    """(height, width) grey levels of one page."""
+    first = tiff.pages.first
+    check_size(path, int(first.imagewidth), int(first.imagelength))
+    if number >= len(tiff.pages):
+        offset = int(tiff.series[0].dataoffset) + number * int(first.nbytes)
+        pixels = np.memmap(path, first.dtype.newbyteorder(tiff.byteorder), "r", offset, first.shape)
+        return to_grey(path, np.array(pixels), bgr=False)
+    with _quiet():
+        page = tiff.pages[number]
+        check_size(path, int(page.imagewidth), int(page.imagelength))
+        try:
+            pixels = page.asarray()
+        except (ValueError, OSError, struct.error, zlib.error) as error:
+            return _page_by_opencv(path, number, error)
+    if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+        pixels = np.iinfo(pixels.dtype).max - pixels
+    return to_grey(path, pixels, bgr=False)
+
+
+def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:
+    """A page in a compression that tifffile knows only with its codecs installed (LZW)."""
+    try:
+        done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        done, pages = False, ()
+    if not done or not len(pages):
+        raise ValueError(f"{path.name}: page {number} cannot be decoded; save the TIFF without compression") from error
+    return to_grey(path, pages[0], bgr=True)

@@ -1,0 +1,39 @@
+"""The table of poses: what tracking knows about the die on every frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+TRACKED, LOST, ABSENT = "tracked", "lost", "absent"
+"""Status of a frame: the pose is known; the die is in view but its pose is not known; no die is in view."""
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """Poses of the die in world axes, one row a frame."""
+
+    frame: NDArray[np.int64]
+    """(n,) frame numbers, counted from the first frame of the file."""
+    time_s: Array
+    """(n,) mid-exposure."""
+    position_m: Array
+    """(n, 3) of the centre; NaN unless tracked."""
+    quaternion: Array
+    """(n, 4) wxyz, body to world, sign continuous; NaN unless tracked."""
+    covariance: Array
+    """(n, 6, 6) of position [m] and rotation vector [rad], world axes: R_true = exp(δ) R_est; NaN unless tracked."""
+    status: NDArray[np.str_]
+    """(n,) TRACKED, LOST or ABSENT."""
+
+    @property
+    def tracked(self) -> NDArray[np.bool_]:
+        """(n,) where the pose is known."""
+        return np.asarray(self.status == TRACKED)
+
+    def __len__(self) -> int:
+        return len(self.frame)
