@@ -18,7 +18,7 @@ Where the corners are rounded, the contact is the lowest point of a sphere inscr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,7 +92,8 @@ def apparent_restitution(
 def measure_bounces(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> tuple[Bounce | None, ...]:
     """Every impact at one known vertex between two flights that could be fitted; None for the others.
 
-    The covariances are scaled up where the frames scatter more than they state.
+    The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
+    interval of its own, that one is kept: it knows that the flights meet at the impact, and needs no height of the table.
     """
     bounces: list[Bounce | None] = []
     scale = max(1.0, free.variance)
@@ -101,7 +102,7 @@ def measure_bounces(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> t
             bounces.append(None)
             continue
         pair = (_scaled(before.flight, scale), _scaled(after.flight, scale))
-        bounces.append(apparent_restitution(die, *pair, impact.time_s, impact.vertices[0]))
+        bounces.append(_as_measured(apparent_restitution(die, *pair, impact.time_s, impact.vertices[0]), impact))
     return tuple(bounces)
 
 
@@ -144,6 +145,14 @@ def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95)
     # One scatter from few bounces is itself uncertain; without any scatter the errors are known and normal.
     reach = float(student.ppf(0.5 + level / 2.0, len(used) - 1) if between > 0.0 else norm.ppf(0.5 + level / 2.0))
     return mean, mean - reach * sigma, mean + reach * sigma
+
+
+def _as_measured(bounce: Bounce, impact: Impact) -> Bounce:
+    """The bounce with the χ that tracking has measured (95 %), if it has."""
+    if not np.isfinite([impact.chi, impact.chi_low, impact.chi_high]).all() or impact.chi_high <= impact.chi_low:
+        return bounce
+    sigma = (impact.chi_high - impact.chi_low) / (2.0 * float(norm.ppf(0.975)))
+    return replace(bounce, chi=impact.chi, chi_low=impact.chi_low, chi_high=impact.chi_high, chi_sigma=sigma)
 
 
 def _scaled(flight: Flight, variance: float) -> Flight:

@@ -11,18 +11,23 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model import kernels
 from ..model.impacts import SmoothImpact
 from ..model.motion import State, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from ..model.simulate import Until, throw_die
+from ..model.simulate import Until, edge_barriers_m, throw_die
 from ..model.solids import Die, lowest_face
 from ..model.tangent import propagate
+from ..model.touch import packed_state
 from ..tracking.track import Track
 from .flights import moved_state
 
 Array = NDArray[np.float64]
 
 DRAWS = 100
+
+_MOST_IMPACTS = 5000
+"""A throw near χ = 1 hardly loses energy; one that bounces on for longer is left undecided."""
 
 _STILL_FRAMES = 8
 _STILL_RAD = np.deg2rad(0.5)
@@ -90,7 +95,7 @@ def landing_odds(
     if undecided > 0.1 * DRAWS:
         words = (
             f"The landed face is not known: {undecided} of {DRAWS} throws drawn from the fit end in sliding or rocking "
-            "contact, which is not simulated."
+            "contact, which is not simulated, or bounce on without end."
         )
         return None, None, (words,)
     odds = {face + 1: landed[face + 1] / landed.total() for face in range(len(die.solid.faces))}
@@ -107,4 +112,20 @@ def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], unti
     depth = float((matrix_from_quat(last.quaternion) @ die.solid.vertices.T)[2].min() + last.position_m[2])
     if depth < -1e-9 * die.solid.circumradius:
         return None
-    return throw_die(die, last, SmoothImpact(chi)).landed_face
+    solid = die.solid
+    _, _, face, *_ = kernels.run_throw(
+        solid.vertices,
+        solid.normals,
+        edge_barriers_m(solid),
+        die.mass_kg,
+        die.inertia_kg_m2,
+        kernels.SMOOTH,
+        np.array([chi]),
+        packed_state(last),
+        np.inf,
+        np.iinfo(np.int64).max,
+        True,
+        _MOST_IMPACTS,
+        False,
+    )
+    return int(face) + 1 if face >= 0 else None

@@ -449,6 +449,9 @@ def _unexplained(
         "impact; its interval includes their scatter."
     )
     chi = _bounded(*common)
+    if chi.low == 0.0 and chi.high == 1.0:
+        chi = Parameter(None, None, None, None, True, False)
+        messages[-1] = "chi cannot be determined: the ratios of normal velocities at the bounces contradict each other."
     throw = None if chi.value is None else continued(die, opening.throw, chi.value, float(track.time_s[-1]))
     return replace(fit, parameters={"chi": chi}, residual_rms=rms, messages=tuple(messages), throw=throw)
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+
 from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die
 from diethrow.tracking.track import TRACKED, Track
-from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 

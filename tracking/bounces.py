@@ -14,13 +14,11 @@ from numpy.typing import NDArray
 from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
 from ..model.rotations import matrix_from_quat, rotation_between
 from ..model.solids import Die, lowest_face
-from .joined import Joined, Sightings, fit_joined, moved, transition
+from .joined import Joined, Sightings, fit_flight, fit_joined, transition
 from .track import Track
 
 Array = NDArray[np.float64]
 
-SLACK_POSITION_M, SLACK_ROTATION_RAD = 1.5e-5, 1.0e-3
-"""Added to each frame's own sigma: what shading and marks do to a single pose beyond its noise."""
 WINDOW = 12
 """Frames on either side of an instant that say whether the motion changes there."""
 GAIN = 10.0
@@ -54,50 +52,16 @@ def measure_throw(track: Track, die: Die) -> Throw:
 
 
 def _sightings(track: Track, use: NDArray[np.int64]) -> Sightings:
-    """The tracked frames, each whitened by its covariance with slack; without a covariance, by the slack alone."""
-    slack = np.array([SLACK_POSITION_M**2] * 3 + [SLACK_ROTATION_RAD**2] * 3)
-    whitener = np.empty((len(use), 6, 6))
-    for row, k in enumerate(use):
-        C = track.covariance[k]
-        C = (C if np.isfinite(C).all() else np.zeros((6, 6))) + np.diag(slack)
-        whitener[row] = np.linalg.inv(np.linalg.cholesky(C))
-    return Sightings(track.time_s[use], track.position_m[use], track.quaternion[use], whitener)
+    """The tracked frames as the fit wants them."""
+    return Sightings.from_poses(
+        track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use]
+    )
 
 
 def _state_from(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float]:
-    """A flight's state at the middle of some frames, by weighted lines through positions and rotation vectors, and the
-    sum of squared sigmas that it leaves. Constant spin turns about a fixed axis, so the line is exact."""
-    middle = rows[len(rows) // 2]
-    t = seen.time_s[rows] - seen.time_s[middle]
-    fall = seen.position_m[rows] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
-    turns = _unwrapped(rotation_between(seen.quaternion[middle], seen.quaternion[rows]), t)
-    W = seen.whitener[rows]
-    design = np.concatenate([W, W * t[:, None, None]], axis=2).reshape(-1, 12)
-    target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1)).ravel()
-    # Columns differ by the frame spacing; scaling them keeps the normal matrix well conditioned.
-    scale = np.linalg.norm(design, axis=0)
-    x = np.linalg.lstsq(design / scale, target, rcond=1e-10)[0] / scale
-    left = float(((design @ x - target) ** 2).sum())
-    base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
-    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), left
-
-
-def _unwrapped(turns: Array, t: Array) -> Array:
-    """Rotation vectors followed past half a turn: each is taken on the branch nearest to its neighbour's course."""
-    out = turns.copy()
-    zero = int(np.argmin(np.abs(t)))
-    for direction in (1, -1):
-        k = zero + direction
-        while 0 <= k < len(t):
-            last = out[k - direction]
-            guess = last * (t[k] / t[k - direction]) if t[k - direction] != 0 else out[k]
-            angle = float(np.linalg.norm(turns[k]))
-            if angle > 1e-9:
-                axis = turns[k] / angle
-                rounds = np.round((guess @ axis - angle) / (2.0 * np.pi))
-                out[k] = axis * (angle + 2.0 * np.pi * rounds)
-            k += direction
-    return out
+    """The motion through some frames, and the sum of squared sigmas that it leaves."""
+    state, _, left = fit_flight(seen.rows(rows))
+    return state, left
 
 
 def _misfit(seen: Sightings, state: State, rows: NDArray[np.int64]) -> Array:
@@ -281,17 +245,18 @@ def _chi_interval(
     joined: Joined, k: int, t: float, arm: Array, v_before: float, v_after: float, draws: Array
 ) -> tuple[float, float]:
     """95 % interval of the apparent restitution, by drawing from the joint covariance of both flights."""
-    row = np.zeros((2, 12))
-    for side, flight in enumerate((joined.flights[k], joined.flights[k + 1])):
-        # d(v_z + (ω × r)_z), with r turning along: δr = δθ × r.
+    sides = []
+    shift = draws[:, joined.time_columns[k]]
+    for flight, S, v in zip(joined.flights[k : k + 2], joined.maps[k : k + 2], (v_before, v_after), strict=True):
         w = flight.start.omega_rad_s
-        row[side, 3:6] = _turn_derivative(w, arm)
-        row[side, 8] = 1.0
-        row[side, 9:12] = np.cross(arm, [0.0, 0.0, 1.0])
-    S = [transition(f, t) @ m for f, m in zip(joined.flights[k : k + 2], joined.maps[k : k + 2], strict=True)]
-    before = v_before + draws @ (row[0] @ S[0])
-    after = v_after + draws @ (row[1] @ S[1])
-    low, high = np.percentile(-after / before, [2.5, 97.5])
+        row = np.zeros(12)
+        row[3:6] = _turn_derivative(w, arm)
+        row[8] = 1.0
+        row[9:12] = np.cross(arm, [0.0, 0.0, 1.0])
+        # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
+        acceleration = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+        sides.append(v + draws @ (row @ transition(flight, t) @ S) + acceleration * shift)
+    low, high = np.percentile(-sides[1] / sides[0], [2.5, 97.5])
     return float(low), float(high)
 
 

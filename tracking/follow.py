@@ -30,6 +30,7 @@ from .background import estimate_background
 from .bounces import NoFlightError, measure_throw
 from .camera import Camera
 from .clip import Clip, Frame
+from .joined import Sightings, fit_flight, transition
 from .pose import Pose, View, make_view, outline_box, picture_score, refine_pose, share_in_view
 from .segment import background_noise
 from .start import die_blobs, find_start
@@ -46,6 +47,12 @@ TRIAL_FRAMES = 8
 """Frames that a start must be followed over before it is believed."""
 START_FRAMES = 24
 """Frames on which a start is looked for, a few frames apart, before the clip is given up."""
+HISTORY = 20
+"""Frames of the same flight that say where the next pose will be."""
+PRIOR_SIGMAS = 4.0
+"""The prior of a refinement is this many times wider than what the flight so far predicts."""
+LOOSE_M, LOOSE_RAD, TIGHT_M, TIGHT_RAD = 3e-3, 0.1, 4e-4, 0.012
+"""Bounds of that prior: a bounce must not be held back by it, nor a face seen alone be free to tip over."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
 """Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
 that, as with a die of little contrast, the best start above the second is taken."""
@@ -236,7 +243,7 @@ class _Chase:
 
     def __init__(self, view: View, history: Sequence[Sighting], backwards: bool = False) -> None:
         self.view = view
-        self.history = list(history)[-6:]
+        self.history = list(history)[-HISTORY:]
         self.costs = [s.cost for s in history]
         self.backwards = backwards
         self.misses = 0
@@ -244,11 +251,13 @@ class _Chase:
 
     def step(self, image: Image, time_s: float) -> Sighting | None:
         """The pose on the next frame, or None where it is lost or out of view."""
-        expected = Flight(self._motion(), np.inf).at(time_s)
+        motion, sigma_m, sigma_rad = self._motion(time_s)
+        expected = Flight(motion, np.inf).at(time_s)
         if share_in_view(self.view, expected.position_m, expected.rotation) == 0.0:
             self.misses += 1
             return None
-        best = self._refined(image, expected, coarse=1 if len(self.history) >= 3 else 4)
+        sure = len(self.history) >= 3
+        best = self._refined(image, expected, 1 if sure else 4, sigma_m, sigma_rad)
         if not self._agrees(best, expected):
             for start, coarse in self._rivals(expected, time_s):
                 other = self._refined(image, start, coarse)
@@ -265,21 +274,48 @@ class _Chase:
         self._remember(best, expected)
         return best
 
-    def _motion(self) -> State:
-        """State at the last sighting, its velocities from up to four frames of the same flight."""
-        last = self.history[-1]
-        if len(self.history) < 2:
-            return last.state
-        first = self.history[max(0, len(self.history) - 5)]
-        dt = last.time_s - first.time_s
-        velocity = (last.pose.position_m - first.pose.position_m) / dt - np.array([0.0, 0.0, 0.5 * GRAVITY_M_S2 * dt])
-        omega = rotation_between(quat_from_matrix(first.pose.rotation), quat_from_matrix(last.pose.rotation)) / dt
-        return State(last.time_s, last.pose.position_m, quat_from_matrix(last.pose.rotation), velocity, omega)
+    def _motion(self, time_s: float) -> tuple[State, float, float]:
+        """The motion of the flight so far, each frame weighted by what its own pixels say, so that a direction which
+        the last frames leave open is carried on from those before; and how far from it the pose may be at `time_s`,
+        position [m] and turn [rad]."""
+        if len(self.history) < 3:
+            last = self.history[-1].state
+            if len(self.history) == 2:
+                first = self.history[0].state
+                dt = last.time_s - first.time_s
+                fall = np.array([0.0, 0.0, 0.5 * GRAVITY_M_S2 * dt])
+                velocity = (last.position_m - first.position_m) / dt - fall
+                omega = rotation_between(first.quaternion, last.quaternion) / dt
+                last = State(last.time_s, last.position_m, last.quaternion, velocity, omega)
+            return last, LOOSE_M, LOOSE_RAD
+        covariance = np.array([np.linalg.inv(s.pose.information) for s in self.history])
+        seen = Sightings.from_poses(
+            np.array([s.time_s for s in self.history]),
+            np.array([s.pose.position_m for s in self.history]),
+            quat_from_matrix(np.array([s.pose.rotation for s in self.history])),
+            covariance,
+        )
+        order = np.argsort(seen.time_s)
+        state, C, left = fit_flight(seen.rows(order))
+        misfit = max(1.0, left / max(6 * len(order) - 12, 1))
+        M = transition(Flight(state, np.inf), time_s)
+        P = (M @ C @ M.T)[:6, :6] * misfit
+        sigma_m, sigma_rad = float(np.sqrt(np.linalg.eigvalsh(P[:3, :3])[-1])), float(
+            np.sqrt(np.linalg.eigvalsh(P[3:, 3:])[-1])
+        )
+        return (
+            state,
+            float(np.clip(PRIOR_SIGMAS * sigma_m, TIGHT_M, LOOSE_M)),
+            float(np.clip(PRIOR_SIGMAS * sigma_rad, TIGHT_RAD, LOOSE_RAD)),
+        )
 
-    def _refined(self, image: Image, start: State, coarse: int) -> Sighting | None:
+    def _refined(
+        self, image: Image, start: State, coarse: int, sigma_m: float | None = None, sigma_rad: float | None = None
+    ) -> Sighting | None:
         pose = refine_pose(
             self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
-            omega_rad_s=start.omega_rad_s, coarse=coarse,
+            omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=sigma_m or LOOSE_M,
+            prior_rotation_rad=sigma_rad or LOOSE_RAD,
         )  # fmt: skip
         if pose.covariance is None or pose.contour_px < 20.0:
             return None
@@ -303,7 +339,8 @@ class _Chase:
 
     def _rivals(self, expected: State, time_s: float) -> Iterator[tuple[State, int]]:
         """Other starts: bounces on the low corners, the last pose, and turns about it."""
-        last = self._motion()
+        motion, _, _ = self._motion(time_s)
+        last = Flight(motion, np.inf).at(self.history[-1].time_s)
         if not self.backwards:
             yield from ((state, 3) for state in _bounced(self.view.die, last, time_s))
         still = State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s)
@@ -330,7 +367,7 @@ class _Chase:
             # A new flight: what came before says nothing about its velocities, the rival that won may.
             self.history = [seen]
         else:
-            self.history = [*self.history, seen][-6:]
+            self.history = [*self.history, seen][-HISTORY:]
         self.costs = [*self.costs, seen.cost][-16:]
         self.misses = 0
 

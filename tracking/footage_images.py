@@ -9,9 +9,10 @@ import glob
 import logging
 import re
 import struct
+import weakref
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,23 @@ from .footage import Footage, Frame, check_size, times_from_rate
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
 
+TIFF_DAMAGE = (
+    tifffile.TiffFileError,
+    ValueError,
+    IndexError,
+    KeyError,
+    AttributeError,
+    TypeError,
+    struct.error,
+    zlib.error,
+)
+"""What tifffile raises on a damaged file, depending on which tag is missing."""
+
 
 def open_pictures(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
     """A numbered sequence, named by its folder, by a glob pattern, or by one of its pictures; or a multi-page TIFF."""
     if path.is_file() and is_tiff(path):
-        with _open_tiff(path) as tiff:
+        with _opened_tiff(path) as tiff:
             one_page = _page_count(tiff) == 1
         if not one_page:
             return TiffClip(path, fps, frame_range)
@@ -63,7 +76,7 @@ def picture_files(path: Path) -> list[Path]:
 def read_picture(path: Path) -> Frame:
     """(height, width) grey levels at native depth; ValueError for what is no picture of 8 or 16 bit."""
     if is_tiff(path):
-        with _open_tiff(path) as tiff:
+        with _opened_tiff(path) as tiff:
             return _page_pixels(path, tiff, 0)
     data = np.fromfile(path, np.uint8)
     try:
@@ -127,7 +140,9 @@ class TiffClip(Footage):
     """The pages of one TIFF, read one at a time."""
 
     def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
-        self._tiff = _open_tiff(path)
+        keep = ExitStack()
+        self._tiff = keep.enter_context(_opened_tiff(path))
+        weakref.finalize(self, keep.close)
         count, notices = _readable_pages(path, self._tiff)
         if not count:
             raise ValueError(f"{path.name}: the TIFF is cut off within its first page; save it again")
@@ -182,12 +197,17 @@ def _quiet() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _open_tiff(path: Path) -> tifffile.TiffFile:
-    try:
-        with _quiet():
-            return tifffile.TiffFile(path)
-    except (tifffile.TiffFileError, ValueError, OSError, struct.error) as error:
-        raise ValueError(f"{path.name}: the TIFF is damaged from its first page on; save it again") from error
+@contextmanager
+def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
+    """A TIFF that is closed behind its last use; tifffile itself leaves the file open where the first page is damaged."""
+    with path.open("rb") as file:
+        try:
+            with _quiet():
+                tiff = tifffile.TiffFile(file, name=path.name)
+                tiff.pages.first  # noqa: B018 - reads the first page's tags, which is where damage shows
+        except (*TIFF_DAMAGE, OSError) as error:
+            raise ValueError(f"{path.name}: the TIFF is damaged from its first page on; save it again") from error
+        yield tiff
 
 
 def _page_count(tiff: tifffile.TiffFile) -> int:
@@ -220,7 +240,7 @@ def _page_end(tiff: tifffile.TiffFile, number: int) -> float:
         with _quiet():
             page = tiff.pages[number]
             return max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=np.inf)
-    except (tifffile.TiffFileError, ValueError, IndexError, KeyError, OSError, struct.error):
+    except (*TIFF_DAMAGE, OSError):
         return np.inf
 
 
@@ -247,7 +267,7 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
         check_size(path, int(page.imagewidth), int(page.imagelength))
         try:
             pixels = page.asarray()
-        except (ValueError, OSError, struct.error, zlib.error) as error:
+        except (*TIFF_DAMAGE, OSError) as error:
             return _page_by_opencv(path, number, error)
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         pixels = np.iinfo(pixels.dtype).max - pixels

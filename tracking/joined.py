@@ -20,11 +20,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
+from ..model.motion import GRAVITY_M_S2, Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 
 Array = NDArray[np.float64]
 
+SLACK_POSITION_M, SLACK_ROTATION_RAD = 1.5e-5, 1.0e-3
+"""Added to each frame's own sigma: what shading and marks do to a single pose beyond its noise."""
 CUT_SIGMA = 4.685
 """Frames beyond this many sigmas (of the six numbers together, scaled) carry no weight: Tukey's biweight."""
 
@@ -38,6 +40,18 @@ class Sightings:
     quaternion: Array
     whitener: Array
     """(n, 6, 6): W with WᵀW the inverse covariance."""
+
+    @staticmethod
+    def from_poses(time_s: Array, position_m: Array, quaternion: Array, covariance: Array) -> Sightings:
+        """Poses of frames (n,) with their covariance (n, 6, 6), slack added; where that is NaN, slack alone."""
+        slack = np.diag([SLACK_POSITION_M**2] * 3 + [SLACK_ROTATION_RAD**2] * 3)
+        known = np.isfinite(covariance).all(axis=(1, 2))
+        C = np.where(known[:, None, None], covariance, 0.0) + slack
+        return Sightings(time_s, position_m, quaternion, np.linalg.inv(np.linalg.cholesky(C)))
+
+    def rows(self, which: NDArray[np.int64]) -> Sightings:
+        """Some of the frames."""
+        return Sightings(self.time_s[which], self.position_m[which], self.quaternion[which], self.whitener[which])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,32 +70,42 @@ class Joined:
     """Each flight's (12, parameters) derivative of its start state."""
     sigma_time_s: Array
     """(N,) standard error of each instant; NaN for open links."""
+    time_columns: NDArray[np.int64]
+    """(N,) which parameter each instant is; -1 for open links."""
     residual: Array
     """(n,) distance of each frame from the motion, in sigmas of its six numbers (root mean square)."""
     scale: float
     """By how much the frames' own covariances are too small, as a factor on sigma; at least 1."""
 
 
-def left_jacobian(v: Array) -> Array:
-    """J(v) (3, 3) with exp(v + δ) = exp(J δ) exp(v). Below 1e-4 rad the series to second order is exact to rounding."""
-    angle = float(np.linalg.norm(v))
-    V = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    if angle < 1e-4:
-        return np.asarray(np.eye(3) + V / 2.0 + V @ V / 6.0)
-    return np.asarray(
-        np.eye(3) + (1.0 - np.cos(angle)) / angle**2 * V + (angle - np.sin(angle)) / angle**3 * (V @ V)
-    )
+def left_jacobians(v: Array) -> Array:
+    """J(v) (n, 3, 3) with exp(v + δ) = exp(J δ) exp(v), for v (n, 3). Below 1e-3 rad the series is used: its first
+    missing term is v³/24, and (v - sin v)/v³ has lost nine digits there."""
+    angle = np.linalg.norm(v, axis=1)[:, None, None]
+    V = np.zeros((len(v), 3, 3))
+    V[:, 0, 1], V[:, 0, 2], V[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
+    V -= V.transpose(0, 2, 1)
+    small = angle < 1e-3
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + first * V + second * (V @ V))
+
+
+def transitions(flight: Flight, times_s: Array) -> Array:
+    """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
+    tau = np.asarray(times_s, float) - flight.start.time_s
+    turns = np.outer(tau, flight.start.omega_rad_s)
+    M = np.tile(np.eye(12), (len(tau), 1, 1))
+    M[:, 0:3, 6:9] = tau[:, None, None] * np.eye(3)
+    M[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
+    M[:, 3:6, 9:12] = tau[:, None, None] * left_jacobians(turns)
+    return M
 
 
 def transition(flight: Flight, time_s: float) -> Array:
-    """Derivative (12, 12) of the state at an instant with respect to the flight's start state."""
-    tau = time_s - flight.start.time_s
-    turn = flight.start.omega_rad_s * tau
-    M = np.eye(12)
-    M[0:3, 6:9] = tau * np.eye(3)
-    M[3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turn))
-    M[3:6, 9:12] = tau * left_jacobian(turn)
-    return M
+    """Derivative (12, 12) of the state at one instant with respect to the flight's start state."""
+    return np.asarray(transitions(flight, np.array([time_s]))[0])
 
 
 def moved(state: State, change: Array) -> State:
@@ -93,6 +117,46 @@ def moved(state: State, change: Array) -> State:
         state.velocity_m_s + change[6:9],
         state.omega_rad_s + change[9:12],
     )
+
+
+def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
+    """One flight through some frames: its state at the middle frame, the covariance (12, 12) of that state, and the sum
+    of squared sigmas left. Weighted lines through positions (fall taken out) and rotation vectors: constant spin turns
+    about a fixed axis, so the line is exact. At least two frames."""
+    middle = len(seen.time_s) // 2
+    t = seen.time_s - seen.time_s[middle]
+    fall = seen.position_m + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
+    turns = _unwrapped(rotation_between(seen.quaternion[middle], seen.quaternion), t)
+    W = seen.whitener
+    design = np.concatenate([W, W * t[:, None, None]], axis=2).reshape(-1, 12)
+    target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1)).ravel()
+    # Columns differ by the frame spacing; scaling them keeps the normal matrix well conditioned.
+    scale = np.linalg.norm(design, axis=0)
+    design = design / scale
+    x = np.linalg.lstsq(design, target, rcond=1e-10)[0]
+    left = float(((design @ x - target) ** 2).sum())
+    covariance = np.linalg.pinv(design.T @ design, hermitian=True) / np.outer(scale, scale)
+    x = x / scale
+    base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
+    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), covariance, left
+
+
+def _unwrapped(turns: Array, t: Array) -> Array:
+    """Rotation vectors followed past half a turn: each is taken on the branch nearest to its neighbour's course."""
+    out = turns.copy()
+    zero = int(np.argmin(np.abs(t)))
+    for direction in (1, -1):
+        k = zero + direction
+        while 0 <= k < len(t):
+            last = out[k - direction]
+            guess = last * (t[k] / t[k - direction]) if t[k - direction] != 0 else out[k]
+            angle = float(np.linalg.norm(turns[k]))
+            if angle > 1e-9:
+                axis = turns[k] / angle
+                rounds = np.round((guess @ axis - angle) / (2.0 * np.pi))
+                out[k] = axis * (angle + 2.0 * np.pi * rounds)
+            k += direction
+    return out
 
 
 def fit_joined(
@@ -206,14 +270,15 @@ class _Chain:
         for k, state in enumerate(states):
             mine = np.flatnonzero(which == k)
             flight = Flight(state, np.inf)
+            if not len(mine):
+                continue
             p, q = flight.poses(self.seen.time_s[mine])
             raw = np.concatenate(
                 [self.seen.position_m[mine] - p, rotation_between(q, self.seen.quaternion[mine])], axis=1
             )
-            for row, i in enumerate(mine):
-                W = self.seen.whitener[i]
-                residual[i] = W @ raw[row]
-                jacobian[i] = -W @ (transition(flight, self.seen.time_s[i])[:6] @ maps[k])
+            W = self.seen.whitener[mine]
+            residual[mine] = np.einsum("nij,nj->ni", W, raw)
+            jacobian[mine] = -W @ (transitions(flight, self.seen.time_s[mine])[:, :6] @ maps[k])
         return residual, jacobian
 
     def stepped(self, step: Array) -> _Chain:
@@ -236,8 +301,9 @@ class _Chain:
 
     def finished(self, covariance: Array, residual: Array, scale: float) -> Joined:
         states, maps = self.states_and_maps()
-        sigma, column = [], 12
+        sigma, columns, column = [], [], 12
         for is_open in self.open:
+            columns.append(-1 if is_open else column)
             sigma.append(np.nan if is_open else float(np.sqrt(max(covariance[column, column], 0.0))))
             column += 12 if is_open else 7
         ends = [*self.links_s, float(self.seen.time_s[-1])]
@@ -253,6 +319,14 @@ class _Chain:
             maps[k] = S
             flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
         return Joined(
-            tuple(flights), self.links_s, self.open, covariance, tuple(maps), np.array(sigma), residual, scale
+            tuple(flights),
+            self.links_s,
+            self.open,
+            covariance,
+            tuple(maps),
+            np.array(sigma),
+            np.array(columns, np.int64),
+            residual,
+            scale,
         )
 

@@ -1,0 +1,99 @@
+"""Laws of the bounce-by-bounce measurement: ratios of normal velocities and their intervals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from throws import random_release, true_throw
+
+from diethrow.fitting.flights import moved_state
+from diethrow.fitting.impulses import Bounce, apparent_restitution, common_restitution, fieller
+from diethrow.model.motion import Flight, Throw
+from diethrow.model.solids import make_die
+
+CUBE = make_die("cube", 0.016, 0.0048)
+SIGMA = np.repeat([5e-6, 5e-4, 2e-3, 0.3], 3)
+
+
+def one_bounce(seed: int = 0, chi: float = 0.6) -> Throw:
+    rng = np.random.default_rng(seed)
+    return true_throw(CUBE, random_release(CUBE, rng), chi, impacts=1)
+
+
+def measured(flight: Flight, time_s: float, rng: np.random.Generator | None) -> Flight:
+    """The flight, its state at this instant off by errors of SIGMA, with their covariance."""
+    state = flight.at(time_s)
+    if rng is not None:
+        state = moved_state(state, SIGMA * rng.standard_normal(12))
+    return Flight(state, flight.end_s, np.diag(SIGMA**2))
+
+
+def test_exact_flights_give_the_exact_ratio_and_impulse() -> None:
+    throw = one_bounce()
+    impact = throw.impacts[0]
+    flights = (measured(throw.flights[0], impact.time_s, None), measured(throw.flights[1], impact.time_s, None))
+    # An instant measured a tenth of a frame off does not matter: the flight itself says when it touches.
+    bounce = apparent_restitution(CUBE, *flights, impact.time_s + 6e-5, impact.vertices[0])
+    assert bounce.chi == pytest.approx(0.6, abs=1e-9)
+    assert bounce.time_s == pytest.approx(impact.time_s, abs=1e-10)
+    assert bounce.impulse_N_s == pytest.approx(impact.impulse_N_s, abs=1e-9)
+    assert bounce.smooth_sigmas == pytest.approx(0.0, abs=1e-5)
+    assert bounce.energy_after_J == pytest.approx(impact.energy_after_J, rel=1e-9)
+
+
+def test_the_interval_of_a_ratio_holds_as_often_as_it_says() -> None:
+    throw, rng, held, sideways = one_bounce(), np.random.default_rng(3), [], []
+    impact = throw.impacts[0]
+    for _ in range(60):
+        flights = [measured(f, impact.time_s, rng) for f in throw.flights]
+        bounce = apparent_restitution(CUBE, flights[0], flights[1], impact.time_s, impact.vertices[0])
+        held.append(bounce.chi_low <= 0.6 <= bounce.chi_high)
+        sideways.append(bounce.smooth_sigmas**2)
+    # Fewer than 53 of 60 at a true 95 % has odds of 1 in 100.
+    assert sum(held) >= 53
+    # The mean of 60 values of χ² with five degrees of freedom, over five, strays by 0.08 (sigma).
+    assert np.mean(sideways) == pytest.approx(1.0, abs=0.3)
+
+
+def test_flights_without_covariance_give_a_ratio_without_interval() -> None:
+    throw = one_bounce()
+    impact = throw.impacts[0]
+    bounce = apparent_restitution(CUBE, *throw.flights, impact.time_s, impact.vertices[0])
+    assert bounce.chi == pytest.approx(0.6)
+    assert np.isnan(bounce.chi_low)
+    assert np.isnan(bounce.smooth_sigmas)
+    assert common_restitution([bounce]) is None
+
+
+def test_a_velocity_that_may_be_zero_gives_no_bounded_interval() -> None:
+    assert np.isnan(fieller(-0.01, 0.006, np.diag([0.01**2, 0.01**2]), 0.95)[0])
+    low, high = fieller(-1.0, 0.6, np.diag([1e-6, 1e-6]), 0.95)
+    # For small errors Fieller's bounds are the linear ones, χ ± 1.96 σ √(1 + χ²).
+    assert (high - low) / 2.0 == pytest.approx(1.96e-3 * np.sqrt(1.36), rel=1e-3)
+
+
+def test_scatter_between_bounces_widens_their_common_interval() -> None:
+    throw = one_bounce()
+    impact = throw.impacts[0]
+    flights = [measured(f, impact.time_s, None) for f in throw.flights]
+    bounce = apparent_restitution(CUBE, flights[0], flights[1], impact.time_s, impact.vertices[0])
+
+    def shifted(by: float) -> Bounce:
+        return replace(bounce, chi=bounce.chi + by, chi_low=bounce.chi_low + by, chi_high=bounce.chi_high + by)
+
+    alike = common_restitution([bounce, shifted(0.0), None, shifted(0.0)])
+    unlike = common_restitution([shifted(-0.05), bounce, shifted(0.05)])
+    assert alike is not None
+    assert unlike is not None
+    assert alike[2] - alike[1] == pytest.approx((bounce.chi_high - bounce.chi_low) / np.sqrt(3.0), rel=0.01)
+    # Three values 0.05 apart: standard error 0.05/√3, Student's t with two degrees of freedom 4.30.
+    assert (unlike[2] - unlike[1]) / 2.0 == pytest.approx(4.303 * 0.05 / np.sqrt(3.0), rel=0.05)
+    assert unlike[0] == pytest.approx(bounce.chi)
+
+
+def test_a_vertex_that_the_die_does_not_have_is_refused() -> None:
+    throw = one_bounce()
+    with pytest.raises(ValueError, match="vertex = 8: wanted an index from 0 to 7"):
+        apparent_restitution(CUBE, *throw.flights, throw.impacts[0].time_s, 8)
