@@ -93,7 +93,7 @@ def measure_bounces(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> t
     """Every impact at one known vertex between two flights that could be fitted; None for the others.
 
     The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
-    interval of its own, that one is kept: it knows that the flights meet at the impact, and needs no height of the table.
+    interval of its own, that one is kept: it knows that the flights meet there, and needs no height of the table.
     """
     bounces: list[Bounce | None] = []
     scale = max(1.0, free.variance)

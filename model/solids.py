@@ -148,6 +148,35 @@ def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
     return int(np.argmin(solid.normals @ np.asarray(rotation)[2])) + 1
 
 
+def symmetry_rotations(solid: Solid) -> Array:
+    """The rotations (order, 3, 3) that carry the solid's vertices onto themselves, the identity first: 12 for the
+    tetrahedron, 24 for cube and octahedron, 60 for dodecahedron and icosahedron, 1 for a solid without symmetry."""
+    V = solid.vertices
+    size = solid.circumradius
+    first = int(np.argmax(np.linalg.norm(V, axis=1)))
+    second = int(np.argmax(np.linalg.norm(np.cross(V[first], V), axis=1)))
+    own = _frame(V[first], V[second])
+    found = [np.eye(3)]
+    for p in range(len(V)):
+        for q in range(len(V)):
+            alike = abs(V[p] @ V[p] - V[first] @ V[first]) + abs(V[q] @ V[q] - V[second] @ V[second])
+            if alike + abs(V[p] @ V[q] - V[first] @ V[second]) > 1e-9 * size**2 or (p, q) == (first, second):
+                continue
+            turn = _frame(V[p], V[q]) @ own.T
+            gaps = np.linalg.norm((V @ turn.T)[:, None] - V[None], axis=2).min(1)
+            if gaps.max() < 1e-7 * size:
+                found.append(turn)
+    return np.array(found)
+
+
+def _frame(u: Array, v: Array) -> Array:
+    """Right-handed axes (3, 3), in columns: along u, and across it in the plane of u and v."""
+    x = u / np.linalg.norm(u)
+    z = np.cross(u, v)
+    z = z / np.linalg.norm(z)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
 @cache
 def _unit_solid(shape: str) -> Solid:
     """The regular solid of edge 1, with its faces in numbered order."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -35,19 +36,28 @@ def write_video(
     color_range: int | None = None,
 ) -> Path:
     """A film of grey frames by PyAV; `times` are presentation times in ticks of 1/fps."""
-    source = "gray" if frames.dtype == np.uint8 else "gray16le" if pixels == "gray16le" else "gray12le"
     with av.open(str(path), "w") as container:
         stream = container.add_stream(codec, rate=fps, options=options or {})
         stream.height, stream.width, stream.pix_fmt = frames.shape[1], frames.shape[2], pixels
         if color_range is not None:
             stream.codec_context.color_range = color_range
         for k, pixels_of_frame in enumerate(frames):
-            frame = av.VideoFrame.from_ndarray(pixels_of_frame, format=source)
+            frame = video_frame(pixels_of_frame, "gray" if frames.dtype == np.uint8 else pixels)
             if times is not None:
-                frame.pts, frame.time_base = times[k], stream.codec_context.time_base
+                frame.pts, frame.time_base = times[k], Fraction(1, fps)
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     return path
+
+
+def video_frame(levels: NDArray, pixels: str) -> av.VideoFrame:
+    """A grey frame for the encoder, written plane by plane since PyAV knows only some depths."""
+    height, width = levels.shape
+    frame = av.VideoFrame(width, height, pixels)
+    lines = np.zeros((height, frame.planes[0].line_size // levels.itemsize), levels.dtype)
+    lines[:, :width] = levels
+    frame.planes[0].update(lines.tobytes())
+    return frame
 
 
 def write_pictures(folder: Path, frames: NDArray, *, suffix: str = ".png", first: int = 1) -> Path:
@@ -98,7 +108,9 @@ def write_photron(
     if header.suffix == ".cih":
         header.write_text(CIH.format(**values))
     else:
-        header.write_bytes(b"!!! This file can not be edited. !!!".ljust(1024, b"\0") + b"CIHX" + CIHX.format(**values).encode())
+        header.write_bytes(
+            b"!!! This file can not be edited. !!!".ljust(1024, b"\0") + b"CIHX" + CIHX.format(**values).encode()
+        )
     return header
 
 

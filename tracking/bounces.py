@@ -31,6 +31,8 @@ TABLE_REACH = 0.35
 per cent of the distance to the camera is a quarter of a die)."""
 OPEN_STRAIN = 5.0
 """Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
+GROSS_RAD = 0.2
+"""Flights whose orientations stay further apart than this at their nearest are not joined at one instant."""
 SAMPLES = 2000
 
 
@@ -118,7 +120,10 @@ def _gain(seen: Sightings, cuts: list[int], s: int) -> float:
 def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Joined, list[bool]]:
     """All flights fitted together. Links that cannot be bounces are removed, the weakest first; then links that one
     instant cannot explain are opened, the worst first."""
-    opened = [False] * (len(parts) - 1)
+    opened = _gross_gaps(seen, parts, die)
+    # What frames lie off their own flight is taken from flights fitted alone: a chain that is forced together where it
+    # does not hold can make every frame look far off.
+    usual = max(0.5, float(np.median(np.concatenate([_misfit(seen, _state_from(seen, p)[0], p) for p in parts]))))
     while True:
         joined = _fit_parts(seen, parts, opened)
         faults = [k for k in range(len(opened)) if not _can_be_bounce(joined, k, die)]
@@ -128,9 +133,23 @@ def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Jo
             opened = opened[:k] + opened[k + 1 :]
             continue
         strain = np.array([0.0 if o else _strain(joined, parts, k) for k, o in enumerate(opened)])
-        if not len(strain) or strain.max() < OPEN_STRAIN * max(float(np.median(joined.residual)), 0.5):
+        if not len(strain) or strain.max() < OPEN_STRAIN * usual:
             return joined, opened
         opened[int(np.argmax(strain))] = True
+
+
+def _gross_gaps(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> list[bool]:
+    """Neighbouring flights that, each fitted alone, come nowhere near each other: several contacts lie between them, or
+    the track was lost there and taken up under another labelling. Forcing them together would spoil both."""
+    gross = []
+    for a, b in zip(parts[:-1], parts[1:], strict=True):
+        before, after = (Flight(_state_from(seen, _best_rows(seen, rows))[0], np.inf) for rows in (a, b))
+        t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
+        p, q = before.at(t), after.at(t)
+        turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
+        moved = float(np.linalg.norm(p.position_m - q.position_m))
+        gross.append(turned > GROSS_RAD or moved > 0.3 * die.solid.circumradius)
+    return gross
 
 
 def _strain(joined: Joined, parts: list[NDArray[np.int64]], k: int) -> float:

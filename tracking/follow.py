@@ -31,7 +31,7 @@ from .bounces import NoFlightError, measure_throw
 from .camera import Camera
 from .clip import Clip, Frame
 from .joined import Sightings, fit_flight, transition
-from .pose import Pose, View, make_view, outline_box, picture_score, refine_pose, share_in_view
+from .pose import Pose, View, labelled_like, make_view, outline_box, picture_score, refine_pose, share_in_view
 from .segment import background_noise
 from .start import die_blobs, find_start
 from .track import ABSENT, LOST, TRACKED, Track
@@ -106,6 +106,9 @@ def follow(
     view = make_view(camera, die, np.asarray(background, np.float32), noise, exposure_s, FIRST_BLUR_PX)
     seen = _first_pass(view, clip, report)
     throw = _measured(view, clip, seen)
+    if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
+        seen = _labelled_across(view, seen, throw)
+        throw = _measured(view, clip, seen)
     view = replace(view, blur_px=_lens_blur(view, clip, seen))
     report.at_least(len(clip))
     poses = [
@@ -268,11 +271,18 @@ class _Chase:
             if self.misses % 6 == 5 and not self.backwards:
                 best = self._found_again(image, time_s)
                 if best is not None and self._believable(best):
+                    best = self._labelled(best, expected)
                     self.history, self.costs, self.misses = [best], [best.cost], 0
                     return best
             return None
+        best = self._labelled(best, expected)
         self._remember(best, expected)
         return best
+
+    def _labelled(self, seen: Sighting, expected: State) -> Sighting:
+        """The same picture under the labelling that continues the motion: a die is only relabelled by continuity."""
+        turned = labelled_like(self.view, seen.pose.rotation, expected.rotation)
+        return replace(seen, pose=replace(seen.pose, rotation=turned))
 
     def _motion(self, time_s: float) -> tuple[State, float, float]:
         """The motion of the flight so far, each frame weighted by what its own pixels say, so that a direction which
@@ -427,6 +437,22 @@ def _measured(view: View, clip: Clip, seen: Sequence[Sighting | None]) -> Throw 
         return None
 
 
+def _labelled_across(view: View, seen: Sequence[Sighting | None], throw: Throw) -> list[Sighting | None]:
+    """The sightings with one labelling throughout: where contacts follow each other too fast for the poses between them
+    to be sure, each flight takes the labelling that turns least from the flight before."""
+    out = list(seen)
+    relabel = np.eye(3)
+    for k, impact in enumerate(throw.impacts):
+        before = throw.flights[k].at(impact.time_s).rotation @ relabel
+        after = throw.flights[k + 1].at(impact.time_s).rotation
+        relabel = after.T @ labelled_like(view, after, before)
+        end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
+        for j, s in enumerate(seen):
+            if s is not None and impact.time_s < s.time_s <= end:
+                out[j] = replace(s, pose=replace(s.pose, rotation=s.pose.rotation @ relabel))
+    return out
+
+
 def _lens_blur(view: View, clip: Clip, seen: Sequence[Sighting | None]) -> float:
     """The blur that leaves least noise on a dozen frames spread over the track, each refined anew for every trial."""
     have = [k for k, s in enumerate(seen) if s is not None]
@@ -449,29 +475,38 @@ def _lens_blur(view: View, clip: Clip, seen: Sequence[Sighting | None]) -> float
 
 
 def _settled(view: View, image: Image, time_s: float, first: Sighting | None, throw: Throw | None) -> Pose | None:
-    """The final pose of one frame: refined from its flight, or from the first pass where there is no flight."""
-    starts: list[State] = []
-    if throw is not None and throw.flights[0].start.time_s - 0.1 <= time_s:
-        starts.append(throw.at(time_s))
-    if first is not None and not starts:
+    """The final pose of one frame: refined from its flight, and from the first pass where that lies elsewhere."""
+    starts = [throw.at(time_s)] if throw is not None else []
+    if first is not None and (not starts or _apart(view, starts[0], first.pose)):
         starts.append(first.state)
-    best: Pose | None = None
-    for start in starts:
-        if share_in_view(view, start.position_m, start.rotation) < 0.3:
-            continue
-        pose = refine_pose(
-            view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
-            omega_rad_s=start.omega_rad_s, coarse=1,
-        )  # fmt: skip
-        whole = share_in_view(view, pose.position_m, pose.rotation) == 1.0
-        near = _angle(pose.rotation, start.rotation) < np.radians(6.0) and (
-            float(np.linalg.norm(pose.position_m - start.position_m)) < 0.5 * view.reach_m
-        )
-        if pose.covariance is None or not near or pose.support < (0.45 if whole else 0.6) or pose.contour_px < 20.0:
-            continue
-        if float(np.sqrt(np.trace(pose.covariance[3:, 3:]))) < np.radians(6.0):
-            best = pose
-    return best
+    found = [pose for start in starts if (pose := _settled_from(view, image, start)) is not None]
+    if not found:
+        return None
+    best = min(found, key=lambda pose: _cost(view, image, pose))
+    return replace(best, rotation=labelled_like(view, best.rotation, starts[0].rotation))
+
+
+def _apart(view: View, start: State, pose: Pose) -> bool:
+    """Whether a pose lies further from a start than a refinement is sure to cover."""
+    moved = float(np.linalg.norm(pose.position_m - start.position_m))
+    return _angle(pose.rotation, start.rotation) > np.radians(1.5) or moved > 0.1 * view.reach_m
+
+
+def _settled_from(view: View, image: Image, start: State) -> Pose | None:
+    """The pose near a start, or None where the pixels do not bear it out."""
+    if share_in_view(view, start.position_m, start.rotation) < 0.3:
+        return None
+    pose = refine_pose(
+        view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s, omega_rad_s=start.omega_rad_s,
+        coarse=1,
+    )  # fmt: skip
+    whole = share_in_view(view, pose.position_m, pose.rotation) == 1.0
+    gone = float(np.linalg.norm(pose.position_m - start.position_m)) > 0.5 * view.reach_m
+    if gone or _angle(pose.rotation, start.rotation) > np.radians(6.0) or pose.contour_px < 20.0:
+        return None
+    if pose.covariance is None or pose.support < (0.45 if whole else 0.6):
+        return None
+    return pose if float(np.sqrt(np.trace(pose.covariance[3:, 3:]))) < np.radians(6.0) else None
 
 
 def _as_track(clip: Clip, poses: Sequence[Pose | None]) -> Track:

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -24,16 +24,7 @@ from .footage import Footage, Frame, check_size, times_from_rate
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
 
-TIFF_DAMAGE = (
-    tifffile.TiffFileError,
-    ValueError,
-    IndexError,
-    KeyError,
-    AttributeError,
-    TypeError,
-    struct.error,
-    zlib.error,
-)
+TIFF_DAMAGE = (tifffile.TiffFileError, ValueError, IndexError, KeyError, struct.error, zlib.error)
 """What tifffile raises on a damaged file, depending on which tag is missing."""
 
 
@@ -80,7 +71,8 @@ def read_picture(path: Path) -> Frame:
             return _page_pixels(path, tiff, 0)
     data = np.fromfile(path, np.uint8)
     try:
-        picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+        with _quiet():
+            picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
     except cv2.error:
         picture = None
     if picture is None:
@@ -187,14 +179,24 @@ def _missing_numbers(path: Path, files: list[Path]) -> tuple[str, ...]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """tifffile reports damage to a log on the terminal; here it is told by errors and notices."""
+    """tifffile and OpenCV report damage on the terminal; here it is told by errors and notices."""
     log = logging.getLogger("tifffile")
-    before = log.level
+    before, before_opencv = log.level, cv2.utils.logging.getLogLevel()
     log.setLevel(logging.CRITICAL + 1)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
         log.setLevel(before)
+        cv2.utils.logging.setLogLevel(before_opencv)
+
+
+def _first_page_read(file: BinaryIO, name: str) -> tifffile.TiffFile:
+    """A TIFF whose first page's tags have been read, which is where damage shows."""
+    with _quiet():
+        tiff = tifffile.TiffFile(file, name=name)
+        assert tiff.pages.first is not None
+    return tiff
 
 
 @contextmanager
@@ -202,9 +204,7 @@ def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
     """A TIFF that is closed behind its last use; tifffile itself leaves the file open where the first page is damaged."""
     with path.open("rb") as file:
         try:
-            with _quiet():
-                tiff = tifffile.TiffFile(file, name=path.name)
-                tiff.pages.first  # noqa: B018 - reads the first page's tags, which is where damage shows
+            tiff = _first_page_read(file, path.name)
         except (*TIFF_DAMAGE, OSError) as error:
             raise ValueError(f"{path.name}: the TIFF is damaged from its first page on; save it again") from error
         yield tiff
@@ -277,7 +277,8 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
 def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:
     """A page in a compression that tifffile knows only with its codecs installed (LZW)."""
     try:
-        done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
+        with _quiet():
+            done, pages = cv2.imreadmulti(str(path), number, 1, flags=cv2.IMREAD_UNCHANGED)
     except cv2.error:
         done, pages = False, ()
     if not done or not len(pages):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.solids import Die
+from ..model.solids import Die, symmetry_rotations
 from .camera import Camera
 from .edges import refine, region_score
 
@@ -34,6 +34,8 @@ class View:
     """0 where it is not known."""
     blur_px: float
     """Standard deviation of the lens blur."""
+    symmetries: Array
+    """(order, 3, 3) rotations that leave the die's shape as it is: nothing but marks tells its labellings apart."""
 
     @property
     def reach_m(self) -> float:
@@ -93,6 +95,7 @@ def make_view(
         noise_grey,
         exposure_s or 0.0,
         blur_px,
+        symmetry_rotations(solid),
     )
 
 
@@ -142,6 +145,12 @@ def refine_pose(
         contour_px=float(stats[3]),
         log_noise=float(stats[6] / max(stats[2], 1.0)),
     )
+
+
+def labelled_like(view: View, rotation: Array, wanted: Array) -> Array:
+    """Of the orientations (3, 3) that draw the same die as `rotation`, the one nearest to `wanted`."""
+    alike = rotation @ view.symmetries
+    return np.asarray(alike[int(np.argmax(np.einsum("nij,ij->n", alike, wanted)))])
 
 
 def visible_faces(view: View, position_m: Array, rotation: Array) -> NDArray[np.int64]:

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import random_release, true_throw
+from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.flights import moved_state
-from diethrow.fitting.impulses import Bounce, apparent_restitution, common_restitution, fieller
+from diethrow.fitting.flights import fit_flights, moved_state
+from diethrow.fitting.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
+from diethrow.fitting.sightings import sight
 from diethrow.model.motion import Flight, Throw
 from diethrow.model.solids import make_die
 
@@ -97,3 +98,17 @@ def test_a_vertex_that_the_die_does_not_have_is_refused() -> None:
     throw = one_bounce()
     with pytest.raises(ValueError, match="vertex = 8: wanted an index from 0 to 7"):
         apparent_restitution(CUBE, *throw.flights, throw.impacts[0].time_s, 8)
+
+
+def test_a_ratio_that_tracking_has_measured_is_kept() -> None:
+    rng = np.random.default_rng(0)
+    throw = one_bounce(seed=2)
+    rough = roughly_measured(throw, rng)
+    told = replace(rough.impacts[0], chi=0.61, chi_low=0.58, chi_high=0.64)
+    untold = replace(rough.impacts[0], chi=0.61, chi_low=np.nan, chi_high=np.nan)
+    free = fit_flights(sight(seen(throw, rng), rough), rough)
+    kept, own = (measure_bounces(CUBE, free, [impact])[0] for impact in (told, untold))
+    assert kept is not None
+    assert own is not None
+    assert (kept.chi, kept.chi_low, kept.chi_high) == (0.61, 0.58, 0.64)
+    assert own.chi_low <= 0.6 <= own.chi_high

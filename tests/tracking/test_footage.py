@@ -44,15 +44,23 @@ FORMATS = [
     Format("H.264 MP4", 8, _video("clip.mp4", codec="libx264", options=LOSSLESS_H264)),
     Format("H.264 MKV, duplicated timestamps", 8, _video("clip.mkv", codec="libx264", options=LOSSLESS_H264)),
     Format("H.264 AVI", 8, _video("clip.avi", codec="libx264", fps=30, options=LOSSLESS_H264)),
-    Format("H.264 open GOP", 8, _video("clip.mp4", codec="libx264", options=LOSSLESS_H264 | {"x264opts": "open-gop=1"})),
+    Format(
+        "H.264 open GOP", 8, _video("clip.mp4", codec="libx264", options=LOSSLESS_H264 | {"x264opts": "open-gop=1"})
+    ),
     Format("PNG folder", 8, lambda folder, frames: write_pictures(folder / "pictures", frames)),
     Format("PNG 16 bit, one named", 16, lambda folder, frames: write_pictures(folder / "p", frames) / "frame_7.png"),
-    Format("BMP pattern", 8, lambda folder, frames: write_pictures(folder / "p", frames, suffix=".bmp") / "frame_*.bmp"),
+    Format(
+        "BMP pattern", 8, lambda folder, frames: write_pictures(folder / "p", frames, suffix=".bmp") / "frame_*.bmp"
+    ),
     Format("TIFF sequence", 16, lambda folder, frames: write_pictures(folder / "p", frames, suffix=".tif")),
     Format("TIFF pages", 16, lambda folder, frames: write_tiff(folder / "clip.tif", frames)),
-    Format("TIFF pages, deflated", 8, lambda folder, frames: write_tiff(folder / "clip.tif", frames, compression="zlib")),
+    Format(
+        "TIFF pages, deflated", 8, lambda folder, frames: write_tiff(folder / "clip.tif", frames, compression="zlib")
+    ),
     Format("Photron 8 bit", 8, lambda folder, frames: write_photron(folder / "c.cih", frames, stored_bits=8), None),
-    Format("Photron 12 packed", 12, lambda folder, frames: write_photron(folder / "c.cihx", frames, stored_bits=12), None),
+    Format(
+        "Photron 12 packed", 12, lambda folder, frames: write_photron(folder / "c.cihx", frames, stored_bits=12), None
+    ),
     Format("Photron 16 bit", 12, lambda folder, frames: write_photron(folder / "c.cih", frames, stored_bits=16), None),
     Format(
         "Photron by its pixels",

@@ -1,0 +1,122 @@
+"""Laws of Photron footage: packing, depth, times, damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from footage_files import noisy_frames, write_photron
+
+from diethrow.tracking.clip import open_clip
+from diethrow.tracking.footage_photron import unpack_12bit
+
+FRAMES = noisy_frames(9, bits=12)
+
+
+def test_twelve_bits_are_packed_high_bits_first() -> None:
+    # By hand: 0xABC and 0x123 stand as AB C1 23.
+    np.testing.assert_array_equal(unpack_12bit(np.array([0xAB, 0xC1, 0x23], np.uint8)), [0xABC, 0x123])
+
+
+@pytest.mark.parametrize("suffix", [".cih", ".cihx"])
+def test_frames_left_out_stretch_the_times(suffix: str, tmp_path: Path) -> None:
+    path = write_photron(
+        tmp_path / f"x{suffix}", FRAMES, stored_bits=12, record_rate_hz=15000, save_step=100, start_frame=-36
+    )
+    for fps in (
+        None,
+        15000,
+        15001,
+        150,
+    ):  # the camera's rate, the same rounded, and the rate of the frames that are left
+        clip = open_clip(path, fps=fps)
+        np.testing.assert_allclose(clip.times_s, np.arange(9) / 150, rtol=1e-15)
+    assert clip.metadata()["start_frame"] == -36
+    assert clip.metadata()["record_rate_hz"] == 15000
+
+
+@pytest.mark.parametrize("suffix", [".cih", ".cihx"])
+def test_the_shutter_is_a_reciprocal_second(suffix: str, tmp_path: Path) -> None:
+    path = write_photron(tmp_path / f"x{suffix}", FRAMES, stored_bits=12, shutter_hz=50000)
+    assert open_clip(path).metadata()["exposure_s"] == pytest.approx(20e-6, rel=1e-12)
+
+
+def test_a_rate_that_contradicts_the_header_is_an_error_that_names_both(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, record_rate_hz=1500)
+    with pytest.raises(ValueError, match=r"fps = 1000 and the header says 1500 frames/s"):
+        open_clip(path, fps=1000)
+
+
+def test_a_camera_clocked_from_outside_needs_the_rate_of_the_scene(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cih", FRAMES, stored_bits=12, record_rate_hz=0)
+    with pytest.raises(ValueError, match="give the recording rate"):
+        open_clip(path)
+    assert open_clip(path, fps=1500).times_s[1] == pytest.approx(1 / 1500)
+
+
+def test_effective_bits_on_the_high_side_are_moved_down(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cih", FRAMES << 4, stored_bits=16, effective_bits=12, side="Higher")
+    clip = open_clip(path)
+    assert clip.bit_depth == 12
+    np.testing.assert_array_equal(clip.frame(3), FRAMES[3])
+
+
+def test_the_upper_eight_of_twelve_bits_stay_eight(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cih", FRAMES >> 4, stored_bits=8, effective_bits=12, side="Higher")
+    clip = open_clip(path)
+    assert clip.bit_depth == 8
+    np.testing.assert_array_equal(clip.frame(3), FRAMES[3] >> 4)
+
+
+def test_pixels_cut_off_within_a_frame_give_the_whole_ones_and_a_notice(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
+    pixels = path.with_suffix(".mraw")
+    pixels.write_bytes(pixels.read_bytes()[:-1])
+    clip = open_clip(path)
+    assert len(clip) == 8
+    assert "declares 9 frames and the file holds 8" in clip.notices[0]
+    np.testing.assert_array_equal(clip.frame(7), FRAMES[7])
+
+
+def test_pixels_beyond_the_header_are_left_alone_and_reported(tmp_path: Path) -> None:
+    clip = open_clip(write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, declared_frames=5))
+    assert len(clip) == 5
+    assert "longer than the 5 frames" in clip.notices[0]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("Image Width : 64", "Image Width : 999999999", "the header is broken"),
+        ("Image Width : 64", "Image Width : -64", "the header is broken"),
+        ("Image Width : 64", "Image Width : wide", "Image Width = wide; a whole number belongs there"),
+        ("Image Width : 64\n", "", "Image Width = None"),
+        ("Total Frame : 9", "Total Frame : 999999999999", "declares 999999999999 frames"),
+        ("Image Height : 48", "Image Height : 16000", "the file is empty or cut off"),
+        ("Color Bit : 12", "Color Bit : 10", "Color Bit = 10; Mono or Raw of 8, 12 or 16 bit"),
+        ("Color Type : Mono", "Color Type : Color", "Color Type = Color"),
+        ("EffectiveBit Depth : 12", "EffectiveBit Depth : 77", "EffectiveBit Depth = 77"),
+        ("Image Width : 64\nImage Height : 48", "Image Width : 63\nImage Height : 47", "12-bit packed needs an even"),
+    ],
+)
+def test_a_hostile_header_is_refused_before_memory_is_taken(old: str, new: str, message: str, tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cih", FRAMES, stored_bits=12)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    if "Total" in old:  # a count that is too large is a film cut off
+        assert message in open_clip(path).notices[0]
+        return
+    with pytest.raises(ValueError, match=message) as caught:
+        open_clip(path)
+    assert str(caught.value).startswith("x.")
+
+
+def test_header_and_pixels_must_stand_together(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
+    path.with_suffix(".mraw").rename(tmp_path / "y.mraw")
+    with pytest.raises(FileNotFoundError, match=r"no x\.mraw beside it"):
+        open_clip(path)
+    with pytest.raises(FileNotFoundError, match=r"no y\.cihx or \.cih beside it"):
+        open_clip(tmp_path / "y.mraw")

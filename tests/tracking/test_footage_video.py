@@ -1,0 +1,136 @@
+"""Laws of film containers: grey levels, timestamps, damage."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from footage_files import noisy_frames, write_video
+
+from diethrow.tracking.clip import Clip, open_clip
+
+MJPEG_RANGE, VIDEO_RANGE = 2, 1
+# Every level of grey as a 4 × 4 patch: large enough that a lossy codec at its finest keeps it to a level or two.
+RAMP = np.kron(np.arange(256, dtype=np.uint8).reshape(16, 16), np.ones((4, 4), np.uint8))
+
+
+@pytest.mark.parametrize(
+    ("name", "codec", "pixels", "options", "color_range", "tolerance"),
+    [
+        # Monochrome is stored as it is, whatever tag the decoder makes up.
+        ("x.mp4", "libx264", "gray", {"qp": "0"}, None, 0),
+        ("x.avi", "libx264", "gray", {"qp": "0"}, None, 0),
+        ("x.mkv", "libx265", "gray", {"x265-params": "lossless=1:log-level=none"}, None, 0),
+        # Full range is tagged; limited range loses levels in the rounding to 219 of them, and no more.
+        ("x.mp4", "libx264", "yuvj420p", {"qp": "0"}, MJPEG_RANGE, 0),
+        ("x.mp4", "libx264", "yuv420p", {"qp": "0"}, None, 1),
+        ("x.mp4", "libx264", "yuv420p", {"qp": "0"}, VIDEO_RANGE, 1),
+        ("x.mkv", "ffv1", "yuv420p", {}, None, 1),
+        ("x.mkv", "ffv1", "yuv444p10le", {}, None, 4),
+        ("x.avi", "rawvideo", "bgr24", {}, None, 0),
+        ("x.avi", "huffyuv", "rgb24", {}, None, 0),
+    ],
+)
+def test_no_pixel_format_shifts_the_grey_levels(
+    name: str, codec: str, pixels: str, options: dict[str, str], color_range: int | None, tolerance: int, tmp_path: Path
+) -> None:
+    path = write_video(
+        tmp_path / name,
+        np.stack([RAMP] * 3),
+        codec=codec,
+        pixels=pixels,
+        fps=30,
+        options=options,
+        color_range=color_range,
+    )
+    clip = open_clip(path, fps=1500)
+    deeper = 2 ** (clip.bit_depth - 8)
+    error = clip.frame(1) / deeper - RAMP * ((2**clip.bit_depth - 1) / 255 / deeper)
+    assert np.abs(error).max() <= tolerance
+    assert abs(error.mean()) <= 0.5  # the rounding of the encoder to limited range; an untreated range shifts by 9
+
+
+def test_a_whole_film_is_read_in_any_order_from_a_few_key_frames(tmp_path: Path) -> None:
+    frames = noisy_frames(120)
+    clip = open_clip(
+        write_video(tmp_path / "x.mp4", frames, codec="libx264", options={"qp": "0", "g": "50", "bf": "5"}), fps=1500
+    )
+    for k in np.random.default_rng(3).permutation(120)[:40]:
+        np.testing.assert_array_equal(clip.frame(int(k)), frames[k])
+
+
+def test_two_iterations_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    frames = noisy_frames(12)
+    clip = open_clip(write_video(tmp_path / "x.mp4", frames, codec="libx264", options={"qp": "0"}), fps=1500)
+    for k, (early, late) in enumerate(zip(clip.frames(0, 6), clip.frames(6), strict=True)):
+        np.testing.assert_array_equal(early, frames[k])
+        np.testing.assert_array_equal(late, frames[6 + k])
+
+
+def _film_with_times(path: Path, ticks: list[int], per_second: int) -> Clip:
+    frames = noisy_frames(len(ticks))
+    return open_clip(write_video(path, frames, fps=per_second, times=ticks, codec="libx264"), fps=1500)
+
+
+def test_rounded_timestamps_are_no_variable_rate(tmp_path: Path) -> None:
+    # Matroska's millisecond turns 0, 0.67, 1.33, 2 ms into 0, 1, 1, 2.
+    clip = open_clip(write_video(tmp_path / "x.mkv", noisy_frames(200)), fps=1500)
+    assert clip.notices == ()
+
+
+def test_a_gap_at_the_recording_rate_moves_the_frames_behind_it(tmp_path: Path) -> None:
+    ticks = [*range(10), *range(13, 30)]
+    clip = _film_with_times(tmp_path / "x.mp4", ticks, 1500)
+    assert "timestamps are uneven" in clip.notices[0]
+    assert "used as the frames' times" in clip.notices[0]
+    # The container's time base is finer than 1e-5 s.
+    np.testing.assert_allclose(clip.times_s, np.array(ticks) / 1500, atol=1e-5)
+
+
+def test_a_variable_playback_rate_is_reported_and_not_believed(tmp_path: Path) -> None:
+    clip = _film_with_times(tmp_path / "x.mp4", [*range(10), *range(13, 30)], 30)
+    assert "evenly spaced at fps" in clip.notices[0]
+    np.testing.assert_allclose(clip.times_s, np.arange(27) / 1500, rtol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["x.avi", "x.mkv"])
+@pytest.mark.parametrize("kept", [0.5, 0.99])
+def test_a_film_that_is_cut_off_gives_its_whole_frames_and_says_so(name: str, kept: float, tmp_path: Path) -> None:
+    frames = noisy_frames(40)
+    whole = write_video(tmp_path / f"whole_{name}", frames, fps=30).read_bytes()
+    path = tmp_path / name
+    path.write_bytes(whole[: int(kept * len(whole))])
+    clip = open_clip(path, fps=1500)
+    assert 40 * kept - 4 <= len(clip) < 40 + (kept > 0.9 and name == "x.mkv")
+    np.testing.assert_array_equal(np.stack(list(clip.frames())), frames[: len(clip)])
+    if len(clip) < 40 and name == "x.avi":
+        assert "declares 40 frames" in clip.notices[0]
+
+
+def test_a_frame_that_cannot_be_decoded_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path = write_video(
+        tmp_path / "x.avi", noisy_frames(20), codec="mpeg4", pixels="yuv420p", fps=30, options={"g": "1"}
+    )
+    with av.open(str(path)) as container:
+        packet = list(container.demux(video=0))[10]
+        place, size = packet.pos, packet.size
+    content = bytearray(path.read_bytes())
+    content[place + 8 : place + 8 + size] = bytes(size)
+    path.write_bytes(content)
+    clip = open_clip(path, fps=1500)
+    with pytest.raises(ValueError, match=r"x\.avi: frame 1\d .*restrict frames to"):
+        list(clip.frames())
+    assert capfd.readouterr() == ("", "")
+
+
+def test_sound_is_no_film(tmp_path: Path) -> None:
+    path = tmp_path / "x.wav"
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=8000)
+        sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
+        sound.sample_rate = 8000
+        container.mux(stream.encode(sound))
+    with pytest.raises(ValueError, match=r"x\.wav: a file of the kind 'wav' holds no film"):
+        open_clip(path, fps=1500)
