@@ -28,7 +28,7 @@ def estimate_background(clip: Clip) -> NDArray[np.float32]:
     frame_bytes = clip.width_px * clip.height_px * (1 if clip.bit_depth <= 8 else 2)
     count = min(len(clip), max(9, min(SAMPLES, SAMPLED_BYTES // frame_bytes)))
     chosen = np.unique(np.linspace(0, len(clip) - 1, count).round().astype(int))
-    stack = np.stack([clip.frame(int(k)) for k in chosen])
+    stack: NDArray[np.uint8 | np.uint16] = np.stack([clip.frame(int(k)) for k in chosen])
     rows = max(1, BAND_BYTES // (4 * len(stack) * clip.width_px))
     bands = [np.median(stack[:, r : r + rows], axis=0) for r in range(0, clip.height_px, rows)]
     return np.concatenate(bands).astype(np.float32)

@@ -8,6 +8,8 @@ together (`joined`). A link that no single instant explains stays open and is re
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,9 +57,7 @@ def measure_throw(track: Track, die: Die) -> Throw:
 
 def _sightings(track: Track, use: NDArray[np.int64]) -> Sightings:
     """The tracked frames as the fit wants them."""
-    return Sightings.from_poses(
-        track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use]
-    )
+    return Sightings.from_poses(track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
 
 
 def _state_from(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float]:
@@ -89,7 +89,7 @@ def _part(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
             break
         cuts = sorted([*cuts, best])
         stale[max(0, best - WINDOW - 1) : best + WINDOW + 2] = True
-    return [np.arange(a, b) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b - a >= FEWEST]
+    return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= FEWEST]
 
 
 def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
@@ -142,7 +142,7 @@ def _gross_gaps(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> li
     """Neighbouring flights that, each fitted alone, come nowhere near each other: several contacts lie between them, or
     the track was lost there and taken up under another labelling. Forcing them together would spoil both."""
     gross = []
-    for a, b in zip(parts[:-1], parts[1:], strict=True):
+    for a, b in itertools.pairwise(parts):
         before, after = (Flight(_state_from(seen, _best_rows(seen, rows))[0], np.inf) for rows in (a, b))
         t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
         p, q = before.at(t), after.at(t)

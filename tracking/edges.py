@@ -320,7 +320,7 @@ def normal_equations(
         else:
             lo, hi = min(ax, bx), max(ax, bx)
         trim = (1.5 + 1.5 * sigma) * (hi - lo) / length
-        first, last = int(ceil(lo + trim)), int(floor(hi - trim))
+        first, last = ceil(lo + trim), floor(hi - trim)
         # Only what lies inside the window can be walked.
         if steep:
             first, last = max(first, y0), min(last, y0 + height - 1)
@@ -414,9 +414,9 @@ def normal_equations(
             # Along the pixel line the signed distance grows with slope `step`.
             step = nx if steep else ny
             if step > 0.0:
-                begin, end = int(ceil(middle - inside / step)), int(floor(middle + outside / step))
+                begin, end = ceil(middle - inside / step), floor(middle + outside / step)
             else:
-                begin, end = int(ceil(middle + outside / step)), int(floor(middle - inside / step))
+                begin, end = ceil(middle + outside / step), floor(middle - inside / step)
             offset = nx * (line - u) if not steep else ny * (line - v)
             # (line - u) or (line - v) is what the lens distortion leaves over; it shifts every pixel of the row alike.
             if steep:
@@ -438,11 +438,11 @@ def normal_equations(
                     d = offset + ny * (q - v)
                     value = image[q - y0, line - x0]
                     under = background[q - y0, line - x0]
-                b = 1.0 if interior else under
+                shade = 1.0 if interior else under
                 t = (d - lines[CELLS]) * ib
                 a1 = 0.5 * (1.0 + erf(t))
                 p1 = top * exp(-t * t)
-                phi[n, 1], slope[n, 1] = a1 * b, p1 * b
+                phi[n, 1], slope[n, 1] = a1 * shade, p1 * shade
                 if radius > 0.0:
                     t = (d - lines[0]) * ib
                     a0 = 0.5 * (1.0 + erf(t))
@@ -474,7 +474,7 @@ def normal_equations(
                         a0, p0 = a2, p2
                 else:
                     phi[n, 0], slope[n, 0] = 1.0 - a1, -p1
-                under_sum += b
+                under_sum += shade
                 grey[n] = value
                 rowof[n] = m
                 n += 1

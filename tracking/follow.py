@@ -200,9 +200,7 @@ def _find_beginning(view: View, ahead: _Ahead, times: Array) -> tuple[int, list[
     return spare[1:] if spare is not None and spare[0] > FAIR_SUPPORT else None
 
 
-def _trial(
-    view: View, ahead: _Ahead, times: Array, k: int, pose: Pose, to_beat: float
-) -> list[Sighting | None]:
+def _trial(view: View, ahead: _Ahead, times: Array, k: int, pose: Pose, to_beat: float) -> list[Sighting | None]:
     """Follow one start for a few frames, and no further once it explains them clearly worse than another start did."""
     image = ahead.image(k)
     assert image is not None
@@ -310,8 +308,9 @@ class _Chase:
         misfit = max(1.0, left / max(6 * len(order) - 12, 1))
         M = transition(Flight(state, np.inf), time_s)
         P = (M @ C @ M.T)[:6, :6] * misfit
-        sigma_m, sigma_rad = float(np.sqrt(np.linalg.eigvalsh(P[:3, :3])[-1])), float(
-            np.sqrt(np.linalg.eigvalsh(P[3:, 3:])[-1])
+        sigma_m, sigma_rad = (
+            float(np.sqrt(np.linalg.eigvalsh(P[:3, :3])[-1])),
+            float(np.sqrt(np.linalg.eigvalsh(P[3:, 3:])[-1])),
         )
         return (
             state,
@@ -405,7 +404,9 @@ def _bounced(die: Die, last: State, time_s: float) -> Iterator[State]:
             omega = last.omega_rad_s + impulse * lever / die.inertia_kg_m2
             for share in (0.2, 0.8):
                 touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
-                yield Flight(State(touch.time_s, touch.position_m, touch.quaternion, velocity, omega), np.inf).at(time_s)
+                yield Flight(State(touch.time_s, touch.position_m, touch.quaternion, velocity, omega), np.inf).at(
+                    time_s
+                )
 
 
 def _cost(view: View, image: Image, pose: Pose) -> float:
@@ -429,7 +430,8 @@ def _angle(a: Array, b: Array) -> float:
 def _measured(view: View, clip: Clip, seen: Sequence[Sighting | None]) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = [
-        s.pose if s is not None and share_in_view(view, s.pose.position_m, s.pose.rotation) == 1.0 else None for s in seen
+        s.pose if s is not None and share_in_view(view, s.pose.position_m, s.pose.rotation) == 1.0 else None
+        for s in seen
     ]
     try:
         return measure_throw(_as_track(clip, whole), view.die)

@@ -168,7 +168,7 @@ def _pattern(path: Path) -> str:
 def _missing_numbers(path: Path, files: list[Path]) -> tuple[str, ...]:
     numbers = [int(_number(file) or 0) for file in files]
     steps = np.diff(numbers)
-    if len(set(_pattern(file) for file in files)) > 1 or not len(steps) or (steps == steps[0]).all():
+    if len({_pattern(file) for file in files}) > 1 or not len(steps) or (steps == steps[0]).all():
         return ()
     missing = int(sum(step - 1 for step in steps if step > 1))
     return (

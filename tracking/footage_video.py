@@ -88,7 +88,10 @@ class VideoClip(Footage):
         facts = _facts(self._container, stream, sample)
         playback = f"only a playback rate ({facts['playback_fps']:g} frames/s)" if facts["playback_fps"] else "no rate"
         times = times_from_rate(path, fps, count, playback)
-        times, notices = _times(path, times, np.sort(self._packets.time)[:count] * float(stream.time_base or 0))
+        time_base_s = float(stream.time_base or 0)
+        times, notices = _times(
+            path, times, np.asarray(np.sort(self._packets.time)[:count] * time_base_s, np.float64), time_base_s
+        )
         grey = _grey(sample, self._mono)
         super().__init__(
             path,
@@ -233,32 +236,31 @@ def _list_packets(container: av.container.InputContainer, stream: av.VideoStream
 
 
 def _times(
-    path: Path, even_s: NDArray[np.float64], playback_s: NDArray[np.float64]
+    path: Path, even_s: NDArray[np.float64], playback_s: NDArray[np.float64], time_base_s: float
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """Frame times and what there is to say of them, from k / fps and the container's own times (both (n,) [s])."""
     if len(even_s) < 3 or playback_s[-1] <= playback_s[0]:
         return even_s, ()
     k = np.arange(len(even_s))
     mean_s = (playback_s[-1] - playback_s[0]) / k[-1]
-    tick_s = _tick(playback_s)
+    tick_s = _tick(playback_s, time_base_s)
     wander_s = np.ptp(playback_s - k * mean_s)
     # Rounding to the tick moves every time by half a tick at most, and the mean rate by one over the film.
     if wander_s <= 2.0 * tick_s + 0.1 * mean_s:
         return even_s, ()
     step_s = float(np.median(np.diff(playback_s)))
     uneven = f"{path.name}: the timestamps are uneven (a variable frame rate, or dropped frames)"
-    if abs(step_s - even_s[1]) <= 0.01 * even_s[1] and tick_s <= 0.1 * even_s[1]:
+    if abs(step_s - even_s[1]) <= 0.01 * even_s[1] and tick_s <= 0.2 * even_s[1]:
         return playback_s - playback_s[0], (
             f"{uneven}; they run at the recording rate, and are used as the frames' times.",
         )
     return even_s, (f"{uneven}; the frames are taken to be evenly spaced at fps.",)
 
 
-def _tick(times_s: NDArray[np.float64]) -> float:
-    """The rounding of the timestamps [s]: their smallest step apart from zero, where it shows, else the time base's."""
-    steps = np.unique(np.round(np.diff(times_s), 9))
-    gaps = np.diff(steps)
-    return float(min(gaps.min() if len(gaps) else 0.0, steps[steps > 0].min()))
+def _tick(times_s: NDArray[np.float64], time_base_s: float) -> float:
+    """The rounding of the timestamps [s]: the time base, or more where frames share one (a film once kept in Matroska)."""
+    steps = np.diff(times_s)
+    return float(steps[steps > 0].min()) if (steps == 0).any() else time_base_s
 
 
 def _facts(container: av.container.InputContainer, stream: av.VideoStream, sample: av.VideoFrame) -> dict[str, Any]:
@@ -285,7 +287,10 @@ def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
         depth = int(frame.format.components[0].bits)
         luma = _plane(frame, depth, big_endian=name.endswith("be"))
         as_stored = mono or name.startswith(("gray", "yuvj")) or int(frame.color_range) == FULL_RANGE
-        return luma if as_stored else np.take(_expansion(depth), luma)
+        if as_stored:
+            return luma
+        expanded: Frame = _expansion(depth)[luma]
+        return expanded
     if re.search(r"f(16|32|64)?(le|be)$", name):
         raise ValueError(f"pixels of the kind {name} are not whole numbers; convert the film to 8, 12 or 16 bit grey")
     # Everything else (RGB, palettes, packed YUV) goes through RGB, which FFmpeg makes at full scale.
@@ -298,7 +303,8 @@ def _plane(frame: av.VideoFrame, depth: int, big_endian: bool) -> Frame:
     dtype = np.dtype(np.uint8) if depth <= 8 else np.dtype(">u2" if big_endian else "<u2")
     plane = frame.planes[0]
     lines = np.frombuffer(plane, dtype).reshape(-1, plane.line_size // dtype.itemsize)
-    return lines[: frame.height, : frame.width].astype(np.uint8 if depth <= 8 else np.uint16)
+    whole = lines[: frame.height, : frame.width]
+    return whole.astype(np.uint8) if depth <= 8 else whole.astype(np.uint16)
 
 
 @lru_cache

@@ -45,7 +45,7 @@ class Sightings:
     def from_poses(time_s: Array, position_m: Array, quaternion: Array, covariance: Array) -> Sightings:
         """Poses of frames (n,) with their covariance (n, 6, 6), slack added; where that is NaN, slack alone."""
         slack = np.diag([SLACK_POSITION_M**2] * 3 + [SLACK_ROTATION_RAD**2] * 3)
-        known = np.isfinite(covariance).all(axis=(1, 2))
+        known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         C = np.where(known[:, None, None], covariance, 0.0) + slack
         return Sightings(time_s, position_m, quaternion, np.linalg.inv(np.linalg.cholesky(C)))
 
@@ -128,17 +128,17 @@ def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
     fall = seen.position_m + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
     turns = _unwrapped(rotation_between(seen.quaternion[middle], seen.quaternion), t)
     W = seen.whitener
-    design = np.concatenate([W, W * t[:, None, None]], axis=2).reshape(-1, 12)
-    target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1)).ravel()
-    # Columns differ by the frame spacing; scaling them keeps the normal matrix well conditioned.
-    scale = np.linalg.norm(design, axis=0)
-    design = design / scale
-    x = np.linalg.lstsq(design, target, rcond=1e-10)[0]
-    left = float(((design @ x - target) ** 2).sum())
-    covariance = np.linalg.pinv(design.T @ design, hermitian=True) / np.outer(scale, scale)
-    x = x / scale
+    design = np.concatenate([W, W * t[:, None, None]], axis=2)
+    target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1))
+    # Small normal equations rather than a tall QR: threaded libraries spend more on waking up than on the work. Columns
+    # differ by the frame spacing; with the diagonal scaled to one the matrix of a flight is well conditioned.
+    A = np.einsum("nia,nib->ab", design, design)
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    inverse = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-12, hermitian=True) * np.outer(unit, unit)
+    x = inverse @ np.einsum("nia,ni->a", design, target)
+    left = float(((np.einsum("nia,a->ni", design, x) - target) ** 2).sum())
     base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
-    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), covariance, left
+    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), inverse, left
 
 
 def _unwrapped(turns: Array, t: Array) -> Array:
@@ -329,4 +329,3 @@ class _Chain:
             residual,
             scale,
         )
-

@@ -73,7 +73,12 @@ class Pose:
 
 
 def make_view(
-    camera: Camera, die: Die, background: NDArray[np.float32], noise_grey: float, exposure_s: float | None, blur_px: float
+    camera: Camera,
+    die: Die,
+    background: NDArray[np.float32],
+    noise_grey: float,
+    exposure_s: float | None,
+    blur_px: float,
 ) -> View:
     """Prepare the geometry that every frame shares."""
     solid = die.solid
@@ -180,7 +185,12 @@ def share_in_view(view: View, position_m: Array, rotation: Array) -> float:
 
 
 def picture_score(
-    view: View, image: NDArray[np.float32], box: tuple[int, int, int, int], position_m: Array, rotation: Array, stride: int
+    view: View,
+    image: NDArray[np.float32],
+    box: tuple[int, int, int, int],
+    position_m: Array,
+    rotation: Array,
+    stride: int,
 ) -> tuple[float, float]:
     """How badly the drawn die explains the window `box` (truncated squared sigmas a pixel), and the share of the die's
     pixels that differ from the background."""

@@ -36,9 +36,7 @@ def differing(image: NDArray[np.float32], background: NDArray[np.float32], noise
     return np.asarray(np.abs(mean) > max(5.0 * noise_grey / 3.0, 2.0))
 
 
-def without_shadow(
-    image: NDArray[np.float32], background: NDArray[np.float32], noise_grey: float, mask: Mask
-) -> Mask:
+def without_shadow(image: NDArray[np.float32], background: NDArray[np.float32], noise_grey: float, mask: Mask) -> Mask:
     """`mask` less the pixels that look like the background in a darker light: in a 9 × 9 neighbourhood the image is a
     constant share of the background, texture included."""
     window = (9, 9)

@@ -35,7 +35,8 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
         return []
     # One window for all readings, so that their scores can be compared.
     corners = np.array([blob.box for blob in blobs])
-    x0, y0, x1, y1 = *corners[:, :2].min(0), *corners[:, 2:].max(0)
+    x0, y0 = (int(v) for v in corners[:, :2].min(0))
+    x1, y1 = (int(v) for v in corners[:, 2:].max(0))
     margin = int(0.2 * max(x1 - x0, y1 - y0)) + 6
     width, height = view.camera.width_px, view.camera.height_px
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))

@@ -1,0 +1,175 @@
+"""Footage whose truth is known: sharp convex dice drawn through a camera over a textured table.
+
+The picture is that of the tracker's own assumptions and no kinder: faces of one grey each, an edge spread by a Gaussian
+of known width, white noise. What the lens cannot do (shadow, motion blur, something in front) is added on demand.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from replay_records import ArrayClip
+
+from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.solids import SHAPES, Die, Solid, make_die
+from diethrow.tracking.camera import Camera
+from diethrow.tracking.pose import View, make_view
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+FPS = 1500.0
+FINER = 4
+"""Supersampling; with coverage computed on the fine grid too, an edge lies within 0.005 px of the truth."""
+MOMENTS = 9
+"""Instants averaged over an exposure: two pixels of motion then fall in steps of a quarter pixel, below the blur."""
+LIGHT = np.array([0.35, -0.55, 0.76])
+"""Towards the lamp."""
+REACH_M = 0.011
+"""Circumradius of every die here: about 80 px across."""
+
+
+def die_of(shape: str, mass_kg: float = 0.005) -> Die:
+    """One of the five dice, all of one circumradius, so that all are seen equally large."""
+    unit = make_die(shape, 1.0, 1.0).solid.circumradius
+    return make_die(shape, REACH_M / unit, mass_kg)
+
+
+DICE = {shape: die_of(shape) for shape in SHAPES}
+
+
+@dataclass(frozen=True, eq=False)
+class Studio:
+    """Camera, empty table and what the sensor does."""
+
+    camera: Camera
+    table: Image
+    """(height, width) grey levels of the empty table."""
+    blur_px: float = 0.7
+    noise_grey: float = 0.0
+    shadow: float = 0.0
+    """Share of the light that the die takes from the table where it shades it."""
+    exposure_s: float = 0.0
+
+    def view(self, die: Die) -> View:
+        """What the tracker is told, all of it true."""
+        noise = max(self.noise_grey, 0.5)
+        return make_view(self.camera, die, self.table, noise, self.exposure_s, self.blur_px)
+
+
+def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, distance_m: float = 0.4) -> Studio:
+    """A camera that looks down at 35 degrees on a cloudy table; a little lens distortion."""
+    pitch, heading = np.radians(35.0), np.radians(20.0)
+    ahead = np.array([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), -np.sin(pitch)])
+    target = np.array([0.0, 0.0, 0.018])
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.array([right, np.cross(ahead, right), ahead])
+    middle = ((width_px - 1) / 2, (height_px - 1) / 2)
+    matrix = np.array([[focal_px, 0.0, middle[0]], [0.0, focal_px, middle[1]], [0.0, 0.0, 1.0]])
+    distortion = np.array([0.08, 0.0, 2e-4, -1e-4, 0.0])
+    camera = Camera(width_px, height_px, matrix, distortion, rotation, -rotation @ (target - distance_m * ahead))
+    clouds = np.random.default_rng(7).normal(size=(height_px, width_px))
+    texture = cv2.GaussianBlur(clouds, (0, 0), 3.0)
+    return Studio(camera, np.asarray(110.0 + 10.0 * texture / texture.std(), np.float32))
+
+
+def photograph(room: Studio, die: Die, state: State | None, rng: np.random.Generator | None = None) -> Image:
+    """One frame (height, width) of the die in motion at mid-exposure `state`, or of the empty table; not rounded."""
+    picture = room.table.astype(float)
+    if state is not None:
+        moments = (np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5 if room.exposure_s else np.zeros(1)
+        flight = Flight(state, np.inf)
+        instants = [flight.at(state.time_s + float(m) * room.exposure_s) for m in moments]
+        picture = np.mean([_still(room, die, instant) for instant in instants], axis=0)
+    if rng is not None and room.noise_grey:
+        picture = picture + rng.normal(scale=room.noise_grey, size=picture.shape)
+    return np.asarray(picture, np.float32)
+
+
+def film(room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1) -> ArrayClip:
+    """The throw from time zero at FPS, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
+    rng = np.random.default_rng(seed)
+    times = np.arange(frames) / FPS
+    scale, dtype = 2.0 ** (bit_depth - 8), np.uint8 if bit_depth <= 8 else np.uint16
+    stack = [
+        np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng)), 0, 2**bit_depth - 1) for t in times
+    ]
+    return ArrayClip(np.array(stack).astype(dtype), times, bit_depth)
+
+
+def with_light(room: Studio, factor: float) -> Studio:
+    """The same table at another scale of grey levels."""
+    return replace(room, table=room.table * np.float32(factor), noise_grey=room.noise_grey * factor)
+
+
+def greys(die: Die, rotation: Array) -> Array:
+    """Grey of each face: dull, in the lamp's light, no two faces of quite the same paint."""
+    lit = np.maximum(die.solid.normals @ rotation.T @ LIGHT, 0.0)
+    paint = 1.0 + 0.12 * np.sin(2.4 * np.arange(len(lit)))
+    return np.asarray((70.0 + 130.0 * lit) * paint)
+
+
+def _still(room: Studio, die: Die, state: State) -> Array:
+    """The picture of a die that does not move: blur(faces) + table · (1 - blur(coverage))."""
+    camera, rotation = room.camera, state.rotation
+    corners = die.solid.vertices @ rotation.T + state.position_m
+    table = room.table.astype(float)
+    if room.shadow:
+        fallen = corners[:, :2] - corners[:, 2:] / LIGHT[2] * LIGHT[:2]
+        ground = camera.project(np.column_stack([fallen, np.zeros(len(fallen))]))
+        outline = cv2.convexHull(ground.astype(np.float32))[:, 0].astype(float)
+        table = table * (1.0 - room.shadow * _drawn(room, [outline], np.ones(1), 2.0)[1])
+    faces = [f for f in range(len(die.solid.faces)) if _faces_camera(die.solid, f, rotation, state, camera)]
+    outlines = [_outline(camera, corners[list(die.solid.faces[f])]) for f in faces]
+    light, cover = _drawn(room, outlines, greys(die, rotation)[faces], np.sqrt(max(room.blur_px**2 - 1.0 / 12.0, 0.01)))
+    return np.asarray(light + table * (1.0 - cover))
+
+
+def _faces_camera(solid: Solid, f: int, rotation: Array, state: State, camera: Camera) -> bool:
+    gap = rotation @ solid.normals[f] @ (camera.centre_m - state.position_m)
+    return bool(gap > solid.offsets[f])
+
+
+def _outline(camera: Camera, corners: Array) -> Array:
+    """The face's outline [px], with points between the corners where the lens bends its edges."""
+    shares = np.arange(4)[:, None, None] / 4.0
+    between = corners + shares * (np.roll(corners, -1, 0) - corners)
+    return camera.project(between.transpose(1, 0, 2).reshape(-1, 3))
+
+
+def _drawn(room: Studio, outlines: list[Array], values: Array, blur_px: float) -> tuple[Array, Array]:
+    """Convex outlines filled with their values, and their coverage, both blurred, pixels averaged over their area."""
+    height, width = room.table.shape
+    light, cover = np.zeros((height, width)), np.zeros((height, width))
+    everything = np.concatenate(outlines)
+    low = np.maximum(np.floor(everything.min(0) - 5.0 * blur_px - 2.0), 0).astype(int)
+    high = np.minimum(np.ceil(everything.max(0) + 5.0 * blur_px + 2.0), [width - 1, height - 1]).astype(int) + 1
+    if (high - low < 2).any():
+        return light, cover
+    # Where the window is cut by the picture's border the fine grid goes on, so that the blur knows what lies outside.
+    x, y = (np.arange((low[a] - 4) * FINER, (high[a] + 4) * FINER) / FINER - 0.5 + 0.5 / FINER for a in (0, 1))
+    fine = np.zeros((2, len(y), len(x)))
+    for outline, value in zip(outlines, values, strict=True):
+        share = _coverage(outline, x, y)
+        fine += share * np.array([value, 1.0])[:, None, None]
+    for image, target in zip(fine, (light, cover), strict=True):
+        soft = cv2.GaussianBlur(image, (0, 0), blur_px * FINER)
+        coarse = soft.reshape(len(y) // FINER, FINER, len(x) // FINER, FINER).mean((1, 3))
+        target[low[1] : high[1], low[0] : high[0]] = coarse[4:-4, 4:-4]
+    return light, cover
+
+
+def _coverage(outline: Array, x: Array, y: Array) -> Array:
+    """Share (y, x) of each fine cell inside a convex outline: the edge nearest to the cell decides."""
+    step = np.roll(outline, -1, 0) - outline
+    normal = np.stack([-step[:, 1], step[:, 0]], 1) / np.linalg.norm(step, axis=1)[:, None]
+    normal *= np.sign(((outline.mean(0) - outline) * normal).sum(1))[:, None]
+    share = np.ones((len(y), len(x)))
+    for corner, (a, b) in zip(outline, normal, strict=True):
+        distance = (b * (y - corner[1]))[:, None] + (a * (x - corner[0]))[None, :]
+        np.minimum(share, np.clip(0.5 + FINER * distance, 0.0, 1.0), out=share)
+    return share
