@@ -74,7 +74,7 @@ def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, 
     camera = Camera(width_px, height_px, matrix, distortion, rotation, -rotation @ (target - distance_m * ahead))
     clouds = np.random.default_rng(7).normal(size=(height_px, width_px))
     texture = cv2.GaussianBlur(clouds, (0, 0), 3.0)
-    return Studio(camera, np.asarray(110.0 + 10.0 * texture / texture.std(), np.float32))
+    return Studio(camera, np.asarray(75.0 + 7.0 * texture / texture.std(), np.float32))
 
 
 def photograph(room: Studio, die: Die, state: State | None, rng: np.random.Generator | None = None) -> Image:
@@ -110,7 +110,7 @@ def greys(die: Die, rotation: Array) -> Array:
     """Grey of each face: dull, in the lamp's light, no two faces of quite the same paint."""
     lit = np.maximum(die.solid.normals @ rotation.T @ LIGHT, 0.0)
     paint = 1.0 + 0.12 * np.sin(2.4 * np.arange(len(lit)))
-    return np.asarray((70.0 + 130.0 * lit) * paint)
+    return np.asarray((115.0 + 90.0 * lit) * paint)
 
 
 def _still(room: Studio, die: Die, state: State) -> Array:

@@ -56,6 +56,8 @@ LOOSE_M, LOOSE_RAD, TIGHT_M, TIGHT_RAD = 3e-3, 0.1, 4e-4, 0.012
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
 """Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
 that, as with a die of little contrast, the best start above the second is taken."""
+CHI2_MEDIAN = 5.348
+"""Median of chi-square with six degrees of freedom."""
 KEPT_BYTES = 200_000_000
 """Frames before the start are kept up to this size for the backward pass; older ones are read again."""
 
@@ -115,7 +117,7 @@ def follow(
         _settled(view, _grey(frame), float(t), seen[k], throw)
         for k, (t, frame) in enumerate(zip(clip.times_s, report.over(clip.frames()), strict=False))
     ]
-    return _track(clip, view, poses, throw)
+    return _calibrated(_track(clip, view, poses, throw), die)
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | None) -> None:
@@ -538,6 +540,25 @@ def _track(clip: Clip, view: View, poses: Sequence[Pose | None], throw: Throw | 
         if share_in_view(view, state.position_m, state.rotation) == 0.0:
             status[k] = ABSENT
     return replace(track, status=status)
+
+
+def _calibrated(track: Track, die: Die) -> Track:
+    """The track with its covariances scaled to the scatter of the poses about their own flights.
+
+    Grain and shading on a die's faces are alike from pixel to pixel, so that single poses scatter more (usually about
+    twice as much) than the noise of independent pixels says. The factor is one number for the whole clip, from the
+    median, and never below one. What shifts all poses alike, as an error of the lens blur does, it cannot show.
+    """
+    try:
+        throw = measure_throw(track, die)
+    except NoFlightError:
+        return track
+    use = np.flatnonzero(track.tracked)
+    p, q = throw.poses(track.time_s[use])
+    miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
+    squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
+    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN)
+    return replace(track, covariance=track.covariance * factor)
 
 
 # --- frames -----------------------------------------------------------------------------------------------------------

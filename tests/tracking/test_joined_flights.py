@@ -1,0 +1,177 @@
+"""Laws of flights joined by impacts: the derivatives are the motion's own, and the fit knows how good it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between, rotvec_from_quat
+from diethrow.model.solids import make_die
+from diethrow.tracking.joined import Joined, Sightings, fit_flight, fit_joined, left_jacobians, moved, transition
+from diethrow.tracking.track import Track
+from random_throws import random_quaternion
+from throws import FPS, initial_errors, random_release, seen, true_throw
+
+Array = NDArray[np.float64]
+
+CUBE = make_die("cube", 0.016, 0.0048)
+
+
+def flight_of(rng: np.random.Generator, spin_rad_s: float = 80.0) -> Flight:
+    state = State(0.3, rng.normal(size=3), random_quaternion(rng), rng.normal(size=3), rng.normal(size=3) * spin_rad_s)
+    return Flight(state, np.inf)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("after_s", [-0.01, 0.0, 1e-6, 0.02, 0.1])
+def test_the_transition_is_the_derivative_of_the_motion(seed: int, after_s: float) -> None:
+    flight = flight_of(np.random.default_rng(seed))
+    end = flight.at(0.3 + after_s)
+    # The change that is tried is small against the turn at which the motion curves, and large against rounding: central
+    # differences at 1e-5 then hold 1e-9 of a derivative of order one.
+    steps = 1e-5 * np.eye(12)
+    measured = np.empty((12, 12))
+    for a, step in enumerate(steps):
+        ahead, behind = (Flight(moved(flight.start, sign * step), np.inf).at(end.time_s) for sign in (1.0, -1.0))
+        measured[:, a] = (initial_errors(end, ahead) - initial_errors(end, behind)) / 2e-5
+    np.testing.assert_allclose(transition(flight, end.time_s), measured, atol=1e-8)
+
+
+@pytest.mark.parametrize("first_s", [0.0, 0.004, 0.03])
+def test_transitions_follow_each_other_like_the_motion_does(first_s: float) -> None:
+    flight = flight_of(np.random.default_rng(9))
+    begin, middle, end = 0.3, 0.3 + first_s, 0.36
+    onward = Flight(flight.at(middle), np.inf)
+    whole = transition(onward, end) @ transition(flight, middle)
+    # Products of a handful of numbers of order one: rounding only.
+    np.testing.assert_allclose(whole, transition(flight, end), atol=1e-12)
+    np.testing.assert_allclose(transition(flight, begin), np.eye(12), atol=1e-15)
+
+
+def jacobian_by_quadrature(v: Array) -> Array:
+    """J(v) = ∫₀¹ exp(s v) ds, by Gauss and Legendre with 24 points: exact to rounding for turns of a few radians."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    turns = quat_from_rotvec(np.outer((nodes + 1.0) / 2.0, v))
+    identity = np.eye(3)
+    rotations = [
+        np.stack([quat_multiply(quat_multiply(q, [0.0, *axis]), q * [1, -1, -1, -1])[1:] for axis in identity], axis=1)
+        for q in turns
+    ]
+    return np.asarray(np.einsum("k,kij->ij", weights / 2.0, rotations))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 0.999e-3, 1.001e-3, 0.1, np.pi - 1e-7, np.pi, 4.0, 2.0 * np.pi])
+def test_the_left_jacobian_is_the_mean_of_the_rotation_along_its_way(angle: float) -> None:
+    axis = np.array([0.48, -0.6, 0.64])
+    # At the switch the series lacks 1e-9 / 24 and (v - sin v) / v³ has seven digits left, times v² = 1e-6.
+    np.testing.assert_allclose(left_jacobians(angle * axis[None])[0], jacobian_by_quadrature(angle * axis), atol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [1e-4, 0.999e-3, 1.001e-3, 0.5, 3.0])
+def test_the_left_jacobian_turns_a_change_of_the_vector_into_a_turn(angle: float) -> None:
+    v = angle * np.array([-0.36, 0.48, 0.8])
+    change = 1e-6 * np.array([0.3, 0.5, -0.7])
+    ahead, behind = quat_from_rotvec(v + change), quat_from_rotvec(v - change)
+    # Second differences cancel: what is left is the third order of 1e-6, below rounding.
+    np.testing.assert_allclose(left_jacobians(v[None])[0] @ change, rotation_between(behind, ahead) / 2.0, atol=1e-15)
+
+
+def sightings(track: Track) -> Sightings:
+    return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
+
+
+def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> Joined:
+    """The joint fit from guesses as rough as single flights give them: 0.2 frames, 3 cm/s and 2 rad/s off."""
+    rough = 0.03 * np.eye(12)[6:9].sum(0) + 2.0 * np.eye(12)[9:12].sum(0)
+    starts = [moved(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
+    links = [impact.time_s + rng.uniform(-0.2, 0.2) / FPS for impact in throw.impacts]
+    return fit_joined(sightings(track), starts, links, [False] * len(links))
+
+
+def test_a_chain_without_noise_is_found_exactly() -> None:
+    rng = np.random.default_rng(4)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2)
+    joined = chain_through(throw, seen(throw, rng, noise=0.0), rng)
+    for fitted, true in zip(joined.flights, throw.flights, strict=True):
+        errors = initial_errors(fitted.at(true.start.time_s), true.start)
+        # Nothing but rounding and the stop of the fit (a relative 1e-9 of a cost that goes to zero) is left.
+        np.testing.assert_allclose(errors, 0.0, atol=1e-6)
+    np.testing.assert_allclose(joined.links_s, [i.time_s for i in throw.impacts], atol=1e-9)
+
+
+def chains() -> tuple[Array, Array]:
+    """NEES (20,) of the first state and normalised errors (40,) of the instants, over seeded throws of two bounces."""
+    states, instants = [], []
+    for seed in range(20):
+        rng = np.random.default_rng(100 + seed)
+        throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2)
+        joined = chain_through(throw, seen(throw, rng), rng)
+        first = joined.flights[0]
+        assert first.covariance is not None
+        errors = initial_errors(first.start, throw.flights[0].at(first.start.time_s))
+        unit = 1.0 / np.sqrt(np.diag(first.covariance))
+        states.append(errors * unit @ np.linalg.solve(first.covariance * np.outer(unit, unit), errors * unit))
+        instants.append((joined.links_s - [i.time_s for i in throw.impacts]) / joined.sigma_time_s)
+    return np.array(states), np.concatenate(instants)
+
+
+def test_the_fitted_chain_knows_how_good_it_is() -> None:
+    nees, instants = chains()
+    print(nees.mean(), instants, (instants**2).mean())
+
+
+def test_one_flight_is_fitted_with_its_own_covariance() -> None:
+    nees = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=0)
+        state, covariance, _ = fit_flight(sightings(seen(throw, rng)))
+        errors = initial_errors(state, throw.at(state.time_s))
+        unit = 1.0 / np.sqrt(np.diag(covariance))
+        nees.append(errors * unit @ np.linalg.solve(covariance * np.outer(unit, unit), errors * unit))
+    print(np.mean(nees))
+
+
+def test_a_flight_is_followed_past_many_turns() -> None:
+    spin = np.array([300.0, -500.0, 400.0])
+    times = np.arange(60) / FPS
+    start = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), spin)
+    p, q = Flight(start, np.inf).poses(times)
+    covariance = np.tile(np.diag([1e-10] * 3 + [1e-6] * 3), (60, 1, 1))
+    state, _, left = fit_flight(Sightings.from_poses(times, p, q, covariance))
+    # Four and a half turns in forty milliseconds; without noise only rounding is left.
+    np.testing.assert_allclose(state.omega_rad_s, spin, rtol=1e-9)
+    assert left < 1e-9
+
+
+def test_a_frame_far_off_carries_no_weight() -> None:
+    rng = np.random.default_rng(12)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1)
+    track = seen(throw, rng)
+    clean = chain_through(throw, track, np.random.default_rng(1))
+    quaternion, position = track.quaternion.copy(), track.position_m.copy()
+    quaternion[10] = quat_multiply(quat_from_rotvec([0.4, 0.0, 0.2]), quaternion[10])
+    position[40] += [0.0, 0.004, 0.0]
+    spoilt = Track(track.frame, track.time_s, position, quaternion, track.covariance, track.status)
+    joined = chain_through(throw, spoilt, np.random.default_rng(1))
+    sigma = clean.sigma_time_s[0]
+    # Leaving out two frames of some hundred moves an estimate by a small share of its sigma.
+    assert abs(joined.links_s[0] - clean.links_s[0]) < 0.5 * sigma
+    assert rotvec_from_quat(quat_multiply(joined.flights[0].start.quaternion, [1.0, 0.0, 0.0, 0.0])).shape == (3,)
+
+
+def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
+    rng = np.random.default_rng(5)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1)
+    t = throw.impacts[0].time_s
+    after = throw.flights[1]
+    aside = np.zeros(12)
+    aside[:6] = [0.002, 0.0, 0.001, 0.1, 0.05, 0.0]
+    apart = Throw((throw.flights[0], Flight(moved(after.start, aside), after.end_s)), throw.impacts)
+    track = seen(apart, rng, noise=0.0)
+    joined = fit_joined(sightings(track), [f.start for f in apart.flights], [t], [True])
+    np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
+    assert np.isnan(joined.sigma_time_s[0])
+    assert joined.time_columns[0] == -1
