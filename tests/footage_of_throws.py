@@ -135,8 +135,8 @@ def _faces_camera(solid: Solid, f: int, rotation: Array, state: State, camera: C
 
 
 def _outline(camera: Camera, corners: Array) -> Array:
-    """The face's outline [px], with points between the corners where the lens bends its edges."""
-    shares = np.arange(4)[:, None, None] / 4.0
+    """The face's outline [px], with a point half-way along each edge, which the lens bends."""
+    shares = np.arange(2)[:, None, None] / 2.0
     between = corners + shares * (np.roll(corners, -1, 0) - corners)
     return camera.project(between.transpose(1, 0, 2).reshape(-1, 3))
 
@@ -154,8 +154,10 @@ def _drawn(room: Studio, outlines: list[Array], values: Array, blur_px: float) -
     x, y = (np.arange((low[a] - 4) * FINER, (high[a] + 4) * FINER) / FINER - 0.5 + 0.5 / FINER for a in (0, 1))
     fine = np.zeros((2, len(y), len(x)))
     for outline, value in zip(outlines, values, strict=True):
-        share = _coverage(outline, x, y)
-        fine += share * np.array([value, 1.0])[:, None, None]
+        (x0, y0), (x1, y1) = (outline.min(0) - (x[0], y[0])) * FINER - 2, (outline.max(0) - (x[0], y[0])) * FINER + 3
+        rows, columns = slice(max(int(y0), 0), max(int(y1), 0)), slice(max(int(x0), 0), max(int(x1), 0))
+        share = _coverage(outline, x[columns], y[rows])
+        fine[:, rows, columns] += share * np.array([value, 1.0])[:, None, None]
     for image, target in zip(fine, (light, cover), strict=True):
         soft = cv2.GaussianBlur(image, (0, 0), blur_px * FINER)
         coarse = soft.reshape(len(y) // FINER, FINER, len(x) // FINER, FINER).mean((1, 3))

@@ -24,7 +24,17 @@ from .footage import Footage, Frame, check_size, times_from_rate
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
 
-TIFF_DAMAGE = (tifffile.TiffFileError, ValueError, IndexError, KeyError, struct.error, zlib.error)
+PNG_START = b"\x89PNG\r\n\x1a\n"
+TIFF_DAMAGE = (
+    tifffile.TiffFileError,
+    ValueError,
+    IndexError,
+    KeyError,
+    TypeError,
+    NotImplementedError,
+    struct.error,
+    zlib.error,
+)
 """What tifffile raises on a damaged file, depending on which tag is missing."""
 
 
@@ -70,6 +80,8 @@ def read_picture(path: Path) -> Frame:
         with _opened_tiff(path) as tiff:
             return _page_pixels(path, tiff, 0)
     data = np.fromfile(path, np.uint8)
+    if not _is_whole_png(data.tobytes()):
+        raise ValueError(f"{path.name}: the picture is damaged (its checksums are wrong); save it again")
     try:
         with _quiet():
             picture = cv2.imdecode(data, cv2.IMREAD_UNCHANGED | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
@@ -80,6 +92,24 @@ def read_picture(path: Path) -> Frame:
             f"{path.name}: the picture is empty, damaged or of an unknown kind; save it again as PNG or TIFF"
         )
     return to_grey(path, picture, bgr=True)
+
+
+def _is_whole_png(data: bytes) -> bool:
+    """Whether the chunks of a PNG are all there, with the right checksums; True for every other kind of picture.
+
+    libpng would report damage on the terminal, past every setting, and fill the rest of the picture.
+    """
+    if not data.startswith(PNG_START):
+        return True
+    at = len(PNG_START)
+    while at + 12 <= len(data):
+        size, kind = struct.unpack_from(">I4s", data, at)
+        if data[at + 8 + size : at + 12 + size] != zlib.crc32(data[at + 4 : at + 8 + size]).to_bytes(4, "big"):
+            return False
+        if kind == b"IEND":
+            return True
+        at += 12 + size
+    return False
 
 
 def to_grey(path: Path, picture: Any, *, bgr: bool) -> Frame:
@@ -191,11 +221,11 @@ def _quiet() -> Iterator[None]:
         cv2.utils.logging.setLogLevel(before_opencv)
 
 
+@_quiet()
 def _first_page_read(file: BinaryIO, name: str) -> tifffile.TiffFile:
     """A TIFF whose first page's tags have been read, which is where damage shows."""
-    with _quiet():
-        tiff = tifffile.TiffFile(file, name=name)
-        assert tiff.pages.first is not None
+    tiff = tifffile.TiffFile(file, name=name)
+    assert tiff.pages.first is not None
     return tiff
 
 
@@ -210,12 +240,12 @@ def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
         yield tiff
 
 
+@_quiet()
 def _page_count(tiff: tifffile.TiffFile) -> int:
     """Pages, or the pictures behind one page (ImageJ describes a stack above 4 GB by its first page only)."""
-    with _quiet():
-        pages = len(tiff.pages)
-        if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
-            return max(1, int(tiff.series[0].size // tiff.pages.first.size))
+    pages = len(tiff.pages)
+    if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
+        return max(1, int(tiff.series[0].size // tiff.pages.first.size))
     return pages
 
 
@@ -225,25 +255,25 @@ def _readable_pages(path: Path, tiff: tifffile.TiffFile) -> tuple[int, tuple[str
     count = declared
     while count and _page_end(tiff, count - 1) > size:
         count -= 1
-    with _quiet():
-        cut = count < declared or (declared > 1 and not _chain_ends(tiff))
+    cut = count < declared or (declared > 1 and not _chain_ends(tiff))
     notice = f"{path.name}: the TIFF seems cut off; its first {count} pages are used."
     return count, (notice,) if cut else ()
 
 
+@_quiet()
 def _page_end(tiff: tifffile.TiffFile, number: int) -> float:
     """The offset behind the last byte of a page; infinite where the page itself cannot be read."""
     if number >= len(tiff.pages):
         first = tiff.pages.first
         return int(tiff.series[0].dataoffset) + (number + 1) * int(first.nbytes)
     try:
-        with _quiet():
-            page = tiff.pages[number]
-            return max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=np.inf)
+        page = tiff.pages[number]
+        return max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=np.inf)
     except (*TIFF_DAMAGE, OSError):
         return np.inf
 
 
+@_quiet()
 def _chain_ends(tiff: tifffile.TiffFile) -> bool:
     """Whether the last page says that no page follows, as it does in a whole file."""
     last, form = tiff.pages[-1], tiff.tiff
@@ -254,24 +284,33 @@ def _chain_ends(tiff: tifffile.TiffFile) -> bool:
     return not any(file.read(form.offsetsize))
 
 
+@_quiet()
 def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
     """(height, width) grey levels of one page."""
     first = tiff.pages.first
-    check_size(path, int(first.imagewidth), int(first.imagelength))
+    _check_page_size(path, first)
     if number >= len(tiff.pages):
         offset = int(tiff.series[0].dataoffset) + number * int(first.nbytes)
         pixels = np.memmap(path, first.dtype.newbyteorder(tiff.byteorder), "r", offset, first.shape)
         return to_grey(path, np.array(pixels), bgr=False)
-    with _quiet():
-        page = tiff.pages[number]
-        check_size(path, int(page.imagewidth), int(page.imagelength))
-        try:
-            pixels = page.asarray()
-        except (*TIFF_DAMAGE, OSError) as error:
-            return _page_by_opencv(path, number, error)
+    page = tiff.pages[number]
+    _check_page_size(path, page)
+    try:
+        pixels = page.asarray()
+    except (*TIFF_DAMAGE, OSError) as error:
+        return _page_by_opencv(path, number, error)
     if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
         pixels = np.iinfo(pixels.dtype).max - pixels
     return to_grey(path, pixels, bgr=False)
+
+
+def _check_page_size(path: Path, page: Any) -> None:
+    """Before memory is taken: a damaged tag may hold any number, or several."""
+    if not all(isinstance(size, int) for size in (page.imagewidth, page.imagelength)):
+        raise ValueError(
+            f"{path.name}: a page of {page.imagewidth} × {page.imagelength} px; the TIFF is damaged, save it again"
+        )
+    check_size(path, page.imagewidth, page.imagelength)
 
 
 def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:

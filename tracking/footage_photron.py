@@ -92,14 +92,14 @@ def open_photron(path: Path, fps: float | None, frame_range: tuple[int, int] | N
 
 
 class PhotronClip(Footage):
-    """Frames of a memory map; nothing is read before it is asked for."""
+    """Frames by memory map; nothing is read before it is asked for."""
 
     def __init__(self, header: Path, pixels: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
         self.header = read_header(header)
         check_size(header, self.header.width_px, self.header.height_px)
         count, notices = _readable_frames(pixels, self.header)
         rate_hz = _frame_rate_hz(header, self.header, fps)
-        self._map = np.memmap(pixels, np.uint8, "r", shape=(count, self.header.frame_bytes))
+        self._pixels = pixels
         super().__init__(
             header,
             width_px=self.header.width_px,
@@ -112,12 +112,14 @@ class PhotronClip(Footage):
         )
 
     def _read(self, number: int) -> Frame:
-        raw, header = self._map[number], self.header
+        header, size = self.header, self.header.frame_bytes
+        # One map a frame: the pages of a map over the whole file would pile up in memory as they are read.
+        raw = np.array(np.memmap(self._pixels, np.uint8, "r", number * size, (size,)))
         shape = (header.height_px, header.width_px)
         if header.stored_bits == 8:
-            return np.array(raw).reshape(shape)
+            return raw.reshape(shape)
         if header.stored_bits == 12:
-            return unpack_12bit(np.array(raw)).reshape(shape)
+            return unpack_12bit(raw).reshape(shape)
         levels = raw.view("<u2").astype(np.uint16).reshape(shape)
         return levels >> np.uint16(16 - header.bit_depth) if header.high_side else levels
 

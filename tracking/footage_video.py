@@ -204,6 +204,9 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
             f"{path.name}: a file of the kind {name!r} holds no film; give a film, pictures or a Photron header"
         )
     stream = container.streams.video[0]
+    if stream.codec_context is None:
+        container.close()
+        raise ValueError(f"{path.name}: FFmpeg does not know the film's codec; save it again, as FFV1 for example")
     stream.thread_type = "AUTO"
     return container, stream
 

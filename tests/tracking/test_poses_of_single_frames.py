@@ -1,0 +1,214 @@
+"""Laws of the pose of one frame: it is where the pixels say, and it knows how well they say so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from diethrow.model.motion import State
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
+from diethrow.model.solids import SHAPES
+from diethrow.tracking.pose import Pose, labelled_like, outline_box, picture_score, refine_pose, share_in_view, visible_faces
+from footage_of_throws import DICE, Studio, photograph, studio
+from random_throws import random_quaternion
+
+Array = NDArray[np.float64]
+
+ROOM = studio()
+STILL = np.zeros(3)
+DIRECTIONS = {"x": 0, "y": 1, "z": 2, "turn about x": 3, "turn about y": 4, "turn about z": 5}
+
+
+def resting_state(rng: np.random.Generator, velocity: Array = STILL, omega: Array = STILL) -> State:
+    """A die in the middle of the picture, in any orientation."""
+    position = np.array([0.0, 0.0, 0.018]) + rng.uniform(-0.003, 0.003, 3)
+    return State(0.0, position, random_quaternion(rng), velocity, omega)
+
+
+def errors_of(state: State, pose: Pose) -> Array:
+    """(6,) true minus found: position [m] and rotation vector [rad]."""
+    turned = rotvec_from_quat(quat_from_matrix(state.rotation @ pose.rotation.T))
+    return np.concatenate([state.position_m - pose.position_m, turned])
+
+
+def nees_of(state: State, pose: Pose) -> float:
+    """Squared error in sigmas of the pose's own covariance: 6 on average where that is honest."""
+    assert pose.covariance is not None
+    errors = errors_of(state, pose)
+    return float(errors @ np.linalg.solve(pose.covariance, errors))
+
+
+def found(room: Studio, shape: str, state: State, image: NDArray[np.float32], exposure_s: float | None = None) -> Pose:
+    """The pose refined from one a millimetre and two degrees off."""
+    view = room.view(DICE[shape])
+    view = view if exposure_s is None else replace(view, exposure_s=exposure_s)
+    start = matrix_from_quat(quat_from_rotvec([0.02, -0.02, 0.02])) @ state.rotation
+    off = np.array([4e-4, -4e-4, 8e-4])
+    return refine_pose(
+        view, image, state.position_m + off, start, velocity_m_s=state.velocity_m_s, omega_rad_s=state.omega_rad_s, coarse=3
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("direction", DIRECTIONS)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_displaced_pose_is_brought_back(shape: str, direction: str) -> None:
+    state = resting_state(np.random.default_rng(3))
+    image = photograph(ROOM, DICE[shape], state)
+    change = np.zeros(6)
+    change[DIRECTIONS[direction]] = 8e-4 if DIRECTIONS[direction] < 3 else 0.04
+    turned = matrix_from_quat(quat_from_rotvec(change[3:])) @ state.rotation
+    pose = refine_pose(ROOM.view(DICE[shape]), image, state.position_m + change[:3], turned, coarse=2)
+    # The drawn edge is a Gaussian averaged over the pixel, the model a Gaussian: the difference stays below what half a
+    # grey level of noise, the least that is assumed, would do.
+    assert nees_of(state, pose) < 6.0
+    assert pose.support > 0.9
+
+
+@cache
+def noisy_nees(shape: str, count: int) -> tuple[Array, int]:
+    """NEES of seeded frames with noise, and how many frames left a direction open."""
+    room = replace(ROOM, noise_grey=3.0)
+    values = []
+    for seed in range(count):
+        rng = np.random.default_rng(seed)
+        state = resting_state(rng)
+        pose = found(room, shape, state, photograph(room, DICE[shape], state, rng))
+        if pose.covariance is not None:
+            values.append(nees_of(state, pose))
+    return np.array(values), count - len(values)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_covariance_of_a_noisy_frame_is_honest(shape: str) -> None:
+    nees, open_ones = noisy_nees(shape, 60)
+    print(shape, nees.mean(), np.median(nees), nees.max(), open_ones)
+
+
+CASES = 16
+
+
+def poses_under(room: Studio, shape: str, bar_grey: float | None = None) -> tuple[Array, Array]:
+    """NEES and turn off [rad] of seeded frames, a bar of 6 pixels before the die where `bar_grey` is given."""
+    nees, off = [], []
+    for seed in range(CASES):
+        rng = np.random.default_rng(seed)
+        state = resting_state(rng)
+        image = photograph(room, DICE[shape], state, rng)
+        if bar_grey is not None:
+            column = int(room.camera.project(state.position_m)[0]) + 8
+            image[:, column : column + 6] = bar_grey
+        pose = found(room, shape, state, image)
+        if pose.covariance is not None:
+            nees.append(nees_of(state, pose))
+            off.append(float(np.linalg.norm(errors_of(state, pose)[3:])))
+    return np.array(nees), np.array(off)
+
+
+@pytest.mark.parametrize("shape", ["cube", "dodecahedron"])
+def test_a_shadow_beside_the_die_does_not_move_it(shape: str) -> None:
+    nees, off = poses_under(replace(ROOM, noise_grey=2.0, shadow=0.5), shape)
+    print("shadow", shape, np.median(nees), nees.mean(), np.sort(nees)[-4:], np.degrees(np.median(off)), len(nees))
+
+
+@pytest.mark.parametrize("shape", ["cube", "dodecahedron"])
+@pytest.mark.parametrize("bar_grey", [20.0, 130.0])
+def test_a_bar_before_the_die_does_not_move_it(shape: str, bar_grey: float) -> None:
+    nees, off = poses_under(replace(ROOM, noise_grey=2.0), shape, bar_grey)
+    print("bar", shape, np.median(nees), nees.mean(), np.sort(nees)[-4:], np.degrees(np.median(off)), len(nees))
+
+
+def moving_frames(told: bool) -> tuple[Array, Array]:
+    """Normalised errors (n, 6) and NEES of fast dice; the exposure known to the tracker or not."""
+    room = replace(ROOM, noise_grey=2.0, exposure_s=3e-4)
+    errors, nees = [], []
+    for seed in range(CASES):
+        rng = np.random.default_rng(300 + seed)
+        state = resting_state(rng, np.array([0.5, 0.3, -1.2]), 50.0 * rng.normal(size=3))
+        image = photograph(room, DICE["cube"], state, rng)
+        pose = found(room, "cube", state, image, room.exposure_s if told else 0.0)
+        assert pose.covariance is not None
+        errors.append(errors_of(state, pose) / np.sqrt(np.diag(pose.covariance)))
+        nees.append(nees_of(state, pose))
+    return np.array(errors), np.array(nees)
+
+
+def test_motion_during_a_known_exposure_leaves_the_pose_of_its_middle() -> None:
+    errors, nees = moving_frames(True)
+    print(errors.mean(0), nees.mean(), np.median(nees), moving_frames(False)[1].mean())
+
+
+def test_the_noise_left_over_is_least_at_the_true_blur() -> None:
+    room = replace(ROOM, noise_grey=1.0, blur_px=0.9)
+    state = resting_state(np.random.default_rng(11))
+    image = photograph(room, DICE["cube"], state, np.random.default_rng(11))
+    left = {}
+    for blur in (0.5, 0.7, 0.9, 1.1, 1.4):
+        view = replace(room.view(DICE["cube"]), blur_px=blur)
+        left[blur] = refine_pose(view, image, state.position_m, state.rotation, coarse=0).log_noise
+    assert min(left, key=lambda blur: left[blur]) == 0.9
+
+
+def test_grey_levels_have_no_unit() -> None:
+    state = resting_state(np.random.default_rng(8))
+    room = replace(ROOM, noise_grey=2.0)
+    image = photograph(room, DICE["cube"], state, np.random.default_rng(8))
+    plain = found(room, "cube", state, image)
+    scaled = replace(room, table=room.table * np.float32(16.0), noise_grey=32.0)
+    deep = found(scaled, "cube", state, image * np.float32(16.0))
+    # A power of two leaves every digit of every product as it is, but the sum of squares that is compared with one.
+    np.testing.assert_allclose(deep.position_m, plain.position_m, atol=1e-9)
+    np.testing.assert_allclose(deep.information, plain.information, rtol=1e-3)
+
+
+def test_a_die_out_of_the_picture_has_no_pose() -> None:
+    state = replace(resting_state(np.random.default_rng(2)), position_m=np.array([0.1, 0.0, 0.02]))
+    view = ROOM.view(DICE["cube"])
+    pose = refine_pose(view, ROOM.table, state.position_m, state.rotation)
+    assert pose.covariance is None
+    assert share_in_view(view, state.position_m, state.rotation) == 0.0
+    assert outline_box(view, state.position_m, state.rotation, 4.0) is None
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_labelling_nearest_to_the_wanted_one_draws_the_same_die(shape: str) -> None:
+    rng = np.random.default_rng(6)
+    view, solid = ROOM.view(DICE[shape]), DICE[shape].solid
+    rotation, wanted = (matrix_from_quat(random_quaternion(rng)) for _ in range(2))
+    nearest = labelled_like(view, rotation, wanted)
+    gaps = np.linalg.norm((solid.vertices @ nearest.T)[:, None] - (solid.vertices @ rotation.T)[None], axis=2).min(1)
+    # The symmetries are computed from the vertices: rounding only.
+    assert gaps.max() < 1e-12
+    traces = [float(np.trace(wanted.T @ rotation @ s)) for s in view.symmetries]
+    assert np.trace(wanted.T @ nearest) == pytest.approx(max(traces), abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_true_pose_explains_the_picture_best(shape: str) -> None:
+    rng = np.random.default_rng(13)
+    room = replace(ROOM, noise_grey=2.0)
+    state, view = resting_state(rng), room.view(DICE[shape])
+    image = photograph(room, DICE[shape], state, rng)
+    box = outline_box(view, state.position_m, state.rotation, 8.0)
+    assert box is not None
+    best, differs = picture_score(view, image, box, state.position_m, state.rotation, 1)
+    assert differs > 0.9
+    for axis in np.vstack([np.eye(3), -np.eye(3)]):
+        turned = matrix_from_quat(quat_from_rotvec(0.12 * axis)) @ state.rotation
+        assert picture_score(view, image, box, state.position_m, turned, 1)[0] > best
+        assert picture_score(view, image, box, state.position_m + 1e-3 * axis @ ROOM.camera.rotation, state.rotation, 1)[
+            0
+        ] > (best if abs(axis[2]) < 0.5 else 0.0)
+
+
+def test_a_cube_seen_from_its_corner_shows_three_faces() -> None:
+    view = ROOM.view(DICE["cube"])
+    toward = ROOM.camera.centre_m / np.linalg.norm(ROOM.camera.centre_m)
+    corner = DICE["cube"].solid.vertices[7] / np.linalg.norm(DICE["cube"].solid.vertices[7])
+    axis = np.cross(corner, toward)
+    angle = np.arctan2(np.linalg.norm(axis), corner @ toward)
+    rotation = matrix_from_quat(quat_from_rotvec(angle * axis / np.linalg.norm(axis)))
+    assert len(visible_faces(view, np.zeros(3), rotation)) == 3
