@@ -42,10 +42,9 @@ def nees_of(state: State, pose: Pose) -> float:
     return float(errors @ np.linalg.solve(pose.covariance, errors))
 
 
-def found(room: Studio, shape: str, state: State, image: NDArray[np.float32], exposure_s: float | None = None) -> Pose:
+def found(room: Studio, shape: str, state: State, image: NDArray[np.float32]) -> Pose:
     """The pose refined from one a millimetre and two degrees off."""
     view = room.view(DICE[shape])
-    view = view if exposure_s is None else replace(view, exposure_s=exposure_s)
     start = matrix_from_quat(quat_from_rotvec([0.02, -0.02, 0.02])) @ state.rotation
     off = np.array([4e-4, -4e-4, 8e-4])
     return refine_pose(
@@ -85,7 +84,13 @@ def noisy_nees(shape: str, count: int) -> tuple[Array, int]:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_covariance_of_a_noisy_frame_is_honest(shape: str) -> None:
     nees, open_ones = noisy_nees(shape, 60)
-    print(shape, nees.mean(), np.median(nees), nees.max(), open_ones)
+    # A tetrahedron seen face-on shows one face; then the pixels may leave a direction open, and the pose says so.
+    assert open_ones <= (6 if shape == "tetrahedron" else 1)
+    # The median of chi-square with six numbers is 5.35, and scatters by 0.5 over 60 frames; corners are rounded by the
+    # blur, which the model of straight edges leaves out.
+    assert 4.0 < np.median(nees) < 8.0
+    # Its mean is 6 ± 0.45. One or two frames may have a face so nearly edge-on that the error is not small.
+    assert 4.5 < np.sort(nees)[:-2].mean() < 8.0
 
 
 CASES = 16
@@ -111,25 +116,31 @@ def poses_under(room: Studio, shape: str, bar_grey: float | None = None) -> tupl
 @pytest.mark.parametrize("shape", ["cube", "dodecahedron"])
 def test_a_shadow_beside_the_die_does_not_move_it(shape: str) -> None:
     nees, off = poses_under(replace(ROOM, noise_grey=2.0, shadow=0.5), shape)
-    print("shadow", shape, np.median(nees), nees.mean(), np.sort(nees)[-4:], np.degrees(np.median(off)), len(nees))
+    # The model knows the shade beside an edge as one share of the background; where the rim of the shadow crosses a
+    # stretch of edge it is not one, and a frame now and then is off by more than its sigma says.
+    assert 3.0 < np.median(nees) < 10.0
+    assert np.degrees(np.median(off)) < 0.08
+    assert np.sum(nees > 40.0) <= 2
 
 
 @pytest.mark.parametrize("shape", ["cube", "dodecahedron"])
 @pytest.mark.parametrize("bar_grey", [20.0, 130.0])
 def test_a_bar_before_the_die_does_not_move_it(shape: str, bar_grey: float) -> None:
     nees, off = poses_under(replace(ROOM, noise_grey=2.0), shape, bar_grey)
-    print("bar", shape, np.median(nees), nees.mean(), np.sort(nees)[-4:], np.degrees(np.median(off)), len(nees))
+    assert 3.0 < np.median(nees) < 10.0
+    assert np.degrees(np.median(off)) < 0.08
+    assert np.sum(nees > 40.0) <= 2
 
 
-def moving_frames(told: bool) -> tuple[Array, Array]:
-    """Normalised errors (n, 6) and NEES of fast dice; the exposure known to the tracker or not."""
+def moving_frames() -> tuple[Array, Array]:
+    """Normalised errors (n, 6) and NEES of fast dice, the exposure known."""
     room = replace(ROOM, noise_grey=2.0, exposure_s=3e-4)
     errors, nees = [], []
     for seed in range(CASES):
         rng = np.random.default_rng(300 + seed)
         state = resting_state(rng, np.array([0.5, 0.3, -1.2]), 50.0 * rng.normal(size=3))
         image = photograph(room, DICE["cube"], state, rng)
-        pose = found(room, "cube", state, image, room.exposure_s if told else 0.0)
+        pose = found(room, "cube", state, image)
         assert pose.covariance is not None
         errors.append(errors_of(state, pose) / np.sqrt(np.diag(pose.covariance)))
         nees.append(nees_of(state, pose))
@@ -137,8 +148,10 @@ def moving_frames(told: bool) -> tuple[Array, Array]:
 
 
 def test_motion_during_a_known_exposure_leaves_the_pose_of_its_middle() -> None:
-    errors, nees = moving_frames(True)
-    print(errors.mean(0), nees.mean(), np.median(nees), moving_frames(False)[1].mean())
+    errors, nees = moving_frames()
+    # Sixteen frames: the mean of a normalised error is 0 ± 0.25.
+    assert np.abs(errors.mean(0)).max() < 0.8
+    assert 4.0 < nees.mean() < 9.0
 
 
 def test_the_noise_left_over_is_least_at_the_true_blur() -> None:
@@ -199,9 +212,9 @@ def test_the_true_pose_explains_the_picture_best(shape: str) -> None:
     for axis in np.vstack([np.eye(3), -np.eye(3)]):
         turned = matrix_from_quat(quat_from_rotvec(0.12 * axis)) @ state.rotation
         assert picture_score(view, image, box, state.position_m, turned, 1)[0] > best
-        assert picture_score(view, image, box, state.position_m + 1e-3 * axis @ ROOM.camera.rotation, state.rotation, 1)[
-            0
-        ] > (best if abs(axis[2]) < 0.5 else 0.0)
+    for axis in np.vstack([ROOM.camera.rotation[:2], -ROOM.camera.rotation[:2]]):
+        aside = state.position_m + 1e-3 * axis
+        assert picture_score(view, image, box, aside, state.rotation, 1)[0] > best
 
 
 def test_a_cube_seen_from_its_corner_shows_three_faces() -> None:
