@@ -6,7 +6,7 @@ of known width, white noise. What the lens cannot do (shadow, motion blur, somet
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -99,11 +99,6 @@ def film(room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 
         np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng)), 0, 2**bit_depth - 1) for t in times
     ]
     return ArrayClip(np.array(stack).astype(dtype), times, bit_depth)
-
-
-def with_light(room: Studio, factor: float) -> Studio:
-    """The same table at another scale of grey levels."""
-    return replace(room, table=room.table * np.float32(factor), noise_grey=room.noise_grey * factor)
 
 
 def greys(die: Die, rotation: Array) -> Array:

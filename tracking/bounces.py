@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
 from ..model.rotations import matrix_from_quat, rotation_between
 from ..model.solids import Die, lowest_face
-from .joined import Joined, Sightings, fit_flight, fit_joined, transition
+from .joined import Joined, Sightings, fit_flight, fit_joined, seen_minus_motion, transition
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -33,6 +33,8 @@ TABLE_REACH = 0.35
 per cent of the distance to the camera is a quarter of a die)."""
 OPEN_STRAIN = 5.0
 """Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
+LONGEST = 40
+"""Frames of each flight that are enough to judge a contact between them."""
 GROSS_RAD = 0.2
 """Flights whose orientations stay further apart than this at their nearest are not joined at one instant."""
 SAMPLES = 2000
@@ -68,9 +70,7 @@ def _state_from(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float]
 
 def _misfit(seen: Sightings, state: State, rows: NDArray[np.int64]) -> Array:
     """Distance (rows,) of frames from a motion, in sigmas (root mean square of six)."""
-    p, q = Flight(state, np.inf).poses(seen.time_s[rows])
-    raw = np.concatenate([seen.position_m[rows] - p, rotation_between(q, seen.quaternion[rows])], axis=1)
-    return np.asarray(np.sqrt((np.einsum("nij,nj->ni", seen.whitener[rows], raw) ** 2).mean(1)))
+    return np.asarray(np.sqrt((seen_minus_motion(seen.rows(rows), state) ** 2).mean(1)))
 
 
 def _part(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
@@ -118,24 +118,18 @@ def _gain(seen: Sightings, cuts: list[int], s: int) -> float:
 
 
 def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Joined, list[bool]]:
-    """All flights fitted together. Links that cannot be bounces are removed, the weakest first; then links that one
-    instant cannot explain are opened, the worst first."""
-    opened = _gross_gaps(seen, parts, die)
-    # What frames lie off their own flight is taken from flights fitted alone: a chain that is forced together where it
-    # does not hold can make every frame look far off.
-    usual = max(0.5, float(np.median(np.concatenate([_misfit(seen, _state_from(seen, p)[0], p) for p in parts]))))
+    """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
+    flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
+    bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
     while True:
+        gross = _gross_gaps(seen, parts, die)
+        opened = [g or _strain(seen, a, b) > OPEN_STRAIN for g, a, b in zip(gross, parts, parts[1:], strict=False)]
         joined = _fit_parts(seen, parts, opened)
-        faults = [k for k in range(len(opened)) if not _can_be_bounce(joined, k, die)]
-        if faults:
-            k = min(faults, key=lambda j: _jump(joined, j, die))
-            parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
-            opened = opened[:k] + opened[k + 1 :]
-            continue
-        strain = np.array([0.0 if o else _strain(joined, parts, k) for k, o in enumerate(opened)])
-        if not len(strain) or strain.max() < OPEN_STRAIN * usual:
+        faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
+        if not faults:
             return joined, opened
-        opened[int(np.argmax(strain))] = True
+        k = min(faults, key=lambda j: _jump(joined, j, die))
+        parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
 
 
 def _gross_gaps(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> list[bool]:
@@ -152,10 +146,15 @@ def _gross_gaps(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> li
     return gross
 
 
-def _strain(joined: Joined, parts: list[NDArray[np.int64]], k: int) -> float:
-    """Mean misfit [sigmas] of the frames beside a link, less the worst: one may straddle the contact in its exposure."""
-    beside = np.arange(max(parts[k][-1] - 3, parts[k][0]), min(parts[k + 1][0] + 4, parts[k + 1][-1]))
-    return float(np.mean(np.sort(joined.residual[beside])[: max(1, len(beside) - 1)])) if len(beside) else 0.0
+def _strain(seen: Sightings, before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
+    """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
+    left out: one frame may straddle the contact in its exposure."""
+    a, b = before[-LONGEST:], after[:LONGEST]
+    alone = np.concatenate([_misfit(seen, _state_from(seen, rows)[0], rows) for rows in (a, b)])
+    pair = seen.rows(np.concatenate([a, b]))
+    joined = _fit_parts(pair, [np.arange(len(a)), np.arange(len(a), len(a) + len(b))], [False])
+    beside = joined.residual[max(len(a) - 4, 0) : len(a) + 4]
+    return float(np.mean(np.sort(beside)[:-1])) / max(float(np.median(alone)), 0.5)
 
 
 def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
@@ -168,8 +167,6 @@ def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
     edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
     if abs(arms[low, 2] + a.position_m[2]) > TABLE_REACH * edge or b.velocity_m_s[2] <= a.velocity_m_s[2]:
         return False
-    if joined.open[k]:
-        return True
     return _normal_velocity(a, arms[low]) < 0.0 < _normal_velocity(b, arms[low])
 
 
@@ -183,11 +180,16 @@ def _jump(joined: Joined, k: int, die: Die) -> float:
 
 def _fit_parts(seen: Sightings, parts: list[NDArray[np.int64]], opened: list[bool]) -> Joined:
     """The joint fit of the frames of all flights, from each flight's own fit."""
-    states = [_state_from(seen, _best_rows(seen, rows))[0] for rows in parts]
+    good = [_best_rows(seen, rows) for rows in parts]
+    states = [_state_from(seen, rows)[0] for rows in good]
     links = []
     for k in range(len(parts) - 1):
-        low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
-        links.append(_meeting(states[k], states[k + 1], low, high))
+        if opened[k]:
+            # Between the frames that surely lie on either flight; where exactly, no single instant says.
+            links.append(0.5 * float(seen.time_s[good[k][-1]] + seen.time_s[good[k + 1][0]]))
+        else:
+            low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
+            links.append(_meeting(states[k], states[k + 1], low, high))
     return fit_joined(seen, states, links, opened)
 
 

@@ -115,7 +115,7 @@ def follow(
     report.at_least(len(clip))
     poses = [
         _settled(view, _grey(frame), float(t), seen[k], throw)
-        for k, (t, frame) in enumerate(zip(clip.times_s, report.over(clip.frames()), strict=False))
+        for k, (frame, t) in enumerate(zip(report.over(clip.frames()), clip.times_s, strict=False))
     ]
     return _calibrated(_track(clip, view, poses, throw), die)
 

@@ -121,24 +121,54 @@ def moved(state: State, change: Array) -> State:
 
 def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
     """One flight through some frames: its state at the middle frame, the covariance (12, 12) of that state, and the sum
-    of squared sigmas left. Weighted lines through positions (fall taken out) and rotation vectors: constant spin turns
-    about a fixed axis, so the line is exact. At least two frames."""
+    of squared sigmas left. At least two frames.
+
+    The start is a weighted line through positions (fall taken out) and rotation vectors. That line is exact without
+    noise only: near a whole turn from the middle frame the rotation vector amplifies noise without bound, so
+    Gauss-Newton steps on the exact motion follow, until one gains less than a thousandth.
+    """
     middle = len(seen.time_s) // 2
     t = seen.time_s - seen.time_s[middle]
     fall = seen.position_m + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
     turns = _unwrapped(rotation_between(seen.quaternion[middle], seen.quaternion), t)
     W = seen.whitener
     design = np.concatenate([W, W * t[:, None, None]], axis=2)
+    inverse = _inverse(design)
     target = np.einsum("nij,nj->ni", W, np.concatenate([fall, turns], axis=1))
-    # Small normal equations rather than a tall QR: threaded libraries spend more on waking up than on the work. Columns
-    # differ by the frame spacing; with the diagonal scaled to one the matrix of a flight is well conditioned.
+    x = inverse @ np.einsum("nia,ni->a", design, target)
+    base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
+    state = moved(base, np.concatenate([x[0:6], np.zeros(6)]))
+    residual = seen_minus_motion(seen, state)
+    left = float((residual**2).sum())
+    for _ in range(8):
+        design = W @ transitions(Flight(state, np.inf), seen.time_s)[:, :6]
+        inverse = _inverse(design)
+        trial = moved(state, inverse @ np.einsum("nia,ni->a", design, residual))
+        new = seen_minus_motion(seen, trial)
+        new_left = float((new**2).sum())
+        if not new_left < left:
+            break
+        gain, state, residual, left = left - new_left, trial, new, new_left
+        if gain < 1e-3 * left:
+            break
+    return state, inverse, left
+
+
+def seen_minus_motion(seen: Sightings, state: State) -> Array:
+    """Whitened residuals (n, 6) of frames from one motion."""
+    p, q = Flight(state, np.inf).poses(seen.time_s)
+    raw = np.concatenate([seen.position_m - p, rotation_between(q, seen.quaternion)], axis=1)
+    return np.asarray(np.einsum("nij,nj->ni", seen.whitener, raw))
+
+
+def _inverse(design: Array) -> Array:
+    """Inverse of the normal matrix of a design (n, 6, 12). Small normal equations rather than a tall QR: threaded
+    libraries spend more on waking up than on the work. Columns differ by the frame spacing; with the diagonal scaled
+    to one the matrix of a flight is well conditioned."""
     A = np.einsum("nia,nib->ab", design, design)
     unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    inverse = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-12, hermitian=True) * np.outer(unit, unit)
-    x = inverse @ np.einsum("nia,ni->a", design, target)
-    left = float(((np.einsum("nia,a->ni", design, x) - target) ** 2).sum())
-    base = State(float(seen.time_s[middle]), np.zeros(3), seen.quaternion[middle], x[6:9], x[9:12])
-    return moved(base, np.concatenate([x[0:6], np.zeros(6)])), inverse, left
+    inverse = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-12, hermitian=True)
+    return np.asarray(inverse * np.outer(unit, unit))
 
 
 def _unwrapped(turns: Array, t: Array) -> Array:
@@ -269,16 +299,11 @@ class _Chain:
         jacobian = np.empty((len(which), 6, maps[0].shape[1]))
         for k, state in enumerate(states):
             mine = np.flatnonzero(which == k)
-            flight = Flight(state, np.inf)
             if not len(mine):
                 continue
-            p, q = flight.poses(self.seen.time_s[mine])
-            raw = np.concatenate(
-                [self.seen.position_m[mine] - p, rotation_between(q, self.seen.quaternion[mine])], axis=1
-            )
-            W = self.seen.whitener[mine]
-            residual[mine] = np.einsum("nij,nj->ni", W, raw)
-            jacobian[mine] = -W @ (transitions(flight, self.seen.time_s[mine])[:, :6] @ maps[k])
+            part = self.seen.rows(mine)
+            residual[mine] = seen_minus_motion(part, state)
+            jacobian[mine] = -part.whitener @ (transitions(Flight(state, np.inf), part.time_s)[:, :6] @ maps[k])
         return residual, jacobian
 
     def stepped(self, step: Array) -> _Chain:

@@ -38,6 +38,7 @@ from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure_throw
 from .tracking.clip import Clip, open_clip
 from .tracking.follow import follow
+from .tracking.gravity import fall_notices, measure_fall
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
 
@@ -59,6 +60,11 @@ class Tracking:
     measured: Throw
     smoothed: Track
     """The same frames, with the exact motion of the flights where it holds."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a careful reader should know of the footage and of the motion in it, one sentence each."""
+        return (*self.clip.notices, *fall_notices(measure_fall(self.frames, self.measured)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +98,7 @@ def analyze(
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         tracking = track_scene(scene, progress, watch)
         fit = _fit(tracking.frames, tracking.measured, scene, progress, watch)
-        notices = tracking.clip.notices
+        notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = _write_model(folder, fit, tracking.frames)
         record = Record(
@@ -187,10 +193,16 @@ def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | No
     with watch.stage("open"):
         clip = open_footage(scene, view)
         background = _background(scene, view, clip)
-    with watch.stage("track"):
-        progress("Following the die", 0, len(clip))
-        frames = _follow(scene, view, clip, background, progress)
-    measured, smoothed = _bounces(frames, scene.path, scene.die, progress, watch)
+    try:
+        with watch.stage("track"):
+            progress("Following the die", 0, len(clip))
+            frames = _follow(scene, view, clip, background, progress)
+        measured, smoothed = _bounces(frames, scene.path, scene.die, progress, watch)
+    except RunError as error:
+        # A clip that is cut off may be why nothing is found in it.
+        for notice in clip.notices:
+            error.add_note(notice)
+        raise
     return Tracking(clip, frames, measured, smoothed)
 
 

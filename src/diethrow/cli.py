@@ -85,7 +85,7 @@ def track(scene: SceneFile, out: OutFolder, force: Force = False) -> None:
         with _progress() as progress:
             command = _command("track", scene, out, force)
             result = track_only(checked, out, force=force, progress=progress, command=command)
-        _print_notices(result.clip.notices)
+        _print_notices(result.notices)
         tracked, total = int(result.frames.tracked.sum()), len(result.frames)
         typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
 
@@ -145,10 +145,11 @@ def _one_sentence_errors() -> Iterator[None]:
     except (ValueError, OSError) as error:
         if os.environ.get("DIETHROW_TRACEBACK"):
             raise
-        from .outputs import OutputExistsError
+        from .outputs import OutputExistsError, OutputPlaceError
         from .settings import SceneError
 
-        misused = isinstance(error, (SceneError, OutputExistsError))
+        _print_notices(tuple(getattr(error, "__notes__", ())))
+        misused = isinstance(error, (SceneError, OutputExistsError, OutputPlaceError))
         _stop(" ".join(str(error).split()) or type(error).__name__, MISUSED if misused else FAILED)
 
 

@@ -21,18 +21,20 @@ class OutputExistsError(FileExistsError):
     """The output is there already, and nobody said that it may be replaced."""
 
 
+class OutputPlaceError(OSError):
+    """The output cannot be made where it was wanted."""
+
+
 @contextmanager
 def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
     """A folder to write into; it becomes `folder` when the block ends, and vanishes when the block fails.
 
     Raises OutputExistsError, before anything is computed, where `folder` exists and may not be replaced (see
-    `refuse_existing`), and OSError where it cannot be made. SIGTERM within the block counts as Ctrl-C.
+    `refuse_existing`), and OutputPlaceError where it cannot be made. SIGTERM within the block counts as Ctrl-C.
     """
     folder = Path(os.path.abspath(folder))
     kept = tuple(inputs)
-    refuse_existing(folder, force=force, inputs=kept)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    aside = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
+    aside = _folder_beside(folder, force, kept)
     try:
         with _sigterm_as_interrupt():
             yield aside
@@ -57,6 +59,21 @@ def refuse_existing(folder: Path, *, force: bool = False, inputs: Iterable[Path]
     for kept in (*inputs, Path.cwd(), Path.home()):
         if folder.exists() and kept.resolve().is_relative_to(folder.resolve()):
             raise OutputExistsError(f"{folder} holds {kept}, which must stay; wanted another folder, try another --out")
+
+
+def _folder_beside(folder: Path, force: bool, inputs: tuple[Path, ...]) -> Path:
+    """A new, empty folder next to `folder`, on the same disk, where `folder` may be written."""
+    try:
+        refuse_existing(folder, force=force, inputs=inputs)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".part", dir=folder.parent))
+    except OutputExistsError:
+        raise
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise OutputPlaceError(
+            f"{folder} cannot be made ({reason}); wanted a place that can be written, try another --out"
+        ) from error
 
 
 def _settle(aside: Path) -> None:

@@ -7,9 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from footage_of_throws import studio
 
 from diethrow.tracking.camera import Camera
-from footage_of_throws import studio
 
 CAMERA = studio().camera
 DISTORTIONS = {

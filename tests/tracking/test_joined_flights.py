@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from random_throws import random_quaternion
+from throws import FPS, initial_errors, random_release, seen, true_throw
 
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
@@ -23,8 +25,6 @@ from diethrow.tracking.joined import (
     transition,
 )
 from diethrow.tracking.track import Track
-from random_throws import random_quaternion
-from throws import FPS, initial_errors, random_release, seen, true_throw
 
 Array = NDArray[np.float64]
 
