@@ -33,6 +33,8 @@ TABLE_REACH = 0.35
 per cent of the distance to the camera is a quarter of a die)."""
 OPEN_STRAIN = 5.0
 """Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
+FAULTY_STRAIN = 2.0
+"""The same, for a link that on top of it does not look like a bounce."""
 LONGEST = 40
 """Frames of each flight that are enough to judge a contact between them."""
 GROSS_RAD = 0.2
@@ -123,8 +125,17 @@ def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Jo
     bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
     while True:
         gross = _gross_gaps(seen, parts, die)
-        opened = [g or _strain(seen, a, b) > OPEN_STRAIN for g, a, b in zip(gross, parts, parts[1:], strict=False)]
+        strains = [_strain(seen, a, b) for a, b in itertools.pairwise(parts)]
+        opened = [g or strain > OPEN_STRAIN for g, strain in zip(gross, strains, strict=True)]
         joined = _fit_parts(seen, parts, opened)
+        impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
+        if any(bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)):
+            # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
+            opened = [
+                o or (bad and strain > FAULTY_STRAIN)
+                for o, bad, strain in zip(opened, impossible, strains, strict=True)
+            ]
+            joined = _fit_parts(seen, parts, opened)
         faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
         if not faults:
             return joined, opened
