@@ -45,7 +45,7 @@ FIRST_BLUR_PX = 0.7
 BLURS_PX = (0.35, 0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.0)
 TRIAL_FRAMES = 8
 """Frames that a start must be followed over before it is believed."""
-START_FRAMES = 24
+START_FRAMES = 14
 """Frames on which a start is looked for, a few frames apart, before the clip is given up."""
 HISTORY = 20
 """Frames of the same flight that say where the next pose will be."""
@@ -198,7 +198,8 @@ def _find_beginning(view: View, ahead: _Ahead, times: Array) -> tuple[int, list[
                 return k, best[1]
             if spare is None or support > spare[0]:
                 spare = support, k, best[1]
-        k += 4
+        # Ever wider apart: a shadow alone may fill many frames before the die that casts it comes into view.
+        k += 4 + tried
     return spare[1:] if spare is not None and spare[0] > FAIR_SUPPORT else None
 
 
