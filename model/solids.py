@@ -46,6 +46,11 @@ class Solid:
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
     @property
+    def edge_m(self) -> float:
+        """[m] length of the first edge: of every edge, on the five dice."""
+        return float(np.linalg.norm(np.subtract(*self.vertices[self.edges[0]])))
+
+    @property
     def inradius(self) -> float:
         """[m] distance of the nearest face plane from the centroid."""
         return float(self.offsets.min())
@@ -196,7 +201,7 @@ def _unit_solid(shape: str) -> Solid:
         ring = [(0.0, s / golden, t * golden) for s in signs for t in signs]
         corners = np.vstack([cube, [np.roll(p, k) for k in range(3) for p in ring]])
     solid = convex_solid(corners, shape)
-    edge = float(np.linalg.norm(np.subtract(*solid.vertices[solid.edges[0]])))
+    edge = solid.edge_m
     order = _cube_order(solid) if shape == "cube" else list(range(len(solid.faces)))
     faces = tuple(solid.faces[k] for k in order)
     edges, edge_faces = _edges(faces)

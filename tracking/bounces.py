@@ -25,7 +25,7 @@ WINDOW = 12
 """Frames on either side of an instant that say whether the motion changes there."""
 GAIN = 10.0
 """By how much, in squared sigmas for each of the twelve numbers that it adds, a second motion must explain the frames
-better than one. Noise alone gives 1 ± 0.4; the weakest bounces of a die that still moves on give hundreds."""
+better than one. Noise alone gives 1 ± 0.4, the mean and spread of chi-square over its twelve degrees of freedom."""
 FEWEST = 3
 """Frames that measure a flight."""
 TABLE_REACH = 0.35
@@ -98,7 +98,7 @@ def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
     """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on a frame beside it."""
     heights = (matrix_from_quat(seen.quaternion) @ die.solid.vertices.T)[:, 2].min(1) + seen.position_m[:, 2]
     fall = np.abs(np.diff(heights, prepend=heights[0]))
-    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    edge = die.solid.edge_m
     near = heights < TABLE_REACH * edge + 2.0 * fall
     out = np.zeros(len(heights) + 1, bool)
     out[:-1] |= near
@@ -175,7 +175,7 @@ def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
     a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
     arms = die.solid.vertices @ a.rotation.T
     low = int(np.argmin(arms[:, 2]))
-    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    edge = die.solid.edge_m
     if abs(arms[low, 2] + a.position_m[2]) > TABLE_REACH * edge or b.velocity_m_s[2] <= a.velocity_m_s[2]:
         return False
     return _normal_velocity(a, arms[low]) < 0.0 < _normal_velocity(b, arms[low])
@@ -238,7 +238,7 @@ def _impact(joined: Joined, die: Die, k: int, is_open: bool, draws: Array) -> Im
     arms = die.solid.vertices @ a.rotation.T
     heights = arms[:, 2] + a.position_m[2]
     order = np.argsort(heights)
-    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    edge = die.solid.edge_m
     touching = tuple(int(i) for i in order if heights[i] - heights[order[0]] < 0.01 * edge)
     contact = "unresolved" if is_open else {1: "vertex", 2: "edge"}.get(len(touching), "face")
     arm = arms[list(touching)].mean(0)

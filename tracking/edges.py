@@ -38,7 +38,7 @@ SEGMENT_PX = 24.0
 BUFFER = 2048
 """Pixels of one such stretch at the most."""
 CELLS = 5
-"""Pieces of a rounded strip; ten move no pose by a tenth of its sigma."""
+"""Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
 STRIP_SHARE = 0.5
 """Standard deviation of the prior on α, β, γ, as a share of the mean intensity beside the edge."""
 SLIVER = 0.04

@@ -234,7 +234,7 @@ def _steady(view: View, alive: Sequence[Sighting]) -> bool:
     q = quat_from_matrix(np.array([s.pose.rotation for s in alive]))
     turns = rotation_between(quat_from_matrix(middle.pose.rotation), q)
     solid = view.die.solid
-    edge = float(np.linalg.norm(np.subtract(*solid.vertices[solid.edges[0]])))
+    edge = solid.edge_m
     for values, allowed in ((fall, 0.1 * edge), (turns, np.radians(1.5))):
         left = values - np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1)
         if float(np.sqrt((left**2).sum(1).mean())) > allowed:
@@ -251,7 +251,6 @@ class _Chase:
         self.costs = [s.cost for s in history]
         self.backwards = backwards
         self.misses = 0
-        self.since = 0
 
     def step(self, image: Image, time_s: float) -> Sighting | None:
         """The pose on the next frame, or None where it is lost or out of view."""
@@ -396,7 +395,7 @@ def _bounced(die: Die, last: State, time_s: float) -> Iterator[State]:
     corners = last.rotation @ die.solid.vertices.T
     heights = corners[2] + last.position_m[2]
     sink = np.minimum(last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2], 0.0) * dt
-    edge = float(np.linalg.norm(np.subtract(*die.solid.vertices[die.solid.edges[0]])))
+    edge = die.solid.edge_m
     for i in np.flatnonzero(heights + 1.5 * sink < 0.12 * edge):
         arm = corners[:, i]
         normal = last.velocity_m_s[2] + np.cross(last.omega_rad_s, arm)[2]

@@ -79,8 +79,8 @@ class Joined:
 
 
 def left_jacobians(v: Array) -> Array:
-    """J(v) (n, 3, 3) with exp(v + δ) = exp(J δ) exp(v), for v (n, 3). Below 1e-3 rad the series is used: its first
-    missing term is v³/24, and (v - sin v)/v³ has lost nine digits there."""
+    """J(v) (n, 3, 3) with exp(v + δ) = exp(J δ) exp(v), for v (n, 3). Below 1e-3 rad the series is used: it is
+    exact to rounding there, while (v - sin v)/v³ has lost seven digits."""
     angle = np.linalg.norm(v, axis=1)[:, None, None]
     V = np.zeros((len(v), 3, 3))
     V[:, 0, 1], V[:, 0, 2], V[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60, "icosahedron": 60}
 """Order of each die's rotation group: the grid needs that many times fewer orientations."""
 GRID = 12_000
-"""Orientations that cover all rotations about 9 degrees apart; the edges pull a start in from there."""
+"""Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
 REFINED, KEPT = 48, 6
 LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
@@ -91,7 +91,7 @@ def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pos
     """One of each group of poses that draw the same picture: every corner within a twentieth of an edge of some corner
     of the other, which the die's symmetry makes likely."""
     vertices = view.die.solid.vertices
-    near = 0.05 * float(np.linalg.norm(np.subtract(*vertices[view.die.solid.edges[0]])))
+    near = 0.05 * view.die.solid.edge_m
     kept: list[tuple[float, Pose]] = []
     drawn: list[Array] = []
     for score, pose in found:
