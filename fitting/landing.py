@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model import kernels
+from ..model.bodies import body_of
 from ..model.impacts import SmoothImpact
 from ..model.motion import State, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from ..model.simulate import Until, edge_barriers_m, throw_die
+from ..model.simulate import Until, throw_die
 from ..model.solids import Die, lowest_face
 from ..model.tangent import propagate
 from ..model.touch import packed_state
@@ -112,16 +113,13 @@ def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], unti
     depth = float((matrix_from_quat(last.quaternion) @ die.solid.vertices.T)[2].min() + last.position_m[2])
     if depth < -1e-9 * die.solid.circumradius:
         return None
-    solid = die.solid
     _, _, face, *_ = kernels.run_throw(
-        solid.vertices,
-        solid.normals,
-        edge_barriers_m(solid),
-        die.mass_kg,
-        die.inertia_kg_m2,
-        kernels.SMOOTH,
-        np.array([chi]),
+        body_of(die),
+        kernels.Law(kernels.SMOOTH, np.array([chi])),
+        kernels.LEVEL,
+        kernels.FINE,
         packed_state(last),
+        0.0,
         np.inf,
         np.iinfo(np.int64).max,
         True,

@@ -43,7 +43,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Exact motion under gravity alone from the instant of `start` until `end_s`."""
+    """Exact motion under gravity alone from the instant of `start` until `end_s`; its counterpart is `contact.Held`."""
 
     start: State
     end_s: float
@@ -73,9 +73,10 @@ class Impact:
 
     time_s: float
     contact: str
-    """`vertex`, `edge`, `face`, or `unresolved`."""
+    """`vertex`, `edge`, `face`, or `unresolved`; and `held` where nothing strikes and the die only begins to press on
+    other vertices than before, or on none (modelled throws alone)."""
     vertices: tuple[int, ...]
-    """Indices of the vertices that touch; empty when unresolved."""
+    """Indices of the vertices that touch; empty when unresolved. Of `held`: those held from then on."""
     point_m: Array
     """(2,) x and y of the contact on the table."""
     impulse_N_s: Array
@@ -111,6 +112,11 @@ class Throw:
                 f"{len(self.flights)} flights and {len(self.impacts)} impacts: wanted one flight more than impacts"
             )
 
+    @property
+    def bounces(self) -> tuple[Impact, ...]:
+        """The impacts in which something strikes."""
+        return tuple(impact for impact in self.impacts if impact.contact != "held")
+
     def flight_at(self, time_s: float) -> int:
         """Index of the flight that holds this instant; before the release the first, after the end the last."""
         return int(np.searchsorted([impact.time_s for impact in self.impacts], time_s, side="right"))
@@ -131,7 +137,13 @@ class Throw:
 
 
 def energy_J(die: Die, state: State) -> float:
-    """Kinetic plus potential energy [J], zero for a die whose centre rests at the height of the table."""
-    v, w = state.velocity_m_s, state.omega_rad_s
-    kinetic = 0.5 * die.mass_kg * float(v @ v) + 0.5 * die.inertia_kg_m2 * float(w @ w)
-    return kinetic + die.mass_kg * GRAVITY_M_S2 * float(state.position_m[2])
+    """Kinetic plus potential energy [J], zero for a die whose centre of mass rests at the height of the table."""
+    position, v, w = state.position_m, state.velocity_m_s, state.omega_rad_s
+    if die.is_spherical_top:
+        turning = die.inertia_kg_m2 * float(w @ w)
+    else:
+        spin = state.rotation.T @ w
+        turning = float(spin @ np.asarray(die.inertia_tensor_kg_m2) @ spin)
+        arm = state.rotation @ (np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m)
+        position, v = position + arm, v + np.cross(w, arm)
+    return 0.5 * (die.mass_kg * float(v @ v) + turning) + die.mass_kg * GRAVITY_M_S2 * float(position[2])

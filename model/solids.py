@@ -2,7 +2,8 @@
 
 The five isohedral dice are homogeneous and sharp, and so spherical tops (Kapitaniak et al., Chaos 22, 047504, 2012):
 their inertia tensor is a multiple of the identity. Here it is not typed in but integrated over the volume, which the
-tests compare with the paper's formulas.
+tests compare with the paper's formulas. Any other convex solid (the paper's truncated dipyramids among them) and a
+die with a load in it are dice too: they carry an inertia tensor and, where it is not the centroid, a centre of mass.
 
 The body frame has its origin at the centroid. Face k carries the number k + 1; on the cube opposite faces add up to
 seven and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
@@ -10,7 +11,7 @@ seven and 1, 2, 3 turn counter-clockwise round their common corner (the Western,
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -58,16 +59,52 @@ class Solid:
 
 @dataclass(frozen=True, eq=False)
 class Die:
-    """A solid with mass."""
+    """A solid with mass.
+
+    Most dice are spherical tops: one moment of inertia about every axis through the centroid. A die with another
+    tensor, or with its centre of mass elsewhere, has `inertia_tensor_kg_m2` instead; asking such a die for
+    `inertia_kg_m2` raises ValueError, because no one number would be right.
+    """
 
     solid: Solid
     mass_kg: float
-    inertia_kg_m2: float
-    """About any axis through the centre: the dice are spherical tops."""
+    inertia_kg_m2: float = field(repr=False)
+    """About any axis through the centre of a spherical top. Give NaN (or the mean) where a tensor is given."""
     corner_radius_m: float = 0.0
     """Radius of the rounded corners and edges; `solid` stays the sharp polyhedron of the flat faces."""
     marks: str | None = None
     """`pips`, `numbers`, or None for plain faces."""
+    inertia_tensor_kg_m2: Array | None = None
+    """(3, 3) about the centre of mass, body axes; None for a spherical top."""
+    centre_of_mass_m: Array | None = None
+    """(3,) from the centroid, body axes; None where it is the centroid."""
+
+    def __post_init__(self) -> None:
+        shift = None if self.centre_of_mass_m is None else np.array(self.centre_of_mass_m, float)
+        if shift is not None and not shift.any():
+            shift = None
+        tensor = None if self.inertia_tensor_kg_m2 is None else np.array(self.inertia_tensor_kg_m2, float)
+        if tensor is None and shift is not None:
+            tensor = self.inertia_kg_m2 * np.eye(3)
+        object.__setattr__(self, "centre_of_mass_m", shift)
+        object.__setattr__(self, "inertia_tensor_kg_m2", tensor)
+        if tensor is not None:
+            # Left out of the instance, so that reading it ends in __getattr__ below.
+            object.__delattr__(self, "inertia_kg_m2")
+
+    def __getattr__(self, name: str) -> float:
+        """Called only for what an instance does not have."""
+        if name == "inertia_kg_m2":
+            raise ValueError(
+                f"inertia_kg_m2 of a {self.solid.name} that is no spherical top: wanted a die with one moment of "
+                "inertia and its centre of mass at the centroid; use inertia_tensor_kg_m2"
+            )
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    @property
+    def is_spherical_top(self) -> bool:
+        """Whether the inertia is the same about every axis and the centre of mass is the centroid."""
+        return self.inertia_tensor_kg_m2 is None
 
 
 def make_die(
@@ -84,8 +121,8 @@ def make_die(
     Raises ValueError for an unknown shape and for an edge, mass, inertia or radius that no die has.
     """
     for name, value in (("edge_m", edge_m), ("mass_kg", mass_kg), ("inertia_kg_m2", inertia_kg_m2)):
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+        if value is not None:
+            _check_positive(name, value)
     solid = isohedral_solid(shape, edge_m)
     if not 0 <= corner_radius_m < solid.inradius:
         raise ValueError(
@@ -95,6 +132,135 @@ def make_die(
     if inertia_kg_m2 is None:
         inertia_kg_m2 = mass_kg * float(np.trace(unit_inertia(solid))) / 3.0
     return Die(solid, mass_kg, inertia_kg_m2, corner_radius_m, marks)
+
+
+def die_from_solid(
+    solid: Solid,
+    mass_kg: float,
+    *,
+    inertia_tensor_kg_m2: ArrayLike | None = None,
+    centre_of_mass_m: ArrayLike | None = None,
+    corner_radius_m: float = 0.0,
+    marks: str | None = None,
+) -> Die:
+    """Any convex solid as a die, homogeneous unless its inertia tensor is given.
+
+    `inertia_tensor_kg_m2` (3, 3) is about the centre of mass, in body axes; `centre_of_mass_m` (3,) counts from the
+    centroid and needs a tensor with it. A tensor that is the same about every axis to 1e-12, about the centroid, makes
+    a spherical top. Raises ValueError for what no body has: a tensor that is not symmetric or whose principal moments
+    break the triangle inequality, a centre of mass outside the solid, a corner radius that splits a corner.
+    """
+    _check_positive("mass_kg", mass_kg)
+    shift = None if centre_of_mass_m is None else _point_inside(solid, "centre_of_mass_m", centre_of_mass_m)
+    if inertia_tensor_kg_m2 is not None:
+        tensor = _checked_tensor(inertia_tensor_kg_m2)
+    elif shift is not None and shift.any():
+        raise ValueError(
+            f"centre_of_mass_m = {shift.tolist()} without an inertia tensor: wanted both, because the place alone does "
+            "not say how the mass is spread; give inertia_tensor_kg_m2, or use loaded_die"
+        )
+    else:
+        tensor = mass_kg * unit_inertia(solid)
+    inner_vertices(solid, corner_radius_m)
+    mean = float(np.trace(tensor)) / 3.0
+    is_isotropic = float(np.abs(tensor - mean * np.eye(3)).max()) <= 1e-12 * mean
+    return Die(solid, mass_kg, mean, corner_radius_m, marks, None if is_isotropic else tensor, shift)
+
+
+def loaded_die(
+    solid: Solid,
+    mass_kg: float,
+    load_kg: float,
+    load_position_m: ArrayLike,
+    *,
+    corner_radius_m: float = 0.0,
+    marks: str | None = None,
+) -> Die:
+    """A homogeneous solid of `mass_kg` with a point of `load_kg` more at `load_position_m` (3,) from its centroid.
+
+    With M the body, μ = M m/(M + m) and p the place of the load, the centre of mass lies at m p/(M + m) and the tensor
+    about it is that of the body plus μ (p² 1 - p pᵀ) (the parallel axis theorem for both parts). Raises ValueError for
+    a mass that is not above 0, a load below 0, or a load outside the solid.
+    """
+    _check_positive("mass_kg", mass_kg)
+    if not (np.isfinite(load_kg) and load_kg >= 0.0):
+        raise ValueError(f"load_kg = {load_kg}: wanted a finite number, 0 or more")
+    place = _point_inside(solid, "load_position_m", load_position_m)
+    total = mass_kg + load_kg
+    spread = float(place @ place) * np.eye(3) - np.outer(place, place)
+    return die_from_solid(
+        solid,
+        total,
+        inertia_tensor_kg_m2=mass_kg * unit_inertia(solid) + mass_kg * (load_kg / total) * spread,
+        centre_of_mass_m=(load_kg / total) * place,
+        corner_radius_m=corner_radius_m,
+        marks=marks,
+    )
+
+
+def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: float) -> Solid:
+    """A dipyramid over a regular polygon with both tips cut off (the paper's Fig. 2): 2n congruent side faces.
+
+    `sides` is n, the corners of the polygon in the plane z = 0; `radius_m` its circumscribed circle; the tips of the
+    uncut dipyramid stand at ±`half_height_m` on the z axis; `cut` in [0, 1) is the part of each tip's height that the
+    planes z = ±(1 - cut) half_height_m take away, 0 for the plain dipyramid. Faces 1 to n are the upper side faces,
+    counter-clockwise seen from above and beginning at the x axis, n + 1 to 2n the lower ones below them, and where the
+    tips are cut 2n + 1 is the upper and 2n + 2 the lower cut.
+    """
+    if sides < 3:
+        raise ValueError(f"sides = {sides}: wanted a polygon of three sides or more")
+    _check_positive("radius_m", radius_m)
+    _check_positive("half_height_m", half_height_m)
+    if cut != 0.0 and not 1e-6 <= cut <= 1.0 - 1e-6:
+        # Smaller faces could not be told from a vertex, or the solid from a disc, within rounding.
+        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from 1e-6 to 1 - 1e-6")
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+    height = (1.0 - cut) * half_height_m
+    if cut == 0.0:
+        ends = np.array([[0.0, 0.0, height], [0.0, 0.0, -height]])
+    else:
+        ends = np.vstack([ring * cut + [0.0, 0.0, height], ring * cut - [0.0, 0.0, height]])
+    hull = convex_solid(np.vstack([ring, ends]), f"dipyramid-{2 * sides}" + (f"-cut-{cut:g}" if cut else ""))
+    middle = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
+    apothem = radius_m * np.cos(np.pi / sides)
+    outward = np.column_stack([half_height_m * np.cos(middle), half_height_m * np.sin(middle), np.full(sides, apothem)])
+    wanted = [*outward, *(outward * [1.0, 1.0, -1.0])]
+    if cut:
+        wanted += [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
+    return _renumbered(hull, [int(np.argmax(hull.normals @ n)) for n in wanted])
+
+
+def inner_vertices(solid: Solid, radius_m: float) -> Array:
+    """Corners (n, 3) [m] of the solid whose face planes are moved in by `radius_m`, in the order of `vertices`.
+
+    A die with rounded corners is all points within that radius of this inner solid. Raises ValueError where the radius
+    is below 0 or leaves no solid, where a face would vanish, and where more than three faces meet in a corner that
+    would split into several.
+    """
+    if not 0.0 <= radius_m < solid.inradius:
+        raise ValueError(
+            f"corner_radius_m = {radius_m}: wanted 0 or more, and less than the inscribed radius {solid.inradius:.6g}"
+        )
+    if np.ptp(solid.offsets) <= 1e-12 * solid.inradius:
+        # All faces touch one sphere about the centroid: moving them in is the same as shrinking the solid.
+        return solid.vertices * (1.0 - radius_m / solid.inradius)
+    moved = solid.offsets - radius_m
+    corners = np.empty_like(solid.vertices)
+    for i in range(len(corners)):
+        meeting = [k for k, face in enumerate(solid.faces) if i in face]
+        corners[i] = np.linalg.lstsq(solid.normals[meeting], moved[meeting], rcond=None)[0]
+        gap = float(np.abs(solid.normals[meeting] @ corners[i] - moved[meeting]).max())
+        if gap > 1e-9 * solid.circumradius:
+            raise ValueError(
+                f"corner_radius_m = {radius_m} on a {solid.name}: the {len(meeting)} faces that meet in vertex {i} "
+                "would no longer meet in one point; wanted a radius of 0, or a solid with three faces at that vertex"
+            )
+    if (corners @ solid.normals.T - moved).max() > 1e-9 * solid.circumradius:
+        raise ValueError(
+            f"corner_radius_m = {radius_m} on a {solid.name}: a face would vanish; wanted a smaller radius"
+        )
+    return corners
 
 
 def isohedral_solid(shape: str, edge_m: float) -> Solid:
@@ -174,6 +340,62 @@ def symmetry_rotations(solid: Solid) -> Array:
     return np.array(found)
 
 
+def die_symmetries(die: Die) -> Array:
+    """The rotations (order, 3, 3) of the solid that keep the die's centre of mass and inertia as well."""
+    turns = symmetry_rotations(die.solid)
+    if die.is_spherical_top:
+        return turns
+    shift = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
+    tensor = np.asarray(die.inertia_tensor_kg_m2)
+    keeps_centre = np.linalg.norm(turns @ shift - shift, axis=1) <= 1e-7 * die.solid.circumradius
+    turned = turns @ tensor @ turns.transpose(0, 2, 1)
+    keeps_inertia = np.abs(turned - tensor).max(axis=(1, 2)) <= 1e-7 * float(np.trace(tensor))
+    return np.asarray(turns[keeps_centre & keeps_inertia])
+
+
+def _check_positive(name: str, value: float) -> None:
+    """Raise ValueError, naming the quantity, unless it is finite and above 0."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+
+
+def _point_inside(solid: Solid, name: str, point: ArrayLike) -> Array:
+    """The point (3,) as an array. Raises ValueError unless it lies inside the solid."""
+    place = np.asarray(point, float)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise ValueError(f"{name} = {place.tolist()}: wanted 3 finite numbers")
+    if (solid.normals @ place >= solid.offsets).any():
+        raise ValueError(
+            f"{name} = {place.tolist()}: wanted a place inside the {solid.name}, counted from its centroid"
+        )
+    return place
+
+
+def _checked_tensor(given: ArrayLike) -> Array:
+    """The tensor (3, 3), made exactly symmetric. Raises ValueError unless some body has it."""
+    tensor = np.asarray(given, float)
+    if tensor.shape != (3, 3) or not np.isfinite(tensor).all():
+        raise ValueError(f"inertia_tensor_kg_m2 of shape {tensor.shape}: wanted (3, 3) finite numbers")
+    size = float(np.abs(tensor).max())
+    if np.abs(tensor - tensor.T).max() > 1e-9 * size:
+        raise ValueError(f"inertia_tensor_kg_m2 = {tensor.tolist()}: wanted a symmetric tensor")
+    tensor = 0.5 * (tensor + tensor.T)
+    small, middle, large = np.linalg.eigvalsh(tensor)
+    if small <= 0.0 or large > (small + middle) * (1.0 + 1e-9):
+        raise ValueError(
+            f"inertia_tensor_kg_m2 with principal moments {small:.6g}, {middle:.6g}, {large:.6g}: wanted all above 0 "
+            "and none larger than the sum of the other two"
+        )
+    return tensor
+
+
+def _renumbered(solid: Solid, order: list[int]) -> Solid:
+    """The same solid with its faces in the given order."""
+    faces = tuple(solid.faces[k] for k in order)
+    edges, edge_faces = _edges(faces)
+    return Solid(solid.name, solid.vertices, faces, solid.normals[order], solid.offsets[order], edges, edge_faces)
+
+
 def _frame(u: Array, v: Array) -> Array:
     """Right-handed axes (3, 3), in columns: along u, and across it in the plane of u and v."""
     x = u / np.linalg.norm(u)
@@ -203,10 +425,15 @@ def _unit_solid(shape: str) -> Solid:
     solid = convex_solid(corners, shape)
     edge = solid.edge_m
     order = _cube_order(solid) if shape == "cube" else list(range(len(solid.faces)))
-    faces = tuple(solid.faces[k] for k in order)
-    edges, edge_faces = _edges(faces)
+    ordered = _renumbered(solid, order)
     return Solid(
-        shape, solid.vertices / edge, faces, solid.normals[order], solid.offsets[order] / edge, edges, edge_faces
+        shape,
+        solid.vertices / edge,
+        ordered.faces,
+        ordered.normals,
+        ordered.offsets / edge,
+        ordered.edges,
+        ordered.edge_faces,
     )
 
 

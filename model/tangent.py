@@ -30,13 +30,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import kernels
+from .history import throw_from_log
 from .impacts import SmoothImpact
 from .motion import State, Throw
-from .simulate import IMPACT_CAP, Ending, checked_release, throw_from_log
+from .simulate import Ending, checked_release
 from .solids import Die
-from .touch import packed_state, unpacked_state
+from .touch import packed_state
 
 Array = NDArray[np.float64]
+
+_IMPACT_CAP = 100_000
+"""Of a throw that is left to itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +88,7 @@ def propagate(
         times[order],
         sequence,
         vertices is None,
-        IMPACT_CAP,
+        _IMPACT_CAP,
     )
     if code in (kernels.CHATTER, kernels.IMPACT_CAP):
         ending = Ending.CHATTER if code == kernels.CHATTER else Ending.IMPACT_CAP
@@ -92,7 +96,7 @@ def propagate(
         raise ValueError(f"times_s up to {times.max():.6g}: {ending.value} The last impact was at {last:.6g} s.")
     back = np.argsort(order, kind="stable")
     end_s = max([start.time_s, *times[-1:], *log[-1:, 0]])
-    throw = throw_from_log(die, unpacked_state(packed, start.time_s), log, end_s)
+    throw = throw_from_log(die, packed, float(start.time_s), log, end_s)
     poses, jacobian = poses[back], jacobian[back]
     return Propagation(poses[:, :3], poses[:, 3:], jacobian, throw, impact_jacobian)
 

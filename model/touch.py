@@ -2,11 +2,12 @@
 
 In flight the angular velocity ω is constant, so the height of vertex i above the table is
 
-    h(t) = z + v t - g t²/2 + A cos ωt + B sin ωt + C,
+    h(t) = z + v t - g t²/2 + A cos ωt + B sin ωt + C
 
-where z, v are height and vertical velocity of the centre and A, B, C follow from where the vertex stands. Its
-acceleration is bounded: h'' ≥ -M with M = g + ω² √(A² + B²). Hence from an instant with h ≥ 0 the curve stays above the
-parabola h + h' s - M s²/2, and no root lies before the parabola's own,
+(less the height of a table that moves), where z, v are height and vertical velocity of the centre and A, B, C follow
+from where the vertex stands. Its acceleration is bounded: h'' ≥ -M with M = g + ω² √(A² + B²) (and, of a table that
+moves, its largest acceleration besides). Hence from an instant with h ≥ 0 the curve stays above the parabola
+h + h' s - M s²/2, and no root lies before the parabola's own,
 
     s = (h' + √(h'² + 2 M h)) / M.
 
@@ -24,7 +25,8 @@ it), and
 - with h' > 0 it has just bounced and moves on by 2 h'/M;
 - with h' < 0 it touches;
 - with h' = 0 its acceleration decides: upwards it moves on by 3 h''/(ω³ √(A² + B²)), since that is the bound of
-  the third derivative; otherwise it touches, with velocity 0.
+  the third derivative; with none but a third derivative j > 0, as where held contact has just let it go, by
+  4 j/(ω⁴ √(A² + B²)); otherwise it touches, with velocity 0.
 """
 
 from __future__ import annotations
@@ -63,18 +65,26 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
     """
     packed = packed_state(state)
     spin = kernels.spin_of(packed)
-    kernels.advance(packed, spin, after_s)
+    kernels.advance(packed, spin, after_s, kernels.LEVEL)
     begin = state.time_s + after_s
     if until_s < begin:
         return None
     terms = np.empty((len(die.solid.vertices), 4))
     kernels.swing(die.solid.vertices, packed, spin, terms)
     dt, vertex, velocity, _ = kernels.first_touch(
-        terms, packed[2], packed[9], spin, die.solid.circumradius, until_s - begin
+        terms,
+        packed[2],
+        packed[9],
+        spin,
+        die.solid.circumradius,
+        kernels.LEVEL,
+        begin,
+        0.0,
+        until_s - begin,
     )
     if vertex < 0:
         return None
-    kernels.advance(packed, spin, dt)
+    kernels.advance(packed, spin, dt, kernels.LEVEL)
     arm = np.array(kernels.arm_of(die.solid.vertices[vertex], packed))
     return Touch(unpacked_state(packed, begin + dt), int(vertex), arm, float(velocity))
 

@@ -30,3 +30,37 @@ def mixed(colour: Colour, other: Colour, share: float) -> Colour:
     """`colour` with a `share` (0 to 1) of `other` in it."""
     red, green, blue = (round((1.0 - share) * a + share * b) for a, b in zip(colour, other, strict=True))
     return red, green, blue
+
+
+FACE_COLOURS: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (240, 228, 66),
+    (213, 94, 0),
+    (86, 180, 233),
+    (0, 158, 115),
+    (204, 121, 167),
+    (105, 30, 0),
+    (0, 60, 75),
+    (195, 225, 180),
+    (150, 75, 60),
+    (60, 30, 165),
+    (60, 240, 255),
+    (180, 180, 105),
+    (120, 90, 120),
+    (225, 180, 195),
+    (135, 120, 255),
+    (105, 60, 60),
+    (195, 30, 0),
+    (240, 135, 0),
+    (150, 120, 75),
+)
+"""One for each face of a die. The first six are Okabe and Ito's, each other one lies as far as can be from those before
+it: two of the first 4, 12 and 20 differ by CIEDE2000 of at least 20, 12 and 9, also for who lacks one kind of cone
+(Machado, Oliveira and Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009)."""
+
+TOP: Colour = (0, 0, 0)
+"""Where a die spins or stands for ever and lands on no face."""
+OPEN: Colour = (150, 150, 150)
+"""Where it was left bouncing."""
+NOWHERE: Colour = (255, 255, 255)
+"""Where no die can be released."""

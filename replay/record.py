@@ -68,7 +68,7 @@ class Motion:
     @property
     def impacts(self) -> tuple[Impact, ...]:
         """Its bounces; none where there are only poses."""
-        return self.throw.impacts if self.throw else ()
+        return self.throw.bounces if self.throw else ()
 
     @property
     def runs(self) -> list[slice]:

@@ -30,6 +30,7 @@ import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 from rerun.error_utils import strict_mode
 
+from ..model.contact import Held
 from ..model.motion import Impact, Throw
 from ..model.solids import Die, Solid
 from ..tracking.camera import Camera
@@ -110,12 +111,12 @@ def write_throw_recording(path: Path, die: Die, throw: Throw, fps: float, title:
     motion = motion_of("simulated", track, throw)
     clock = Clock(track.frame, track.time_s)
     stage = _stage(die.solid, [motion], None)
-    shown = _shown(stage, [motion], fps, bounces=bool(throw.impacts), chi=_knows_chi(throw.impacts))
+    shown = _shown(stage, [motion], fps, bounces=bool(throw.bounces), chi=_knows_chi(throw.bounces))
     with _recording(path, title, shown) as recording:
         _send_table(recording, stage)
         _send_motion(recording, die.solid, motion, clock)
         _send_bounce_chi(recording, motion, clock)
-        lines = [f"- {bounce_sentence(k, impact)}" for k, impact in enumerate(throw.impacts, 1)]
+        lines = [f"- {bounce_sentence(k, impact)}" for k, impact in enumerate(throw.bounces, 1)]
         _send_text(recording, "\n".join([f"# {title}", "", *(lines or ["No bounce."])]))
 
 
@@ -414,6 +415,19 @@ def _send_spin_and_energy(recording: rr.RecordingStream, motion: Motion, throw: 
         _send_steps(recording, f"plots/energy/{motion.name}", motion.name, begins, 1e3 * np.array(energies), clock)
 
 
+def _stretches(throw: Throw) -> list[str]:
+    """A name for every stretch between two events: the flights in their order, and what is held on the table."""
+    names, flown = [], 0
+    for flight in throw.flights:
+        if isinstance(flight, Held):
+            kinds = {1: "on vertex", 2: "on edge"}
+            names.append(" ".join([kinds.get(len(flight.vertices), "on face"), *map(str, flight.vertices)]))
+        else:
+            flown += 1
+            names.append(f"flight {flown}")
+    return names
+
+
 def _flight_begins(throw: Throw, clock: Clock) -> Array:
     """When each flight begins; the first not before the recording does."""
     first = max(float(clock.time_s[0]), throw.flights[0].start.time_s)
@@ -443,11 +457,12 @@ def _send_steps(
 
 def _send_bounces(recording: rr.RecordingStream, motion: Motion, throw: Throw, clock: Clock) -> None:
     """Contact points, marks in the height plot, sentences in the event log, lanes of flights."""
-    impacts, colour = throw.impacts, COLOURS[motion.name]
-    flights = [f"flight {k}" for k in range(1, len(impacts) + 2)]
+    impacts, colour = throw.bounces, COLOURS[motion.name]
+    flights = _stretches(throw)
     times = np.array([impact.time_s for impact in impacts])
-    shades = [mixed(colour, BLACK, 0.3 * (k % 2)) for k in range(len(flights))]
-    recording.log(f"phase/{motion.name}", rr.StateConfiguration(values=flights, colors=shades), static=True)
+    names = list(dict.fromkeys(flights))
+    shades = [mixed(colour, BLACK, 0.3 * (k % 2)) for k in range(len(names))]
+    recording.log(f"phase/{motion.name}", rr.StateConfiguration(values=names, colors=shades), static=True)
     lanes = rr.StateChange.columns(state=flights)
     _send_instants(recording, f"phase/{motion.name}", _flight_begins(throw, clock), clock, lanes)
     if not impacts:

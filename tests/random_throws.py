@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from diethrow.model.bodies import lowest_vertex_m
 from diethrow.model.motion import State
-from diethrow.model.simulate import lowest_vertex_m
 from diethrow.model.solids import SHAPES, Die, make_die
 
 DICE = {shape: make_die(shape, 0.02, 0.016) for shape in SHAPES}

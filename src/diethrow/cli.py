@@ -6,6 +6,7 @@ Only typer is imported here. What computes is imported inside the commands, so t
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from math import floor, log10
@@ -131,6 +132,247 @@ def throw(
         typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
 
 
+Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
+Edge = Annotated[float, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
+Mass = Annotated[float, typer.Option("--mass", metavar="KG", help="Mass of the die [kg].")]
+Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction; left out: the paper's smooth impact.")]
+Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Of the table's oscillation [m].")]
+Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Of the table's oscillation [Hz].")]
+Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Of the table at the release [rad].")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run of the same settings that was stopped.")]
+
+
+@app.command(
+    epilog="Example:  diethrow odds --shape cube --chi 0.3 --chi 0.5 --omega 40 --throws 100000 --out out/odds"
+)
+def odds(
+    out: OutFolder,
+    shape: Shape = "cube",
+    edge: Edge = 0.02,
+    mass: Mass = 0.016,
+    chi: Annotated[
+        list[float] | None, typer.Option("--chi", help="Restitution, 0 to 1; several: a series each. [default: 0.5]")
+    ] = None,
+    mu: Mu = None,
+    conditions: Annotated[
+        str,
+        typer.Option(
+            "--conditions",
+            help="paper: Euler angles uniform, body spin (0, OMEGA, 0); uniform: every orientation and direction of spin "
+            "alike.",
+        ),
+    ] = "paper",
+    omega: Annotated[float, typer.Option("--omega", help="The spin [rad/s].")] = 40.0,
+    height: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--height", metavar="LOW HIGH", help="Range of the release [m]; left out: 15 to 20 edges."),
+    ] = None,
+    throws: Annotated[int, typer.Option("--throws", help="For each chi.")] = 100_000,
+    after: Annotated[int, typer.Option("--after", help="Count the lowest face at the first so many impacts.")] = 5,
+    amplitude: Amplitude = 0.0,
+    frequency: Frequency = 0.0,
+    phase: Phase = 0.0,
+    seed: Annotated[int, typer.Option("--seed", help="Of the releases.")] = 1,
+    threads: Threads = None,
+    resume: Resume = False,
+    force: Force = False,
+) -> None:
+    """Landing probabilities of every face, with intervals; what does not land is told apart."""
+    with _one_sentence_errors(), _that_can_go_on():
+        with _options_that_fit():
+            from .model.tables import Table
+            from .odds import OddsPlan
+
+            plan = OddsPlan(
+                shape=shape,
+                edge_m=edge,
+                mass_kg=mass,
+                chi=tuple(chi or (0.5,)),
+                omega_rad_s=omega,
+                conditions=conditions,
+                height_m=height,
+                throws=throws,
+                seed=seed,
+                after=after,
+                mu=mu,
+                table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
+            )
+        from .odds import odds as throw_often
+        from .odds import summary
+
+        with _progress() as progress:
+            tallies = throw_often(
+                plan,
+                out,
+                force=force,
+                resume=resume,
+                threads=threads or _cores(),
+                progress=progress,
+                command=_as_typed(),
+            )
+        for line in summary(plan, tallies):
+            typer.echo(line)
+        typer.echo(f"See {out}")
+
+
+@app.command(
+    epilog="Example:  diethrow basins --chi 0.2 --x z0 0.1 0.4 --y omega_eta 0 50 --pixels 1000 1000 --out out/basins"
+)
+def basins(
+    out: OutFolder,
+    x: Annotated[
+        tuple[str, float, float],
+        typer.Option(
+            "--x",
+            metavar="NAME LOW HIGH",
+            help="Horizontal axis: z0, psi, theta, phi, vx, vy, vz [SI], "
+            "omega_xi, omega_eta or omega_zeta (body axes).",
+        ),
+    ] = ("z0", 0.1, 0.4),
+    y: Annotated[
+        tuple[str, float, float], typer.Option("--y", metavar="NAME LOW HIGH", help="Vertical axis, as --x.")
+    ] = ("omega_eta", 0.0, 50.0),
+    fix: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fix",
+            metavar="NAME=VALUE",
+            help="Another initial condition. [default: the paper's Fig. 6: "
+            "psi=0.3, theta=1.2, phi=0.6, no velocity; z0=0.3 where it is no axis]",
+        ),
+    ] = None,
+    zoom: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option("--zoom", metavar="X0 X1 Y0 Y1", help="Only this part of the plane, in as many pixels."),
+    ] = None,
+    pixels: Annotated[
+        tuple[int, int], typer.Option("--pixels", metavar="COLUMNS ROWS", help="Of the map: a throw for each.")
+    ] = (500, 500),
+    shape: Shape = "tetrahedron",
+    edge: Edge = 0.040793,
+    mass: Mass = 0.016,
+    chi: Annotated[float, typer.Option("--chi", help="Restitution, 0 to 1.")] = 0.2,
+    mu: Mu = None,
+    amplitude: Amplitude = 0.0,
+    frequency: Frequency = 0.0,
+    phase: Phase = 0.0,
+    at_impact: Annotated[
+        int | None, typer.Option("--at-impact", help="Colour by the face that is lowest at this impact.")
+    ] = None,
+    predictability: Annotated[
+        bool, typer.Option("--predictability", help="Measure how near a condition must be known to tell the face.")
+    ] = False,
+    samples: Annotated[int, typer.Option("--samples", help="Conditions drawn for --predictability.")] = 8192,
+    seed: Annotated[int, typer.Option("--seed", help="Of those conditions.")] = 1,
+    threads: Threads = None,
+    resume: Resume = False,
+    force: Force = False,
+) -> None:
+    """Basins of attraction: the landed face over a plane of initial conditions, as a picture and as data."""
+    with _one_sentence_errors(), _that_can_go_on():
+        with _options_that_fit():
+            from .basins import BasinsPlan, axes_of, fixed_from
+            from .model.tables import Table
+
+            horizontal, vertical = axes_of(x, y, zoom, pixels)
+            plan = BasinsPlan(
+                x=horizontal,
+                y=vertical,
+                fixed=fixed_from(fix or []),
+                shape=shape,
+                edge_m=edge,
+                mass_kg=mass,
+                chi=chi,
+                mu=mu,
+                table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
+                at_impact=at_impact,
+                predictability=predictability,
+                conditions=samples,
+                seed=seed,
+            )
+        from .basins import basins as map_basins
+        from .basins import summary
+
+        with _progress() as progress:
+            mapped, measured = map_basins(
+                plan,
+                out,
+                force=force,
+                resume=resume,
+                threads=threads or _cores(),
+                progress=progress,
+                command=_as_typed(),
+            )
+        for line in summary(plan, mapped, measured):
+            typer.echo(line)
+        typer.echo(f"Look at it:  {out / 'basins.png'}")
+
+
+@app.command(epilog="Example:  diethrow lyapunov --shape tetrahedron --edge 0.040793 --orbits 8 --out out/lyapunov")
+def lyapunov(
+    out: OutFolder,
+    shape: Shape = "cube",
+    edge: Edge = 0.02,
+    mass: Mass = 0.016,
+    chi: Annotated[
+        float, typer.Option("--chi", help="Restitution, 0 to 1; below 1 only a table that oscillates has an exponent.")
+    ] = 1.0,
+    mu: Mu = None,
+    amplitude: Amplitude = 0.0,
+    frequency: Frequency = 0.0,
+    phase: Phase = 0.0,
+    impacts: Annotated[int, typer.Option("--impacts", help="Of each orbit.")] = 10_000,
+    orbits: Annotated[int, typer.Option("--orbits", help="Neighbours of the start, one after the other.")] = 8,
+    leave_out: Annotated[int, typer.Option("--leave-out", help="Impacts at the beginning that do not count.")] = 200,
+    position: Annotated[
+        tuple[float, float, float], typer.Option("--position", metavar="X Y Z", help="Of the start [m].")
+    ] = (0.0, 0.0, 0.3),
+    euler: Annotated[
+        tuple[float, float, float], typer.Option("--euler", metavar="PSI THETA PHI", help="Of the start [rad].")
+    ] = (0.001, 0.00001, 0.0001),
+    velocity: Annotated[
+        tuple[float, float, float], typer.Option("--velocity", metavar="X Y Z", help="Of the start [m/s].")
+    ] = (0.6, 0.0, -0.7),
+    omega_body: Annotated[
+        tuple[float, float, float],
+        typer.Option("--omega-body", metavar="XI ETA ZETA", help="Angular velocity of the start, body axes [rad/s]."),
+    ] = (0.0, 60.0, 0.0),
+    seed: Annotated[int, typer.Option("--seed", help="Of the neighbours.")] = 1,
+    force: Force = False,
+) -> None:
+    """The largest Lyapunov exponent of a die that bounces on; the start is the paper's Fig. 5 unless given."""
+    with _one_sentence_errors():
+        with _options_that_fit():
+            from .lyapunov import LyapunovPlan
+            from .model.tables import Table
+
+            plan = LyapunovPlan(
+                shape=shape,
+                edge_m=edge,
+                mass_kg=mass,
+                chi=chi,
+                mu=mu,
+                table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
+                impacts=impacts,
+                orbits=orbits,
+                left_out=leave_out,
+                seed=seed,
+                position_m=position,
+                euler_rad=euler,
+                velocity_m_s=velocity,
+                omega_body_rad_s=omega_body,
+            )
+        from .lyapunov import lyapunov as follow
+        from .lyapunov import summary
+
+        with _progress() as progress:
+            result = follow(plan, out, force=force, progress=progress, command=_as_typed())
+        for line in summary(plan, result):
+            typer.echo(line)
+        typer.echo(f"See {out}")
+
+
 @contextmanager
 def _one_sentence_errors() -> Iterator[None]:
     """Tell an error in one sentence, with its exit status; DIETHROW_TRACEBACK=1 shows where it came from."""
@@ -151,6 +393,34 @@ def _one_sentence_errors() -> Iterator[None]:
         _print_notices(tuple(getattr(error, "__notes__", ())))
         misused = isinstance(error, (SceneError, OutputExistsError, OutputPlaceError))
         _stop(" ".join(str(error).split()) or type(error).__name__, MISUSED if misused else FAILED)
+
+
+@contextmanager
+def _options_that_fit() -> Iterator[None]:
+    """An option that cannot be is told in one sentence, with the status of a misused command."""
+    try:
+        yield
+    except ValueError as error:
+        _stop(" ".join(str(error).split()), MISUSED)
+
+
+@contextmanager
+def _that_can_go_on() -> Iterator[None]:
+    """A long run that is stopped leaves its work file, and says how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _stop("stopped; no output was left behind, and --resume goes on with what was done", INTERRUPTED)
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _as_typed() -> tuple[str, ...]:
+    """The command line."""
+    return ("diethrow", *sys.argv[1:])
 
 
 def _stems_from_interrupt(error: BaseException) -> bool:

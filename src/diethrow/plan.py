@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from .model.impacts import CoulombImpact, SmoothImpact
 from .model.motion import State
 from .model.rotations import matrix_from_quat, quat_from_euler
+from .model.simulate import checked_release
 from .model.solids import Die
-from .scene import DieTable, NotNegative, Positive, PositiveInt, Table, TableTable, die_from, still, table_from
+from .model.tables import Table as ModelTable
+from .scene import DieTable, NotNegative, Positive, PositiveInt, Table, TableTable, die_from, table_from
 from .settings import TomlTable, Vector3, Vector4, read_toml, refuse, validate
 
 Array = NDArray[np.float64]
@@ -38,6 +41,8 @@ class Plan:
     die: Die
     table: Table
     chi: float
+    mu: float
+    """Coefficient of friction; 0 for the paper's smooth impact."""
     release: State
     until_s: float | None
     """[s] since release; None for no such limit."""
@@ -45,19 +50,46 @@ class Plan:
     fps: float
     """Rows of simulated.csv a second."""
 
+    @property
+    def law(self) -> SmoothImpact | CoulombImpact:
+        """The impact law: with friction only where the file asks for it."""
+        return CoulombImpact(self.chi, self.mu) if self.mu else SmoothImpact(self.chi)
+
+    @property
+    def model_table(self) -> ModelTable:
+        """The table as the model has it."""
+        motion = self.table.motion
+        if motion is None:
+            return ModelTable()
+        return ModelTable(amplitude_m=motion.amplitude_m, frequency_hz=motion.frequency_hz, phase_rad=motion.phase_rad)
+
 
 def read_plan(path: Path) -> Plan:
     """The throw in a TOML file. Raises SceneError, one sentence a mistake."""
     path = Path(path)
     data, text = read_toml(path)
     checked = validate(_PlanFile, data, path)
-    if checked.law.mu:
-        raise refuse(path, "law.mu", checked.law.mu, "friction is not modelled yet; wanted no such key, or 0")
-    table = still(table_from(checked.table), path) if checked.table else Table("")
+    table = table_from(checked.table) if checked.table else Table("")
     die = die_from(checked.die, path)
     release = _release(checked.initial, die, path)
     until = checked.until
-    return Plan(path, text, die, table, checked.law.chi, release, until.time_s, until.impacts, checked.output.fps)
+    plan = Plan(
+        path,
+        text,
+        die,
+        table,
+        checked.law.chi,
+        checked.law.mu or 0.0,
+        release,
+        until.time_s,
+        until.impacts,
+        checked.output.fps,
+    )
+    try:
+        checked_release(die, release, plan.model_table)
+    except ValueError as error:
+        raise refuse(path, "initial.position_m", release.position_m, f"{error}") from None
+    return plan
 
 
 def _restitution(value: float) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from .model.impacts import SmoothImpact
+from .model.chaos import decided_by_double
 from .model.simulate import Ending, ThrowResult, Until, throw_die
 from .outputs import whole_folder
 from .plan import Plan
@@ -24,6 +24,8 @@ MOST_ROWS = 10_000_000
 """Of simulated.csv: beyond them `output.fps` or `until.time_s` is in another unit."""
 DRAWN_INSTANTS = 4000
 """Instants of the figure: more than its pixels, and never so many that drawing takes longer than the throw."""
+_LEFT = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
+"""Endings that leave a throw before its own."""
 
 
 def throw(plan: Plan, out: Path, *, force: bool = False, command: tuple[str, ...] = ()) -> ThrowResult:
@@ -36,12 +38,12 @@ def throw(plan: Plan, out: Path, *, force: bool = False, command: tuple[str, ...
     with whole_folder(out, force=force, inputs=(plan.path,)) as folder:
         with watch.stage("throw"):
             until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
-            result = throw_die(plan.die, plan.release, SmoothImpact(plan.chi), until=until)
+            result = throw_die(plan.die, plan.release, plan.law, until=until, table=plan.model_table)
         with watch.stage("records"):
             write_vertices(folder / "vertices.csv", plan.die.solid)
-            write_bounces(folder / "bounces.csv", result.throw.impacts)
+            write_bounces(folder / "bounces.csv", result.throw.bounces)
             write_simulated(folder / "simulated.csv", rows_of(plan, result))
-            write_json(folder / "throw.json", verdict(result))
+            write_json(folder / "throw.json", verdict(plan, result))
         with watch.stage("figure"):
             draw_heights(folder / "heights.png", plan, result)
         with watch.stage("replay"):
@@ -63,18 +65,25 @@ def rows_of(plan: Plan, result: ThrowResult) -> Track:
     return simulated_track(result.throw, frame, frame / plan.fps)
 
 
-def verdict(result: ThrowResult) -> dict[str, Any]:
-    """What throw.json holds. Whether rounding could have changed the landing is not computed, and so null."""
+def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
+    """What throw.json holds. A throw that was left before its end is not asked whether rounding decided it: null."""
     messages = [result.ending.value]
     if result.landed_face is None and result.ending is not Ending.RESTED:
         messages.append("The landed face is open: the throw ended before the die had settled on one.")
-    messages.append("Whether double precision decides this throw is not computed.")
+    asked = result.landed_face is not None or result.ending not in _LEFT
+    check = decided_by_double(plan.die, plan.release, plan.law, table=plan.model_table) if asked else None
+    messages.append(
+        check.sentence if check else "Whether double precision decides this throw is open: it has no end yet."
+    )
     return {
         "landed_face": result.landed_face,
         "ending": result.ending.name.lower(),
         "impact_count": result.impact_count,
         "end": state_table(result.end),
-        "decidable": None,
+        "decidable": check.decidable if check else None,
+        "error_growth": check.growth if check else None,
+        "error_m": check.error_m if check and np.isfinite(check.error_m) else None,
+        "margin": check.margin if check and np.isfinite(check.margin) else None,
         "messages": messages,
     }
 
@@ -86,5 +95,5 @@ def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
     positions, quaternions = result.throw.poses(times)
     figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
-    corner_heights(figure.add_subplot(), plan.die.solid, times, positions, quaternions, impacts=result.throw.impacts)
+    corner_heights(figure.add_subplot(), plan.die.solid, times, positions, quaternions, impacts=result.throw.bounces)
     figure.savefig(path)

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diethrow.model.impacts import CoulombImpact, SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
+from diethrow.model.tables import Table
 from diethrow.plan import read_plan
 from diethrow.settings import SceneError
 
@@ -35,7 +37,12 @@ impacts = 8
 
 MISTAKES = {
     "chi above 1": ("chi = 0.5", "chi = 1.5", ["law.chi = 1.5", "from 0 to 1"]),
-    "friction": ("chi = 0.5", "chi = 0.5\nmu = 0.2", ["law.mu = 0.2", "not modelled yet"]),
+    "friction that pushes": ("chi = 0.5", "chi = 0.5\nmu = -0.2", ["law.mu = -0.2", "0 or more"]),
+    "below a table that stands high": (
+        'surface = "wood"',
+        'surface = "wood"\nmotion = {amplitude_m = 0.5, frequency_hz = 2.0, phase_rad = 1.5}',
+        ["initial.position_m", "below the table"],
+    ),
     "degrees": ("[0.1, 1.2, -0.4]", "[10.0, 68.0, -23.0]", ["initial.euler_rad", "radians"]),
     "millimetres": ("[0.0, 0.0, 0.3]", "[0.0, 0.0, 300.0]", ["initial.position_m", "metres", "0.3"]),
     "below the table": ("[0.0, 0.0, 0.3]", "[0.0, 0.0, 0.001]", ["initial.position_m", "below the table"]),
@@ -82,3 +89,16 @@ def test_the_papers_angles_and_body_spin_mean_the_same_as_a_quaternion_and_world
 def test_the_table_of_a_throw_may_be_left_out(tmp_path: Path) -> None:
     plan = read_plan(plan_file(tmp_path, PLAN.replace('[table]\nsurface = "wood"\n', "")))
     assert (plan.chi, plan.until_impacts, plan.until_s, plan.fps) == (0.5, 8, None, 1500.0)
+
+
+def test_friction_and_an_oscillating_table_reach_the_model_and_cost_nothing_where_they_are_left_out(
+    tmp_path: Path,
+) -> None:
+    assert read_plan(plan_file(tmp_path)).law == SmoothImpact(0.5)
+    assert read_plan(plan_file(tmp_path)).model_table == Table()
+    rough = PLAN.replace("chi = 0.5", "chi = 0.5\nmu = 0.2")
+    assert read_plan(plan_file(tmp_path, rough)).law == CoulombImpact(0.5, 0.2)
+    shaken = PLAN.replace('"wood"', '"wood"\nmotion = {amplitude_m = 0.001, frequency_hz = 25.0, phase_rad = 0.5}')
+    assert read_plan(plan_file(tmp_path, shaken)).model_table == Table(
+        amplitude_m=0.001, frequency_hz=25.0, phase_rad=0.5
+    )

@@ -6,14 +6,26 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_throws import DICE, random_release
 
-from diethrow.model.impacts import SmoothImpact, impulse_N_s
-from diethrow.model.motion import energy_J
+from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact, impulse_N_s
+from diethrow.model.motion import State, energy_J
+from diethrow.model.rotations import matrix_from_quat, quat_from_euler
 from diethrow.model.simulate import Until, throw_die
-from diethrow.model.touch import next_touch
+from diethrow.model.touch import Touch, next_touch
 
-LAWS = [SmoothImpact(chi) for chi in (0.0, 0.1, 0.5, 0.9, 1.0)]
-SMOOTH = LAWS
+SMOOTH = [SmoothImpact(chi) for chi in (0.0, 0.1, 0.5, 0.9, 1.0)]
+NEWTON = [CoulombImpact(0.5, 0.3, "newton"), CoulombImpact(1.0, 0.1, "newton")]
+LOSING = [
+    *SMOOTH,
+    CoulombImpact(0.5, 0.2),
+    CoulombImpact(0.0, 1.5),
+    CoulombImpact(0.8, 0.3, "poisson"),
+    RestitutionBySpeed(SmoothImpact(0.9), 0.2),
+    RestitutionBySpeed(CoulombImpact(0.9, 0.2), 0.2),
+]
+LAWS = [*LOSING, *NEWTON]
 each_law = pytest.mark.parametrize("law", LAWS, ids=str)
+each_losing_law = pytest.mark.parametrize("law", LOSING, ids=str)
+each_kinematic_law = pytest.mark.parametrize("law", [*SMOOTH, *NEWTON], ids=str)
 each_smooth_law = pytest.mark.parametrize("law", SMOOTH, ids=str)
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 
@@ -25,10 +37,12 @@ def impacts_of(die, law, seed: int):
         release = random_release(rng, die, spin_rad_s=float(rng.choice([5.0, 60.0, 600.0])))
         throw = throw_die(die, release, law, until=Until(impacts=6)).throw
         for k, impact in enumerate(throw.impacts):
+            if impact.contact == "held":
+                continue
             yield impact, throw.flights[k].at(impact.time_s), throw.flights[k + 1].start
 
 
-@each_law
+@each_losing_law
 @each_die
 def test_an_impact_never_adds_energy(die, law):
     for impact, before, after in impacts_of(die, law, 31):
@@ -38,7 +52,7 @@ def test_an_impact_never_adds_energy(die, law):
         assert impact.energy_after_J == pytest.approx(energy_J(die, after), rel=1e-14)
 
 
-@each_law
+@each_kinematic_law
 @each_die
 def test_the_normal_velocity_of_the_contact_is_reversed_by_exactly_chi(die, law):
     for impact, _, after in impacts_of(die, law, 32):
@@ -89,6 +103,39 @@ def test_the_vector_form_solves_the_equations_of_the_paper(die, law):
         known = [*(die.mass_kg * v), *(die.inertia_kg_m2 * w), -law.chi * touch.normal_velocity_m_s]
         # Rows of sizes 1 to 1e-6: the solve keeps some ten digits.
         assert impulse_N_s(die, touch, law)[2] == pytest.approx(np.linalg.solve(matrix, known)[6], rel=1e-9)
+
+
+@each_smooth_law
+@each_die
+def test_the_vector_form_is_that_of_the_paper_in_euler_angles(die, law):
+    """Eqs 6 to 8 in the paper's own variables: z-x-z Euler angles ψ, ϑ, φ and the body components ω_ξ, ω_η, ω_ζ.
+
+    The vertical in body axes is k = (sin ϑ sin φ, sin ϑ cos φ, cos ϑ), so that with S vertical at (ξ, η, ζ)
+    m Δż = S,  J Δω_ξ = S (η k_ζ - ζ k_η),  J Δω_η = S (ζ k_ξ - ξ k_ζ),  J Δω_ζ = S (ξ k_η - η k_ξ),
+    and the vertex falls with ż + ω_ξ (η k_ζ - ζ k_η) + ω_η (ζ k_ξ - ξ k_ζ) + ω_ζ (ξ k_η - η k_ξ) = v, then -χ v.
+    """
+    rng = np.random.default_rng(36)
+    for _ in range(20):
+        psi, theta, phi = rng.uniform(0, 2 * np.pi), rng.uniform(0, np.pi), rng.uniform(0, 2 * np.pi)
+        vertex, rise = int(rng.integers(len(die.solid.vertices))), rng.normal()
+        body = rng.normal(size=3) * 40.0
+        xi, eta, zeta = die.solid.vertices[vertex]
+        k_xi, k_eta, k_zeta = np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)
+        levers = np.array([eta * k_zeta - zeta * k_eta, zeta * k_xi - xi * k_zeta, xi * k_eta - eta * k_xi])
+        v = rise + body @ levers
+        if v > 0.0:  # the vertex shall come down
+            rise, body, v = -rise, -body, -v
+        S = -(1.0 + law.chi) * v / (1.0 / die.mass_kg + levers @ levers / die.inertia_kg_m2)
+
+        quaternion = quat_from_euler([psi, theta, phi])
+        rotation = matrix_from_quat(quaternion)
+        velocity = np.array([*rng.normal(size=2), rise])
+        state = State(0.0, np.zeros(3), quaternion, velocity, rotation @ body)
+        touch = Touch(state, vertex, rotation @ die.solid.vertices[vertex], v)
+        impulse = impulse_N_s(die, touch, law)
+        assert impulse[2] == pytest.approx(S, rel=1e-12)
+        turned = rotation.T @ (state.omega_rad_s + np.cross(touch.arm_m, impulse) / die.inertia_kg_m2)
+        np.testing.assert_allclose(turned, body + S * levers / die.inertia_kg_m2, atol=1e-12 * np.abs(body).max())
 
 
 @settings(derandomize=True, max_examples=60, deadline=None)

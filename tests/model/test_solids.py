@@ -1,12 +1,28 @@
 """Dice as geometry and mass."""
 
+import pickle
+
 import numpy as np
 import pytest
 from random_throws import DICE, random_quaternion
 
+from diethrow.model.bodies import edge_barriers_m
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.simulate import edge_barriers_m
-from diethrow.model.solids import SHAPES, convex_solid, isohedral_solid, lowest_face, make_die, unit_inertia
+from diethrow.model.solids import (
+    SHAPES,
+    Die,
+    convex_solid,
+    die_from_solid,
+    die_symmetries,
+    inner_vertices,
+    isohedral_solid,
+    loaded_die,
+    lowest_face,
+    make_die,
+    symmetry_rotations,
+    truncated_dipyramid,
+    unit_inertia,
+)
 
 EDGE_M = 0.02
 
@@ -129,7 +145,8 @@ def test_the_barrier_of_a_regular_solid_is_its_midradius(shape):
         "dodecahedron": golden**2 / 2,
         "icosahedron": golden / 2,
     }[shape]
-    np.testing.assert_allclose(edge_barriers_m(isohedral_solid(shape, EDGE_M)), midradius * EDGE_M, rtol=1e-13)
+    solid = isohedral_solid(shape, EDGE_M)
+    np.testing.assert_allclose(edge_barriers_m(solid, solid.vertices), midradius * EDGE_M, rtol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -157,3 +174,156 @@ def test_points_that_span_no_volume_are_refused():
         convex_solid([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)])
     with pytest.raises(ValueError, match="at least four finite points"):
         convex_solid(np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("sides", "half_height_m", "cut"), [(3, 0.01, 0.0), (5, 0.02, 0.3), (7, 0.008, 0.5), (12, 0.02, 0.01)]
+)
+def test_a_truncated_dipyramid_has_congruent_side_faces_first_and_its_cuts_last(sides, half_height_m, cut):
+    solid = truncated_dipyramid(sides, 0.01, half_height_m, cut)
+    assert len(solid.faces) == 2 * sides + (2 if cut else 0)
+    np.testing.assert_allclose(solid.offsets[: 2 * sides], solid.offsets[0], rtol=1e-13)
+    assert {len(face) for face in solid.faces[: 2 * sides]} == {4 if cut else 3}
+    upper, lower = solid.normals[:sides], solid.normals[sides : 2 * sides]
+    np.testing.assert_allclose(upper * [1, 1, -1], lower, atol=1e-14)
+    middle = 2 * np.pi * (np.arange(sides) + 0.5) / sides
+    across = np.linalg.norm(upper[:, :2], axis=1)
+    np.testing.assert_allclose(
+        upper[:, :2], across[:, None] * np.column_stack([np.cos(middle), np.sin(middle)]), atol=1e-14
+    )
+    if cut:
+        np.testing.assert_allclose(solid.normals[-2:], [[0, 0, 1], [0, 0, -1]], atol=1e-15)
+        np.testing.assert_allclose(solid.offsets[-2:], (1 - cut) * half_height_m, rtol=1e-13)
+
+
+def test_the_square_dipyramid_of_equal_edges_is_the_octahedron_and_so_a_spherical_top():
+    edge = 0.02
+    die = die_from_solid(truncated_dipyramid(4, edge / np.sqrt(2), edge / np.sqrt(2), 0.0), 0.016)
+    assert die.is_spherical_top
+    assert die.inertia_kg_m2 == pytest.approx(make_die("octahedron", edge, 0.016).inertia_kg_m2, rel=1e-13)
+    assert len(symmetry_rotations(die.solid)) == 24
+
+
+@pytest.mark.parametrize(("sides", "cut"), [(3, 0.0), (4, 0.2), (5, 0.0), (6, 0.4), (9, 0.1)])
+def test_a_dipyramid_has_the_rotations_of_its_polygon_on_both_sides(sides, cut):
+    turns = symmetry_rotations(truncated_dipyramid(sides, 0.01, 0.017, cut))
+    assert len(turns) == 2 * sides
+    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.broadcast_to(np.eye(3), turns.shape), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.det(turns), 1.0)
+
+
+def test_a_load_leaves_only_the_rotations_that_keep_the_centre_of_mass():
+    cube = isohedral_solid("cube", EDGE_M)
+    for place, order in (
+        ([0, 0, 0.005], 4),
+        ([0.003, 0.003, 0.003], 3),
+        ([0.004, 0.004, 0], 2),
+        ([0.001, 0.002, 0.004], 1),
+    ):
+        assert len(die_symmetries(loaded_die(cube, 0.01, 0.002, place))) == order
+    box = die_from_solid(
+        convex_solid(cube.vertices * [1, 1, 1]), 0.01, inertia_tensor_kg_m2=np.diag([1e-6, 1e-6, 1.5e-6])
+    )
+    # The tensor has an axis: four turns about it and four half turns across it.
+    assert len(die_symmetries(box)) == 8
+    assert len(die_symmetries(DICE["cube"])) == 24
+
+
+def test_a_loaded_die_has_the_mass_centre_and_inertia_of_its_two_parts():
+    """Compared with the same body as a cloud of points, straight from the definitions."""
+    rng = np.random.default_rng(7)
+    solid, mass, load, place = truncated_dipyramid(5, 0.01, 0.02, 0.3), 0.01, 0.004, np.array([0.003, -0.002, 0.006])
+    die = loaded_die(solid, mass, load, place)
+    cloud = rng.uniform(-0.02, 0.02, (40_000, 3))
+    cloud = cloud[(cloud @ solid.normals.T < solid.offsets).all(1)]
+    # With all its turned copies the cloud has the solid's symmetry, and so its centroid exactly.
+    cloud = np.vstack([cloud @ turn.T for turn in symmetry_rotations(solid)])
+    weights = np.append(np.full(len(cloud), mass / len(cloud)), load)
+    points = np.vstack([cloud, place])
+    centre = weights @ points / weights.sum()
+    arms = points - centre
+    tensor = np.einsum("n,ij,nk,nk->ij", weights, np.eye(3), arms, arms) - np.einsum("n,ni,nj->ij", weights, arms, arms)
+    assert die.mass_kg == pytest.approx(0.014)
+    np.testing.assert_allclose(die.centre_of_mass_m, load * place / 0.014, rtol=1e-14)
+    np.testing.assert_allclose(die.centre_of_mass_m, centre, atol=1e-14)
+    # Some 5000 random points: their second moments scatter by one percent.
+    np.testing.assert_allclose(die.inertia_tensor_kg_m2, tensor, atol=0.02 * np.trace(tensor))
+
+
+@pytest.mark.parametrize(("edge", "mass"), [(1e-4, 1e-9), (1e-4, 1e3), (10.0, 1e-9), (10.0, 1e3)])
+def test_mass_properties_scale_with_any_size_and_mass(edge, mass):
+    for shape in SHAPES:
+        die = die_from_solid(isohedral_solid(shape, edge), mass)
+        assert die.is_spherical_top
+        assert die.inertia_kg_m2 == pytest.approx(PAPER_INERTIA[shape] * mass * edge**2, rel=1e-13)
+    small = loaded_die(truncated_dipyramid(5, 0.01, 0.02, 0.3), 0.01, 0.001, [0, 0, 0.005])
+    large = loaded_die(truncated_dipyramid(5, edge, 2 * edge, 0.3), mass, 0.1 * mass, [0, 0, 0.5 * edge])
+    scale = (mass / 0.01) * (edge / 0.01) ** 2
+    expected = small.inertia_tensor_kg_m2 * scale
+    np.testing.assert_allclose(large.inertia_tensor_kg_m2, expected, atol=1e-13 * np.trace(expected))
+
+
+@pytest.mark.parametrize(
+    "solid",
+    [*(isohedral_solid(shape, EDGE_M) for shape in SHAPES), truncated_dipyramid(3, 0.01, 0.02, 0.4),
+     truncated_dipyramid(6, 0.01, 0.02, 0.0), convex_solid(np.indices((2, 2, 2)).reshape(3, 8).T * [0.01, 0.02, 0.03])],
+    ids=lambda solid: solid.name,
+)  # fmt: skip
+def test_inner_corners_lie_the_radius_below_each_of_their_faces(solid):
+    radius = 0.1 * solid.inradius
+    inner = inner_vertices(solid, radius)
+    for face, normal, offset in zip(solid.faces, solid.normals, solid.offsets, strict=True):
+        depths = offset - inner @ normal
+        np.testing.assert_allclose(depths[list(face)], radius, atol=1e-14)
+        assert depths.min() > radius - 1e-14
+    np.testing.assert_allclose(inner_vertices(solid, 0.0), solid.vertices, atol=1e-16)
+
+
+def test_a_radius_that_splits_a_corner_or_swallows_a_face_is_refused():
+    # Four unlike planes meet in the tip of a pyramid over an oblong.
+    tip = convex_solid([(2, 1, 0), (2, -1, 0), (-2, 1, 0), (-2, -1, 0), (0, 0, 1.5)])
+    with pytest.raises(ValueError, match="the 4 faces that meet in vertex 4"):
+        inner_vertices(tip, 0.1)
+    with pytest.raises(ValueError, match="a face would vanish"):
+        inner_vertices(truncated_dipyramid(3, 0.01, 0.02, 0.01), 0.002)
+    with pytest.raises(ValueError, match="less than the inscribed radius"):
+        inner_vertices(tip, 1.0)
+
+
+def test_a_die_that_is_no_spherical_top_has_no_one_moment_of_inertia():
+    die = loaded_die(isohedral_solid("cube", EDGE_M), 0.01, 0.002, [0, 0, 0.005])
+    assert not die.is_spherical_top
+    with pytest.raises(ValueError, match="inertia_kg_m2 of a cube that is no spherical top"):
+        _ = die.inertia_kg_m2
+    with pytest.raises(AttributeError, match="no attribute 'colour'"):
+        _ = die.colour
+    assert not pickle.loads(pickle.dumps(die)).is_spherical_top
+    shifted = Die(die.solid, 0.01, 1e-6, centre_of_mass_m=np.array([0, 0, 0.001]))
+    np.testing.assert_array_equal(shifted.inertia_tensor_kg_m2, 1e-6 * np.eye(3))
+    assert Die(die.solid, 0.01, 1e-6, centre_of_mass_m=np.zeros(3)).is_spherical_top
+    assert loaded_die(die.solid, 0.01, 0.0, [0, 0, 0.005]).is_spherical_top
+
+
+CUBE = isohedral_solid("cube", EDGE_M)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: die_from_solid(CUBE, 0.01, centre_of_mass_m=[0, 0, 0.001]), "without an inertia tensor"),
+        (lambda: die_from_solid(CUBE, -1.0), "mass_kg = -1"),
+        (lambda: die_from_solid(CUBE, 1.0, inertia_tensor_kg_m2=np.eye(2)), r"shape \(2, 2\)"),
+        (lambda: die_from_solid(CUBE, 1.0, inertia_tensor_kg_m2=np.tri(3)), "a symmetric tensor"),
+        (lambda: die_from_solid(CUBE, 1.0, inertia_tensor_kg_m2=np.diag([1, 1, 3])), "none larger than the sum"),
+        (lambda: loaded_die(CUBE, 0.01, 0.001, [0, 0, 0.02]), "inside the cube"),
+        (lambda: loaded_die(CUBE, 0.01, 0.001, [0, 0]), "wanted 3 finite numbers"),
+        (lambda: loaded_die(CUBE, 0.01, -0.001, [0, 0, 0]), "load_kg = -0.001"),
+        (lambda: truncated_dipyramid(2, 0.01, 0.01, 0.0), "sides = 2"),
+        (lambda: truncated_dipyramid(3, 0.01, 0.01, 1.0), "cut = 1.0"),
+        (lambda: truncated_dipyramid(3, 0.0, 0.01, 0.1), "radius_m = 0.0"),
+        (lambda: truncated_dipyramid(3, 0.01, np.inf, 0.1), "half_height_m = inf"),
+    ],
+)  # fmt: skip
+def test_bodies_that_cannot_be_are_refused_by_name(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()

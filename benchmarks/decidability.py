@@ -1,0 +1,97 @@
+"""Which throws double precision decides: `python benchmarks/decidability.py [throws] [seed]`, 100 000 throws of each χ.
+
+The 2 cm, 16 g cube from 0.3 m, uniform orientations, 40 rad/s about uniform directions, no velocity. Every throw is made
+with a root tolerance of 1e-13 m and of 1e-11 m; those that land on another face must be among the undecidable ones at
+1e-11 m. Prints, for each χ: the share that lands on the same face; the share called undecidable at 1e-11 m and at the
+default tolerance (rounding); how many of the changed throws were missed (none is wanted); the largest margin
+among them (missed above 1); and processor microseconds a throw, without and with its decidability.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diethrow.model import kernels
+from diethrow.model.bodies import body_of
+from diethrow.model.chaos import decidable_many
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.simulate import EXACT, Precision
+from diethrow.model.solids import make_die
+
+Array = NDArray[np.float64]
+CHI = (0.1, 0.3, 0.5, 0.7)
+BLOCK = 4096
+THREADS = 2
+CUBE = make_die("cube", 0.02, 0.016)
+
+
+def releases(count: int, seed: int) -> Array:
+    """Packed starts (count, 13)."""
+    rng = np.random.default_rng(seed)
+    starts = np.zeros((count, 13))
+    starts[:, 2] = 0.3
+    q, w = rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
+    starts[:, 3:7] = q / np.linalg.norm(q, axis=1)[:, None]
+    starts[:, 10:] = 40.0 * w / np.linalg.norm(w, axis=1)[:, None]
+    return starts
+
+
+def in_blocks(work, starts: Array) -> tuple[list, float]:
+    """`work` on blocks of the starts, by threads; and the processor time [s]."""
+    blocks = [starts[k : k + BLOCK] for k in range(0, len(starts), BLOCK)]
+    began = time.process_time()
+    with ThreadPoolExecutor(THREADS) as pool:
+        return list(pool.map(work, blocks)), time.process_time() - began
+
+
+def faces(starts: Array, chi: float, precision: Precision) -> tuple[Array, float]:
+    """Landed faces (n,), and the processor time [s]."""
+
+    def land(block: Array) -> Array:
+        landed = np.empty((len(block), 3), np.int64)
+        settings = kernels.Precision(precision.root_m, precision.switch, precision.turn_rad)
+        law = kernels.Law(kernels.SMOOTH, np.array([chi]))
+        kernels.land_many(body_of(CUBE), law, kernels.LEVEL, settings, block, 10_000_000, landed)
+        return landed[:, 0]
+
+    parts, spent = in_blocks(land, starts)
+    return np.concatenate(parts), spent
+
+
+def main(count: int, seed: int) -> None:
+    """Print the table."""
+    starts = releases(count, seed)
+    fine, coarse = Precision(root_m=1e-13), Precision(root_m=1e-11)
+    decidable_many(CUBE, starts[:2], SmoothImpact(0.5))
+    faces(starts[:2], 0.5, EXACT)
+    print(f"{count} throws each, seed {seed}")
+    print(
+        f"{'chi':>5} {'unchanged':>10} {'undecidable at 1e-11':>21} {'by rounding':>12} {'missed':>7} {'of':>6}     µs     µs"
+    )
+    for chi in CHI:
+        law = SmoothImpact(chi)
+        before, plain = faces(starts, chi, fine)
+        after, _ = faces(starts, chi, coarse)
+        parts, spent = in_blocks(lambda block, law=law: decidable_many(CUBE, block, law, precision=coarse), starts)
+        decidable, margin = (np.concatenate([part[k] for part in parts]) for k in (1, 2))
+        exact, _ = in_blocks(lambda block, law=law: decidable_many(CUBE, block, law), starts)
+        by_rounding = 1.0 - np.concatenate([part[1] for part in exact]).mean()
+        changed = before != after
+        assert (np.concatenate([part[0] for part in parts])[:, 0] == after).all()
+        missed = int((changed & decidable).sum())
+        print(
+            f"{chi:5.2f} {1.0 - changed.mean():10.4%} {1.0 - decidable.mean():21.4%} {by_rounding:12.4%} {missed:7d} "
+            f"{int(changed.sum()):6d} {plain / count * 1e6:6.1f} {spent / count * 1e6:6.1f}",
+            flush=True,
+        )
+        if changed.any():
+            print(f"      largest margin among the changed {margin[changed].max():.3g}")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100_000, int(sys.argv[2]) if len(sys.argv) > 2 else 1)

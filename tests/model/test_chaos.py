@@ -1,0 +1,344 @@
+"""Growth of errors, Lyapunov exponents, and what double precision decides."""
+
+import numpy as np
+import pytest
+from random_throws import DICE, random_quaternion, random_release
+
+from diethrow.model import kernels
+from diethrow.model.bodies import body_of
+from diethrow.model.chaos import decidable_many, decided_by_double, growth, largest_exponent
+from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.motion import State
+from diethrow.model.rotations import (
+    matrix_from_quat,
+    quat_from_euler,
+    quat_from_rotvec,
+    quat_multiply,
+    rotation_between,
+)
+from diethrow.model.simulate import EXACT, Ending, Precision, Until, checked_release, throw_die
+from diethrow.model.solids import make_die
+from diethrow.model.tables import LEVEL, Table
+from diethrow.model.touch import unpacked_state
+
+SHAKEN = Table(amplitude_m=0.002, frequency_hz=25.0, phase_rad=0.7)
+CUBE = DICE["cube"]
+LAWS = {
+    "smooth": SmoothImpact(0.6),
+    "coulomb": CoulombImpact(0.6, 0.15),
+    "by speed": RestitutionBySpeed(SmoothImpact(0.7), 2.0),
+}
+each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
+each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
+
+
+def disturbed(start: State, step: np.ndarray) -> State:
+    """The start moved by (12,); turns act in world axes."""
+    return State(
+        start.time_s,
+        start.position_m + step[:3],
+        quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
+        start.velocity_m_s + step[6:9],
+        start.omega_rad_s + step[9:],
+    )
+
+
+def apart(a: State, b: State) -> np.ndarray:
+    """(12,) from b to a."""
+    turned = rotation_between(b.quaternion[None], a.quaternion[None])[0]
+    return np.concatenate(
+        [a.position_m - b.position_m, turned, a.velocity_m_s - b.velocity_m_s, a.omega_rad_s - b.omega_rad_s]
+    )
+
+
+def units(die, table=LEVEL) -> np.ndarray:
+    """(12,) R, 1 rad, √(g R), √(g/R)."""
+    return kernels.scales_of(body_of(die), table.plane)
+
+
+def logged(die, start: State, law, table: Table, impacts: int | None):
+    """Log and knots of a throw, as the kernels write them, and its derivatives after each event."""
+    packed, of_law = checked_release(die, start, table), kernels.Law(law.code, law.parameters)
+    _, _, _, _, _, log, knots = kernels.run_throw(
+        body_of(die),
+        of_law,
+        table.plane,
+        kernels.FINE,
+        packed,
+        start.time_s,
+        np.inf,
+        2**62 if impacts is None else impacts,
+        impacts is None,
+        10**7,
+        True,
+    )
+    maps, exponents = kernels.run_growth(body_of(die), of_law, table.plane, packed, start.time_s, log, knots)
+    assert not exponents.any()
+    return log, maps
+
+
+def differences(die, start: State, law, table: Table, event: int, step: float, until: Until) -> np.ndarray:
+    """(12, 12) central differences, in units of `units`, of the state right after an event, at the same instant in all:
+    the flight that follows it is extended to the instant of the undisturbed event."""
+    unit, columns = units(die, table), []
+    when = throw_die(die, start, law, table=table, until=until).throw.impacts[event].time_s
+    for column in range(12):
+        sides = [
+            throw_die(die, disturbed(start, sign * step * unit * np.eye(12)[column]), law, table=table, until=until)
+            for sign in (1, -1)
+        ]
+        a, b = (side.throw.flights[event + 1].at(when) for side in sides)
+        columns.append(apart(a, b) / (2 * step * unit))
+    return np.array(columns).T
+
+
+@each_die
+@pytest.mark.parametrize("table", [LEVEL, SHAKEN], ids=["at rest", "oscillating"])
+def test_derivatives_of_a_throw_are_those_that_differences_approach(die, table):
+    start = random_release(np.random.default_rng(81), die)
+    _, maps = logged(die, start, SmoothImpact(0.6), table, 3)
+    found = differences(die, start, SmoothImpact(0.6), table, 2, 1e-7, Until(impacts=3))
+    # A step of 1e-7, magnified up to a thousandfold, bends by 1e-8; rounding of 1e-15 over it is as much.
+    np.testing.assert_allclose(maps[2], found, atol=1e-5 * np.abs(found).max())
+
+
+@each_law
+@pytest.mark.parametrize("table", [LEVEL, SHAKEN], ids=["at rest", "oscillating"])
+def test_laws_without_derivatives_are_differenced_to_the_same_end(law, table):
+    start = random_release(np.random.default_rng(83), CUBE)
+    _, maps = logged(CUBE, start, law, table, 3)
+    found = differences(CUBE, start, law, table, 2, 1e-7, Until(impacts=3))
+    np.testing.assert_allclose(maps[2], found, atol=1e-5 * np.abs(found).max())
+
+
+def test_a_law_differenced_gives_what_its_derivative_gives():
+    """Friction of μ = 0 is the smooth impact, by another road."""
+    start = random_release(np.random.default_rng(84), CUBE)
+    _, smooth = logged(CUBE, start, SmoothImpact(0.6), SHAKEN, 5)
+    _, rough = logged(CUBE, start, CoulombImpact(0.6, 0.0), SHAKEN, 5)
+    # The differences are right to 1e-10 an impact.
+    for one, other in zip(rough, smooth, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+
+
+def test_growth_through_chatter_and_held_contact_is_that_of_differences():
+    law, rng, checked = SmoothImpact(0.2), np.random.default_rng(85), 0
+    for _ in range(200):
+        start = random_release(rng, CUBE)
+        log, maps = logged(CUBE, start, law, LEVEL, None)
+        held = np.flatnonzero((log[:, 21] >= 0) & (log[:, 22] != -2))
+        later = np.flatnonzero((log[:, 1] >= 0) & (log[:, 21] < 0))
+        if not (len(held) and len(later) and later[-1] > held[0]):
+            continue
+        event = int(later[later > held[0]][0])
+        if np.linalg.norm(maps[event], 2) > 1e4 or abs(log[event, 0] - log[event - 1, 0]) < 1e-4:
+            continue
+        try:
+            found = differences(
+                CUBE, start, law, LEVEL, event, 1e-8, Until(time_s=float(log[event, 0]) + start.time_s + 9.0)
+            )
+        except IndexError:  # a neighbour has another number of bounces before it chatters
+            continue
+        # Rounding that has come through the collapse, 1e-14 of the state, over a step of 1e-8.
+        if np.abs(found).max() < 1e5:
+            np.testing.assert_allclose(maps[event], found, atol=1e-3 * np.abs(found).max())
+            checked += 1
+        if checked == 3:
+            return
+    pytest.fail(f"only {checked} throws of 200 could be compared")
+
+
+@each_die
+@pytest.mark.parametrize("table", [LEVEL, SHAKEN], ids=["at rest", "oscillating"])
+def test_every_impact_contracts_the_volume_by_chi_squared(die, table):
+    """Flight keeps it; of the two directions along the impulse, position and momentum, each shrinks by χ."""
+    start = random_release(np.random.default_rng(86), die)
+    _, maps = logged(die, start, SmoothImpact(0.7), table, 4)
+    for k, each in enumerate(maps[:4]):
+        # The determinant loses the square of the largest growth, 1e4 at most, in digits.
+        assert np.linalg.det(each) == pytest.approx(0.7 ** (2 * (k + 1)), rel=1e-6)
+
+
+def paper_start() -> State:
+    """Fig. 5 of Kapitaniak et al."""
+    quaternion = quat_from_euler([0.001, 0.00001, 0.0001])
+    spin = matrix_from_quat(quaternion) @ np.array([0.0, 60.0, 0.0])
+    return State(0.0, np.array([0.0, 0.0, 0.3]), quaternion, np.array([0.6, 0.0, -0.7]), spin)
+
+
+def spectrum(die, law, table: Table, impacts: int) -> tuple[np.ndarray, np.ndarray]:
+    """Logarithms of the growth (impacts, 12) and the instants (impacts,)."""
+    logs, clock = np.empty((impacts, 12)), np.empty(impacts)
+    tangent = np.random.default_rng(1).normal(size=(12, 12)) * units(die, table)[:, None]
+    kernels.run_exponents(
+        body_of(die),
+        kernels.Law(law.code, law.parameters),
+        table.plane,
+        kernels.FINE,
+        checked_release(die, paper_start(), table),
+        0.0,
+        tangent,
+        logs,
+        clock,
+    )
+    return logs, clock
+
+
+def test_without_loss_the_exponents_are_pairs_of_opposite_sign():
+    logs, clock = spectrum(CUBE, SmoothImpact(1.0), LEVEL, 4000)
+    exponents = logs[100:].sum(0) / (clock[-1] - clock[99])
+    # Neutral directions grow as log t / t: ln(1e4)/900 s; the pairs themselves differ by their beginnings over 900 s.
+    np.testing.assert_allclose(exponents + exponents[::-1], 0.0, atol=0.05)
+    np.testing.assert_allclose(exponents[2:10], 0.0, atol=0.05)
+    assert exponents[0] > 5.0
+    # Volume: exact but for rounding.
+    assert abs(logs[1:].sum(1)).max() < 1e-6
+
+
+def test_with_loss_the_exponents_add_up_to_two_log_chi_an_impact():
+    logs, _ = spectrum(CUBE, SmoothImpact(0.8), SHAKEN, 2000)
+    assert logs[1:].sum() / (len(logs) - 1) == pytest.approx(2 * np.log(0.8), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("shape", "edge_m", "per_second", "per_impact"), [("tetrahedron", 0.040793, 11.0, 1.9), ("cube", 0.02, 12.1, 2.9)]
+)
+def test_the_largest_exponent_at_chi_one_is_the_one_known_from_two_neighbours(shape, edge_m, per_second, per_impact):
+    die = make_die(shape, edge_m, 0.016)
+    found = largest_exponent(die, paper_start(), SmoothImpact(1.0), impacts=3000, orbits=3)
+    assert found.per_second == pytest.approx(per_second, abs=0.15 + 3 * found.per_second_error)
+    assert found.per_impact == pytest.approx(per_impact, abs=0.05 + 3 * found.per_impact_error)
+    assert found.per_unit == pytest.approx(found.per_second * np.sqrt(edge_m / 9.81))
+
+
+@pytest.mark.parametrize(("chi", "table"), [(1.0, LEVEL), (0.8, SHAKEN)], ids=["elastic", "driven"])
+def test_the_exponent_is_that_of_two_neighbouring_throws(chi, table):
+    """Independently of the tangent map: two throws 1e-8 apart, brought back together every 0.06 s."""
+    law, unit, step_s, apart_by = SmoothImpact(chi), units(CUBE, table), 0.06, 1e-8
+    one = paper_start()
+    two = disturbed(one, apart_by * unit * np.eye(12)[10])
+    logs = []
+    for _ in range(900):
+        until = Until(time_s=one.time_s + step_s)
+        one, two = (throw_die(CUBE, each, law, table=table, until=until).throw.at(until.time_s) for each in (one, two))
+        gap = apart(two, one) / unit
+        logs.append(np.log(np.linalg.norm(gap) / apart_by))
+        two = disturbed(one, gap / np.linalg.norm(gap) * apart_by * unit)
+    rates = np.array(logs[50:]).reshape(-1, 10).mean(1) / step_s
+    found = largest_exponent(CUBE, paper_start(), law, table=table, impacts=3000, orbits=3)
+    error = np.hypot(found.per_second_error, rates.std(ddof=1) / np.sqrt(len(rates)))
+    assert rates.mean() == pytest.approx(found.per_second, abs=3 * error)
+
+
+def test_a_point_that_bounces_for_ever_has_no_chaos():
+    body = body_of(CUBE)._replace(vertices=np.zeros((1, 3)))
+    start = np.array([0, 0, 0.3, 1, 0, 0, 0, 0.1, 0, 0, 1.0, 2.0, 3.0])
+    logs, clock = np.empty((4000, 1)), np.empty(4000)
+    tangent = np.random.default_rng(2).normal(size=(12, 1)) * kernels.scales_of(body, kernels.LEVEL)[:, None]
+    law = kernels.Law(kernels.SMOOTH, np.array([1.0]))
+    kernels.run_exponents(body, law, kernels.LEVEL, kernels.FINE, start, 0.0, tangent, logs, clock)
+    # A difference in energy shifts the bounces in proportion to time: ln(4000)/4000.
+    assert abs(logs[10:].sum()) / 4000 < 2 * np.log(4000) / 4000
+
+
+def test_the_exponent_does_not_depend_on_the_size_of_the_die_but_by_its_unit():
+    small = largest_exponent(CUBE, paper_start(), SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    large_start = State(
+        0.0,
+        100 * paper_start().position_m,
+        paper_start().quaternion,
+        10 * paper_start().velocity_m_s,
+        paper_start().omega_rad_s / 10,
+    )
+    die = make_die("cube", 2.0, 0.016)
+    large = largest_exponent(die, large_start, SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    # The orbits are the same until rounding has grown by e^2.9 an impact: compare the first eight.
+    np.testing.assert_allclose(large.logs[0, :8], small.logs[0, :8], rtol=1e-4)
+
+
+def test_what_has_no_exponent_is_refused_by_name():
+    with pytest.raises(ValueError, match=r"chi = 0\.5 on a table at rest: every throw ends"):
+        largest_exponent(CUBE, paper_start(), SmoothImpact(0.5))
+    with pytest.raises(ValueError, match="wanted 2, 1, 0 or more"):
+        largest_exponent(CUBE, paper_start(), SmoothImpact(1.0), orbits=0)
+    weak = Table(amplitude_m=1e-5, frequency_hz=10.0)
+    with pytest.raises(ValueError, match=r"the die bounced only .* times"):
+        largest_exponent(CUBE, paper_start(), SmoothImpact(0.3), table=weak)
+
+
+def on_an_edge(lean_rad: float) -> State:
+    """A cube at rest on an edge, leaning over it."""
+    turn = quat_from_rotvec([np.pi / 4 + lean_rad, 0.0, 0.0])
+    height = -(CUBE.solid.vertices @ matrix_from_quat(turn)[2]).min()
+    return State(0.0, np.array([0.0, 0.0, height]), turn, np.zeros(3), np.zeros(3))
+
+
+def test_a_die_dropped_by_a_millimetre_onto_a_face_is_decided():
+    start = State(0.0, np.array([0.0, 0.0, 0.011]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    check = decided_by_double(CUBE, start, SmoothImpact(0.5))
+    assert check.decidable
+    assert check.margin > 1e6
+    assert check.sentence.startswith("Double precision decides this throw")
+
+
+def test_a_die_that_leans_is_decided_and_one_that_leans_by_rounding_is_not():
+    law = SmoothImpact(0.3)
+    leaning = decided_by_double(CUBE, on_an_edge(1e-3), law)
+    assert leaning.decidable
+    for lean in (0.0, 1e-15, -3e-16):
+        check = decided_by_double(CUBE, on_an_edge(lean), law)
+        assert not check.decidable, (lean, check)
+        assert check.margin <= 1.0
+        assert "not decide" in check.sentence
+
+
+def test_a_throw_of_hundreds_of_elastic_bounces_is_not_decided_and_the_growth_says_why():
+    check = decided_by_double(CUBE, paper_start(), SmoothImpact(1.0))
+    assert not check.decidable
+    assert check.growth > 1e16
+    grown = growth(CUBE, paper_start(), SmoothImpact(1.0), impacts=20)
+    assert grown.ending is Ending.IMPACTS_REACHED
+    assert len(grown.at_impacts) == 20
+    # e^2.9 an impact on average, with a wide spread.
+    assert 15 < grown.log10_growth[-1] < 40
+
+
+def random_starts(count: int, seed: int) -> np.ndarray:
+    """Packed starts (count, 13) of the cube, 0.3 m up, 40 rad/s."""
+    rng, starts = np.random.default_rng(seed), np.zeros((count, 13))
+    starts[:, 2] = 0.3
+    starts[:, 3:7] = [random_quaternion(rng) for _ in starts]
+    axes = rng.normal(size=(count, 3))
+    starts[:, 10:] = 40.0 * axes / np.linalg.norm(axes, axis=1)[:, None]
+    return starts
+
+
+@pytest.mark.parametrize(("chi", "decided"), [(0.3, 0.99), (0.5, 0.95), (0.7, 0.4)])
+def test_every_throw_whose_face_a_tolerance_changes_was_called_undecidable(chi, decided):
+    starts, law = random_starts(3000, 90), SmoothImpact(chi)
+    fine, _, _ = decidable_many(CUBE, starts, law, precision=Precision(root_m=1e-13))
+    coarse, decidable, _ = decidable_many(CUBE, starts, law, precision=Precision(root_m=1e-11))
+    assert not ((fine[:, 0] != coarse[:, 0]) & decidable).any()
+    assert decidable.mean() > decided
+    if chi == 0.7:  # the question is not idle
+        assert (fine[:, 0] != coarse[:, 0]).mean() > 0.03
+
+
+def test_many_throws_are_judged_as_each_alone_and_land_as_they_do():
+    starts, law = random_starts(20, 91), SmoothImpact(0.6)
+    landed, decidable, _ = decidable_many(CUBE, starts, law, precision=EXACT)
+    for k, start in enumerate(starts):
+        release = unpacked_state(start, 0.0)
+        assert decided_by_double(CUBE, release, law).decidable == decidable[k]
+        assert throw_die(CUBE, release, law).landed_face == landed[k, 0] + 1
+
+
+@each_law
+@pytest.mark.parametrize("table", [LEVEL, Table(tilt_rad=0.1), SHAKEN], ids=["at rest", "tilted", "oscillating"])
+def test_every_law_and_table_has_an_answer(law, table):
+    start = random_release(np.random.default_rng(92), CUBE)
+    check = decided_by_double(CUBE, start, law, table=table)
+    assert np.isfinite(check.growth)
+    assert check.growth > 1.0
+    assert isinstance(check.decidable, bool)
+    assert check.decidable == (check.margin > 1.0) or "left before its end" in check.sentence

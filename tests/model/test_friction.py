@@ -1,0 +1,457 @@
+"""Laws of friction: one impact with Coulomb's cone, and one step of held contact."""
+
+import numpy as np
+import pytest
+from random_throws import DICE, random_quaternion
+
+from diethrow.model import kernels
+from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact, impulse_N_s
+from diethrow.model.motion import GRAVITY_M_S2, State
+from diethrow.model.rotations import matrix_from_quat
+from diethrow.model.touch import Touch
+
+ENDINGS = {"newton": kernels.NEWTON, "poisson": kernels.POISSON, "stronge": kernels.STRONGE}
+each_ending = pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS.keys())
+
+
+def contacts(seed: int, n: int):
+    """Contact matrices (six numbers), χ, μ and incoming velocities: dice of all shapes, general bodies, and extremes
+    (rods and discs, slips from 1e-6 to 1e3 times the normal velocity, μ from 1e-3 to 1e3)."""
+    rng = np.random.default_rng(seed)
+    for k in range(n):
+        die = DICE[list(DICE)[k % 5]]
+        arm = matrix_from_quat(random_quaternion(rng)) @ die.solid.vertices[0]
+        matrix = kernels.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *arm)
+        if k % 3 == 2:
+            axes = matrix_from_quat(random_quaternion(rng))
+            inertia = die.inertia_kg_m2 * 10.0 ** rng.uniform(-1.5, 1.5, 3)
+            matrix = kernels.contact_matrix(die.mass_kg, axes @ np.diag(1.0 / inertia) @ axes.T, *arm)
+        velocity = rng.normal(size=3)
+        velocity[:2] *= 10.0 ** (rng.uniform(-6, 3) if k % 2 else rng.uniform(-1, 1))
+        velocity[2] = -abs(velocity[2])
+        yield matrix, rng.uniform(), 10.0 ** (rng.uniform(-3, 3) if k % 5 == 4 else rng.uniform(-1.5, 0.7)), velocity
+
+
+def full(matrix) -> np.ndarray:
+    """(3, 3) of six numbers."""
+    xx, xy, xz, yy, yz, zz = matrix
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def energies(matrix, velocity, impulse) -> tuple[float, float]:
+    """What of the kinetic energy the contact can reach, cᵀM⁻¹c/2, before; and its change, S·(c + c')/2, exactly."""
+    after = velocity + full(matrix) @ impulse
+    return 0.5 * velocity @ np.linalg.solve(full(matrix), velocity), 0.5 * impulse @ (velocity + after)
+
+
+def test_the_contact_matrix_says_how_a_unit_impulse_changes_the_velocity_of_the_contact():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        arm, root = rng.normal(size=3), rng.normal(size=(3, 3))
+        inertia = root @ root.T + 0.1 * np.eye(3)
+        columns = [e / 2.0 + np.cross(np.linalg.solve(inertia, np.cross(arm, e)), arm) for e in np.eye(3)]
+        matrix = full(kernels.contact_matrix(2.0, np.linalg.inv(inertia), *arm))
+        np.testing.assert_allclose(matrix, np.array(columns).T, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
+        top = kernels.contact_matrix_of_top(2.0, 0.3, *arm)
+        np.testing.assert_allclose(top, kernels.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(top))
+
+
+def test_strongs_restitution_never_creates_energy():
+    for matrix, chi, mu, c in contacts(2, 4000):
+        for x in (chi, 0.0, 1.0):
+            energy, change = energies(matrix, c, np.array(kernels.friction_impulse(matrix, x, mu, kernels.STRONGE, *c)))
+            # Rounding of the matrices of rods (condition up to 1e5) in the sum that tests it.
+            assert change <= 1e-14 * energy
+
+
+def test_newtons_restitution_can_create_energy():
+    """The reason for Stronge's; a test that could not see creation would prove nothing."""
+    created = []
+    for matrix, _, mu, c in contacts(3, 2000):
+        energy, change = energies(matrix, c, np.array(kernels.friction_impulse(matrix, 1.0, mu, kernels.NEWTON, *c)))
+        created.append(change / energy)
+    assert max(created) > 0.02
+
+
+@each_ending
+def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
+    for matrix, chi, mu, c in contacts(4, 2000):
+        sx, sy, sz = kernels.friction_impulse(matrix, chi, mu, ending, *c)
+        assert sz > 0.0
+        assert np.hypot(sx, sy) <= mu * sz * (1 + 1e-14)
+        # The end is w ≥ 0; a velocity is a sum of terms of this size.
+        terms = abs(c).max() + np.abs(full(matrix) @ np.diag([sx, sy, sz])).max()
+        assert (c + full(matrix) @ [sx, sy, sz])[2] >= -1e-14 * terms
+
+
+@each_ending
+def test_without_friction_the_impulse_is_the_smooth_one_to_the_last_digit(ending):
+    for matrix, chi, _, c in contacts(5, 200):
+        smooth = (0.0, 0.0, -(1.0 + chi) * c[2] / matrix[5])
+        assert kernels.friction_impulse(matrix, chi, 0.0, ending, *c) == smooth
+        nearly = kernels.friction_impulse(matrix, chi, 1e-12, ending, *c)
+        # Friction of 1e-12 may count by the ratio of slip to normal velocity, 1e3, and of the matrix, 1e2.
+        np.testing.assert_allclose(nearly, smooth, atol=1e-6 * smooth[2])
+
+
+def test_newtons_restitution_reverses_the_normal_velocity():
+    for matrix, chi, mu, c in contacts(6, 1000):
+        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, kernels.NEWTON, *c))
+        terms = abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
+        assert (c + full(matrix) @ impulse)[2] == pytest.approx(-chi * c[2], abs=1e-13 * terms)
+
+
+def planar(b: float, tangential: float = 1.0, normal: float = 1.0):
+    """A contact whose slip along x stays along x: T diagonal, coupling `b` [1/kg]."""
+    return (tangential, 0.0, b, 1.7 * tangential, 0.0, normal)
+
+
+@each_ending
+def test_routh_slip_that_goes_on_has_the_impulse_of_the_cone(ending):
+    """w' = a - μ b all the way, so the three restitutions agree: p = -(1 + χ) w/(a - μ b), S_t = -μ p."""
+    a, b, mu, chi, slip, w = 1.0, 0.3, 0.2, 0.6, 5.0, -1.0
+    p = -(1 + chi) * w / (a - mu * b)
+    expected = (-mu * p, 0.0, p)
+    np.testing.assert_allclose(kernels.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-15)
+
+
+def stopped_impulse(b: float, mu: float, chi: float, slip: float, w: float, ending: int) -> np.ndarray:
+    """Routh's cases on paper: slip along +x stops within compression at p₁, then sticks or goes on along ±x."""
+    stop = slip / (mu - b)
+    w1 = w + (1.0 - mu * b) * stop
+    assert w1 < 0.0
+    stay = abs(b) <= mu
+    tangential = -b if stay else -mu * np.sign(b)
+    slope = 1.0 + b * tangential
+    compression = stop - w1 / slope
+    work = 0.5 * (w + w1) * stop - 0.5 * w1**2 / slope
+    more = {
+        kernels.NEWTON: -chi * w / slope,
+        kernels.POISSON: chi * compression,
+        kernels.STRONGE: chi * np.sqrt(-2.0 * work / slope),
+    }[ending]
+    return np.array([-mu * stop + tangential * (compression + more - stop), 0.0, compression + more])
+
+
+@each_ending
+@pytest.mark.parametrize(("b", "mu"), [(0.3, 0.5), (-0.3, 0.5), (-0.6, 0.4), (-0.6, 0.0401)])
+def test_routh_slip_that_stops_sticks_or_turns_back(b, mu, ending):
+    """Sticks where |b| ≤ μ (T = 1), else it sets out the other way."""
+    got = kernels.friction_impulse(planar(b), 0.7, mu, ending, 0.1, 0.0, -1.0)
+    np.testing.assert_allclose(got, stopped_impulse(b, mu, 0.7, 0.1, -1.0, ending), rtol=1e-14, atol=1e-15)
+
+
+@each_ending
+def test_routh_slip_that_stops_only_in_restitution(ending):
+    """b = 0.3, μ = 0.5, s = 0.3: compression ends at p = 1/0.85, the slip at 0.3/0.2 after it."""
+    b, mu, chi, slip, w = 0.3, 0.5, 0.9, 0.3, -1.0
+    slide, stick, stop = 1.0 - mu * b, 1.0 - b * b, slip / (mu - b)
+    compression, w1 = -w / slide, w + slide * stop
+    assert w1 > 0.0
+    end = {
+        kernels.NEWTON: stop + (-chi * w - w1) / stick,
+        kernels.POISSON: (1 + chi) * compression,
+        kernels.STRONGE: stop - w1 / stick + np.sqrt(w1**2 + stick * (chi**2 * w**2 - w1**2) / slide) / stick,
+    }[ending]
+    expected = [-mu * stop - b * (end - stop), 0.0, end]
+    np.testing.assert_allclose(
+        kernels.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-14, atol=1e-15
+    )
+
+
+@each_ending
+def test_a_jam_drives_the_contact_in_until_the_slip_stops(ending):
+    """b = 0.9, μ = 2: w' = 1 - 1.8 < 0 while it slides (s' = 0.9 - 2), and 1 - 0.81 once it sticks."""
+    got = kernels.friction_impulse(planar(0.9), 0.5, 2.0, ending, 0.4, 0.0, -1.0)
+    np.testing.assert_allclose(got, stopped_impulse(0.9, 2.0, 0.5, 0.4, -1.0, ending), rtol=1e-14, atol=1e-15)
+
+
+@each_ending
+def test_a_contact_without_slip_sticks_or_sets_out_along_its_one_direction(ending):
+    for matrix, chi, mu, c in contacts(7, 500):
+        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, 0.0, 0.0, c[2]))
+        M = full(matrix)
+        after = M @ impulse
+        hold = np.linalg.solve(M[:2, :2], -M[:2, 2])
+        if np.linalg.norm(hold) <= mu:
+            np.testing.assert_allclose(impulse[:2], hold * impulse[2], rtol=1e-12, atol=1e-14 * impulse[2])
+        else:
+            slip = after[:2] / np.linalg.norm(after[:2])
+            np.testing.assert_allclose(impulse[:2], -mu * impulse[2] * slip, atol=1e-9 * mu * impulse[2])
+        # Straight from the start: the restitutions agree.
+        assert after[2] + c[2] == pytest.approx(-chi * c[2], rel=1e-11)
+        # And the smallest slip changes nothing.
+        nudged = kernels.friction_impulse(matrix, chi, mu, ending, *(1e-12 * c[:2] / np.linalg.norm(c[:2])), c[2])
+        np.testing.assert_allclose(nudged, impulse, atol=1e-9 * np.abs(impulse).max())
+
+
+def plainest_impulse(cases, ending: int, steps: int) -> np.ndarray:
+    """dc/dp in equal steps of p by the midpoint rule, all cases at once, with nothing clever. Slip stays at zero once
+    a step would carry it past, if the cone holds it."""
+    M = np.array([full(case[0]) for case in cases])
+    chi, mu = np.array([case[1] for case in cases]), np.array([case[2] for case in cases])
+    c = np.array([case[3] for case in cases])
+    incoming = c[:, 2].copy()
+    hold = np.linalg.solve(M[:, :2, :2], -M[:, :2, 2][..., None])[..., 0]
+    held = np.linalg.norm(hold, axis=1) <= mu
+    S, down, up = np.zeros_like(c), np.zeros(len(c)), np.zeros(len(c))
+    dp = np.array([kernels.friction_impulse(*case[:3], ending, *case[3])[2] for case in cases]) / steps
+    open_ = np.ones(len(c), bool)
+
+    def force(v, stuck):
+        size = np.maximum(np.linalg.norm(v, axis=1), 1e-300)
+        sliding = -mu[:, None] * v / size[:, None]
+        return np.concatenate([np.where(stuck[:, None], hold, sliding), np.ones((len(v), 1))], axis=1)
+
+    stuck = np.zeros(len(c), bool)
+    for _ in range(2 * steps):
+        reach = dp * (np.abs(M[:, :2, 2]).sum(1) + mu * M[:, :2, :2].sum((1, 2)).clip(0) + mu * M[:, 0, 0])
+        stuck |= held & (np.hypot(c[:, 0], c[:, 1]) < reach)
+        middle = c + 0.5 * dp[:, None] * np.einsum("kij,kj->ki", M, force(c[:, :2], stuck))
+        push = dp[:, None] * force(middle[:, :2], stuck) * open_[:, None]
+        after = c + np.einsum("kij,kj->ki", M, push)
+        w = 0.5 * (c[:, 2] + after[:, 2])
+        weight = push[:, 2] if ending == kernels.POISSON else push[:, 2] * np.abs(w)
+        down, up = down + weight * (w < 0), up + weight * (w >= 0)
+        c, S = after, S + push
+        if ending == kernels.NEWTON:
+            open_ &= c[:, 2] < -chi * incoming
+        else:
+            open_ &= (c[:, 2] < 0) | (up < (chi if ending == kernels.POISSON else chi**2) * down)
+        if not open_.any():
+            return S
+    raise AssertionError("the plainest integration did not come to an end in twice the impulse expected")
+
+
+@each_ending
+def test_the_plainest_integration_in_1e5_steps_agrees(ending):
+    rng = np.random.default_rng(8)
+    cases = [
+        (matrix, chi, float(rng.uniform(0.05, 2.0)), np.array([*rng.normal(size=2) * rng.choice([0.3, 3.0]), c[2]]))
+        for matrix, chi, _, c in contacts(9, 45)
+    ]
+    exact = np.array([kernels.friction_impulse(*case[:3], ending, *case[3]) for case in cases])
+    plain = plainest_impulse(cases, ending, 100_000)
+    # The end falls within a step, 1e-5, and where it sticks the slip was cut short by some steps.
+    errors = np.abs(plain - exact).max(1) / np.abs(exact).max(1)
+    assert errors.max() < 3e-3
+    assert np.median(errors) < 5e-5
+
+
+@each_ending
+def test_units_do_not_matter(ending):
+    for matrix, chi, mu, c in contacts(10, 300):
+        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *c))
+        scaled = tuple(1e9 * m for m in matrix)
+        other = np.array(kernels.friction_impulse(scaled, chi, mu, ending, *(1e-7 * c)))
+        # A rounding of the inputs; near a jam or its stop it grows.
+        np.testing.assert_allclose(other * 1e16, impulse, atol=1e-10 * np.abs(impulse).max())
+
+
+@each_ending
+def test_turning_everything_about_the_vertical_turns_the_impulse(ending):
+    rng = np.random.default_rng(11)
+    for matrix, chi, mu, c in contacts(12, 300):
+        angle = rng.uniform(0, 2 * np.pi)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *c))
+        turned = tuple((turn @ full(matrix) @ turn.T)[np.triu_indices(3)])
+        other = np.array(kernels.friction_impulse(turned, chi, mu, ending, *(turn @ c)))
+        np.testing.assert_allclose(other, turn @ impulse, atol=1e-9 * np.abs(impulse).max())
+
+
+@each_ending
+def test_impacts_at_the_ends_of_what_can_be_asked(ending):
+    matrix, _, _, c = next(iter(contacts(13, 1)))
+    for mu, chi, velocity in (
+        (1e6, 0.5, c),
+        (1e12, 1.0, c),
+        (0.3, 0.0, c),
+        (0.3, 1.0, c),
+        (0.3, 0.5, (1.0, 2.0, -1e-200)),
+        (0.3, 0.5, (1e-200, 0.0, -1.0)),
+        (0.3, 0.5, (1e-300, 1e-300, -1e-290)),
+        (0.3, 0.5, (0.0, 0.0, -1e150)),
+    ):
+        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *velocity))
+        assert np.isfinite(impulse).all()
+        assert impulse[2] > 0.0
+    for resting in ((1.0, 2.0, 0.0), (1.0, 2.0, 1e-3), (1.0, 2.0, -0.0)):
+        assert kernels.friction_impulse(matrix, 0.5, 0.3, ending, *resting) == (0.0, 0.0, 0.0)
+    assert np.isnan(kernels.friction_impulse(matrix, 0.5, 0.3, ending, np.nan, 0.0, -1.0)).all()
+
+
+def test_a_grazing_impact_slides_and_its_impulse_vanishes_with_its_speed():
+    for matrix, chi, _, c in contacts(14, 100):
+        ux, uy = c[:2] / np.linalg.norm(c[:2])
+        slope = matrix[5] - 0.05 * (matrix[2] * ux + matrix[4] * uy)
+        p = (1 + chi) * 1e-9 / slope
+        got = kernels.friction_impulse(matrix, chi, 0.05, kernels.STRONGE, ux, uy, -1e-9)
+        # The slip turns by p M/s, 1e-9 times the anisotropy of the matrix.
+        np.testing.assert_allclose(got, (-0.05 * p * ux, -0.05 * p * uy, p), atol=1e-6 * p)
+
+
+def touch_of(die, seed: int) -> Touch:
+    """Some vertex at some orientation, coming down."""
+    rng = np.random.default_rng(seed)
+    velocity = np.array([*rng.normal(size=2), -2.0])
+    state = State(0.0, np.zeros(3), random_quaternion(rng), velocity, rng.normal(size=3) * 40.0)
+    arms = die.solid.vertices @ state.rotation.T
+    normal = (state.velocity_m_s + np.cross(state.omega_rad_s, arms))[:, 2]
+    vertex = int(np.argmin(normal))
+    return Touch(state, vertex, arms[vertex], float(normal[vertex]))
+
+
+def test_the_laws_ask_the_kernel_for_the_velocity_of_their_contact():
+    for die in DICE.values():
+        touch = touch_of(die, 15)
+        c = touch.state.velocity_m_s + np.cross(touch.state.omega_rad_s, touch.arm_m)
+        matrix = kernels.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *touch.arm_m)
+        for name, ending in ENDINGS.items():
+            expected = kernels.friction_impulse(matrix, 0.4, 0.25, ending, *c)
+            # c is summed in another order.
+            np.testing.assert_allclose(impulse_N_s(die, touch, CoulombImpact(0.4, 0.25, name)), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("law", [SmoothImpact(0.8), CoulombImpact(0.8, 0.3)], ids=str)
+def test_restitution_by_speed_is_the_law_with_the_restitution_of_that_speed(law):
+    fading = RestitutionBySpeed(law, speed_scale_m_s=0.5)
+    for die in DICE.values():
+        touch = touch_of(die, 16)
+        chi = 0.8 * (1.0 + abs(touch.normal_velocity_m_s) / 0.5) ** -0.25
+        assert fading.chi_at(-touch.normal_velocity_m_s) == pytest.approx(chi, rel=1e-15)
+        same = SmoothImpact(chi) if isinstance(law, SmoothImpact) else CoulombImpact(chi, 0.3)
+        np.testing.assert_allclose(impulse_N_s(die, touch, fading), impulse_N_s(die, touch, same), rtol=1e-12)
+
+
+def test_restitution_by_speed_goes_from_constant_to_johnsons_power():
+    law = RestitutionBySpeed(SmoothImpact(0.7), speed_scale_m_s=1e-3)
+    assert law.chi_at(0.0) == 0.7
+    assert law.chi_at(160.0) / law.chi_at(10.0) == pytest.approx(16**-0.25, rel=1e-4)
+    assert RestitutionBySpeed(SmoothImpact(0.7), 1.0, exponent=0.0).chi_at(1e3) == 0.7
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: CoulombImpact(0.5, -0.1), "mu = -0.1.*0 or more"),
+        (lambda: CoulombImpact(0.5, float("inf")), "mu = inf.*finite"),
+        (lambda: CoulombImpact(1.5, 0.1), "chi = 1.5.*from 0 to 1"),
+        (lambda: CoulombImpact(0.5, 0.1, "elastic"), "restitution = 'elastic'.*'stronge'"),
+        (lambda: RestitutionBySpeed(SmoothImpact(0.5), 0.0), "speed_scale_m_s = 0.0.*above 0"),
+        (lambda: RestitutionBySpeed(SmoothImpact(0.5), 1.0, -1.0), "exponent = -1.0.*0 or more"),
+    ],
+)
+def test_impossible_parameters_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+# ---- held contact ----------------------------------------------------------------------------------------------------
+
+CUBE = DICE["cube"]
+FEET = np.ascontiguousarray(CUBE.solid.vertices[CUBE.solid.vertices[:, 2] < 0])
+
+
+def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, feet=FEET):
+    """Velocities (steps, 6) of a cube on its feet."""
+    velocity, impulses, rows = np.array(velocity, float), np.zeros((len(feet), 3)), []
+    for _ in range(steps):
+        kernels.friction_step(
+            velocity, feet, CUBE.mass_kg, CUBE.inertia_kg_m2, mu, h * np.array(gravity), table_velocity, impulses
+        )
+        rows.append(velocity.copy())
+    return np.array(rows)
+
+
+def sloping(angle: float, heading: float) -> np.ndarray:
+    g = GRAVITY_M_S2
+    return np.array([g * np.sin(angle) * np.cos(heading), g * np.sin(angle) * np.sin(heading), -g * np.cos(angle)])
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.4, np.pi / 4])
+@pytest.mark.parametrize("mu", [0.1, 0.5, 0.9])
+def test_a_block_on_a_slope_sticks_below_the_angle_of_friction_and_slides_above(mu, heading):
+    critical = np.arctan(mu)
+    stuck = slide(np.zeros(6), mu, sloping(0.98 * critical, heading), 100)
+    np.testing.assert_array_equal(stuck, 0.0)  # no creep at all
+    angle = 1.05 * critical
+    end = slide(np.zeros(6), mu, sloping(angle, heading), 100)[-1]
+    speed = GRAVITY_M_S2 * (np.sin(angle) - mu * np.cos(angle)) * 1e-2
+    # A hundred steps, each to 1e-14 of its push of 1e-3 m/s; ω R counts as a velocity.
+    expected = [speed * np.cos(heading), speed * np.sin(heading), 0.0]
+    np.testing.assert_allclose(end[:3], expected, atol=1e-13)
+    np.testing.assert_allclose(end[3:] * 0.01, 0.0, atol=1e-13)
+
+
+def test_a_block_that_slides_on_the_level_stops_at_v_over_mu_g():
+    rows = slide([0.3, 0.1, 0, 0, 0, 0], 0.2, (0, 0, -GRAVITY_M_S2), 2000)
+    stopped = np.argmax(np.linalg.norm(rows, axis=1) == 0.0) * 1e-4
+    # To one step.
+    assert stopped == pytest.approx(np.hypot(0.3, 0.1) / (0.2 * GRAVITY_M_S2), abs=1.01e-4)
+
+
+def test_a_die_that_spins_on_its_face_stops_under_the_torque_of_its_corners():
+    """Four corners at ρ = a/√2 from the axis press with m g in all: J dω/dt = -μ m g ρ."""
+    rows = slide([0, 0, 0, 0, 0, 50.0], 0.3, (0, 0, -GRAVITY_M_S2), 1000)
+    stopped = np.argmax(np.linalg.norm(rows, axis=1) == 0.0) * 1e-4
+    torque = 0.3 * CUBE.mass_kg * GRAVITY_M_S2 * 0.02 / np.sqrt(2)
+    assert stopped == pytest.approx(50.0 * CUBE.inertia_kg_m2 / torque, abs=1.01e-4)
+    assert (np.diff(rows[:, 5]) <= 0).all()
+
+
+def test_a_table_that_rises_carries_the_die_along():
+    rows = slide(np.zeros(6), 0.3, (0, 0, -GRAVITY_M_S2), 3, table_velocity=0.2)
+    np.testing.assert_array_equal(rows, [[0, 0, 0.2, 0, 0, 0]] * 3)
+    falling = slide([0, 0, -0.2, 0, 0, 0], 0.3, (0, 0, -GRAVITY_M_S2), 3, table_velocity=-1.0)
+    np.testing.assert_allclose(falling[:, 2], -0.2 - GRAVITY_M_S2 * 1e-4 * np.arange(1, 4), rtol=1e-14)
+
+
+@pytest.mark.parametrize("touching", [1, 2, 3, 4])
+def test_held_contact_never_gains_energy_and_never_sinks(touching):
+    """Velocities are those at the end of the step, so the kinetic energy grows by less than gravity works on them."""
+    rng, mass, inertia = np.random.default_rng(17), CUBE.mass_kg, CUBE.inertia_kg_m2
+    for _ in range(200):
+        before = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 10.0 ** rng.uniform(-4, 0)
+        push, mu, velocity = 1e-3 * rng.normal(size=3), rng.uniform(0.0, 0.8), before.copy()
+        impulses = np.zeros((touching, 3))
+        sweeps = kernels.friction_step(velocity, FEET[:touching], mass, inertia, mu, push, 0.0, impulses)
+        weights = np.array([mass] * 3 + [inertia] * 3)
+        gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
+        assert gained <= 1e-13 * (weights @ before**2 + mass * push @ push)
+        assert (np.hypot(impulses[:, 0], impulses[:, 1]) <= mu * impulses[:, 2] * (1 + 1e-12) + 1e-300).all()
+        feet = velocity[:3] + np.cross(velocity[3:], FEET[:touching])
+        size = np.linalg.norm(push) + np.abs(before[:3]).max() + 0.02 * np.abs(before[3:]).max()
+        if sweeps < 1000:
+            assert feet[:, 2].min() >= -1e-10 * size
+            # Friction points against the slip, or there is none.
+            against = np.sum(feet[:, :2] * impulses[:, :2], axis=1)
+            sizes = np.linalg.norm(feet[:, :2], axis=1) * np.linalg.norm(impulses[:, :2], axis=1)
+            np.testing.assert_allclose(against, -sizes, atol=1e-9 * size * impulses.max())
+
+
+def test_one_contact_is_solved_exactly():
+    for matrix, _, mu, c in contacts(18, 2000):
+        impulse = np.array(kernels.held_impulse(matrix, mu, *c))
+        after = c + full(matrix) @ impulse
+        terms = np.abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
+        friction = np.linalg.norm(impulse[:2])
+        assert friction <= mu * impulse[2] * (1 + 1e-13)
+        assert abs(after[2]) <= 1e-13 * terms
+        if friction < mu * impulse[2] * (1 - 1e-9):
+            np.testing.assert_allclose(after, 0.0, atol=1e-13 * terms)
+        else:
+            assert after[:2] @ impulse[:2] == pytest.approx(
+                -np.linalg.norm(after[:2]) * friction, abs=1e-10 * terms * friction
+            )
+
+
+def test_a_die_in_millimetres_slides_as_in_metres():
+    rng = np.random.default_rng(19)
+    for _ in range(50):
+        velocity = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 1e-2
+        small, push = velocity * [1, 1, 1, 1e3, 1e3, 1e3] * 1e-3, 1e-4 * rng.normal(size=3)
+        a, b = np.zeros((4, 3)), np.zeros((4, 3))
+        kernels.friction_step(velocity, FEET, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
+        kernels.friction_step(small, 1e-3 * FEET, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
+        np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
