@@ -22,6 +22,8 @@ is the covariance. A throw is undecidable at its precision
 - where another vertex, falling, may have touched before the one that did (the error of the difference of their
   instants, three times over, bridges it), and the throw with the other order of impacts, which is followed with its own
   errors, does not land on the same face. Where the order makes a difference below 1e-4 it is added to the errors;
+- where a vertex passed the table so closely that the error lets it touch: the largest impulse that it can then have got
+  is added to the errors;
 - where its energy is so close to what the deciding edge needs that the error bridges it;
 - and where it stands balanced.
 

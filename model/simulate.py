@@ -62,7 +62,7 @@ class Ending(Enum):
     RESTED = "The die no longer has the energy to leave its lowest face."
     SPINNING = "The die spins for ever as a top on one vertex: no other can touch the table again."
     SPUN_LONG = (
-        "The die spun on without falling for 1000 times the square root of R/g, and nothing rubs that would stop it."
+        "The die spun or slid on without coming to rest for 1000 times the square root of R/g, and nothing stops it."
     )
     BALANCED = "The die stands exactly balanced on a vertex or an edge."
     BOUNCING = (

@@ -373,6 +373,31 @@ def lyapunov(
         typer.echo(f"See {out}")
 
 
+@app.command(epilog="Example:  diethrow paper --quick --out out/paper")
+def paper(
+    out: OutFolder,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A hundredth of the throws: a minute or two instead of tens of minutes.")
+    ] = False,
+    seed: Annotated[int, typer.Option("--seed", help="Of everything that is drawn.")] = 1,
+    threads: Threads = None,
+    force: Force = False,
+) -> None:
+    """Replicate Kapitaniak et al. (2012): figures, odds and exponents on one page, with a verdict for each statement."""
+    with _one_sentence_errors():
+        from .paper import paper as replicate
+        from .paper import plan_of, summary
+
+        with _options_that_fit():
+            plan = plan_of(quick, seed)
+        with _progress() as progress:
+            command = _as_typed()
+            result = replicate(plan, out, force=force, threads=threads or _cores(), progress=progress, command=command)
+        for line in summary(result):
+            typer.echo(line)
+        typer.echo(f"Look at it:  {out / 'paper.html'}")
+
+
 @contextmanager
 def _one_sentence_errors() -> Iterator[None]:
     """Tell an error in one sentence, with its exit status; DIETHROW_TRACEBACK=1 shows where it came from."""

@@ -268,9 +268,7 @@ def _decided(die: Die, variant: Variant, run: Run) -> dict[str, Any]:
 
 def _common(die: Die, turn: Array, variant: Variant, factors: Array, until: int) -> int:
     """Impacts that a disturbed throw has in common with the undisturbed one."""
-    result = throw_die(
-        die, released(turn, variant.v0z_m_s, factors), SmoothImpact(CHI), until=Until(impacts=until)
-    )
+    result = throw_die(die, released(turn, variant.v0z_m_s, factors), SmoothImpact(CHI), until=Until(impacts=until))
     pairs = zip(corners_hit(result), variant.vertices[:until], strict=False)
     return int(np.logical_and.accumulate([a == b for a, b in pairs]).sum())
 

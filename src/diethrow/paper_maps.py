@@ -7,6 +7,7 @@ conditions with a neighbour at ε that ends elsewhere, and the exponent α of f(
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ FEW = (1, 2, 3, 5, 8)
 """Impacts after which the lowest face is looked at, for the fineness of the boundaries after few bounces."""
 AT_CHI_1 = 20
 """A die that keeps its energy lands on no face: at χ = 1 the lowest face at this impact is shown."""
-COMPARED_AT = 1e-5
+COMPARED_AT = 1e-3
 """Distance, in sides of the plane, at which the uncertain shares of several χ are compared."""
 AT_ONCE = 4096
 """Pixels that a thread takes at once, in whole rows."""
@@ -64,7 +65,9 @@ def fig_6(run: Run) -> tuple[Result, ...]:
             pictures=pictures,
             numbers={
                 "plane": {"z0_m": HEIGHTS_M, "omega_eta_rad_s": SPINS_RAD_S, "pixels": run.effort.pixels},
-                "area": {f"chi_{chi:g}": np.bincount(face.ravel(), minlength=5) / face.size for chi, face in maps.items()},
+                "area": {
+                    f"chi_{chi:g}": np.bincount(face.ravel(), minlength=5) / face.size for chi, face in maps.items()
+                },
                 "by_chi": {f"chi_{chi:g}": _plain(each) for chi, each in by_chi.items()},
                 "by_impact_at_chi_0.5": {f"impact_{k}": _plain(each) for k, each in by_impact.items()},
                 "impact_at_chi_1": AT_CHI_1,
@@ -141,7 +144,7 @@ Measured = dict[Any, tuple[Sensitivity, Exponent | None]]
 
 def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
     shares = [share_at(by_chi[chi][0], COMPARED_AT) for chi in CHIS]
-    finer = all(a < b for a, b in zip(shares, shares[1:], strict=False))
+    finer = all(a < b for a, b in pairwise(shares))
     first, last = by_impact[FEW[0]], by_impact[FEW[-1]]
     smooth = first[1] is not None and abs(first[1].value - 1.0) <= max(0.05, 3.0 * first[1].standard_error)
     grows = share_at(first[0], COMPARED_AT) < share_at(last[0], COMPARED_AT)
@@ -153,11 +156,14 @@ def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
     )
     reasons = [
         "The boundaries grow finer with χ" if finer else "The boundaries do not grow finer with every χ",
-        "they are smooth at the first impact (α = 1)" if smooth else "they are not shown to be smooth at the first impact",
+        "they are smooth at the first impact (α = 1)"
+        if smooth
+        else "they are not shown to be smooth at the first impact",
         "and finer with every few bounces." if grows else "and no finer with more bounces.",
     ]
     why = (
-        ", ".join(reasons) + " The ends of the paper's axes are not stated, so the pictures cannot be laid over each other. "
+        ", ".join(reasons)
+        + " The ends of the paper's axes are not stated, so the pictures cannot be laid over each other. "
         f"A die at χ = 1 never rests: what is shown there is the face that is lowest at impact {AT_CHI_1}."
     )
     return (Verdict.REPRODUCED if finer and smooth and grows else Verdict.NOT_REPRODUCED), ours, why

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from math import sqrt
-from typing import Any
-
-import numpy as np
+from itertools import pairwise
+from math import inf, sqrt
 
 from .model.ensembles import PaperConditions, Share, Stage, Tally, UniformConditions, tally_throws
 from .model.impacts import SmoothImpact
@@ -24,9 +22,11 @@ SPINS_RAD_S = (20.0, 30.0, 40.0, 300.0, 1000.0)
 """ω_η. The paper gives one number for 20 to 40 rad/s."""
 NOTED = 6
 """Impacts at which the lowest face is noted."""
-SCAN_RAD_S = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 40.0, 60.0)
+SCAN_RAD_S = (0.0, 2.0, 4.0, 6.0, 8.0, 12.0, 16.0, 18.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0, 40.0, 60.0)
 """For the odds at the first impact, at spins that the paper does not state."""
 PAPER_THROWS = 2_000_000
+TELLING = 0.015
+"""Three standard errors of this size or more tell no reading from another."""
 HALF_UNIT = 0.0005
 """Of the last digit that the paper prints."""
 
@@ -82,8 +82,14 @@ def readings(tally: Tally, impacts: tuple[int, ...]) -> dict[str, Share]:
 
 def agrees(stated: float, share: Share) -> bool:
     """Whether the paper's number, as rounded there and from 2 × 10⁶ throws, may be this one."""
-    variance = share.value * (1.0 - share.value) * (1.0 / share.of + 1.0 / PAPER_THROWS) if share.of else 0.0
-    return bool(abs(stated - share.value) <= HALF_UNIT + 3.0 * sqrt(variance))
+    return bool(abs(stated - share.value) <= HALF_UNIT + _width(share))
+
+
+def _width(share: Share) -> float:
+    """Three standard errors of the difference between a share and the paper's; infinite where nothing was counted."""
+    if not share.of:
+        return inf
+    return 3.0 * sqrt(share.value * (1.0 - share.value) * (1.0 / share.of + 1.0 / PAPER_THROWS))
 
 
 def judge(stated: float, by_spin: Mapping[float, Mapping[str, Share]]) -> tuple[Verdict, str]:
@@ -98,6 +104,8 @@ def judge(stated: float, by_spin: Mapping[float, Mapping[str, Share]]) -> tuple[
         return any(agrees(stated, share) for share in shares) or min(values) <= stated <= max(values)
 
     names = list(next(iter(by_spin.values())))
+    if max(_width(share) for each in by_spin.values() for share in each.values()) > TELLING:
+        return Verdict.NOT_DECIDABLE, "This run has too few throws to tell; take the full one."
     at_rest = [name for name in names if name.startswith("at rest") and met(name)]
     before = [name for name in names if not name.startswith("at rest") and met(name)]
     if at_rest:
@@ -108,7 +116,10 @@ def judge(stated: float, by_spin: Mapping[float, Mapping[str, Share]]) -> tuple[
             f"It is not what the die comes to rest on, but the face that is {' or '.join(before)} has such odds: the paper "
             "does not say when the face was looked at.",
         )
-    return Verdict.NOT_REPRODUCED, "Neither the face at rest nor the lowest one at any of the first impacts has such odds."
+    return (
+        Verdict.NOT_REPRODUCED,
+        "Neither the face at rest nor the lowest one at any of the first impacts has such odds.",
+    )
 
 
 def _result(statement: Statement, tallies: Mapping[float, Tally]) -> Result:
@@ -121,7 +132,8 @@ def _result(statement: Statement, tallies: Mapping[float, Tally]) -> Result:
             f" A share of {spun} of the throws lands on no face: nothing removes the vertical spin where nothing rubs, and "
             "such dice stay tops. How the paper counted them is not stated."
         )
-    rest = " to ".join(sorted({cell(each["at rest, of those that landed"].value) for each in by_spin.values()}))
+    values = [each["at rest, of those that landed"].value for each in by_spin.values()]
+    rest = " to ".join(dict.fromkeys((cell(min(values)), cell(max(values)))))
     return Result(
         key=statement.key,
         title=statement.title,
@@ -163,21 +175,18 @@ def _no_bounce(run: Run) -> Result:
     scans: dict[str, dict[float, Tally]] = {"Euler angles": {}, "orientations": {}}
     steps = 2 * len(SCAN_RAD_S)
     for k, spin in enumerate(SCAN_RAD_S):
-        for n, (name, conditions) in enumerate(
-            (
-                ("Euler angles", PaperConditions((0.0, spin, 0.0), HEIGHT_M)),
-                ("orientations", UniformConditions(spin, HEIGHT_M)),
-            )
-        ):
-            *_, scans[name][spin] = _thrown(run, conditions, 0.0, run.effort.scan_throws)
-            run.progress("Odds, no bounce", 2 * k + n + 1, steps)
+        by_angles, by_orientation = PaperConditions((0.0, spin, 0.0), HEIGHT_M), UniformConditions(spin, HEIGHT_M)
+        *_, scans["Euler angles"][spin] = _thrown(run, by_angles, 0.0, run.effort.scan_throws)
+        run.progress("Odds, no bounce", 2 * k + 1, steps)
+        *_, scans["orientations"][spin] = _thrown(run, by_orientation, 0.0, run.effort.scan_throws)
+        run.progress("Odds, no bounce", 2 * k + 2, steps)
     rows = [
         (f"uniform {name}", spin, *_wilson(Share(int(t.as_start[1]), t.throws)), *_wilson(_rest(t)))
         for name, scan in scans.items()
         for spin, t in scan.items()
     ]
     at_first = [(spin, t.as_start[1] / t.throws) for spin, t in scans["Euler angles"].items()]
-    crossing = _crossing(at_first, NO_BOUNCE)
+    passed = crossings(at_first, NO_BOUNCE)
     low, high = min(share for _, share in at_first), max(share for _, share in at_first)
     within = low <= NO_BOUNCE <= high
     return Result(
@@ -186,9 +195,11 @@ def _no_bounce(run: Run) -> Result:
         stated=f"With no bounce a cube lands on the face that was lowest at the start with a probability of "
         f"{cell(NO_BOUNCE)}.",
         ours=f"The face that was lowest at release is the lowest at the first impact with a probability from {cell(low)} to "
-        f"{cell(high)}, by ω_η" + (f"; it is {cell(NO_BOUNCE)} at {cell(crossing)} rad/s." if within else "."),
+        f"{cell(high)}, by ω_η"
+        + (f"; it is {cell(NO_BOUNCE)} at {', '.join(f'{spin:.3g}' for spin in passed)} rad/s." if within else "."),
         verdict=Verdict.NOT_DECIDABLE if within else Verdict.NOT_REPRODUCED,
-        why="The number hangs on ω_η, which the paper does not state for it."
+        why="The number hangs on ω_η, which the paper does not state for it: how far the die has turned when it first "
+        "touches, over and over."
         + (
             " Some ω_η gives it, so it can be neither confirmed nor refuted."
             if within
@@ -206,7 +217,7 @@ def _no_bounce(run: Run) -> Result:
         numbers={
             "stated": NO_BOUNCE,
             "throws": run.effort.scan_throws,
-            "omega_eta_at_stated": crossing,
+            "omega_eta_at_stated": passed,
             "scans": {
                 name: [
                     {
@@ -230,12 +241,13 @@ def _wilson(share: Share) -> tuple[float, float, float]:
     return share.value, *share.interval
 
 
-def _crossing(points: list[tuple[float, float]], level: float) -> float | None:
-    """Where a curve first passes a level, between its points along a straight line."""
-    for (x0, y0), (x1, y1) in zip(points, points[1:], strict=False):
-        if (y0 - level) * (y1 - level) <= 0.0 and y0 != y1:
-            return float(x0 + (level - y0) / (y1 - y0) * (x1 - x0))
-    return None
+def crossings(points: list[tuple[float, float]], level: float) -> list[float]:
+    """Where a curve passes a level, along straight lines between its points."""
+    return [
+        float(x0 + (level - y0) / (y1 - y0) * (x1 - x0))
+        for (x0, y0), (x1, y1) in pairwise(points)
+        if min(y0, y1) <= level < max(y0, y1)
+    ]
 
 
 def _draw(run: Run, tallies: Mapping[float, Tally]) -> Picture:
@@ -272,7 +284,9 @@ def _draw_scan(run: Run, scans: Mapping[str, Mapping[float, Tally]]) -> Picture:
         at_first = [t.as_start[1] / t.throws for t in scan.values()]
         ax.plot(list(scan), at_first, "o-", markersize=4, color=colour, label=f"first impact, uniform {name}")
         rest = [_rest(t).value for t in scan.values()]
-        ax.plot(list(scan), rest, "s--", markersize=4, mfc="none", color=colour, label=f"at rest, χ = 0, uniform {name}")
+        ax.plot(
+            list(scan), rest, "s--", markersize=4, mfc="none", color=colour, label=f"at rest, χ = 0, uniform {name}"
+        )
     ax.axhline(NO_BOUNCE, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)))
     ax.annotate(f"paper: {NO_BOUNCE}", (1.0, NO_BOUNCE), xycoords=("axes fraction", "data"), xytext=(-4, 4),
                 textcoords="offset points", ha="right", fontsize=8)  # fmt: skip
@@ -283,5 +297,3 @@ def _draw_scan(run: Run, scans: Mapping[str, Mapping[float, Tally]]) -> Picture:
     ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(run.folder / "odds_no_bounce.png")
     return Picture("odds_no_bounce.png", "Odds of the face that was lowest at release, with no bounce, over the spin.")
-
-

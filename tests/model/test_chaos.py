@@ -155,8 +155,9 @@ def test_every_impact_contracts_the_volume_by_chi_squared(die, table):
     start = random_release(np.random.default_rng(86), die)
     _, maps = logged(die, start, SmoothImpact(0.7), table, 4)
     for k, each in enumerate(maps[:4]):
-        # The determinant loses the square of the largest growth, 1e4 at most, in digits.
-        assert np.linalg.det(each) == pytest.approx(0.7 ** (2 * (k + 1)), rel=1e-6)
+        # Directions that shrink as much as others grow are known to the rounding of the latter.
+        lost = 1e-15 * np.linalg.cond(each)
+        assert np.linalg.det(each) == pytest.approx(0.7 ** (2 * (k + 1)), rel=1e-9 + lost)
 
 
 def paper_start() -> State:

@@ -12,7 +12,7 @@ from diethrow.model.contact import Held
 from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.simulate import Ending, Precision, Until, throw_die
+from diethrow.model.simulate import EXACT, Ending, Precision, Until, throw_die
 
 G = GRAVITY_M_S2
 UP = np.array([0.0, 0.0, 1.0])
@@ -202,7 +202,7 @@ def test_held_contact_obeys_newton_and_euler_with_forces_that_never_pull(die, ch
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.1, 0.5, 0.9])
 def test_held_vertices_stay_on_the_table_and_nothing_goes_below_it(die, chi):
-    rng, seen = np.random.default_rng(78), 0
+    rng, seen = np.random.default_rng(72), 0
     for _ in range(5):
         release = random_release(rng, die, spin_rad_s=float(rng.uniform(0, 60)), clearance_m=0.02)
         for flight in throw_die(die, release, SmoothImpact(chi)).throw.flights:
@@ -217,6 +217,19 @@ def test_held_vertices_stay_on_the_table_and_nothing_goes_below_it(die, chi):
                 assert np.abs(heights[:, list(flight.vertices)]).max() < 1e-17 + 1e-15 * die.solid.circumradius
                 seen += 1
     assert seen > 0 or chi > 0.0
+
+
+def test_no_vertex_dips_below_the_table_within_a_step_of_held_contact():
+    """Once, a vertex just let go 1e-6 m above the table fell, dipped 1e-3 R below it and rose within one step."""
+    die, rng = DICE["cube"], np.random.default_rng(72)
+    for _ in range(20):
+        release = random_release(rng, die, spin_rad_s=float(rng.uniform(0, 60)), clearance_m=0.02)
+        for held in throw_die(die, release, SmoothImpact(0.0)).throw.flights:
+            if isinstance(held, Held) and len(held.vertices) < 3:
+                positions, quaternions = held.poses(np.linspace(held.start.time_s, held.end_s, 300))
+                heights = positions[:, 2, None] + matrix_from_quat(quaternions)[:, 2] @ die.solid.vertices.T
+                # A vertex counts as standing on the table within 1e-10 R, and the motion between is known to as much.
+                assert heights.min() > -2e-10 * die.solid.circumradius
 
 
 @each_die
@@ -239,9 +252,9 @@ def test_the_chatter_of_a_die_dropped_on_its_tip_lasts_as_long_as_the_geometric_
     fall = np.sqrt(2 * drop / G)
     assert result.ending is Ending.BALANCED
     assert result.landed_face is None
-    speed, slowest = G * fall, 1e-8 * np.sqrt(G * die.solid.circumradius)
+    speed, slowest = G * fall, EXACT.switch * np.sqrt(G * die.solid.circumradius)
     assert result.impact_count == int(np.ceil(np.log(slowest / speed) / np.log(chi)))
-    # What is left out: the bounces slower than 1e-8 √(g R).
+    # What is left out: the bounces that are slower.
     left_out = 2 * slowest / G / (1 - chi)
     assert 0 <= fall + 2 * fall * chi / (1 - chi) - result.end.time_s <= left_out
 

@@ -12,7 +12,7 @@ from diethrow.model import bodies, kernels
 from diethrow.model.contact import Held
 from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import GRAVITY_M_S2, Flight, State, energy_J
-from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.simulate import Ending, Until, throw_die
 from diethrow.model.tables import LEVEL, Table
 
@@ -237,6 +237,40 @@ def test_a_die_comes_to_rest_on_a_table_that_shakes_too_weakly_to_throw_it_up(di
     for t in result.end.time_s + np.linspace(0.0, 0.3, 30):
         above = on.at(t).position_m[2] - weak.amplitude_m * np.sin(2 * np.pi * 20 * t)
         assert above == pytest.approx(die.solid.inradius, abs=1e-11)
+
+
+@each_die
+@pytest.mark.parametrize("chi", [0.0, 0.5])
+def test_a_die_flat_on_a_shaking_table_is_thrown_up_where_the_table_falls_faster_than_it(die, chi):
+    """A ω² = 2 g: it leaves at the phase p with A ω² sin p = g, flies with the velocity it had, and lands again."""
+    frequency = 20.0
+    rate = 2 * np.pi * frequency
+    table = Table(amplitude_m=2.0 * G / rate**2, frequency_hz=frequency)
+    face = die.solid.normals[0]
+    x = np.cross(face, die.solid.vertices[die.solid.faces[0][0]])
+    x /= np.linalg.norm(x)
+    quaternion = quat_from_matrix([x, np.cross(-face, x), -face])
+    # At t = 0 the table rises at its fastest and the die with it.
+    velocity = np.array([0.0, 0.0, table.amplitude_m * rate])
+    release = State(0.0, np.array([0, 0, die.solid.inradius]), quaternion, velocity, np.zeros(3))
+    throw = throw_die(die, release, SmoothImpact(chi), until=Until(time_s=0.5), table=table).throw
+    flat = [f for f in throw.flights if isinstance(f, Held) and len(f.vertices) > 2]
+    assert flat[0].end_s == pytest.approx(np.arcsin(0.5) / rate, rel=1e-9)
+    for held in flat:
+        for t in np.linspace(held.start.time_s, held.end_s, 5):
+            height = held.at(t).position_m[2] - die.solid.inradius
+            assert height == pytest.approx(table.amplitude_m * np.sin(rate * t), abs=1e-12)
+            # The table pushes, never pulls.
+            assert table.amplitude_m * rate**2 * np.sin(rate * t) <= G * (1 + 1e-9)
+
+
+@each_die
+def test_a_die_never_rests_on_a_table_that_throws_it_up(die):
+    strong = Table(amplitude_m=2.0 * G / (2 * np.pi * 20) ** 2, frequency_hz=20.0)
+    release = random_release(np.random.default_rng(87), die, spin_rad_s=5.0, clearance_m=0.01)
+    for chi in (0.0, 0.5):
+        result = throw_die(die, release, SmoothImpact(chi), table=strong)
+        assert (result.ending, result.landed_face) == (Ending.BOUNCING, None)
 
 
 @each_die

@@ -1,0 +1,83 @@
+"""`diethrow lyapunov` and the verdict of `diethrow throw` on what double precision decides."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+
+FEW = ("--impacts", "400", "--orbits", "2", "--leave-out", "50")
+THROW = """\
+[die]
+shape = "cube"
+edge_m = 0.02
+mass_kg = 0.016
+[law]
+chi = 0.3
+[initial]
+position_m = [0.0, 0.0, 0.3]
+euler_rad = [0.1, 0.7, -0.4]
+velocity_m_s = [0.3, 0.1, -0.4]
+omega_body_rad_s = [9.0, 30.0, 4.0]
+"""
+
+
+def invoke(*arguments: object) -> tuple[int, str, str]:
+    """Status, standard output, standard error."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_an_exponent_is_written_with_its_errors_and_a_picture(tmp_path: Path) -> None:
+    status, said, _ = invoke("lyapunov", *FEW, "--out", tmp_path / "out")
+    assert status == 0
+    assert "per second" in said
+    assert {f.name for f in (tmp_path / "out").iterdir()} == {"lyapunov.json", "lyapunov.png", "provenance.json"}
+    told = json.loads((tmp_path / "out" / "lyapunov.json").read_text())["exponent"]
+    for unit in ("per_second", "per_impact", "per_sqrt_edge_over_g"):
+        assert told[unit]["value"] > 3 * told[unit]["standard_error"] > 0
+    assert (told["orbits"], told["impacts"], len(told["per_second_of_orbits"])) == (2, 400, 2)
+    again = tmp_path / "again"
+    invoke("lyapunov", *FEW, "--out", again)
+    assert json.loads((again / "lyapunov.json").read_text())["exponent"] == told
+
+
+def test_a_motion_that_ends_has_a_growth_and_no_exponent(tmp_path: Path) -> None:
+    status, said, _ = invoke("lyapunov", "--chi", "0.5", "--out", tmp_path / "out")
+    assert status == 0
+    assert "no Lyapunov exponent" in said
+    told = json.loads((tmp_path / "out" / "lyapunov.json").read_text())
+    assert told["exponent"] is None
+    assert len(told["growth"]["log10_at_impacts"]) == len(told["growth"]["times_s"]) > 3
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (("--chi", "1.5"), "chi = 1.5"),
+        (("--orbits", "0"), "orbits 0"),
+        (("--position", "0", "0", "0"), "below the table"),
+        (("--amplitude", "-1"), "amplitude_m = -1"),
+    ],
+)
+def test_what_cannot_be_followed_is_refused_in_one_sentence(options, sentence, tmp_path: Path) -> None:
+    status, _, told = invoke("lyapunov", *options, "--out", tmp_path / "out")
+    assert status == 2
+    assert sentence in told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_throw_says_whether_double_precision_decides_it(tmp_path: Path) -> None:
+    plan = tmp_path / "throw.toml"
+    plan.write_text(THROW)
+    assert invoke("throw", plan, "--out", tmp_path / "out")[0] == 0
+    told = json.loads((tmp_path / "out" / "throw.json").read_text())
+    assert told["decidable"] is True
+    assert told["error_growth"] > 1.0
+    assert 0.0 < told["error_m"] < 1e-4
+    assert told["margin"] > 1.0
+    assert told["messages"][-1].startswith("Double precision decides this throw")
