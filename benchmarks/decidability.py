@@ -58,7 +58,7 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
     def land(block: Array) -> NDArray[np.int64]:
         landed = np.empty((len(block), 3), np.int64)
         settings = kernels.Precision(precision.root_m, precision.switch, precision.turn_rad)
-        law = kernels.Law(kernels.SMOOTH, np.array([chi]))
+        law = kernels.law_of(kernels.SMOOTH, np.array([chi]))
         kernels.land_many(body_of(CUBE), law, kernels.LEVEL, settings, block, 10_000_000, landed)
         return landed[:, 0]
 

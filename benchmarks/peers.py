@@ -184,7 +184,7 @@ def our_faces(starts: Array, chi: float) -> NDArray[np.int64]:
     law = SmoothImpact(chi)
     landed = np.empty((len(starts), 3), np.int64)
     kernels.land_many(
-        BODY, kernels.Law(law.code, law.parameters), kernels.LEVEL, kernels.FINE, starts, IMPACT_CAP, landed
+        BODY, kernels.law_of(law.code, law.parameters), kernels.LEVEL, kernels.FINE, starts, IMPACT_CAP, landed
     )
     return landed[:, 0]
 
@@ -208,7 +208,7 @@ def half_a_step_earlier(start: Array, step_s: float) -> Array:
 def face_at_rest(engine: Engine) -> int:
     """Follow an engine until the die cannot leave its lowest face; its row, or -1 for none in time."""
     steps = round(LOOK_S / engine.step_s)
-    law = kernels.Law(kernels.SMOOTH, np.array([0.0]))
+    law = kernels.law_of(kernels.SMOOTH, np.array([0.0]))
     for _ in range(round(LONGEST_S / LOOK_S)):
         engine.advance(steps)
         state = engine.state()

@@ -157,7 +157,7 @@ def land(die: Die, chi: float, starts: Array, precision: Precision = EXACT) -> C
     landed = np.empty((len(starts), 3), np.int64)
     kernels.land_many(
         body_of(die),
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         kernels.LEVEL,
         kernels.Precision(precision.root_m, precision.switch, precision.turn_rad),
         starts,
@@ -331,7 +331,7 @@ def changed(one: Counts, other: Counts) -> str:
 
 def ends(chi: float, starts: Array, precision: Precision) -> list[tuple[float, Array]]:
     """Time [s] and state (13,) of the last event of each throw of the cube."""
-    body, law = body_of(CUBE), kernels.Law(kernels.SMOOTH, np.array([chi]))
+    body, law = body_of(CUBE), kernels.law_of(kernels.SMOOTH, np.array([chi]))
     fine = kernels.Precision(precision.root_m, precision.switch, precision.turn_rad)
     results = []
     for start in starts:
@@ -366,7 +366,7 @@ def print_energy(sizes: Sizes) -> bool:
 
 def energy_error(die: Die, start: Array) -> float:
     """Relative change of kinetic and potential energy, the table as zero height."""
-    law = kernels.Law(kernels.SMOOTH, np.array([1.0]))
+    law = kernels.law_of(kernels.SMOOTH, np.array([1.0]))
     fine = kernels.FINE
     _, impacts, _, _, state, _, _ = kernels.run_throw(
         body_of(die), law, kernels.LEVEL, fine, start, 0.0, inf, ENERGY_IMPACTS, False, IMPACT_CAP, False

@@ -115,7 +115,7 @@ def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], unti
         return None
     _, _, face, *_ = kernels.run_throw(
         body_of(die),
-        kernels.Law(kernels.SMOOTH, np.array([chi])),
+        kernels.law_of(kernels.SMOOTH, np.array([chi])),
         kernels.LEVEL,
         kernels.FINE,
         packed_state(last),

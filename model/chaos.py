@@ -131,7 +131,7 @@ def growth(
     A throw that never ends is left after `simulate.BOUNCING_CAP` impacts. Raises ValueError as `throw_die` does.
     """
     body, plane, start = body_of(die), table.plane, checked_release(die, release, table)
-    packed = kernels.Law(law.code, law.parameters)
+    packed = kernels.law_of(law.code, law.parameters)
     code, _, _, _, _, log, knots = kernels.run_throw(
         body,
         packed,
@@ -162,7 +162,7 @@ def decided_by_double(
     body, plane, start = body_of(die), table.plane, checked_release(die, release, table)
     face, impacts, code, error, margin = kernels.decide(
         body,
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         plane,
         _packed(precision),
         start,
@@ -189,7 +189,7 @@ def decidable_many(
     landed, figures = np.empty((len(starts), 3), np.int64), np.empty((len(starts), 2))
     kernels.decide_many(
         body,
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         table.plane,
         _packed(precision),
         starts,
@@ -247,7 +247,7 @@ def largest_exponent(
         run = np.empty((left_out + impacts, 1)), np.empty(left_out + impacts)
         code, reached, _, _ = kernels.run_exponents(
             body,
-            kernels.Law(law.code, law.parameters),
+            kernels.law_of(law.code, law.parameters),
             table.plane,
             _packed(precision),
             _nearby(packed, body, table, rng) if k else packed,

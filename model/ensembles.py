@@ -160,7 +160,7 @@ class Stage:
         """
         n = len(states)
         landed, lowest = np.zeros((n, 3), np.int64), np.zeros((n, after + 1), np.int64)
-        law = kernels.Law(self.law.code, self.law.parameters)
+        law = kernels.law_of(self.law.code, self.law.parameters)
         precision = kernels.Precision(self.precision.root_m, self.precision.switch, self.precision.turn_rad)
         cap = BOUNCING_CAP if self.endless else IMPACT_CAP
         starts = self._starts(states)

@@ -198,5 +198,5 @@ def impulse_N_s(die: Die, touch: Touch, law: ImpactLaw) -> Array:
     packed = np.concatenate([state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
     arm = (float(touch.arm_m[0]), float(touch.arm_m[1]), float(touch.arm_m[2]))
     return np.array(
-        kernels.impulse(kernels.Law(law.code, law.parameters), die.mass_kg, die.inertia_kg_m2, arm, 0.0, packed)
+        kernels.impulse(kernels.law_of(law.code, law.parameters), die.mass_kg, die.inertia_kg_m2, arm, 0.0, packed)
     )

@@ -11,10 +11,11 @@ the table: z along its normal.
 from __future__ import annotations
 
 from math import cos, hypot, inf, nan, sin, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import overload
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
@@ -46,12 +47,23 @@ class Body(NamedTuple):
     """[m] radius of the corners; heights count from it."""
 
 
-class Law(NamedTuple):
-    """An impact law."""
+class SmoothLaw(NamedTuple):
+    """An impact law without friction."""
 
     code: int
     parameters: Array
     """(k,), the restitution first."""
+
+
+class RoughLaw(NamedTuple):
+    """An impact law with friction: a type of its own, so that a throw without it does not even compile it."""
+
+    code: int
+    parameters: Array
+    """(k,), the restitution first, then the coefficient of friction."""
+
+
+Law = SmoothLaw | RoughLaw
 
 
 class Plane(NamedTuple):
@@ -141,6 +153,17 @@ FINE = Precision(0.0, 1e-6, 0.3)
 
 _A, _B, _C = np.ascontiguousarray(DOP853.A[:12, :12]), DOP853.B.copy(), DOP853.C[:12].copy()
 """Tableau of Dormand and Prince's method of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, II.5), 12 stages."""
+
+
+def law_of(code: int, parameters: Array) -> Law:
+    """A law by its code and parameters; friction of nothing is none, where a law by speed has none either."""
+    if code in (COULOMB, COULOMB_BY_SPEED) and parameters[1] > 0.0:
+        return RoughLaw(code, parameters)
+    if code == COULOMB:
+        return SmoothLaw(SMOOTH, parameters[:1].copy())
+    if code == COULOMB_BY_SPEED:
+        return SmoothLaw(SMOOTH_BY_SPEED, parameters[[0, 3, 4]])
+    return SmoothLaw(code, parameters)
 
 
 # --- the table ---------------------------------------------------------------------------------------------------
@@ -828,24 +851,47 @@ def _integral(series: Array, row: int, t: float) -> float:
 
 
 @njit(cache=True)
+def smooth_impulse(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> tuple[float, float, float]:
+    """`impulse` of a law without friction."""
+    x, y, _ = arm
+    u = state[9] + state[10] * y - state[11] * x - v_table
+    chi = law.parameters[0]
+    if law.code == SMOOTH_BY_SPEED:
+        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
+    return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
+
+
+@njit(cache=True)
+def rough_impulse(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> tuple[float, float, float]:
+    """`impulse` of a law with friction."""
+    x, y, z = arm
+    u = state[9] + state[10] * y - state[11] * x - v_table
+    chi = law.parameters[0]
+    if law.code == COULOMB_BY_SPEED:
+        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
+    matrix = contact_matrix_of_top(mass, inertia, x, y, z)
+    return friction_impulse(matrix, chi, law.parameters[1], int(law.parameters[2]), cx, cy, u)
+
+
 def impulse(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> tuple[float, float, float]:
     """Impulse [N s] of the table on a touching point at `arm` from the centre of a spherical top."""
-    x, y, z = arm
-    code, parameters = law.code, law.parameters
-    u = state[9] + state[10] * y - state[11] * x - v_table
-    if code == SMOOTH:
-        return 0.0, 0.0, -(1.0 + parameters[0]) * u / (1.0 / mass + (x * x + y * y) / inertia)
-    chi = parameters[0]
-    if code == SMOOTH_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), parameters[1], parameters[2])
-        return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
-    if code == COULOMB_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), parameters[3], parameters[4])
-    cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
-    matrix = contact_matrix_of_top(mass, inertia, x, y, z)
-    return friction_impulse(matrix, chi, parameters[1], int(parameters[2]), cx, cy, u)
+    if isinstance(law, RoughLaw):
+        return rough_impulse(law, mass, inertia, arm, v_table, state)
+    return smooth_impulse(law, mass, inertia, arm, v_table, state)
+
+
+@overload(impulse, strict=False)
+def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state: Any) -> Any:
+    """The branch of `impulse` that the type of the law asks for, chosen when it is compiled."""
+    chosen = rough_impulse if law.instance_class is RoughLaw else smooth_impulse
+    return chosen.py_func
 
 
 @njit(cache=True)
@@ -893,10 +939,15 @@ def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
     return face if energy < plane.g * body.barriers[face] else -1
 
 
-@njit(cache=True)
 def rubs(law: Law) -> bool:
     """Whether the law has friction."""
-    return (law.code == COULOMB or law.code == COULOMB_BY_SPEED) and law.parameters[1] > 0.0
+    return isinstance(law, RoughLaw)
+
+
+@overload(rubs, strict=False)
+def _rubs(law: Any) -> Any:
+    rough = law.instance_class is RoughLaw
+    return lambda law: rough
 
 
 @njit(cache=True)
@@ -1470,7 +1521,7 @@ def rub_step(
 
 
 @njit(cache=True)
-def rub(
+def rough_rub(
     body: Body,
     law: Law,
     plane: Plane,
@@ -1487,11 +1538,7 @@ def rub(
     keep: bool,
     after: Array,
 ) -> tuple[int, float, int, Array, int]:
-    """Carry the state in place through contact with friction of the `active` vertices, as `hold` does without.
-
-    Returns FLIES or another ending, the duration [s], the vertex that touches anew (-1: all are off the table, or the
-    limit came), and the knots with their number.
-    """
+    """`rub` with friction."""
     begin, mu = time, law.parameters[1]
     room = np.zeros((3, body.vertices.shape[0], 3))
     fixed = plane.amplitude == 0.0
@@ -1542,6 +1589,92 @@ def rub(
                     active[k] = False
                     room[2] = 0.0
                 n += 1
+
+
+def rub(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    state: Array,
+    time: float,
+    limit: float,
+    active: NDArray[np.bool_],
+    for_ever: bool,
+    stop_when_decided: bool,
+    segment: int,
+    knots: Array,
+    known: int,
+    keep: bool,
+    after: Array,
+) -> tuple[int, float, int, Array, int]:
+    """Carry the state in place through contact with friction of the `active` vertices, as `hold` does without.
+
+    Returns FLIES or another ending, the duration [s], the vertex that touches anew (-1: all are off the table, or the
+    limit came), and the knots with their number.
+    """
+    assert isinstance(law, RoughLaw)
+    return rough_rub(
+        body,
+        law,
+        plane,
+        precision,
+        state,
+        time,
+        limit,
+        active,
+        for_ever,
+        stop_when_decided,
+        segment,
+        knots,
+        known,
+        keep,
+        after,
+    )
+
+
+@overload(rub, strict=False)
+def _rub(
+    body: Any,
+    law: Any,
+    plane: Any,
+    precision: Any,
+    state: Any,
+    time: Any,
+    limit: Any,
+    active: Any,
+    for_ever: Any,
+    stop_when_decided: Any,
+    segment: Any,
+    knots: Any,
+    known: Any,
+    keep: Any,
+    after: Any,
+) -> Any:
+    """Nothing at all for a law without friction, which never gets here."""
+    if law.instance_class is RoughLaw:
+        return rough_rub.py_func
+
+    def never(  # type: ignore[no-untyped-def]
+        body,
+        law,
+        plane,
+        precision,
+        state,
+        time,
+        limit,
+        active,
+        for_ever,
+        stop_when_decided,
+        segment,
+        knots,
+        known,
+        keep,
+        after,
+    ):
+        return FLIES, 0.0, -1, knots, known
+
+    return never
 
 
 @njit(cache=True)
@@ -2115,7 +2248,7 @@ def run_tangent(
     for k in range(12):
         tangent[k, k] = 1.0
     terms = np.empty((vertices.shape[0], 4))
-    law = Law(SMOOTH, np.array([chi]))
+    law = SmoothLaw(SMOOTH, np.array([chi]))
     radius = sqrt(np.max(np.sum(vertices * vertices, axis=1)))
     slow = slow_contact(law, LEVEL, FINE, radius)
     last = times[n - 1] if n > 0 else start_time
@@ -2373,7 +2506,7 @@ def held_tangent(
 
 
 @njit(cache=True)
-def rubbed_tangent(
+def rough_rubbed_tangent(
     body: Body,
     law: Law,
     plane: Plane,
@@ -2385,7 +2518,7 @@ def rubbed_tangent(
     tangent: Array,
     columns: int,
 ) -> None:
-    """As `held_tangent`, with friction: differences of its steps. Vertices that no longer press leave `active`."""
+    """`rubbed_tangent` with friction."""
     n, mu = body.vertices.shape[0], law.parameters[1]
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     arms, guess, impulses = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -2405,6 +2538,33 @@ def rubbed_tangent(
             if impulses[place, 2] <= 0.0 and clearance(body.vertices[k], ahead, z_table) > _NEAR_RUBBED * body.radius:
                 active[k] = False
             place += 1
+
+
+def rubbed_tangent(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    active: NDArray[np.bool_],
+    scale: Array,
+    tangent: Array,
+    columns: int,
+) -> None:
+    """As `held_tangent`, with friction: differences of its steps. Vertices that no longer press leave `active`."""
+    assert isinstance(law, RoughLaw)
+    return rough_rubbed_tangent(body, law, plane, state, time, dt, active, scale, tangent, columns)
+
+
+@overload(rubbed_tangent, strict=False)
+def _rubbed_tangent(
+    body: Any, law: Any, plane: Any, state: Any, time: Any, dt: Any, active: Any, scale: Any, tangent: Any, columns: Any
+) -> Any:
+    """Nothing at all for a law without friction, which never gets here."""
+    if law.instance_class is RoughLaw:
+        return rough_rubbed_tangent.py_func
+    return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
 
 
 @njit(cache=True)

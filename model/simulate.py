@@ -172,7 +172,7 @@ def throw_die(
     start = checked_release(die, release, table)
     code, _, face, end, _, log, knots = kernels.run_throw(
         body_of(die),
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         table.plane,
         kernels.Precision(precision.root_m, precision.switch, precision.turn_rad),
         start,
@@ -202,7 +202,7 @@ def _throw_top(
     motion = throw_top(
         die,
         in_axes(release, quat_conjugate(table.world_from_table)) if table.tilt_rad else release,
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         plane=table.plane,
         precision=kernels.Precision(precision.root_m, precision.switch, precision.turn_rad),
         duration_s=duration_s,

@@ -58,7 +58,7 @@ def units(die, table=LEVEL) -> np.ndarray:
 
 def logged(die, start: State, law, table: Table, impacts: int | None):
     """Log and knots of a throw, as the kernels write them, and its derivatives after each event."""
-    packed, of_law = checked_release(die, start, table), kernels.Law(law.code, law.parameters)
+    packed, of_law = checked_release(die, start, table), kernels.law_of(law.code, law.parameters)
     _, _, _, _, _, log, knots = kernels.run_throw(
         body_of(die),
         of_law,
@@ -173,7 +173,7 @@ def spectrum(die, law, table: Table, impacts: int) -> tuple[np.ndarray, np.ndarr
     tangent = np.random.default_rng(1).normal(size=(12, 12)) * units(die, table)[:, None]
     kernels.run_exponents(
         body_of(die),
-        kernels.Law(law.code, law.parameters),
+        kernels.law_of(law.code, law.parameters),
         table.plane,
         kernels.FINE,
         checked_release(die, paper_start(), table),
@@ -236,7 +236,7 @@ def test_a_point_that_bounces_for_ever_has_no_chaos():
     start = np.array([0, 0, 0.3, 1, 0, 0, 0, 0.1, 0, 0, 1.0, 2.0, 3.0])
     logs, clock = np.empty((4000, 1)), np.empty(4000)
     tangent = np.random.default_rng(2).normal(size=(12, 1)) * kernels.scales_of(body, kernels.LEVEL)[:, None]
-    law = kernels.Law(kernels.SMOOTH, np.array([1.0]))
+    law = kernels.law_of(kernels.SMOOTH, np.array([1.0]))
     kernels.run_exponents(body, law, kernels.LEVEL, kernels.FINE, start, 0.0, tangent, logs, clock)
     # A difference in energy shifts the bounces in proportion to time: ln(4000)/4000.
     assert abs(logs[10:].sum()) / 4000 < 2 * np.log(4000) / 4000

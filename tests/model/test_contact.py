@@ -336,7 +336,7 @@ def many_releases(rng, die, n: int, fastest_rad_s: float) -> np.ndarray:
 def landed(die, chi: float, starts: np.ndarray, precision: kernels.Precision = kernels.FINE) -> np.ndarray:
     """Face row, impacts and ending (n, 3)."""
     table = np.empty((len(starts), 3), np.int64)
-    law = kernels.Law(kernels.SMOOTH, np.array([chi]))
+    law = kernels.law_of(kernels.SMOOTH, np.array([chi]))
     kernels.land_many(bodies.body_of(die), law, kernels.LEVEL, precision, starts, 3_000_000, table)
     return table
 

@@ -53,7 +53,7 @@ def heights(die: Die, states: list[State]) -> np.ndarray:
 def clear(die: Die, release: State, clearance_m: float) -> State:
     """The release with its lowest vertex so high above the table."""
     low = heights(die, [release])[0].min()
-    return replace(release, position_m=release.position_m + [0.0, 0.0, clearance_m - low])
+    return replace(release, position_m=release.position_m + (clearance_m - low) * UP)
 
 
 # ---- scaling ---------------------------------------------------------------------------------------------------------
@@ -239,9 +239,10 @@ def test_a_die_released_on_the_table_strikes_at_once_with_the_impulse_of_that_ve
 
 
 @each_die
-@pytest.mark.parametrize("what", ["vertex", "edge", "face"])
+@pytest.mark.parametrize(
+    ("what", "speed"), [("vertex", 0.0), ("vertex", -0.3), ("edge", -0.3), ("face", 0.0), ("face", -0.3)]
+)
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-@pytest.mark.parametrize("speed", [0.0, -0.3])
 def test_a_die_released_on_the_table_comes_to_an_end_that_it_may_have(die, what, chi, speed):
     release, _ = on(die, what, speed)
     result = throw_die(die, release, SmoothImpact(chi))
@@ -671,7 +672,7 @@ def test_settings_that_cannot_be_are_refused_with_their_name_and_value(make, sai
         make()
 
 
-@pytest.mark.parametrize("make", ["cube", "rounded cube", "loaded cube"])
+@pytest.mark.parametrize("make", ["cube", "rounded cube"])
 @pytest.mark.parametrize("table", [Table(), Table(tilt_rad=0.1)], ids=["level", "leaning"])
 @pytest.mark.parametrize(
     ("field", "value", "said"),

@@ -17,6 +17,7 @@ from diethrow.model.kernels import (
     TIME_REACHED,
     Law,
     Plane,
+    SmoothLaw,
 )
 from diethrow.model.motion import GRAVITY_M_S2, State
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
@@ -35,7 +36,7 @@ each_top = pytest.mark.parametrize("die", TOPS.values(), ids=TOPS.keys())
 
 
 def smooth(chi: float) -> Law:
-    return Law(SmoothImpact(chi).code, SmoothImpact(chi).parameters)
+    return SmoothLaw(SmoothImpact(chi).code, SmoothImpact(chi).parameters)
 
 
 def energies_and_momenta(die, states: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -360,7 +361,7 @@ def test_a_top_that_sleeps_on_its_tip_spins_for_ever_and_says_so():
 def test_a_throw_the_path_cannot_follow_is_refused_by_name():
     release = random_release(np.random.default_rng(14), LOADED)
     with pytest.raises(ValueError, match=r"impact law 7 .*smooth impact"):
-        throw_top(LOADED, release, Law(7, np.array([0.5])))
+        throw_top(LOADED, release, SmoothLaw(7, np.array([0.5])))
     below = State(0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="below the table; raise the die"):
         throw_top(LOADED, below, smooth(0.5), plane=LEVEL)
