@@ -377,7 +377,7 @@ def lyapunov(
 def paper(
     out: OutFolder,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A hundredth of the throws: a minute or two instead of tens of minutes.")
+        bool, typer.Option("--quick", help="A hundredth of the throws: a few minutes instead of tens.")
     ] = False,
     seed: Annotated[int, typer.Option("--seed", help="Of everything that is drawn.")] = 1,
     threads: Threads = None,

@@ -159,7 +159,7 @@ def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
         "they are smooth at the first impact (α = 1)"
         if smooth
         else "they are not shown to be smooth at the first impact",
-        "and finer with every few bounces." if grows else "and no finer with more bounces.",
+        "and they grow finer with the bounces." if grows else "and they grow no finer with the bounces.",
     ]
     why = (
         ", ".join(reasons)
