@@ -167,6 +167,8 @@ class RestitutionBySpeed:
     """0 or more; 1/4 for full plasticity."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.law, SmoothImpact | CoulombImpact):
+            raise ValueError(f"law = {self.law}: wanted a SmoothImpact or a CoulombImpact")
         if not (np.isfinite(self.speed_scale_m_s) and self.speed_scale_m_s > 0.0):
             raise ValueError(f"speed_scale_m_s = {self.speed_scale_m_s}: wanted a finite speed above 0")
         if not (np.isfinite(self.exponent) and self.exponent >= 0.0):

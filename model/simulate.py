@@ -99,8 +99,8 @@ class Until:
     def __post_init__(self) -> None:
         if self.time_s is not None and not np.isfinite(self.time_s):
             raise ValueError(f"time_s = {self.time_s}: wanted a finite time in seconds, or None for no limit")
-        if self.impacts is not None and self.impacts < 0:
-            raise ValueError(f"impacts = {self.impacts}: wanted 0 or more, or None for no limit")
+        if self.impacts is not None and not (isinstance(self.impacts, int | np.integer) and self.impacts >= 0):
+            raise ValueError(f"impacts = {self.impacts}: wanted 0 or more, a whole number, or None for no limit")
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,6 +168,7 @@ def throw_die(
     endless = until == Until() and (law.parameters[0] >= 1.0 or table.moves)
     cap = BOUNCING_CAP if endless else IMPACT_CAP
     if not die.is_spherical_top:
+        packed_state(release)  # refuses what is no state, in the words of the caller's own axes
         return _throw_top(die, release, law, until, duration, table, precision, cap)
     start = checked_release(die, release, table)
     code, _, face, end, _, log, knots = kernels.run_throw(

@@ -20,6 +20,9 @@ from scipy.spatial import ConvexHull
 
 Array = NDArray[np.float64]
 
+ROUNDEST = 0.95
+"""Largest corner radius, as a part of the inscribed radius: beyond it a die is a ball that never comes to rest."""
+
 SHAPES = ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
 
 
@@ -124,10 +127,16 @@ def make_die(
         if value is not None:
             _check_positive(name, value)
     solid = isohedral_solid(shape, edge_m)
-    if not 0 <= corner_radius_m < solid.inradius:
+    if not 0 <= corner_radius_m <= ROUNDEST * solid.inradius:
         raise ValueError(
             f"corner_radius_m = {corner_radius_m}: wanted 0 or more, "
-            f"and less than the inscribed radius {solid.inradius:.6g}"
+            f"and at most {ROUNDEST:g} of the inscribed radius {solid.inradius:.6g}"
+        )
+    most = 2.0 / 3.0 * mass_kg * solid.circumradius**2
+    if inertia_kg_m2 is not None and not 1e-3 * most <= inertia_kg_m2 <= most:
+        raise ValueError(
+            f"inertia_kg_m2 = {inertia_kg_m2}: wanted {1e-3 * most:.3g} to {most:.3g}, the most that this mass can have "
+            "within the corners"
         )
     if inertia_kg_m2 is None:
         inertia_kg_m2 = mass_kg * float(np.trace(unit_inertia(solid))) / 3.0

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 STEEPEST_RAD = 1.5
 """Of a tilted table: 86 degrees, beyond which nothing presses on it."""
 
+FASTEST_HZ = 1e9
+"""Of an oscillating table: beyond it rounding of the time leaves no phase."""
+
 
 @dataclass(frozen=True)
 class Table:
@@ -41,6 +44,8 @@ class Table:
         for name in ("tilt_rad", "downhill_rad", "amplitude_m", "frequency_hz", "phase_rad"):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"{name} = {getattr(self, name)}: wanted a finite number")
+        if self.frequency_hz > FASTEST_HZ:
+            raise ValueError(f"frequency_hz = {self.frequency_hz}: wanted hertz, at most {FASTEST_HZ:g}")
         if abs(self.tilt_rad) > STEEPEST_RAD:
             raise ValueError(f"tilt_rad = {self.tilt_rad}: wanted radians, at most {STEEPEST_RAD} either way")
         if self.amplitude_m < 0 or self.frequency_hz < 0:

@@ -43,6 +43,10 @@ from .solids import Die
 Array = NDArray[np.float64]
 
 
+LARGEST = {"position_m": 9e12, "velocity_m_s": 1e8, "omega_rad_s": 1e10}
+"""What a state may hold: beyond, rounding of a height or of the turn in a flight is larger than a die."""
+
+
 @dataclass(frozen=True, eq=False)
 class Touch:
     """A vertex that meets the table at the end of a flight."""
@@ -100,6 +104,10 @@ def packed_state(state: State) -> Array:
         value = np.asarray(getattr(state, name), float)
         if value.shape != ((size,) if size else ()) or not np.isfinite(value).all():
             raise ValueError(f"{name} = {value.tolist()}: wanted {size or 1} finite numbers")
+        if name in LARGEST and float(np.abs(value).max()) > LARGEST[name]:
+            raise ValueError(
+                f"{name} = {value.tolist()}: wanted no more than {LARGEST[name]:g}, where doubles still tell"
+            )
         parts.append(value)
     length = float(np.linalg.norm(parts[2]))
     if abs(length - 1.0) > 1e-6:

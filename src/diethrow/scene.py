@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from .model.solids import SHAPES, Die, make_die
+from .model.solids import ROUNDEST, SHAPES, Die, make_die
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
 
@@ -327,9 +327,10 @@ def die_from(table: DieTable, path: Path) -> Die:
     if table.marks == "pips" and table.shape != "cube":
         raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
     die = make_die(table.shape, table.edge_m, table.mass_kg, marks=table.marks)
-    if table.corner_radius_m >= die.solid.inradius:
-        guess = _unit_guess(table.corner_radius_m, (1e-3, 1e-6), lambda radius: radius < die.solid.inradius)
-        wanted = f"wanted metres, less than the inscribed radius {die.solid.inradius:.4g}{guess}"
+    largest = ROUNDEST * die.solid.inradius
+    if table.corner_radius_m > largest:
+        guess = _unit_guess(table.corner_radius_m, (1e-3, 1e-6), lambda radius: radius <= largest)
+        wanted = f"wanted metres, at most {ROUNDEST:g} of the inscribed radius, {largest:.4g}{guess}"
         raise refuse(path, "die.corner_radius_m", table.corner_radius_m, wanted)
     _check_inertia(table, die, path)
     return make_die(
@@ -371,9 +372,9 @@ def _check_density(table: DieTable, path: Path) -> None:
 def _check_inertia(table: DieTable, die: Die, path: Path) -> None:
     """No mass lies farther out than the corners: J = ⅔ Σ m r² <= ⅔ m R²."""
     most = 2.0 / 3.0 * die.mass_kg * die.solid.circumradius**2
-    if table.inertia_kg_m2 is not None and table.inertia_kg_m2 > most:
+    if table.inertia_kg_m2 is not None and not 1e-3 * most <= table.inertia_kg_m2 <= most:
         wanted = (
-            f"wanted kg m², at most {most:.4g} with all the mass at the corners; "
+            f"wanted kg m², {1e-3 * most:.4g} to {most:.4g}, the most with all the mass at the corners; "
             f"a homogeneous die has {die.inertia_kg_m2:.4g}"
         )
         raise refuse(path, "die.inertia_kg_m2", table.inertia_kg_m2, wanted)

@@ -608,17 +608,6 @@ def test_every_die_laid_on_a_face_stays_on_it(other, chi):
         assert (result.ending, result.landed_face, result.impact_count) == (Ending.RESTED, face + 1, 0)
 
 
-def test_a_sphere_in_all_but_its_corners_bounces_like_one():
-    """Corners of all but the inscribed radius: an impact turns the die by no more than the arm of what is left."""
-    die = make_die("cube", 0.02, 0.016, corner_radius_m=0.01 * (1 - 1e-9))
-    release = random_release(np.random.default_rng(101), die, spin_rad_s=30.0, clearance_m=0.0)
-    release = replace(release, position_m=np.array([0.0, 0.0, 0.11]), velocity_m_s=STILL, time_s=0.0)
-    throw = throw_die(die, release, SmoothImpact(0.5), until=Until(impacts=4)).throw
-    fall = np.sqrt(0.2 / G)
-    np.testing.assert_allclose([i.time_s for i in throw.impacts], fall * np.array([1, 2, 2.5, 2.75]), rtol=1e-6)
-    np.testing.assert_allclose(throw.flights[-1].start.omega_rad_s, release.omega_rad_s, rtol=1e-6)
-
-
 @pytest.mark.parametrize("chi", [0.0, 0.5, 1.0])
 def test_boundless_friction_sticks_and_vanishing_friction_is_the_smooth_impact(chi):
     die = DICE["cube"]
@@ -693,3 +682,64 @@ def test_a_release_that_no_die_has_is_refused_on_every_path(make, table, field, 
     bad = replace(good, **{field: value if field == "time_s" else np.array(value)})
     with pytest.raises(ValueError, match=said):
         throw_die(die, bad, SmoothImpact(0.5), table=table, until=Until(time_s=1.0))
+
+
+@each_die
+@pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.0])
+def test_a_die_at_rest_on_an_edge_but_for_rounding_stands_or_falls_and_is_no_top(die, yaw):
+    for edge in die.solid.edges:
+        turn = quat_multiply(quat_from_rotvec(yaw * UP), with_down(die.solid.vertices[edge].sum(0)))
+        release = clear(die, State(0.0, STILL, turn, STILL, STILL), 0.0)
+        assert throw_die(die, release, SmoothImpact(0.0)).ending in (Ending.RESTED, Ending.BALANCED)
+
+
+@pytest.mark.parametrize("table", [Table(), Table(tilt_rad=0.1)], ids=["level", "leaning"])
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("quaternion", [0.0, 0.0, 0.0, 0.0], "quaternion of length 0: wanted a unit quaternion"),
+        ("velocity_m_s", [np.inf, 0.0, 0.0], "velocity_m_s = .*wanted 3 finite numbers"),
+        ("omega_rad_s", [0.0, 0.0, np.nan], "omega_rad_s = .*wanted 3 finite numbers"),
+    ],
+)
+def test_a_release_that_no_die_has_is_refused_of_a_loaded_die_too(table, field, value, said):
+    die = MAKERS["loaded cube"](0.02, 0.016)
+    good = replace(random_release(np.random.default_rng(103), die, clearance_m=0.3), time_s=0.0)
+    with pytest.raises(ValueError, match=said):
+        throw_die(die, replace(good, **{field: np.array(value)}), SmoothImpact(0.5), table=table)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Until(impacts=np.nan), "impacts = nan"),
+        (lambda: Until(impacts=2.5), r"impacts = 2\.5"),
+        (lambda: RestitutionBySpeed(RestitutionBySpeed(SmoothImpact(0.5), 1.0), 1.0), "law = RestitutionBySpeed"),
+        # A body inside the die's sphere has no more than 2/3 m R² about every axis.
+        (lambda: make_die("cube", 0.02, 0.016, corner_radius_m=0.0099), "at most 0.95 of the inscribed radius"),
+        (lambda: make_die("cube", 0.02, 0.016, inertia_kg_m2=1e9), r"inertia_kg_m2 = 1000000000\.0"),
+    ],
+)
+def test_more_settings_that_cannot_be_are_refused(make, said):
+    with pytest.raises(ValueError, match=said):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("velocity_m_s", [0.0, 0.0, -1e100]), ("velocity_m_s", [1e300, 0.0, 0.0])],
+)
+def test_numbers_beyond_what_doubles_can_follow_are_refused_by_their_own_name(field, value):
+    die = DICE["cube"]
+    good = random_release(np.random.default_rng(103), die, clearance_m=0.3)
+    with pytest.raises(ValueError, match=field):
+        throw_die(die, replace(good, **{field: np.array(value)}), SmoothImpact(0.5))
+
+
+def test_a_table_so_fast_that_its_phase_is_lost_is_no_division_by_zero():
+    die = DICE["cube"]
+    release = random_release(np.random.default_rng(5), die)
+    with pytest.raises(ValueError, match="frequency_hz"):
+        throw_die(
+            die, release, SmoothImpact(0.5), table=Table(amplitude_m=1e-6, frequency_hz=1e12), until=Until(impacts=3)
+        )
