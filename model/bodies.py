@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import kernels
-from .motion import State
 from .solids import Die, Solid, inner_vertices
 
 Array = NDArray[np.float64]
@@ -62,8 +61,3 @@ def safe_leans(vertices: Array) -> Array:
     lean = np.arctan2(lengths[:, None] - lengths * cosine, lengths * sine)
     np.fill_diagonal(lean, np.pi)
     return np.asarray(np.cos(lean.min(1)))
-
-
-def lowest_vertex_m(die: Die, state: State) -> float:
-    """Height [m] of the lowest vertex of the sharp polyhedron above a level table."""
-    return float((die.solid.vertices @ state.rotation[2]).min() + state.position_m[2])

@@ -2054,11 +2054,9 @@ def run_throw(
             else:
                 stop_approach(body, plane, state, time, touching, n, room)
                 i, j = pressed_set(body, plane, state, time, touching, n, room)
-            if j == -3:
-                pass
-            elif j == -2:
+            if j == -2:
                 lie_on(body, plane, state, time, i)
-            elif i >= 0:
+            elif i >= 0 and not rough:
                 stop_on(body, plane, state, time, i, j)
                 stand_on(body, plane, state, time, i, j)
             if still > 3 and j != -2 and not rough:

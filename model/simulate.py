@@ -4,7 +4,9 @@
 E' = m g z + m v_z²/2 + J (ω_x² + ω_y²)/2, can turn the die over. To leave its lowest face the die must lift its centre
 over the nearest edge of that face, at the height d (the distance of the edge from the centre). Once E' < m g d it
 never can: the landed face is decided, exactly and without a tolerance, although the die still rattles on it. On a table
-that oscillates so weakly that A (2πf)² ≤ g, a die that lies on a face does so for ever.
+that oscillates so weakly that A (2πf)² ≤ g, a die that lies on a face does so for ever. Friction can turn all of the
+energy into what lifts the die, so that with it the whole of E counts; and on a slope, which goes on feeding the slip,
+only a die that stands still has landed.
 
 **Spinning.** Without friction ω_z stays, and while the die touches the table with vertex A alone, so does its spin about
 the line from A to the centre, b = ω·e (an impulse at A has no moment about it). The line leans by the angle whose
@@ -15,7 +17,8 @@ cosine is u, and in every such state, in flight or not,
 V is convex, and E' never grows. So where V(u*) > E'/m at the lean u* at which another vertex can first come as low as
 A, and the line stands steeper than that, it does so for ever: no other vertex ever touches, and the die is a top
 (SPINNING), whether it still hops or not. A die that touches with others now and then, ever more faintly, escapes this
-proof; it is given up after 1000 √(R/g) without the energy to stand up and more, and says so (SPUN_LONG).
+proof; it is given up after 1000 √(R/g) without the energy to stand up and more, and says so (SPUN_LONG). At χ above
+0.9, where every die takes long to calm down, it is given 0.1/(1 - χ) times as long.
 
 **Standing.** Exactly balanced on a vertex or an edge, a die stays there (BALANCED). A neighbour of that state falls.
 
@@ -62,7 +65,8 @@ class Ending(Enum):
     RESTED = "The die no longer has the energy to leave its lowest face."
     SPINNING = "The die spins for ever as a top on one vertex: no other can touch the table again."
     SPUN_LONG = (
-        "The die spun or slid on without coming to rest for 1000 times the square root of R/g, and nothing stops it."
+        "The die spun or slid on without coming to rest for at least 1000 times the square root of R/g, and nothing "
+        "stops it."
     )
     BALANCED = "The die stands exactly balanced on a vertex or an edge."
     BOUNCING = (

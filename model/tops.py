@@ -222,16 +222,6 @@ def _shifted(die: Die, state: State, sign: float) -> State:
     )
 
 
-def top_energy_J(die: Die, state: State, gravity_m_s2: float = LEVEL.g) -> float:
-    """Kinetic plus potential energy [J] of any die, zero for a centre of mass at rest at the height of the table."""
-    centre = centre_of_mass_state(die, state)
-    spin = state.rotation.T @ state.omega_rad_s
-    v = centre.velocity_m_s
-    tensor = die.inertia_kg_m2 * np.eye(3) if die.is_spherical_top else np.asarray(die.inertia_tensor_kg_m2)
-    turning = spin @ tensor @ spin
-    return 0.5 * float(die.mass_kg * (v @ v) + turning) + die.mass_kg * gravity_m_s2 * float(centre.position_m[2])
-
-
 def top_from_die(die: Die) -> tuple[Top, Array]:
     """The die in its principal axes, and the quaternion (4,) that takes those axes to the die's.
 

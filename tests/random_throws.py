@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from diethrow.model.bodies import lowest_vertex_m
 from diethrow.model.motion import State
 from diethrow.model.solids import SHAPES, Die, make_die
 
@@ -16,6 +15,11 @@ def random_quaternion(rng: np.random.Generator) -> np.ndarray:
     """Uniform over the rotations."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
+
+
+def lowest_vertex_m(die: Die, state: State) -> float:
+    """Height [m] of the lowest vertex of the sharp polyhedron above a level table."""
+    return float((die.solid.vertices @ state.rotation[2]).min() + state.position_m[2])
 
 
 def random_release(rng: np.random.Generator, die: Die, *, spin_rad_s: float = 40.0, clearance_m: float = 0.1) -> State:

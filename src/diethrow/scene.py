@@ -100,20 +100,12 @@ class Scene:
         return self.cameras[0]
 
     def still_table(self) -> Table:
-        """The table, at rest. Raises SceneError for a table that moves: the laws here know only one at rest."""
-        return still(self.table, self.path)
-
-
-def still(table: Table, path: Path) -> Table:
-    """`table` if it is at rest. Raises SceneError, naming the file at `path`, if it moves."""
-    if table.motion is not None and table.motion.amplitude_m > 0:
-        raise refuse(
-            path,
-            "table.motion.amplitude_m",
-            table.motion.amplitude_m,
-            "an oscillating table is not modelled yet, wanted 0",
-        )
-    return table
+        """The table, at rest. Raises SceneError for one that moves: tracking and fitting know only one at rest."""
+        motion = self.table.motion
+        if motion is not None and motion.amplitude_m > 0:
+            wanted = "an oscillating table is simulated but not yet tracked or fitted, wanted 0"
+            raise refuse(self.path, "table.motion.amplitude_m", motion.amplitude_m, wanted)
+        return self.table
 
 
 def read_scene(path: Path) -> Scene:

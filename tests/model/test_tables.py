@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from random_throws import DICE, random_release
+from random_throws import DICE, lowest_vertex_m, random_release
 from scipy.optimize import brentq
 
-from diethrow.model import bodies, kernels
+from diethrow.model import kernels
 from diethrow.model.contact import Held
 from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import GRAVITY_M_S2, Flight, State, energy_J
@@ -322,6 +322,6 @@ def test_a_tilt_turns_the_kernels_gravity_and_keeps_its_size():
     assert plane.g == pytest.approx(G * np.cos(0.4), rel=1e-15)
     assert np.arctan2(plane.gy, plane.gx) == pytest.approx(1.1, rel=1e-14)
     assert LEVEL.plane == kernels.LEVEL
-    assert bodies.lowest_vertex_m(
-        DICE["cube"], State(0.0, np.ones(3), np.array([1.0, 0, 0, 0]), *np.zeros((2, 3)))
-    ) == (pytest.approx(0.99))
+    assert lowest_vertex_m(DICE["cube"], State(0.0, np.ones(3), np.array([1.0, 0, 0, 0]), *np.zeros((2, 3)))) == (
+        pytest.approx(0.99)
+    )

@@ -19,11 +19,11 @@ from diethrow.model.kernels import (
     Plane,
     SmoothLaw,
 )
-from diethrow.model.motion import GRAVITY_M_S2, State
+from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from diethrow.model.simulate import throw_die
 from diethrow.model.solids import convex_solid, die_from_solid, isohedral_solid, loaded_die, truncated_dipyramid
-from diethrow.model.tops import body_state, centre_of_mass_state, throw_top, top_energy_J
+from diethrow.model.tops import body_state, centre_of_mass_state, throw_top
 
 LOADED = loaded_die(isohedral_solid("cube", 0.02), 0.011, 0.005, [0.003, 0.002, 0.008])
 BOX = die_from_solid(
@@ -119,7 +119,7 @@ def test_an_elastic_throw_keeps_its_energy(die):
     assert (throw.code, throw.impact_count) == (IMPACTS_REACHED, 2000)
     end = throw.at(throw.end_s)
     # Rounding at each impact and step.
-    assert top_energy_J(die, end) == pytest.approx(top_energy_J(die, release), rel=3e-12)
+    assert energy_J(die, end) == pytest.approx(energy_J(die, release), rel=3e-12)
 
 
 @each_top
