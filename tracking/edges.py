@@ -22,16 +22,26 @@ during the exposure is spread by a box of variance m²/12. Marks, shadows and wh
 redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of edge, because the
 grain on a die's faces is several times the noise of the still background.
 
-Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R.
+Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R. Beside
+them the equations have two columns that belong to a whole clip and not to a frame: the contour taken δ [px] too far out
+(a bevel or a glare that the model does not know), and the blur. They are not solved for here; they say what such an error
+does to the pose (`lean`), and let the blur be estimated over many frames.
+
+Several views add up their equations: cameras, and for a table that reflects, each camera seen in the mirror (its pose
+times diag(1, 1, -1): the die's reflection is what the mirrored camera sees). Where the die and its reflection hide each
+other, or one is the background of the other, the rows are left out.
 """
 
 from __future__ import annotations
 
-from math import acos, ceil, cos, erf, exp, floor, hypot, log, sin, sqrt
-from typing import Any
+from math import acos, atan2, ceil, cos, floor, hypot, log, sin, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy.special import ndtr
+
+from ..model.motion import GRAVITY_M_S2
 
 SEGMENT_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""
@@ -45,9 +55,130 @@ SLIVER = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
 TUKEY = 4.685
 """Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
+ROBUST_TURNS = 3
+"""Times that the intensities of a stretch are solved with weights from the last residuals."""
+APART_PX = 2.0
+"""Margin about the outline of a reflection (or of the die before its reflection) within which rows are left out."""
+COLUMNS = 8
+"""Pose (6), contour error [px], blur [px]."""
+BLUR = 7
+COARSE = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
+"""Blur and band [px] of the first steps from an uncertain start."""
+GAIN = 0.05
+"""Squared sigmas: a step that gains less moved the pose by a fifth of its sigma, and the next would move it far less."""
+FACE_CUT, SHADOW_CUT = 16.0, 4.0
+"""Squared sigmas at which a pixel's misfit is cut off; lower where the image is darker than the background, which a
+shadow explains."""
+WINDOW_PX = 20.0
+"""Margin of the window about the outline: the widest band, and what a prediction may be off."""
+DEARER, MUCH_DEARER = 0.35, 2.5
+"""By how much a pose in flight may cost more than usual before other explanations are tried, and the same for a pose that
+lies NEAR where the motion leads."""
+NEAR_REACH, NEAR_RAD = 0.05, 0.01
+"""Position in units of the die's reach, and turn."""
+FADE = 1.06
+"""Growth of a motion's covariance a frame."""
+GRAVITY = GRAVITY_M_S2
+
+_FINE, _FAR = 128, 5.0
+_STEP = np.linspace(-_FAR, _FAR, int(2 * _FAR * _FINE) + 2)
+_STEP[-1] = _FAR
+_PHI = np.asarray(ndtr(_STEP))
+_BELL = np.exp(-0.5 * _STEP**2) / np.sqrt(2.0 * np.pi)
+"""Φ and its derivative, tabulated: linear interpolation is right to 2e-6, a thousandth of what a grey level shows."""
 
 
-@njit(cache=True)
+class Shape(NamedTuple):
+    """The die as the kernels want it: the inner sharp body, and the ball rolled round it."""
+
+    vertices: Any
+    """(n, 3) [m]"""
+    outer: Any
+    """(n, 3) [m] vertices of the sharp polyhedron of the flat faces."""
+    normals: Any
+    """(faces, 3)"""
+    offsets: Any
+    """(faces,) [m]"""
+    edges: Any
+    """(edges, 2) vertices."""
+    edge_faces: Any
+    """(edges, 2)"""
+    face_edges: Any
+    """(faces, most) padded with -1."""
+    radius: float
+    """[m] of the ball; 0 for a sharp die."""
+
+
+class Eyes(NamedTuple):
+    """All views of a scene, as stacks."""
+
+    matrix: Any
+    """(views, 3, 3) intrinsics [px]."""
+    distortion: Any
+    """(views, 5)"""
+    rotation: Any
+    """(views, 3, 3) world to camera; of determinant -1 for a view in the mirror."""
+    translation: Any
+    """(views, 3) [m]"""
+    camera: Any
+    """(views,) which camera's picture it is."""
+    partner: Any
+    """(views,) the view that shares the picture and may hide this one; -1 if there is none."""
+
+
+class Sight(NamedTuple):
+    """Pixels of one frame, a window of each camera's picture."""
+
+    pixels: Any
+    """(cameras, rows, columns) float32."""
+    corner: Any
+    """(cameras, 2) x, y of pixel [0, 0]."""
+    size: Any
+    """(cameras, 2) width and height of the window; 0 where the camera does not see the die."""
+
+
+class Desk(NamedTuple):
+    """Room to work in, taken once for many frames."""
+
+    px: Any
+    cam: Any
+    arm: Any
+    normal: Any
+    facing: Any
+    J: Any
+    across: Any
+    lines: Any
+    hull: Any
+    phi: Any
+    slope: Any
+    spread: Any
+    grey: Any
+    weight: Any
+    left: Any
+    size: Any
+    begin: Any
+    rows: Any
+    A: Any
+    L: Any
+    C: Any
+    y: Any
+    c: Any
+
+
+@njit(cache=True, nogil=True)
+def new_desk(shape: Shape) -> Desk:
+    """An empty desk for dice of this shape."""
+    nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]
+    return Desk(
+        np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
+        np.zeros(3), np.zeros(CELLS + 1), np.zeros((ne, 3)), np.zeros((BUFFER, 4)), np.zeros((BUFFER, 4)),
+        np.zeros((BUFFER, 4)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
+        np.zeros(514, np.int64), np.zeros((514, 7)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
+        np.zeros(4), np.zeros(4),
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
 def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[float, float]:
     """Pixel of a camera point and, in J (2, 3), its derivative."""
     iz = 1.0 / z
@@ -68,7 +199,7 @@ def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _factor(A: Any, K: int, L: Any) -> bool:
     """Cholesky factor of the leading K × K of A, in L; False where it is not positive definite."""
     for i in range(K):
@@ -85,7 +216,7 @@ def _factor(A: Any, K: int, L: Any) -> bool:
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _back(L: Any, K: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(K):
@@ -100,46 +231,90 @@ def _back(L: Any, K: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@njit(cache=True)
-def _segment(
-    n: int,
-    K: int,
-    phi: Any,
-    slope: Any,
-    base: float,
-    grey: Any,
-    row: Any,
-    rows: Any,
-    floor_grey: float,
-    work: Any,
-    H: Any,
-    g: Any,
-) -> tuple[float, float, float, float]:
-    """Add one stretch of edge to the normal equations.
+@njit(cache=True, nogil=True)
+def _median(values: Any, n: int) -> float:
+    """Median of the first n values, which are left in another order: Hoare's selection, no memory taken."""
+    k = n // 2
+    low, high = 0, n - 1
+    while low < high:
+        pivot = values[(low + high) // 2]
+        i, j = low, high
+        while i <= j:
+            while values[i] < pivot:
+                i += 1
+            while values[j] > pivot:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i += 1
+                j -= 1
+        if k <= j:
+            high = j
+        elif k >= i:
+            low = i
+        else:
+            break
+    return float(values[k])
 
-    `phi` (n, K) are the basis functions of the K intensities (near, far, and those of a rounded strip), `slope` (n, K)
-    their derivatives by d, `base` the mean background on the far side (1 between two faces), `row` the index of the row
-    of each pixel and `rows` (m, 6) the derivative of d by the pose. Returns the robust cost, the number of pixels that
-    count, the contrast across the edge [grey] and the noise [grey].
+
+@njit(cache=True, nogil=True)
+def _robust_sums(
+    n: int, K: int, first: bool, cut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any
+) -> None:
+    """Normal matrix A and right side y of the K intensities, with weights from the last residuals (one on the first)."""
+    A[:] = 0.0
+    y[:] = 0.0
+    for i in range(n):
+        q = 0.0 if first else res[i] / cut
+        q = max(1.0 - q * q, 0.0)
+        w[i] = q * q
+        for a in range(K):
+            wa = w[i] * phi[i, a]
+            y[a] += wa * grey[i]
+            for b in range(a + 1):
+                A[a, b] += wa * phi[i, b]
+
+
+@njit(cache=True, nogil=True)
+def _stretch(
+    desk: Desk, n: int, m: int, K: int, base: float, floor_grey: float, full: bool, H: Any, g: Any
+) -> tuple[float, float, float, float]:
+    """Add one stretch of edge, n pixels in m rows, to the normal equations.
+
+    On the desk: `phi` (n, K), the basis functions of the K intensities (near, far, and those of a rounded strip), with
+    their derivatives `slope` by d and `spread` by the blur (the last is needed where `full`); `begin` (m + 1) the first
+    pixel of each row and `rows` (m, 7) the derivative of d by pose and contour error. `base` is the mean background on
+    the far side (1 between two faces). Returns the robust cost, the number of pixels that count, the contrast across the
+    edge [grey] and the noise [grey].
     """
     if n < 12:
         return 0.0, 0.0, 0.0, 0.0
-    w, res, size = work[0], work[1], work[2]
-    for i in range(n):
-        w[i] = 1.0
+    phi, slope, spread, grey, w, res = desk.phi, desk.slope, desk.spread, desk.grey, desk.weight, desk.left
+    A, L, y, c, C = desk.A, desk.L, desk.y, desk.c, desk.C
+    size = desk.size
     scale = floor_grey
-    A, L = np.zeros((4, 4)), np.zeros((4, 4))
-    y, c = np.zeros(4), np.zeros(4)
-    for turn_number in range(4):
-        A[:] = 0.0
-        y[:] = 0.0
-        for i in range(n):
-            for a in range(K):
-                wa = w[i] * phi[i, a]
-                y[a] += wa * grey[i]
-                for b in range(a + 1):
-                    A[a, b] += wa * phi[i, b]
-        if K > 2:
+    for turn_number in range(ROBUST_TURNS):
+        if K == 2:
+            # Sharp edges, the usual case, in plain numbers.
+            a00, a10, a11, y0, y1 = 0.0, 0.0, 0.0, 0.0, 0.0
+            icut = 1.0 / (TUKEY * scale)
+            for i in range(n):
+                wi = 1.0
+                if turn_number > 0:
+                    q = res[i] * icut
+                    q = max(1.0 - q * q, 0.0)
+                    wi = q * q
+                w[i] = wi
+                f0, f1, value = phi[i, 0], phi[i, 1], grey[i]
+                w0, w1 = wi * f0, wi * f1
+                a00 += w0 * f0
+                a10 += w1 * f0
+                a11 += w1 * f1
+                y0 += w0 * value
+                y1 += w1 * value
+            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = a00, a10, a11, y0, y1
+        else:
+            _robust_sums(n, K, turn_number == 0, TUKEY * scale, phi, grey, res, w, A, y)
             level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
             prior = (max(scale, 2.0) / (STRIP_SHARE * level)) ** 2
             for a in range(2, K):
@@ -147,69 +322,100 @@ def _segment(
         if not _factor(A, K, L):
             return 0.0, 0.0, 0.0, 0.0
         _back(L, K, y, c)
+        c0, c1, c2, c3 = c[0], c[1], c[2] if K > 2 else 0.0, c[3] if K > 3 else 0.0
         for i in range(n):
-            res[i] = grey[i]
-            for a in range(K):
-                res[i] -= c[a] * phi[i, a]
-            size[i] = abs(res[i])
-        scale = max(floor_grey, 1.4826 * np.median(size[:n]))
-        if turn_number < 3:
-            for i in range(n):
-                q = res[i] / (TUKEY * scale)
-                w[i] = (1.0 - q * q) ** 2 if abs(q) < 1.0 else 0.0
+            r = grey[i] - c0 * phi[i, 0] - c1 * phi[i, 1]
+            if K > 2:
+                r -= c2 * phi[i, 2] + c3 * phi[i, 3]
+            res[i] = r
+            size[i] = abs(r)
+        scale = max(floor_grey, 1.4826 * _median(size, n))
     iv = 1.0 / (scale * scale)
-    C = np.zeros((6, 4))
-    cost, used = 0.0, 0.0
-    for i in range(n):
-        q = res[i] / (TUKEY * scale)
-        cost += 1.0 if abs(q) >= 1.0 else 1.0 - (1.0 - q * q) ** 3
-        used += w[i]
-        if w[i] <= 0.0:
-            continue
-        rise = 0.0
-        for a in range(K):
-            rise += c[a] * slope[i, a]
-        wi = w[i] * iv
-        k = row[i]
-        for a in range(6):
-            ja = wi * rise * rows[k, a]
-            g[a] += ja * res[i]
-            for m in range(K):
-                C[a, m] += ja * phi[i, m]
+    cut = TUKEY * scale
+    cost, used, icut = 0.0, 0.0, 1.0 / cut
+    begin, rows = desk.begin, desk.rows
+    C[:] = 0.0
+    for k in range(m):
+        # All pixels of a row share the derivative of d: sums over the row first, the pose once a row.
+        rr, re, r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        ss, rs, se, s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(begin[k], begin[k + 1]):
+            q = res[i] * icut
+            q = max(1.0 - q * q, 0.0)
+            cost += 1.0 - q * q * q
+            wi = w[i]
+            used += wi
+            if wi == 0.0:
+                continue
+            rise = c0 * slope[i, 0] + c1 * slope[i, 1]
+            if K > 2:
+                rise += c2 * slope[i, 2] + c3 * slope[i, 3]
+            wr = wi * rise
+            rr += wr * rise
+            re += wr * res[i]
+            r0 += wr * phi[i, 0]
+            r1 += wr * phi[i, 1]
+            if K > 2:
+                r2 += wr * phi[i, 2]
+                if K > 3:
+                    r3 += wr * phi[i, 3]
+            if full:
+                widen = 0.0
+                for a in range(K):
+                    widen += c[a] * spread[i, a]
+                ws = wi * widen
+                ss += ws * widen
+                rs += ws * rise
+                se += ws * res[i]
+                s0 += ws * phi[i, 0]
+                s1 += ws * phi[i, 1]
+                if K > 2:
+                    s2 += ws * phi[i, 2]
+                    if K > 3:
+                        s3 += ws * phi[i, 3]
+        for a in range(7):
+            ja = iv * rows[k, a]
+            g[a] += ja * re
+            C[a, 0] += ja * r0
+            C[a, 1] += ja * r1
+            C[a, 2] += ja * r2
+            C[a, 3] += ja * r3
             for b in range(a + 1):
-                H[a, b] += ja * rise * rows[k, b]
+                H[a, b] += ja * rows[k, b] * rr
+            H[BLUR, a] += ja * rs
+        if full:
+            H[BLUR, BLUR] += iv * ss
+            g[BLUR] += iv * se
+            C[BLUR, 0] += iv * s0
+            C[BLUR, 1] += iv * s1
+            C[BLUR, 2] += iv * s2
+            C[BLUR, 3] += iv * s3
     # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S their own normal matrix, A / scale².
-    for b in range(6):
+    top = COLUMNS if full else 7
+    for b in range(top):
         _back(L, K, C[b], y)
-        for a in range(b, 6):
+        for a in range(b, top):
             s = 0.0
-            for m in range(K):
-                s += C[a, m] * y[m]
+            for q in range(K):
+                s += C[a, q] * y[q]
             H[a, b] -= s / iv
     return cost, used, abs(c[1] * base - c[0]), scale
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines: Any) -> None:
     """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
     whose normals divide the turn from n0 to n1, or to the contour, into equal parts. `aw` is the derivative of d by a
     world displacement."""
     size = sqrt(aw[0] * aw[0] + aw[1] * aw[1] + aw[2] * aw[2])
     along, across = 0.0, 0.0
-    end = np.zeros(3)
-    for a in range(3):
-        end[a] = n1[a] if interior else aw[a] / size
-    for a in range(3):
-        along += n0[a] * end[a]
+    e0, e1, e2 = (n1[0], n1[1], n1[2]) if interior else (aw[0] / size, aw[1] / size, aw[2] / size)
+    along = n0[0] * e0 + n0[1] * e1 + n0[2] * e2
     angle = acos(min(1.0, max(-1.0, along)))
-    for a in range(3):
-        end[a] -= along * n0[a]
-        across += end[a] * end[a]
-    across = sqrt(max(across, 1e-30))
-    d0, d1 = 0.0, 0.0
-    for a in range(3):
-        d0 += radius * aw[a] * n0[a]
-        d1 += radius * aw[a] * end[a] / across
+    e0, e1, e2 = e0 - along * n0[0], e1 - along * n0[1], e2 - along * n0[2]
+    across = sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, 1e-30))
+    d0 = radius * (aw[0] * n0[0] + aw[1] * n0[1] + aw[2] * n0[2])
+    d1 = radius * (aw[0] * e0 + aw[1] * e1 + aw[2] * e2) / across
     for j in range(CELLS + 1):
         t = angle * j / CELLS
         lines[j] = d0 * cos(t) + d1 * sin(t)
@@ -217,157 +423,261 @@ def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines
         lines[j] = max(lines[j], lines[j - 1])
 
 
-@njit(cache=True)
-def normal_equations(
-    image: Any,
-    background: Any,
-    x0: int,
-    y0: int,
-    K: Any,
-    dist: Any,
-    Rcw: Any,
-    tcw: Any,
-    pos: Any,
-    R: Any,
-    vel: Any,
-    omega: Any,
-    exposure: float,
-    vertices: Any,
-    normals: Any,
-    offsets: Any,
-    edges: Any,
-    edge_faces: Any,
-    face_edges: Any,
-    radius: float,
-    sigma: float,
-    band: float,
-    floor_grey: float,
-    work: Any,
-    H: Any,
-    g: Any,
-    stats: Any,
-) -> None:
-    """Fill H (6, 6) and g (6,) of the pose increment, and `stats`.
+@njit(cache=True, nogil=True)
+def _place(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
+    """Put the die before one view: vertices in camera axes and in pixels, which faces look at it. False where a vertex
+    lies behind the camera."""
+    Rcw, tcw = eyes.rotation[view], eyes.translation[view]
+    K, dist = eyes.matrix[view], eyes.distortion[view]
+    for i in range(shape.vertices.shape[0]):
+        x, y, z = shape.vertices[i, 0], shape.vertices[i, 1], shape.vertices[i, 2]
+        for a in range(3):
+            desk.arm[i, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
+        for a in range(3):
+            desk.cam[i, a] = tcw[a]
+            for b in range(3):
+                desk.cam[i, a] += Rcw[a, b] * (pos[b] + desk.arm[i, b])
+        if desk.cam[i, 2] <= 1e-6:
+            return False
+        desk.px[i, 0], desk.px[i, 1] = _project(K, dist, desk.cam[i, 0], desk.cam[i, 1], desk.cam[i, 2], desk.J)
+    # From the die's centre to the camera's.
+    e0, e1, e2 = -pos[0], -pos[1], -pos[2]
+    for b in range(3):
+        e0 -= Rcw[b, 0] * tcw[b]
+        e1 -= Rcw[b, 1] * tcw[b]
+        e2 -= Rcw[b, 2] * tcw[b]
+    gap = sqrt(e0 * e0 + e1 * e1 + e2 * e2)
+    for f in range(shape.normals.shape[0]):
+        for a in range(3):
+            desk.normal[f, a] = (
+                R[a, 0] * shape.normals[f, 0] + R[a, 1] * shape.normals[f, 1] + R[a, 2] * shape.normals[f, 2]
+            )
+        toward = desk.normal[f, 0] * e0 + desk.normal[f, 1] * e1 + desk.normal[f, 2] * e2
+        desk.facing[f] = (toward - shape.offsets[f] - shape.radius) / gap
+    return True
 
-    `image`, `background` are float32 windows whose pixel [0, 0] lies at (x0, y0). `vertices`, `normals`, `offsets` are
-    those of the inner sharp body, `radius` [m] is the ball rolled round it. `stats` becomes: robust cost, pixels used,
-    pixels seen, length of visible contour inside the image [px], length of it with a clear step, stretches used, and the
-    sum over pixels of the logarithm of the noise left over, which the right blur makes smallest.
+
+@njit(cache=True, nogil=True)
+def _hull(shape: Shape, desk: Desk) -> int:
+    """Lines (a, b, c) of the outline of the die as placed, a x + b y + c > 0 inside; their number. The ball's radius is
+    left to APART_PX and to the caller's margin."""
+    mx, my = 0.0, 0.0
+    for i in range(desk.px.shape[0]):
+        mx += desk.px[i, 0] / desk.px.shape[0]
+        my += desk.px[i, 1] / desk.px.shape[0]
+    count = 0
+    for e in range(shape.edges.shape[0]):
+        if (desk.facing[shape.edge_faces[e, 0]] > 0.0) == (desk.facing[shape.edge_faces[e, 1]] > 0.0):
+            continue
+        i, j = shape.edges[e, 0], shape.edges[e, 1]
+        dx, dy = desk.px[j, 0] - desk.px[i, 0], desk.px[j, 1] - desk.px[i, 1]
+        length = max(hypot(dx, dy), 1e-9)
+        a, b = -dy / length, dx / length
+        c = -(a * desk.px[i, 0] + b * desk.px[i, 1])
+        if a * mx + b * my + c < 0.0:
+            a, b, c = -a, -b, -c
+        desk.hull[count, 0], desk.hull[count, 1], desk.hull[count, 2] = a, b, c
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _within(hull: Any, count: int, x: float, y: float, margin: float) -> bool:
+    """Whether a pixel lies inside the outline widened by a margin [px]."""
+    for k in range(count):
+        if hull[k, 0] * x + hull[k, 1] * y + hull[k, 2] < -margin:
+            return False
+    return count > 0
+
+
+@njit(cache=True, nogil=True)
+def _room_beside(
+    face: Any, edges: Any, px: Any, e: int, steep: bool, line: int, x: float, y: float, across: float
+) -> float:
+    """Distance [px] across edge e from a point (x, y) of it to the nearest other edge of a face on its pixel line; `face`
+    lists the face's edges, padded with -1."""
+    nearest = 1e9
+    for j in range(face.shape[0]):
+        o = face[j]
+        if o < 0:
+            break
+        if o == e:
+            continue
+        i, k = edges[o, 0], edges[o, 1]
+        cx, cy = px[i, 0], px[i, 1]
+        dx, dy = px[k, 0] - cx, px[k, 1] - cy
+        run, rise, start = (dx, dy, cy) if steep else (dy, dx, cx)
+        if abs(rise) < 1e-9:
+            continue
+        share = (line - start) / rise
+        if share < -0.02 or share > 1.02:
+            continue
+        away = abs(cx + share * run - x) if steep else abs(cy + share * run - y)
+        nearest = min(nearest, away * across)
+    return nearest
+
+
+@njit(cache=True, nogil=True)
+def _rounded_basis(
+    d: float, ib: float, shade: float, interior: bool, lines: Any, phi: Any, slope: Any, spread: Any, n: int
+) -> None:
+    """Basis functions of the intensities of pixel n at distance d from a rounded edge, with their derivatives by d and
+    by the blur 1 / ib."""
+    t = (d - lines[CELLS]) * ib
+    a1, p1 = _step(t)
+    p1 *= ib
+    w1 = -t * p1
+    t = (d - lines[0]) * ib
+    a0, p0 = _step(t)
+    p0 *= ib
+    w0 = -t * p0
+    f0, f1, f2, f3 = 1.0 - a0, a1 * shade, 0.0, 0.0
+    s0, s1, s2, s3 = -p0, p1 * shade, 0.0, 0.0
+    b0, b1, b2, b3 = -w0, w1 * shade, 0.0, 0.0
+    for j in range(CELLS):
+        a2, p2, w2 = a1, p1, w1
+        if j + 1 < CELLS:
+            t = (d - lines[j + 1]) * ib
+            a2, p2 = _step(t)
+            p2 *= ib
+            w2 = -t * p2
+        cell, moved, wider = a0 - a2, p0 - p2, w0 - w2
+        u = (j + 0.5) / CELLS
+        if interior:
+            bulge = 4.0 * u * (1.0 - u)
+            f0, s0, b0 = f0 + (1.0 - u) * cell, s0 + (1.0 - u) * moved, b0 + (1.0 - u) * wider
+            f1, s1, b1 = f1 + u * cell, s1 + u * moved, b1 + u * wider
+            f2, s2, b2 = f2 + bulge * cell, s2 + bulge * moved, b2 + bulge * wider
+        else:
+            f0, s0, b0 = f0 + cell, s0 + moved, b0 + wider
+            f2, s2, b2 = f2 + u * cell, s2 + u * moved, b2 + u * wider
+            f3, s3, b3 = f3 + u * u * cell, s3 + u * u * moved, b3 + u * u * wider
+        a0, p0, w0 = a2, p2, w2
+    phi[n, 0], phi[n, 1], phi[n, 2], phi[n, 3] = f0, f1, f2, f3
+    slope[n, 0], slope[n, 1], slope[n, 2], slope[n, 3] = s0, s1, s2, s3
+    spread[n, 0], spread[n, 1], spread[n, 2], spread[n, 3] = b0, b1, b2, b3
+
+
+@njit(cache=True, nogil=True)
+def _step(t: float) -> tuple[float, float]:
+    """Φ(t) and its derivative."""
+    if t >= _FAR:
+        return 1.0, 0.0
+    if t <= -_FAR:
+        return 0.0, 0.0
+    x = (t + _FAR) * _FINE
+    k = int(x)
+    x -= k
+    return _PHI[k] + x * (_PHI[k + 1] - _PHI[k]), _BELL[k] + x * (_BELL[k + 1] - _BELL[k])
+
+
+@njit(cache=True, nogil=True)
+def normal_equations(
+    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any, exposure: float,
+    sigma: float, band: float, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
+) -> None:  # fmt: skip
+    """Fill H (8, 8) and g (8,) of pose, contour error and blur (the last only where `full`), and `stats`.
+
+    `backgrounds` (cameras, height, width) float32 are whole pictures. `stats` becomes: robust cost, pixels used, pixels
+    seen, length of visible contour inside the image [px], length of it with a clear step, stretches used, and the sum
+    over pixels of the logarithm of the noise left over.
     """
     H[:] = 0.0
     g[:] = 0.0
     stats[:] = 0.0
-    nv, ne, nf = vertices.shape[0], edges.shape[0], normals.shape[0]
-    height, width = image.shape
-    J = np.zeros((2, 3))
-    r = np.zeros((nv, 3))
-    cam = np.zeros((nv, 3))
-    px = np.zeros((nv, 2))
-    for i in range(nv):
-        for a in range(3):
-            r[i, a] = R[a, 0] * vertices[i, 0] + R[a, 1] * vertices[i, 1] + R[a, 2] * vertices[i, 2]
-        for a in range(3):
-            cam[i, a] = tcw[a]
-            for b in range(3):
-                cam[i, a] += Rcw[a, b] * (pos[b] + r[i, b])
-        if cam[i, 2] <= 1e-6:
-            return
-        px[i, 0], px[i, 1] = _project(K, dist, cam[i, 0], cam[i, 1], cam[i, 2], J)
-    centre = np.zeros(3)
-    for a in range(3):
-        for b in range(3):
-            centre[a] -= Rcw[b, a] * tcw[b]
-    nw = np.zeros((nf, 3))
-    facing = np.zeros(nf)
-    gap = 0.0
-    for a in range(3):
-        gap += (centre[a] - pos[a]) ** 2
-    gap = sqrt(gap)
-    for f in range(nf):
-        s = -(offsets[f] + radius)
-        for a in range(3):
-            nw[f, a] = normals[f, 0] * R[a, 0] + normals[f, 1] * R[a, 1] + normals[f, 2] * R[a, 2]
-        for a in range(3):
-            s += nw[f, a] * (centre[a] - pos[a])
-        facing[f] = s / gap
-    grey = work[3]
-    phi, slope = np.zeros((BUFFER, 4)), np.zeros((BUFFER, 4))
-    lines = np.zeros(CELLS + 1)
-    rowof = np.zeros(BUFFER, np.int64)
-    rows = np.zeros((512, 6))
-    aw = np.zeros(3)
-    ac = np.zeros(3)
-    D = np.zeros(3)
-    for e in range(ne):
-        f0, f1 = edge_faces[e, 0], edge_faces[e, 1]
-        if facing[f0] <= 0.0 and facing[f1] <= 0.0:
+    for view in range(eyes.camera.shape[0]):
+        if sight.size[eyes.camera[view], 0] > 0:
+            _view_equations(
+                view, sight, backgrounds, eyes, shape, pos, R, vel, omega, exposure, sigma, band, floor_grey, full,
+                desk, H, g, stats,
+            )  # fmt: skip
+    for a in range(COLUMNS):
+        for b in range(a):
+            H[b, a] = H[a, b]
+
+
+@njit(cache=True, nogil=True)
+def _view_equations(
+    view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
+    exposure: float, sigma: float, band: float, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
+) -> None:  # fmt: skip
+    """Add what one view says."""
+    hidden_by = 0
+    if eyes.partner[view] >= 0 and _place(shape, eyes, eyes.partner[view], pos, R, desk):
+        hidden_by = _hull(shape, desk)
+    if not _place(shape, eyes, view, pos, R, desk):
+        return
+    camera = eyes.camera[view]
+    image, background = sight.pixels[camera], backgrounds[camera]
+    x0, y0 = sight.corner[camera, 0], sight.corner[camera, 1]
+    x1, y1 = x0 + sight.size[camera, 0] - 1, y0 + sight.size[camera, 1] - 1
+    K, dist, Rcw = eyes.matrix[view], eyes.distortion[view], eyes.rotation[view]
+    mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
+    radius = shape.radius
+    px, cam, arm, J, aw, edges = desk.px, desk.cam, desk.arm, desk.J, desk.across, shape.edges
+    phi, slope, spread, grey, lines = desk.phi, desk.slope, desk.spread, desk.grey, desk.lines
+    hull, normal, rows, starts = desk.hull, desk.normal, desk.rows, desk.begin
+    lines[:] = 0.0
+    for e in range(shape.edges.shape[0]):
+        f0, f1 = shape.edge_faces[e, 0], shape.edge_faces[e, 1]
+        if desk.facing[f0] <= 0.0 and desk.facing[f1] <= 0.0:
             continue
-        if facing[f0] <= 0.0:
+        if desk.facing[f0] <= 0.0:
             f0, f1 = f1, f0
-        interior = facing[f1] > 0.0
+        interior = desk.facing[f1] > 0.0
         # A face seen at less than about 2 degrees is a sliver: its own edges lie within a pixel of each other and
         # neither can be told from the other.
-        if facing[f0] < SLIVER or (interior and facing[f1] < SLIVER):
+        if desk.facing[f0] < SLIVER or (interior and desk.facing[f1] < SLIVER):
             continue
-        iA, iB = edges[e, 0], edges[e, 1]
+        iA, iB = shape.edges[e, 0], shape.edges[e, 1]
         ax, ay, bx, by = px[iA, 0], px[iA, 1], px[iB, 0], px[iB, 1]
         length = hypot(bx - ax, by - ay)
         if length < 6.0:
             continue
         steep = abs(by - ay) > abs(bx - ax)
-        if steep:
-            lo, hi = min(ay, by), max(ay, by)
-        else:
-            lo, hi = min(ax, bx), max(ax, bx)
+        lo, hi = (min(ay, by), max(ay, by)) if steep else (min(ax, bx), max(ax, bx))
         trim = (1.5 + 1.5 * sigma) * (hi - lo) / length
         first, last = ceil(lo + trim), floor(hi - trim)
         # Only what lies inside the window can be walked.
-        if steep:
-            first, last = max(first, y0), min(last, y0 + height - 1)
-        else:
-            first, last = max(first, x0), min(last, x0 + width - 1)
+        first, last = (max(first, y0), min(last, y1)) if steep else (max(first, x0), min(last, x1))
         if last - first < 2:
             continue
         # Middle of the near face, to give the edge normal its sign: d grows away from face f0.
         mx, my, count = 0.0, 0.0, 0
-        for j in range(face_edges.shape[1]):
-            o = face_edges[f0, j]
+        for j in range(shape.face_edges.shape[1]):
+            o = shape.face_edges[f0, j]
             if o < 0:
                 break
-            mx += px[edges[o, 0], 0] + px[edges[o, 1], 0]
-            my += px[edges[o, 0], 1] + px[edges[o, 1], 1]
+            mx += px[shape.edges[o, 0], 0] + px[shape.edges[o, 1], 0]
+            my += px[shape.edges[o, 0], 1] + px[shape.edges[o, 1], 1]
             count += 2
         mx /= count
         my /= count
         basis = 2 if radius == 0.0 else (3 if interior else 4)
-        n = 0
-        m = 0
+        near_face, far_face = shape.face_edges[f0], shape.face_edges[f1]
+        n, m = 0, 0
         walked, under_sum = 0.0, 0.0
+        pixel_length = length / (hi - lo)
+        Dx, Dy, Dz = cam[iB, 0] - cam[iA, 0], cam[iB, 1] - cam[iA, 1], cam[iB, 2] - cam[iA, 2]
         for line in range(first, last + 1):
             lam = (line - ay) / (by - ay) if steep else (line - ax) / (bx - ax)
             s = lam * cam[iA, 2] / ((1.0 - lam) * cam[iB, 2] + lam * cam[iA, 2])
-            X = cam[iA, 0] + s * (cam[iB, 0] - cam[iA, 0])
-            Y = cam[iA, 1] + s * (cam[iB, 1] - cam[iA, 1])
-            Z = cam[iA, 2] + s * (cam[iB, 2] - cam[iA, 2])
-            u, v = _project(K, dist, X, Y, Z, J)
-            for a in range(3):
-                D[a] = cam[iB, a] - cam[iA, a]
-            tx = J[0, 0] * D[0] + J[0, 1] * D[1] + J[0, 2] * D[2]
-            ty = J[1, 0] * D[0] + J[1, 1] * D[1] + J[1, 2] * D[2]
+            u, v = _project(K, dist, cam[iA, 0] + s * Dx, cam[iA, 1] + s * Dy, cam[iA, 2] + s * Dz, J)
+            tx = J[0, 0] * Dx + J[0, 1] * Dy + J[0, 2] * Dz
+            ty = J[1, 0] * Dx + J[1, 1] * Dy + J[1, 2] * Dz
             tl = hypot(tx, ty)
             nx, ny = ty / tl, -tx / tl
             if nx * (u - mx) + ny * (v - my) < 0.0:
                 nx, ny = -nx, -ny
+            a0, a1, a2 = nx * J[0, 0] + ny * J[1, 0], nx * J[0, 1] + ny * J[1, 1], nx * J[0, 2] + ny * J[1, 2]
             for a in range(3):
-                ac[a] = nx * J[0, a] + ny * J[1, a]
-            for a in range(3):
-                aw[a] = Rcw[0, a] * ac[0] + Rcw[1, a] * ac[1] + Rcw[2, a] * ac[2]
-            rx = r[iA, 0] + s * (r[iB, 0] - r[iA, 0])
-            ry = r[iA, 1] + s * (r[iB, 1] - r[iA, 1])
-            rz = r[iA, 2] + s * (r[iB, 2] - r[iA, 2])
+                aw[a] = Rcw[0, a] * a0 + Rcw[1, a] * a1 + Rcw[2, a] * a2
+            rx = arm[iA, 0] + s * (arm[iB, 0] - arm[iA, 0])
+            ry = arm[iA, 1] + s * (arm[iB, 1] - arm[iA, 1])
+            rz = arm[iA, 2] + s * (arm[iB, 2] - arm[iA, 2])
             qx, qy, qz = ry * aw[2] - rz * aw[1], rz * aw[0] - rx * aw[2], rx * aw[1] - ry * aw[0]
             if radius > 0.0:
-                _strip_lines(aw, nw[f0], nw[f1], interior, radius, lines)
+                _strip_lines(aw, normal[f0], normal[f1], interior, radius, lines)
             low, high = min(lines[0], 0.0), max(lines[CELLS], 0.0)
             blur = sigma
             if exposure > 0.0:
@@ -375,41 +685,18 @@ def normal_equations(
                     aw[0] * vel[0] + aw[1] * vel[1] + aw[2] * vel[2] + qx * omega[0] + qy * omega[1] + qz * omega[2]
                 ) * exposure
                 blur = sqrt(sigma * sigma + move * move / 12.0)
-            inside, outside = band - low, band + high
-            across = abs(ny) if not steep else abs(nx)
-            # The band stops short of the other edges of the faces beside it.
-            for side in range(2):
-                if side == 1 and not interior:
-                    break
-                f = f0 if side == 0 else f1
-                for j in range(face_edges.shape[1]):
-                    o = face_edges[f, j]
-                    if o < 0:
-                        break
-                    if o == e:
-                        continue
-                    cx, cy = px[edges[o, 0], 0], px[edges[o, 0], 1]
-                    dx, dy = px[edges[o, 1], 0] - cx, px[edges[o, 1], 1] - cy
-                    if steep:
-                        if abs(dy) < 1e-9:
-                            continue
-                        k = (line - cy) / dy
-                        away = abs(cx + k * dx - u) * across
-                    else:
-                        if abs(dx) < 1e-9:
-                            continue
-                        k = (line - cx) / dx
-                        away = abs(cy + k * dy - v) * across
-                    if k < -0.02 or k > 1.02:
-                        continue
-                    # The neighbour's own strip and blur reach out to meet us.
-                    away -= 2.0 * blur
-                    if side == 0:
-                        inside = min(inside, away)
-                    else:
-                        outside = min(outside, away)
+            across = abs(nx) if steep else abs(ny)
+            # The band stops short of the other edges of the faces beside it, and of their own strip and blur.
+            inside = min(band - low, _room_beside(near_face, edges, px, e, steep, line, u, v, across) - 2.0 * blur)
+            outside = band + high
+            if interior:
+                outside = min(outside, _room_beside(far_face, edges, px, e, steep, line, u, v, across) - 2.0 * blur)
             if inside + low < 1.2 * blur or outside - high < 1.2 * blur:
                 continue
+            if hidden_by > 0 and (mirrored or not interior):
+                reach = high + 2.0 * blur
+                if _within(hull, hidden_by, u, v, APART_PX + reach):
+                    continue
             middle = u if steep else v
             # Along the pixel line the signed distance grows with slope `step`.
             step = nx if steep else ny
@@ -417,206 +704,171 @@ def normal_equations(
                 begin, end = ceil(middle - inside / step), floor(middle + outside / step)
             else:
                 begin, end = ceil(middle + outside / step), floor(middle - inside / step)
-            offset = nx * (line - u) if not steep else ny * (line - v)
             # (line - u) or (line - v) is what the lens distortion leaves over; it shifts every pixel of the row alike.
-            if steep:
-                begin, end = max(begin, x0), min(end, x0 + width - 1)
-            else:
-                begin, end = max(begin, y0), min(end, y0 + height - 1)
+            offset = ny * (line - v) if steep else nx * (line - u)
+            begin, end = (max(begin, x0), min(end, x1)) if steep else (max(begin, y0), min(end, y1))
             if end - begin < 2 or n + end - begin + 1 > BUFFER:
                 continue
             rows[m, 0], rows[m, 1], rows[m, 2] = -aw[0], -aw[1], -aw[2]
             rows[m, 3], rows[m, 4], rows[m, 5] = -qx, -qy, -qz
-            ib = 1.0 / (blur * sqrt(2.0))
-            top = 1.0 / (blur * 2.5066282746310002)
+            # A contour taken δ too far out has every pixel δ nearer to the die.
+            rows[m, 6] = 0.0 if interior else -1.0
+            starts[m] = n
+            ib = 1.0 / blur
+            # The row's blur grows with the lens blur by σ / blur.
+            grows = sigma / blur
             for q in range(begin, end + 1):
                 if steep:
                     d = nx * (q - u) + offset
-                    value = image[line - y0, q - x0]
-                    under = background[line - y0, q - x0]
+                    value, under = image[line - y0, q - x0], background[line, q]
                 else:
-                    d = offset + ny * (q - v)
-                    value = image[q - y0, line - x0]
-                    under = background[q - y0, line - x0]
-                shade = 1.0 if interior else under
-                t = (d - lines[CELLS]) * ib
-                a1 = 0.5 * (1.0 + erf(t))
-                p1 = top * exp(-t * t)
-                phi[n, 1], slope[n, 1] = a1 * shade, p1 * shade
+                    d = ny * (q - v) + offset
+                    value, under = image[q - y0, line - x0], background[q, line]
+                shade = 1.0 if interior else float(under)
                 if radius > 0.0:
-                    t = (d - lines[0]) * ib
-                    a0 = 0.5 * (1.0 + erf(t))
-                    p0 = top * exp(-t * t)
-                    phi[n, 0], slope[n, 0] = 1.0 - a0, -p0
-                    phi[n, 2], phi[n, 3], slope[n, 2], slope[n, 3] = 0.0, 0.0, 0.0, 0.0
-                    for j in range(CELLS):
-                        a2, p2 = a1, p1
-                        if j + 1 < CELLS:
-                            t = (d - lines[j + 1]) * ib
-                            a2 = 0.5 * (1.0 + erf(t))
-                            p2 = top * exp(-t * t)
-                        cell, edge_of_cell = a0 - a2, p0 - p2
-                        x = (j + 0.5) / CELLS
-                        if interior:
-                            phi[n, 0] += (1.0 - x) * cell
-                            slope[n, 0] += (1.0 - x) * edge_of_cell
-                            phi[n, 1] += x * cell
-                            slope[n, 1] += x * edge_of_cell
-                            phi[n, 2] += 4.0 * x * (1.0 - x) * cell
-                            slope[n, 2] += 4.0 * x * (1.0 - x) * edge_of_cell
-                        else:
-                            phi[n, 0] += cell
-                            slope[n, 0] += edge_of_cell
-                            phi[n, 2] += x * cell
-                            slope[n, 2] += x * edge_of_cell
-                            phi[n, 3] += x * x * cell
-                            slope[n, 3] += x * x * edge_of_cell
-                        a0, p0 = a2, p2
+                    _rounded_basis(d, ib, shade, interior, lines, phi, slope, spread, n)
                 else:
-                    phi[n, 0], slope[n, 0] = 1.0 - a1, -p1
+                    t = d * ib
+                    a0, p0 = _step(t)
+                    p0 *= ib
+                    phi[n, 0], phi[n, 1] = 1.0 - a0, a0 * shade
+                    slope[n, 0], slope[n, 1] = -p0, p0 * shade
+                    spread[n, 0], spread[n, 1] = t * p0, -t * p0 * shade
+                if full:
+                    for a in range(4):
+                        spread[n, a] *= grows
                 under_sum += shade
                 grey[n] = value
-                rowof[n] = m
                 n += 1
             m += 1
-            walked += length / (hi - lo)
-            if m * length / (hi - lo) >= SEGMENT_PX or line == last:
-                cost, used, contrast, scale = _segment(
-                    n, basis, phi, slope, under_sum / max(n, 1), grey, rowof, rows, floor_grey, work, H, g,
-                )  # fmt: skip
-                stats[0] += cost
-                stats[1] += used
-                stats[2] += n
-                stats[6] += n * log(scale) if scale > 0.0 else 0.0
-                if not interior:
-                    stats[3] += walked
-                    if contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30):
-                        stats[4] += walked
-                stats[5] += 1.0
-                n = 0
-                m = 0
-                walked, under_sum = 0.0, 0.0
+            starts[m] = n
+            walked += pixel_length
+            if walked >= SEGMENT_PX or line == last:
+                _finish_stretch(
+                    desk, n, m, basis, under_sum, walked, interior, floor_grey, full, H, g, stats
+                )
+                n, m, walked, under_sum = 0, 0, 0.0, 0.0
         if m > 0:
-            cost, used, contrast, scale = _segment(
-                n, basis, phi, slope, under_sum / max(n, 1), grey, rowof, rows, floor_grey, work, H, g,
-            )  # fmt: skip
-            stats[0] += cost
-            stats[1] += used
-            stats[2] += n
-            stats[6] += n * log(scale) if scale > 0.0 else 0.0
-            if not interior:
-                stats[3] += walked
-                if contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30):
-                    stats[4] += walked
-            stats[5] += 1.0
-    for a in range(6):
-        for b in range(a):
-            H[b, a] = H[a, b]
+            _finish_stretch(desk, n, m, basis, under_sum, walked, interior, floor_grey, full, H, g, stats)
 
 
-@njit(cache=True)
-def _cholesky_solve(A: Any, y: Any, out: Any) -> bool:
-    """Solve a symmetric positive definite system; False where it is not."""
-    n = A.shape[0]
-    L = np.zeros((n, n))
+@njit(cache=True, nogil=True)
+def _finish_stretch(
+    desk: Desk, n: int, m: int, basis: int, under_sum: float, walked: float, interior: bool, floor_grey: float,
+    full: bool, H: Any, g: Any, stats: Any,
+) -> None:  # fmt: skip
+    """Solve a stretch and count it."""
+    cost, used, contrast, scale = _stretch(desk, n, m, basis, under_sum / max(n, 1), floor_grey, full, H, g)
+    stats[0] += cost
+    stats[1] += used
+    stats[2] += n
+    stats[6] += n * log(scale) if scale > 0.0 else 0.0
+    if not interior:
+        stats[3] += walked
+        if contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30):
+            stats[4] += walked
+    stats[5] += 1.0
+
+
+# --- steps ------------------------------------------------------------------------------------------------------------
+
+
+@njit(cache=True, nogil=True)
+def _inverse(A: Any, n: int, out: Any) -> bool:
+    """Inverse of the leading n × n of a symmetric positive definite matrix; False where it is not."""
+    L, e, x = np.zeros((n, n)), np.zeros(n), np.zeros(n)
     for i in range(n):
         for j in range(i + 1):
             s = A[i, j]
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             if i == j:
-                if s <= 0.0:
+                if not s > 1e-13 * A[i, i]:
                     return False
                 L[i, i] = sqrt(s)
             else:
                 L[i, j] = s / L[j, j]
-    for i in range(n):
-        s = y[i]
-        for k in range(i):
-            s -= L[i, k] * out[k]
-        out[i] = s / L[i, i]
-    for i in range(n - 1, -1, -1):
-        s = out[i]
-        for k in range(i + 1, n):
-            s -= L[k, i] * out[k]
-        out[i] = s / L[i, i]
+    for a in range(n):
+        e[:] = 0.0
+        e[a] = 1.0
+        _back(L, n, e, x)
+        for b in range(n):
+            out[b, a] = x[b]
     return True
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def turn(R: Any, w: Any) -> Any:
     """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
+    return _exp(w) @ R
+
+
+@njit(cache=True, nogil=True)
+def _exp(w: Any) -> Any:
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     W = np.zeros((3, 3))
     W[0, 1], W[0, 2], W[1, 2] = -w[2], w[1], -w[0]
     W[1, 0], W[2, 0], W[2, 1] = w[2], -w[1], w[0]
     if angle < 1e-8:
-        return R + W @ R
-    E = np.eye(3) + sin(angle) / angle * W + (1.0 - cos(angle)) / (angle * angle) * (W @ W)
-    return E @ R
+        return np.eye(3) + W
+    s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
+    E = np.eye(3)
+    for i in range(3):
+        for j in range(3):
+            square = W[i, 0] * W[0, j] + W[i, 1] * W[1, j] + W[i, 2] * W[2, j]
+            E[i, j] += s * W[i, j] + c * square
+    return E
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
+def _log(R: Any, out: Any) -> None:
+    """Rotation vector of a rotation by less than about 3 rad."""
+    x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    s = 0.5 * sqrt(x * x + y * y + z * z)
+    c = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    factor = 0.5 if s < 1e-9 else 0.5 * atan2(s, c) / s
+    out[0], out[1], out[2] = factor * x, factor * y, factor * z
+
+
+@njit(cache=True, nogil=True)
 def refine(
-    image: Any,
-    background: Any,
-    x0: int,
-    y0: int,
-    K: Any,
-    dist: Any,
-    Rcw: Any,
-    tcw: Any,
-    pos: Any,
-    R: Any,
-    vel: Any,
-    omega: Any,
-    exposure: float,
-    vertices: Any,
-    normals: Any,
-    offsets: Any,
-    edges: Any,
-    edge_faces: Any,
-    face_edges: Any,
-    radius: float,
-    sigmas: Any,
-    bands: Any,
-    floor_grey: float,
-    prior_position: float,
-    prior_rotation: float,
-    stats: Any,
-) -> tuple[Any, Any, Any]:
-    """Gauss-Newton from coarse to fine: one step for each entry of `sigmas` and `bands` [px].
+    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any, exposure: float,
+    sigmas: Any, bands: Any, floor_grey: float, prior_position: float, prior_rotation: float, full: bool, desk: Desk,
+    H: Any, g: Any, stats: Any,
+) -> tuple[Any, Any]:  # fmt: skip
+    """Gauss-Newton from coarse to fine: one step for each entry of `sigmas` and `bands` [px], fewer where the last blur
+    is reached and a step gains less than GAIN squared sigmas.
 
-    The prior is isotropic about the start: `prior_position` [m] and `prior_rotation` [rad] are its standard
-    deviations. Returns position (3,), rotation (3, 3) and information (6, 6) of the pixels alone at the last step.
+    The prior is isotropic about the start: `prior_position` [m] and `prior_rotation` [rad] are its standard deviations.
+    Returns position (3,) and rotation (3, 3); H (8, 8), g (8,) and `stats` are those of the pixels alone before the last
+    step. H is zero where the pixels and the prior leave no solution.
     """
-    p = pos.copy()
-    Q = R.copy()
-    H = np.zeros((6, 6))
-    g = np.zeros(6)
-    work = np.zeros((4, BUFFER))
-    away = np.zeros(6)
-    step = np.zeros(6)
-    A = np.zeros((6, 6))
-    info = np.zeros((6, 6))
+    p, Q = pos.copy(), R.copy()
+    away, step = np.zeros(6), np.zeros(6)
+    A, L, y = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
     wp, wr = 1.0 / prior_position**2, 1.0 / prior_rotation**2
     reach = 0.0
-    for i in range(vertices.shape[0]):
-        reach = max(reach, sqrt(vertices[i, 0] ** 2 + vertices[i, 1] ** 2 + vertices[i, 2] ** 2))
-    for it in range(sigmas.shape[0]):
+    for i in range(shape.outer.shape[0]):
+        reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
+    last = sigmas.shape[0] - 1
+    for it in range(last + 1):
         normal_equations(
-            image, background, x0, y0, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, vertices, normals, offsets,
-            edges, edge_faces, face_edges, radius, sigmas[it], bands[it], floor_grey, work, H, g, stats,
+            sight, backgrounds, eyes, shape, p, Q, vel, omega, exposure, sigmas[it], bands[it], floor_grey,
+            full and sigmas[it] == sigmas[last], desk, H, g, stats,
         )  # fmt: skip
-        info[:] = H
-        A[:] = H
         for a in range(6):
+            for b in range(6):
+                A[a, b] = H[a, b]
             w = wp if a < 3 else wr
             A[a, a] += w
-            g[a] -= w * away[a]
-        if not _cholesky_solve(A, g, step):
-            info[:] = 0.0
+            y[a] = g[a] - w * away[a]
+        if not _factor(A, 6, L):
+            H[:] = 0.0
             break
+        _back(L, 6, y, step)
+        gain = 0.0
+        for a in range(6):
+            gain += step[a] * y[a]
         # One step may move the die by a third of its reach or turn it by 8 degrees at the most: edges of other faces
         # come into the band beyond that.
         lp = sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
@@ -628,75 +880,437 @@ def refine(
         for a in range(3):
             p[a] += step[a]
         Q = turn(Q, step[3:])
-        if it + 2 < sigmas.shape[0] and it >= 2 and sigmas[it] == sigmas[-1] and lp < 2e-7 and lr < 2e-5:
+        if sigmas[it] == sigmas[last] and gain < GAIN:
             break
-    return p, Q, info
+    return p, Q
 
 
-@njit(cache=True)
-def region_score(
-    image: Any,
-    background: Any,
-    noise: float,
-    stride: int,
-    planes: Any,
-    count: Any,
-    nf: int,
-    cut: float,
-    shadow_cut: float,
-) -> tuple[float, float, float]:
-    """How badly a drawn die explains a window, in truncated squared sigmas, summed over every stride-th pixel.
+# --- the picture as a whole -------------------------------------------------------------------------------------------
 
-    `planes` (faces, corners, 3) are the half-planes a x + b y + c >= 0 of the visible faces in window pixels. Inside a
-    face the image should be that face's mean grey; outside it should be the background, or a darker shade of it.
-    Returns the sum, the number of pixels inside, and the share of those that differ from the background.
+
+@njit(cache=True, nogil=True)
+def picture_cost(
+    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, noise: float, samples: int, margin: float,
+    desk: Desk,
+) -> tuple[float, float]:  # fmt: skip
+    """How badly the drawn die explains its surroundings, as the mean over `samples` pixels of truncated squared sigmas,
+    and the share of the die's own pixels that differ from the background.
+
+    Inside a face the image should be that face's mean grey; outside it should be the background, or a darker shade of it.
+    The surroundings are the outline's box and `margin` [px] about it, so rivals near each other see the same pixels.
     """
-    height, width = image.shape
-    total = np.zeros(nf)
-    number = np.zeros(nf)
-    label = np.full((height // stride + 1, width // stride + 1), -1)
-    for i in range(0, height, stride):
-        for j in range(0, width, stride):
+    score, number, inside, differs = 0.0, 0.0, 0.0, 0.0
+    for view in range(eyes.camera.shape[0]):
+        camera = eyes.camera[view]
+        mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
+        if mirrored or sight.size[camera, 0] == 0 or not _place(shape, eyes, view, pos, R, desk):
+            continue
+        if not _draw_outer(shape, eyes, view, pos, R, desk):
+            return 1e9, 0.0
+        x0, y0 = sight.corner[camera, 0], sight.corner[camera, 1]
+        x1, y1 = x0 + sight.size[camera, 0], y0 + sight.size[camera, 1]
+        low_x = max(floor(desk.px[:, 0].min() - margin), x0)
+        low_y = max(floor(desk.px[:, 1].min() - margin), y0)
+        high_x = min(ceil(desk.px[:, 0].max() + margin) + 1, x1)
+        high_y = min(ceil(desk.px[:, 1].max() + margin) + 1, y1)
+        if high_x - low_x < 4 or high_y - low_y < 4:
+            continue
+        a, b, c = _box_score(
+            sight.pixels[camera], backgrounds[camera], x0, y0, low_x, low_y, high_x, high_y, shape, desk, noise, samples
+        )
+        stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
+        score += a / (((high_y - low_y + stride - 1) // stride) * ((high_x - low_x + stride - 1) // stride))
+        number += 1.0
+        inside += b
+        differs += c
+    if number == 0.0:
+        return 1e9, 0.0
+    return score / number, differs / max(inside, 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _draw_outer(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
+    """Put the vertices of the flat faces' sharp polyhedron, not those of the inner body, in pixels on the desk."""
+    for i in range(shape.outer.shape[0]):
+        for a in range(3):
+            desk.cam[i, a] = eyes.translation[view, a]
+            for b in range(3):
+                arm = R[b, 0] * shape.outer[i, 0] + R[b, 1] * shape.outer[i, 1] + R[b, 2] * shape.outer[i, 2]
+                desk.cam[i, a] += eyes.rotation[view, a, b] * (pos[b] + arm)
+        if desk.cam[i, 2] <= 1e-6:
+            return False
+        desk.px[i, 0], desk.px[i, 1] = _project(
+            eyes.matrix[view], eyes.distortion[view], desk.cam[i, 0], desk.cam[i, 1], desk.cam[i, 2], desk.J
+        )
+    return True
+
+
+@njit(cache=True, nogil=True)
+def score_many(
+    image: Any, background: Any, eyes: Eyes, shape: Shape, low_x: int, low_y: int, high_x: int, high_y: int,
+    positions: Any, rotations: Any, noise: float, samples: int, score: Any, differs: Any,
+) -> None:  # fmt: skip
+    """Judge many poses by one box of the first camera's picture: mean truncated squared sigmas a pixel, and the share of
+    the die's pixels that differ from the background."""
+    desk = new_desk(shape)
+    stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
+    pixels = ((high_y - low_y + stride - 1) // stride) * ((high_x - low_x + stride - 1) // stride)
+    for k in range(positions.shape[0]):
+        score[k], differs[k] = 1e9, 0.0
+        placed = _place(shape, eyes, 0, positions[k], rotations[k], desk)
+        if placed and _draw_outer(shape, eyes, 0, positions[k], rotations[k], desk):
+            total, inside, other = _box_score(
+                image, background, 0, 0, low_x, low_y, high_x, high_y, shape, desk, noise, samples
+            )
+            score[k], differs[k] = total / pixels, other / max(inside, 1.0)
+
+
+@njit(cache=True, nogil=True)
+def _box_score(
+    image: Any, background: Any, x0: int, y0: int, low_x: int, low_y: int, high_x: int, high_y: int, shape: Shape,
+    desk: Desk, noise: float, samples: int,
+) -> tuple[float, float, float]:  # fmt: skip
+    """Sum of the truncated squared sigmas over about `samples` pixels of a box, pixels on the die, and those of them that
+    differ from the background."""
+    stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
+    nf, most = shape.face_edges.shape
+    lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
+    for f in range(nf):
+        if desk.facing[f] > 0.0:
+            count[f] = _face_lines(shape, desk, f, lines[f])
+    columns = (high_x - low_x + stride - 1) // stride
+    label = np.full(((high_y - low_y + stride - 1) // stride, columns), -1)
+    total, number, mean = np.zeros(nf), np.zeros(nf), np.zeros(nf)
+    for i in range(label.shape[0]):
+        y = low_y + i * stride
+        for j in range(columns):
+            x = low_x + j * stride
             for f in range(nf):
-                ok = True
+                if count[f] == 0:
+                    continue
+                hit = True
                 for k in range(count[f]):
-                    if planes[f, k, 0] * j + planes[f, k, 1] * i + planes[f, k, 2] < 0.0:
-                        ok = False
+                    if lines[f, k, 0] * x + lines[f, k, 1] * y + lines[f, k, 2] < 0.0:
+                        hit = False
                         break
-                if ok:
-                    label[i // stride, j // stride] = f
-                    total[f] += image[i, j]
+                if hit:
+                    label[i, j] = f
+                    total[f] += image[y - y0, x - x0]
                     number[f] += 1.0
                     break
-    mean = total / np.maximum(number, 1.0)
-    # Marks pull the mean down: one more pass without what lies far below or above it.
-    total[:] = 0.0
-    number2 = np.zeros(nf)
-    spread = 6.0 * noise
-    for i in range(0, height, stride):
-        for j in range(0, width, stride):
-            f = label[i // stride, j // stride]
-            if f >= 0 and abs(image[i, j] - mean[f]) < 2.0 * spread:
-                total[f] += image[i, j]
-                number2[f] += 1.0
     for f in range(nf):
-        if number2[f] > 0.0:
-            mean[f] = total[f] / number2[f]
+        mean[f] = total[f] / max(number[f], 1.0)
+    # Marks pull the mean down: once more without what lies far below or above it.
+    total[:] = 0.0
+    number[:] = 0.0
+    for i in range(label.shape[0]):
+        for j in range(columns):
+            f = label[i, j]
+            if f >= 0:
+                value = image[low_y + i * stride - y0, low_x + j * stride - x0]
+                if abs(value - mean[f]) < 12.0 * noise:
+                    total[f] += value
+                    number[f] += 1.0
+    for f in range(nf):
+        if number[f] > 0.0:
+            mean[f] = total[f] / number[f]
     score, inside, differs = 0.0, 0.0, 0.0
     iv = 1.0 / (noise * noise)
-    for i in range(0, height, stride):
-        for j in range(0, width, stride):
-            f = label[i // stride, j // stride]
-            difference = image[i, j] - background[i, j]
+    for i in range(label.shape[0]):
+        y = low_y + i * stride
+        for j in range(columns):
+            x = low_x + j * stride
+            f = label[i, j]
+            value = image[y - y0, x - x0]
+            difference = value - background[y, x]
             if f >= 0:
                 inside += 1.0
                 if abs(difference) > 3.0 * noise:
                     differs += 1.0
-                e = image[i, j] - mean[f]
-                grain = 4.0 * noise * noise + (0.04 * mean[f]) ** 2
-                score += min(e * e / grain, cut)
-            elif difference < 0.0:
-                score += min(difference * difference * iv, shadow_cut)
+                e = value - mean[f]
+                score += min(e * e / (4.0 * noise * noise + (0.04 * mean[f]) ** 2), FACE_CUT)
             else:
-                score += min(difference * difference * iv, cut)
-    return score, inside, differs / max(inside, 1.0)
+                score += min(difference * difference * iv, SHADOW_CUT if difference < 0.0 else FACE_CUT)
+    return score, inside, differs
+
+
+@njit(cache=True, nogil=True)
+def _face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
+    """Half-planes a x + b y + c >= 0 of a face as placed."""
+    mx, my, count = 0.0, 0.0, 0
+    for j in range(shape.face_edges.shape[1]):
+        e = shape.face_edges[f, j]
+        if e < 0:
+            break
+        i, k = shape.edges[e, 0], shape.edges[e, 1]
+        a, b = desk.px[i, 1] - desk.px[k, 1], desk.px[k, 0] - desk.px[i, 0]
+        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * desk.px[i, 0] + b * desk.px[i, 1])
+        mx += 0.5 * (desk.px[i, 0] + desk.px[k, 0])
+        my += 0.5 * (desk.px[i, 1] + desk.px[k, 1])
+        count += 1
+    for j in range(count):
+        if lines[j, 0] * mx / count + lines[j, 1] * my / count + lines[j, 2] < 0.0:
+            for q in range(3):
+                lines[j, q] = -lines[j, q]
+    return count
+
+
+# --- many frames ------------------------------------------------------------------------------------------------------
+
+
+class Lens(NamedTuple):
+    """What the refinement of every frame of a clip shares."""
+
+    exposure: float
+    """[s]; 0 where it is not known."""
+    blur: float
+    """[px] of the lens."""
+    floor_grey: float
+    """Least noise [grey] that a stretch of edge is given."""
+    noise: float
+    """[grey] of the still background."""
+    loose_m: float
+    loose_rad: float
+    """Standard deviations of the prior where nothing is known of the motion."""
+    tight_m: float
+    tight_rad: float
+    """Least standard deviations of the prior: a bounce must not be held back by it, nor a face seen alone be free to tip
+    over."""
+    fine_steps: int
+    """Most steps at the lens blur."""
+    samples: int
+    """Pixels that judge a pose as a whole."""
+
+
+@njit(cache=True, nogil=True)
+def sight_of(pictures: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, margin: float, desk: Desk) -> Sight:
+    """The windows of one frame's pictures (cameras, height, width) round the die, and its reflection, as placed."""
+    cameras, height, width = pictures.shape
+    corner, size = np.zeros((cameras, 2), np.int64), np.zeros((cameras, 2), np.int64)
+    low, high = np.full((cameras, 2), 1e9), np.full((cameras, 2), -1e9)
+    for view in range(eyes.camera.shape[0]):
+        if not _place(shape, eyes, view, pos, R, desk):
+            continue
+        c = eyes.camera[view]
+        for a in range(2):
+            low[c, a] = min(low[c, a], desk.px[:, a].min() - margin)
+            high[c, a] = max(high[c, a], desk.px[:, a].max() + margin)
+    rows, columns = 0, 0
+    for c in range(cameras):
+        x0, y0 = int(max(low[c, 0], 0.0)), int(max(low[c, 1], 0.0))
+        x1, y1 = int(min(high[c, 0] + 1.0, float(width))), int(min(high[c, 1] + 1.0, float(height)))
+        if x1 - x0 > 4 and y1 - y0 > 4:
+            corner[c, 0], corner[c, 1], size[c, 0], size[c, 1] = x0, y0, x1 - x0, y1 - y0
+            rows, columns = max(rows, y1 - y0), max(columns, x1 - x0)
+    pixels = np.empty((cameras, rows, columns), np.float32)
+    for c in range(cameras):
+        for i in range(size[c, 1]):
+            for j in range(size[c, 0]):
+                pixels[c, i, j] = pictures[c, corner[c, 1] + i, corner[c, 0] + j]
+    return Sight(pixels, corner, size)
+
+
+@njit(cache=True, nogil=True)
+def coast(x: Any, R: Any, P: Any, dt: float) -> Any:
+    """Carry a motion on by dt [s], also backwards: x (9,) is position, velocity, angular velocity; P (12, 12) the
+    covariance of position, turn, velocity, angular velocity. Returns the rotation.
+
+    δp' = δp + dt δv, δθ' = E δθ + dt (1 + W/2) δω with E = exp(ω dt) and W the cross matrix of ω dt: the left Jacobian
+    to second order, enough for a covariance.
+    """
+    w = np.zeros(3)
+    for a in range(3):
+        w[a] = x[6 + a] * dt
+        x[a] += x[3 + a] * dt
+    x[2] -= 0.5 * GRAVITY * dt * dt
+    x[5] -= GRAVITY * dt
+    E = _exp(w)
+    M = np.eye(12)
+    for a in range(3):
+        M[a, 6 + a] = dt
+        M[3 + a, 9 + a] = dt
+        for b in range(3):
+            M[3 + a, 3 + b] = E[a, b]
+    M[3, 10] -= 0.5 * dt * w[2]
+    M[3, 11] += 0.5 * dt * w[1]
+    M[4, 9] += 0.5 * dt * w[2]
+    M[4, 11] -= 0.5 * dt * w[0]
+    M[5, 9] -= 0.5 * dt * w[1]
+    M[5, 10] += 0.5 * dt * w[0]
+    half = np.zeros((12, 12))
+    for i in range(12):
+        for j in range(12):
+            s = 0.0
+            for k in range(12):
+                if M[i, k] != 0.0:
+                    s += M[i, k] * P[k, j]
+            half[i, j] = s
+    for i in range(12):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(12):
+                if M[j, k] != 0.0:
+                    s += half[i, k] * M[j, k]
+            P[i, j] = s
+            P[j, i] = s
+    return E @ R
+
+
+@njit(cache=True, nogil=True)
+def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
+    """Let a motion learn from a pose (p, Q) with information H: the Kalman filter on positions and turns. Returns the
+    rotation.
+
+    The pose's covariance is taken four times too large, and no smaller than the tight prior squared over 300 (1e-3 rad):
+    what shading does to single poses goes on for many frames. P fades by FADE a frame, so that some twenty frames count.
+    """
+    A, S, gain = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((12, 6))
+    for a in range(6):
+        for b in range(6):
+            A[a, b] = 0.25 * H[a, b]
+        A[a, a] += 1.0 / (lens.loose_m**2 if a < 3 else lens.loose_rad**2)
+    if not _inverse(A, 6, S):
+        return R
+    z = np.zeros(6)
+    for a in range(3):
+        z[a] = p[a] - x[a]
+        S[a, a] += (lens.tight_m / 25.0) ** 2
+        S[3 + a, 3 + a] += (lens.tight_rad / 12.0) ** 2
+    _log(Q @ R.T, z[3:])
+    for a in range(6):
+        for b in range(6):
+            A[a, b] = S[a, b] + P[a, b]
+    if not _inverse(A, 6, S):
+        return R
+    for i in range(12):
+        for a in range(6):
+            for b in range(6):
+                gain[i, a] += P[i, b] * S[b, a]
+    change = np.zeros(12)
+    for i in range(12):
+        for a in range(6):
+            change[i] += gain[i, a] * z[a]
+    top = P[:6].copy()
+    for i in range(12):
+        for j in range(12):
+            for a in range(6):
+                P[i, j] -= gain[i, a] * top[a, j]
+            P[i, j] *= FADE
+    for a in range(3):
+        x[a] += change[a]
+        x[3 + a] += change[6 + a]
+        x[6 + a] += change[9 + a]
+    return turn(R, change[3:6])
+
+
+@njit(cache=True, nogil=True)
+def look(
+    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, vel: Any, omega: Any,
+    sigma_m: float, sigma_rad: float, coarse: int, desk: Desk, H: Any, g: Any, stats: Any,
+) -> tuple[Any, Any, float]:  # fmt: skip
+    """Refine a pose after `coarse` steps at larger blurs, and judge it: position, rotation, cost."""
+    sigmas = np.empty(coarse + lens.fine_steps)
+    bands = np.empty(coarse + lens.fine_steps)
+    for i in range(coarse):
+        sigmas[i], bands[i] = COARSE[len(COARSE) - coarse + i]
+    sigmas[coarse:] = lens.blur
+    bands[coarse:] = max(3.5, 4.0 * lens.blur)
+    p, Q = refine(
+        sight, backgrounds, eyes, shape, pos, R, vel, omega, lens.exposure, sigmas, bands, lens.floor_grey, sigma_m,
+        sigma_rad, False, desk, H, g, stats,
+    )  # fmt: skip
+    cost, _ = picture_cost(sight, backgrounds, eyes, shape, p, Q, lens.noise, lens.samples, 8.0, desk)
+    support, unexplained = stats[4] / max(stats[3], 1e-9), stats[0] / max(stats[2], 1.0)
+    return p, Q, cost + 2.0 * (1.0 - support) + 10.0 * unexplained
+
+
+@njit(cache=True, nogil=True)
+def chase(
+    frames: Any, times: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, x: Any, R: Any, P: Any,
+    clock: Any, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
+) -> int:  # fmt: skip
+    """Follow a die in flight over frames (n, cameras, height, width) at `times` (n,), as long as picture and motion tell
+    the same story. Returns how many frames it did; the rows of the outputs are filled that far.
+
+    x (9,), R (3, 3), P (12, 12) are the motion at clock[0] [s], and are carried along with it; clock[1] is the usual cost
+    of a pose, clock[2] how many poses of this flight have been seen.
+    """
+    desk = new_desk(shape)
+    h, g, row = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
+    reach = 0.0
+    for i in range(shape.outer.shape[0]):
+        reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
+    moved = np.zeros(3)
+    for k in range(frames.shape[0]):
+        ahead, P_ahead = x.copy(), P.copy()
+        R_ahead = coast(ahead, R, P_ahead, times[k] - clock[0])
+        sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2]))
+        sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5]))
+        sight = sight_of(frames[k], eyes, shape, ahead[:3], R_ahead, WINDOW_PX, desk)
+        if sight.pixels.shape[1] == 0:
+            return k
+        off = scale_px(eyes, ahead[:3]) * (sigma_m + sigma_rad * reach)
+        coarse = 4 if off > 1.5 else (2 if off > 0.6 else (1 if off > 0.3 else 0))
+        prior_m = min(max(4.0 * sigma_m, lens.tight_m), lens.loose_m)
+        prior_rad = min(max(4.0 * sigma_rad, lens.tight_rad), lens.loose_rad)
+        p, Q, cost = look(
+            sight, backgrounds, eyes, shape, lens, ahead[:3], R_ahead, ahead[3:6], ahead[6:9], prior_m, prior_rad,
+            coarse, desk, h, g, row,
+        )  # fmt: skip
+        new = clock[2] < 3.0
+        far_m, far_rad = (0.28 * reach, 0.157) if new else (0.14 * reach, 0.035)
+        _log(Q @ R_ahead.T, moved)
+        turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
+        gone = sqrt((p[0] - ahead[0]) ** 2 + (p[1] - ahead[1]) ** 2 + (p[2] - ahead[2]) ** 2)
+        usual = clock[1] if clock[2] > 0.0 else cost
+        seen_enough = row[3] >= 20.0 and row[4] > 0.45 * row[3] and h[0, 0] > 0.0
+        # Where the pose is where the motion leads, a dearer picture only means that the light has changed.
+        near = not new and turned < max(NEAR_RAD, 4.0 * sigma_rad) and gone < max(NEAR_REACH * reach, 4.0 * sigma_m)
+        allowed = MUCH_DEARER if near else DEARER
+        if not (seen_enough and turned < far_rad and gone < far_m and cost < usual + allowed):
+            return k
+        for a in range(3):
+            x[a], x[3 + a], x[6 + a] = ahead[a], ahead[3 + a], ahead[6 + a]
+        P[:] = P_ahead
+        motions[k, :3], motions[k, 3:] = ahead[3:6], ahead[6:9]
+        R[:] = correct(x, R_ahead, P, p, Q, h, lens)
+        clock[0] = times[k]
+        clock[1] = usual + (cost - usual) / min(clock[2] + 1.0, 8.0)
+        clock[2] += 1.0
+        positions[k], rotations[k], H[k], stats[k], costs[k] = p, Q, h, row, cost
+    return frames.shape[0]
+
+
+@njit(cache=True, nogil=True)
+def scale_px(eyes: Eyes, pos: Any) -> float:
+    """Pixels a metre at a point, in the nearest view."""
+    best = 0.0
+    for view in range(eyes.camera.shape[0]):
+        z = eyes.translation[view, 2]
+        for b in range(3):
+            z += eyes.rotation[view, 2, b] * pos[b]
+        if z > 1e-6:
+            best = max(best, eyes.matrix[view, 0, 0] / z)
+    return best
+
+
+@njit(cache=True, nogil=True)
+def settle(
+    frames: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, positions: Any, rotations: Any, motions: Any,
+    coarse: int, H: Any, stats: Any, costs: Any,
+) -> None:  # fmt: skip
+    """Refine each of many frames from its own start, in place; a start whose position is NaN is left out."""
+    desk = new_desk(shape)
+    h, g, row = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
+    for k in range(frames.shape[0]):
+        H[k] = 0.0
+        if not positions[k, 0] == positions[k, 0]:
+            continue
+        sight = sight_of(frames[k], eyes, shape, positions[k], rotations[k], WINDOW_PX, desk)
+        if sight.pixels.shape[1] == 0:
+            continue
+        p, Q, costs[k] = look(
+            sight, backgrounds, eyes, shape, lens, positions[k], rotations[k], motions[k, :3], motions[k, 3:],
+            lens.loose_m, lens.loose_rad, coarse, desk, h, g, row,
+        )  # fmt: skip
+        positions[k], rotations[k], H[k], stats[k] = p, Q, h, row

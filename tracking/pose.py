@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,38 +10,66 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, symmetry_rotations
 from .camera import Camera
-from .edges import refine, region_score
+from .edges import BLUR, COARSE, COLUMNS, Desk, Eyes, Lens, Shape, Sight, look, new_desk, refine, score_many
+from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+MIRRORED = np.diag([1.0, 1.0, -1.0])
+"""Reflection in the table."""
+CONTOUR = 6
+"""Column of the contour error in the normal equations."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What a camera shows of a die: everything about the scene that stays the same from frame to frame."""
+    """What the cameras show of a die: everything about the scene that stays the same from frame to frame."""
 
-    camera: Camera
-    background: NDArray[np.float32]
-    """(height, width) the table without the die, in grey levels."""
-    inner: Array
-    """(n, 3) [m] vertices of the sharp body round which the ball of `radius_m` rolls; the die's own if it is sharp."""
-    offsets: Array
-    """(faces,) [m] distances of the inner body's faces."""
+    cameras: tuple[Camera, ...]
+    backgrounds: NDArray[np.float32]
+    """(cameras, height, width) the table without the die, in grey levels; smaller pictures are padded."""
     die: Die
-    face_edges: NDArray[np.int64]
-    """(faces, most) edges of each face, padded with -1."""
     noise_grey: float
     """Standard deviation of a pixel of the still background between frames."""
     exposure_s: float
     """0 where it is not known."""
     blur_px: float
     """Standard deviation of the lens blur."""
+    quality: Quality
     symmetries: Array
     """(order, 3, 3) rotations that leave the die's shape as it is: nothing but marks tells its labellings apart."""
+    shape: Shape
+    eyes: Eyes
+    """The cameras, and behind them the cameras as the table mirrors them where it does."""
+
+    @property
+    def camera(self) -> Camera:
+        """The first camera, in whose picture a start is looked for."""
+        return self.cameras[0]
+
+    @property
+    def background(self) -> NDArray[np.float32]:
+        """(height, width) of the first camera."""
+        return np.asarray(self.backgrounds[0, : self.camera.height_px, : self.camera.width_px])
 
     @property
     def reach_m(self) -> float:
         """Farthest point of the die from its centre."""
         return self.die.solid.circumradius
+
+    @property
+    def lens(self) -> Lens:
+        """The numbers that the compiled refinement wants."""
+        reach, quality = self.reach_m, self.quality
+        return Lens(
+            self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
+            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.judging_pixels,
+        )  # fmt: skip
+
+
+LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
+"""Bounds of the prior's standard deviations, positions in units of the die's reach: see `Lens`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,37 +81,88 @@ class Pose:
     """(3, 3) body to world."""
     information: Array
     """(6, 6) inverse covariance from the pixels of this frame alone: position [m], rotation vector [rad], world axes."""
+    contour_lean: Array
+    """(6,) [m/px, rad/px] by how much the pose is off for every pixel that the contour is taken too far out."""
     unexplained: float
     """Mean truncated cost of an edge pixel, 0 to 1: the share that the edge model does not explain."""
     support: float
     """Share of the visible contour that shows a clear step, 0 to 1."""
     contour_px: float
     """Length of visible contour that was walked."""
-    log_noise: float
-    """Mean logarithm of the grey noise that the edge model leaves over; the right blur makes it smallest."""
+    cost: float
+    """How badly the picture as a whole is explained; comparable between poses of one frame only."""
+    equations: Array
+    """(8, 8) normal equations of pose, contour error and blur."""
+    stats: Array
+    """(8,) what the kernels counted."""
 
     @property
     def covariance(self) -> Array | None:
         """(6, 6), or None where the pixels leave a direction open."""
-        scale = np.array([1e-3] * 3 + [1e-2] * 3)
-        scaled = self.information * np.outer(scale, scale)
-        values = np.linalg.eigvalsh(scaled)
-        if not np.isfinite(values).all() or values[0] <= 1e-9 * values[-1] or values[-1] <= 0:
-            return None
-        return np.asarray(np.linalg.inv(scaled) * np.outer(scale, scale))
+        found = covariances(self.information[None])[0]
+        return None if np.isnan(found[0, 0]) else found
+
+
+def covariances(information: Array) -> Array:
+    """Inverse (n, 6, 6) of each information (n, 6, 6); NaN where a direction is left open."""
+    scale = np.array([1e-3] * 3 + [1e-2] * 3)
+    scaled = information * np.outer(scale, scale)
+    good = np.isfinite(scaled).all(axis=(1, 2))
+    values = np.linalg.eigvalsh(np.where(good[:, None, None], scaled, np.eye(6)))
+    good &= (values[:, 0] > 1e-9 * values[:, -1]) & (values[:, -1] > 0)
+    inverse = np.linalg.inv(np.where(good[:, None, None], scaled, np.eye(6))) * np.outer(scale, scale)
+    return np.where(good[:, None, None], inverse, np.nan)
+
+
+def contour_leans(H: Array) -> Array:
+    """(n, 6) from normal equations (n, 8, 8): what a pixel of contour error does to each pose; zero where nothing was
+    solved."""
+    solved = H[:, 0, 0] > 0
+    A = np.where(solved[:, None, None], H[:, :6, :6], np.eye(6))
+    return np.where(solved[:, None], (np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ H[:, :6, CONTOUR, None])[..., 0], 0.0)
 
 
 def make_view(
-    camera: Camera,
+    camera: Camera | Sequence[Camera],
     die: Die,
-    background: NDArray[np.float32],
+    background: NDArray[np.float32] | Sequence[NDArray[np.float32]],
     noise_grey: float,
     exposure_s: float | None,
     blur_px: float,
+    *,
+    mirror: bool = False,
+    quality: Quality = STANDARD,
 ) -> View:
-    """Prepare the geometry that every frame shares."""
+    """Prepare the geometry that every frame shares. `mirror`: the table reflects the die, and the reflection is used."""
+    cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
+    pictures = [background] if isinstance(background, np.ndarray) else list(background)
     solid = die.solid
     shrink = 1.0 - die.corner_radius_m / solid.inradius
+    shape = Shape(
+        np.ascontiguousarray(solid.vertices * shrink), np.ascontiguousarray(solid.vertices),
+        np.ascontiguousarray(solid.normals), np.asarray(solid.offsets - die.corner_radius_m), solid.edges,
+        solid.edge_faces, _face_edges(die), float(die.corner_radius_m),
+    )  # fmt: skip
+    return View(
+        cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality, symmetry_rotations(solid),
+        shape, _eyes(cameras, mirror),
+    )  # fmt: skip
+
+
+def stacked(pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Pictures of several cameras as one stack (cameras, height, width), smaller ones padded with zeros."""
+    if len(pictures) == 1:
+        return np.ascontiguousarray(pictures[0], np.float32)[None]
+    height, width = max(p.shape[0] for p in pictures), max(p.shape[1] for p in pictures)
+    out = np.zeros((len(pictures), height, width), np.float32)
+    for k, picture in enumerate(pictures):
+        out[k, : picture.shape[0], : picture.shape[1]] = picture
+    return out
+
+
+def _face_edges(die: Die) -> NDArray[np.int64]:
+    """(faces, most) edges of each face, padded with -1."""
+    solid = die.solid
     most = max(len(face) for face in solid.faces)
     table = np.full((len(solid.faces), most), -1, np.int64)
     fill = [0] * len(solid.faces)
@@ -90,66 +170,91 @@ def make_view(
         for f in pair:
             table[f, fill[f]] = e
             fill[f] += 1
-    return View(
-        camera,
-        np.ascontiguousarray(background, np.float32),
-        np.ascontiguousarray(solid.vertices * shrink),
-        solid.offsets - die.corner_radius_m,
-        die,
-        table,
-        noise_grey,
-        exposure_s or 0.0,
-        blur_px,
-        symmetry_rotations(solid),
-    )
+    return table
 
 
-COARSE = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
-"""Blur and band [px] of the first steps from an uncertain start."""
-FINE_STEPS = 6
+def _eyes(cameras: tuple[Camera, ...], mirror: bool) -> Eyes:
+    """The views: every camera, then every camera in the mirror."""
+    n = len(cameras)
+    twice = [*cameras, *cameras] if mirror else list(cameras)
+    rotations = [c.rotation @ MIRRORED if k >= n else c.rotation for k, c in enumerate(twice)]
+    partner = [(k + n) % (2 * n) for k in range(2 * n)] if mirror else [-1] * n
+    return Eyes(
+        np.ascontiguousarray([c.matrix for c in twice], float), np.ascontiguousarray([c.distortion for c in twice], float),
+        np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
+        np.array([k % n for k in range(len(twice))]), np.array(partner),
+    )  # fmt: skip
+
+
+def whole_sight(view: View, image: Image) -> Sight:
+    """All pixels of one frame: `image` is (height, width), or (cameras, height, width) for several cameras."""
+    pixels = np.ascontiguousarray(image if image.ndim == 3 else image[None], np.float32)
+    size = np.array([[c.width_px, c.height_px] for c in view.cameras])
+    return Sight(pixels, np.zeros((len(view.cameras), 2), np.int64), size)
 
 
 def refine_pose(
     view: View,
-    image: NDArray[np.float32],
+    image: Image,
     position_m: Array,
     rotation: Array,
     *,
     velocity_m_s: Array | None = None,
     omega_rad_s: Array | None = None,
     coarse: int = 2,
-    prior_position_m: float = 3e-3,
-    prior_rotation_rad: float = 0.1,
+    prior_position_m: float | None = None,
+    prior_rotation_rad: float | None = None,
+    desk: Desk | None = None,
 ) -> Pose:
     """The pose near a predicted one that explains the frame's edges best.
 
-    `image` is the whole frame as float32; `coarse` is how many of the COARSE steps come before the fine ones; the
-    prior keeps directions that the pixels leave open near the prediction and is too weak to pull the others.
+    `image` is the whole frame as float32, a stack for several cameras; `coarse` is how many steps at larger blurs come
+    before the fine ones; the prior keeps directions that the pixels leave open near the prediction and is too weak to
+    pull the others.
     """
-    solid, camera = view.die.solid, view.camera
-    blur = view.blur_px
-    start = COARSE[len(COARSE) - coarse :]
-    sigmas = np.array([s for s, _ in start] + [blur] * FINE_STEPS)
-    bands = np.array([b for _, b in start] + [max(3.5, 4.0 * blur)] * FINE_STEPS)
-    stats = np.zeros(7)
-    zero = np.zeros(3)
-    p, Q, info = refine(
-        image, view.background, 0, 0, camera.matrix, camera.distortion, camera.rotation, camera.translation_m,
-        np.asarray(position_m, float), np.ascontiguousarray(rotation, float),
-        zero if velocity_m_s is None else velocity_m_s, zero if omega_rad_s is None else omega_rad_s, view.exposure_s,
-        view.inner, solid.normals, view.offsets, solid.edges, solid.edge_faces, view.face_edges,
-        view.die.corner_radius_m, sigmas, bands, max(0.5, 0.5 * view.noise_grey), prior_position_m, prior_rotation_rad,
-        stats,
+    H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
+    zero, lens = np.zeros(3), view.lens
+    p, Q, cost = look(
+        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
+        np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
+        zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
+        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape), H, g, stats,
     )  # fmt: skip
+    return pose_from(p, Q, H, stats, cost)
+
+
+def pose_from(position_m: Array, rotation: Array, H: Array, stats: Array, cost: float) -> Pose:
+    """A pose from what the kernels leave."""
     return Pose(
-        p,
-        Q,
-        info,
+        position_m.copy(),
+        rotation.copy(),
+        H[:6, :6].copy(),
+        contour_leans(H[None])[0],
         unexplained=float(stats[0] / max(stats[2], 1.0)),
         support=float(stats[4] / max(stats[3], 1e-9)),
         contour_px=float(stats[3]),
-        log_noise=float(stats[6] / max(stats[2], 1.0)),
+        cost=float(cost),
+        equations=H.copy(),
+        stats=stats.copy(),
     )
+
+
+def blur_step(
+    view: View, image: Image, position_m: Array, rotation: Array, velocity_m_s: Array, omega_rad_s: Array
+) -> tuple[float, float]:
+    """What one frame says of the lens blur: the change [px] that fits it best, and the information [1/px²] behind it."""
+    H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
+    lens, fine = view.lens, 4
+    refine(
+        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, position_m, rotation, velocity_m_s,
+        omega_rad_s, view.exposure_s, np.full(fine, view.blur_px), np.full(fine, max(3.5, 4.0 * view.blur_px)),
+        lens.floor_grey, lens.loose_m, lens.loose_rad, True, new_desk(view.shape), H, g, stats,
+    )  # fmt: skip
+    A = H[:6, :6] + np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
+    reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
+    information = float(H[BLUR, BLUR] - H[:6, BLUR] @ reply[:, 0])
+    pull = float(g[BLUR] - H[:6, BLUR] @ reply[:, 1])
+    return (pull / information, information) if information > 0.0 else (0.0, 0.0)
 
 
 def labelled_like(view: View, rotation: Array, wanted: Array) -> Array:
@@ -178,39 +283,30 @@ def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float
 
 
 def share_in_view(view: View, position_m: Array, rotation: Array) -> float:
-    """Share of the die's projected vertices that lie inside the image, 0 to 1."""
-    px = view.camera.project(view.die.solid.vertices @ rotation.T + position_m)
-    inside = (px >= 0).all(1) & (px[:, 0] <= view.camera.width_px - 1) & (px[:, 1] <= view.camera.height_px - 1)
-    return float(inside.mean())
+    """Share of the die's projected vertices that lie inside the picture, 0 to 1, of the camera that shows most of it."""
+    return float(shares_in_view(view, np.asarray(position_m)[None], np.asarray(rotation)[None])[0])
 
 
-def picture_score(
-    view: View,
-    image: NDArray[np.float32],
-    box: tuple[int, int, int, int],
-    position_m: Array,
-    rotation: Array,
-    stride: int,
-) -> tuple[float, float]:
-    """How badly the drawn die explains the window `box` (truncated squared sigmas a pixel), and the share of the die's
-    pixels that differ from the background."""
-    x0, y0, x1, y1 = box
-    solid = view.die.solid
-    px = view.camera.project(solid.vertices @ rotation.T + position_m) - (x0, y0)
-    faces = visible_faces(view, position_m, rotation)
-    planes = np.zeros((max(len(faces), 1), max(len(f) for f in solid.faces), 3))
-    count = np.zeros(max(len(faces), 1), np.int64)
-    for k, f in enumerate(faces):
-        corners = px[list(solid.faces[f])]
-        middle = corners.mean(0)
-        step = np.roll(corners, -1, 0) - corners
-        a, b = -step[:, 1], step[:, 0]
-        c = -(a * corners[:, 0] + b * corners[:, 1])
-        sign = np.where(a * middle[0] + b * middle[1] + c >= 0, 1.0, -1.0)
-        planes[k, : len(corners)] = np.stack([a, b, c], 1) * sign[:, None]
-        count[k] = len(corners)
-    score, inside, differs = region_score(
-        image[y0:y1, x0:x1], view.background[y0:y1, x0:x1], view.noise_grey, stride, planes, count, len(faces), 16.0, 4.0
+def shares_in_view(view: View, positions_m: Array, rotations: Array) -> Array:
+    """(n,) the same for many poses (n, 3), (n, 3, 3); 0 where a pose is NaN."""
+    points = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
+    shares = []
+    for camera in view.cameras:
+        px = camera.project(points)
+        inside = (px >= 0).all(2) & (px[..., 0] <= camera.width_px - 1) & (px[..., 1] <= camera.height_px - 1)
+        shares.append(inside.mean(1))
+    return np.asarray(np.max(shares, axis=0))
+
+
+def picture_scores(
+    view: View, image: Image, box: tuple[int, int, int, int], positions_m: Array, rotations: Array, samples: int
+) -> tuple[Array, Array]:
+    """How badly each of many drawn dice explains the window `box` (x0, y0, x1, y1; end exclusive) of the first camera's
+    picture (mean truncated squared sigmas), and the share of its pixels that differ from the background."""
+    score, differs = np.empty(len(positions_m)), np.empty(len(positions_m))
+    score_many(
+        np.ascontiguousarray(image, np.float32), view.backgrounds[0], view.eyes, view.shape, *box,
+        np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), view.noise_grey, samples,
+        score, differs,
     )  # fmt: skip
-    pixels = max(1, ((y1 - y0) // stride) * ((x1 - x0) // stride))
-    return score / pixels, differs if inside > 0 else 0.0
+    return score, differs

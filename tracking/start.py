@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.rotations import matrix_from_quat
-from .pose import COARSE, Pose, View, picture_score, refine_pose
+from .edges import COARSE, new_desk
+from .pose import Pose, View, picture_scores, refine_pose
 from .segment import Blob, differing, largest_blob, without_shadow
 
 Array = NDArray[np.float64]
@@ -24,13 +25,17 @@ ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60
 GRID = 12_000
 """Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
 REFINED, KEPT = 48, 6
+SEARCH_PIXELS = 1500
+"""Pixels that judge a trial pose."""
 LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
 
 
 def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose]]:
-    """Candidate poses for one frame, best first, each with its picture score; empty where no die is seen."""
-    blobs = die_blobs(view, image)
+    """Candidate poses for one frame (height, width), or a stack for several cameras, best first, each with its picture
+    score; empty where no die is seen in the first camera."""
+    images = image if image.ndim == 3 else image[None]
+    blobs = die_blobs(view, images[0])
     if not blobs:
         return []
     # One window for all readings, so that their scores can be compared.
@@ -40,7 +45,7 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     margin = int(0.2 * max(x1 - x0, y1 - y0)) + 6
     width, height = view.camera.width_px, view.camera.height_px
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
-    found = [pair for blob in blobs for pair in _search(view, image, blob, box)]
+    found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
     return _apart(view, found)[:KEPT]
 
@@ -58,33 +63,41 @@ def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
 
 
 def _search(
-    view: View, image: NDArray[np.float32], blob: Blob, box: tuple[int, int, int, int]
+    view: View, images: NDArray[np.float32], blob: Blob, box: tuple[int, int, int, int]
 ) -> list[tuple[float, Pose]]:
-    """Grid search about one blob, then refinement of the best."""
+    """Grid search about one blob of the first camera's picture, then refinement of the best on all cameras."""
+    image = images[0]
     camera, solid = view.camera, view.die.solid
-    stride = max(1, int(np.sqrt((box[2] - box[0]) * (box[3] - box[1]) / 1500)))
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     depth = focal * np.sqrt(_mean_shadow_area(solid.vertices, solid.faces) / blob.area_px)
     ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
-    trials = []
-    for factor in (0.85, 0.95, 1.06, 1.18):
-        position = camera.centre_m + ray * depth * factor
-        if position[2] < 0.5 * solid.inradius:
-            continue
-        for rotation in _grid(GRID // ROTATIONS.get(solid.name, 12)):
-            trials.append((picture_score(view, image, box, position, rotation, stride)[0], position, rotation))
-    trials.sort(key=lambda t: t[0])
-    found = []
-    for _, position, rotation in trials[:REFINED]:
-        pose = refine_pose(
-            view, image, position, rotation, coarse=len(COARSE), prior_position_m=2e-2, prior_rotation_rad=0.3
-        )
-        if pose.covariance is None or pose.position_m[2] < 0.3 * solid.inradius:
-            continue
-        score, differs = picture_score(view, image, box, pose.position_m, pose.rotation, max(1, stride // 2))
-        if differs > 0.4 and pose.support > 0.5:
-            found.append((score + 2.0 * (1.0 - pose.support) + 10.0 * pose.unexplained, pose))
-    return found
+    places = [camera.centre_m + ray * depth * factor for factor in (0.85, 0.95, 1.06, 1.18)]
+    places = [p for p in places if p[2] >= 0.5 * solid.inradius]
+    grid = _grid(GRID // ROTATIONS.get(solid.name, 12))
+    if not places:
+        return []
+    positions, rotations = np.repeat(places, len(grid), axis=0), np.tile(grid, (len(places), 1, 1))
+    scores, _ = picture_scores(view, image, box, positions, rotations, SEARCH_PIXELS)
+    desk = new_desk(view.shape)
+    loose_m = 1.5 * view.reach_m
+    poses = [
+        refine_pose(
+            view, images, positions[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
+            prior_rotation_rad=0.3, desk=desk,
+        )  # fmt: skip
+        for k in np.argsort(scores, kind="stable")[:REFINED]
+    ]
+    poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= 0.3 * solid.inradius]
+    if not poses:
+        return []
+    scores, differs = picture_scores(
+        view, image, box, np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses]), 4 * SEARCH_PIXELS
+    )
+    return [
+        (float(score) + 2.0 * (1.0 - pose.support) + 10.0 * pose.unexplained, pose)
+        for score, share, pose in zip(scores, differs, poses, strict=True)
+        if share > 0.4 and pose.support > 0.5
+    ]
 
 
 def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pose]]:

@@ -1,0 +1,289 @@
+"""Following the die from frame to frame.
+
+In flight the compiled `edges.chase` predicts with the motion so far, refines and judges; it stops where picture and
+motion tell different stories. Then, here, other starts compete: bounces of several strengths on each low corner, the last
+pose, and turns about it; the one that explains the picture best is taken, and the chase goes on from there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import Flight, State
+from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
+from ..model.solids import Die
+from .edges import Desk, chase, coast, correct, new_desk
+from .pose import Pose, View, labelled_like, refine_pose, share_in_view
+from .start import find_start
+
+Array = NDArray[np.float64]
+Frames = NDArray[Any]
+
+UNKNOWN_REACH, UNKNOWN_RAD = 0.2, 0.12
+"""How far the die may move (in units of its reach) and turn from one frame to the next where nothing is known of its
+motion, one sigma: dice filmed well turn by 7 to 10 degrees a frame after a hard bounce."""
+BOUNCED_REACH, BOUNCED_RAD = 0.07, 0.07
+"""The same after a bounce whose strength is guessed."""
+NEW_REACH, NEW_RAD = 0.14, np.radians(2.0)
+"""A pose further than this from where the motion led belongs to a new flight."""
+BELIEVED = 2.5
+"""By how much a pose may cost more than usual and still be believed where nothing explains the picture better."""
+PLAINLY = 0.05
+"""A rival that costs no more than this above the usual ends the search for a better one."""
+SEARCH_EVERY = 6
+"""Frames without a pose until a fresh start is looked for."""
+
+
+@dataclass(eq=False)
+class Seen:
+    """Poses of single frames as arrays, one row a frame of the clip; rows that are not known hold NaN."""
+
+    known: NDArray[np.bool_]
+    position_m: Array
+    rotation: Array
+    """(n, 3, 3) body to world."""
+    motion: Array
+    """(n, 6) velocity [m/s] and angular velocity [rad/s] that were assumed for the blur."""
+    H: Array
+    """(n, 8, 8) normal equations: see `edges`."""
+    stats: Array
+    cost: Array
+    """How badly each picture is explained."""
+
+    @staticmethod
+    def empty(n: int) -> Seen:
+        """Nothing seen on n frames."""
+        return Seen(
+            np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
+            np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf),
+        )  # fmt: skip
+
+    @property
+    def support(self) -> Array:
+        """(n,) share of the contour that shows a clear step."""
+        return np.asarray(self.stats[:, 4] / np.maximum(self.stats[:, 3], 1e-9))
+
+    def put(self, k: int, pose: Pose, motion: Array) -> None:
+        """Write one frame."""
+        self.known[k], self.position_m[k], self.rotation[k], self.motion[k] = True, pose.position_m, pose.rotation, motion
+        self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
+
+    def take(self, rows: NDArray[np.int64], other: Seen) -> None:
+        """Take some rows over."""
+        for name in ("known", "position_m", "rotation", "motion", "H", "stats", "cost"):
+            getattr(self, name)[rows] = getattr(other, name)[rows]
+
+
+class Chase:
+    """Follows the die through blocks of frames; the one place that remembers how it moved."""
+
+    def __init__(self, view: View, motion: Array, rotation: Array, P: Array, clock: Array) -> None:
+        self.view = view
+        self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
+        self.misses = 0
+        self.next_frame = 0
+        self.backwards = False
+        self._desk: Desk = new_desk(view.shape)
+
+    @staticmethod
+    def from_start(view: View, pose: Pose, times_s: Array, k: int) -> Chase:
+        """A chase of which only the pose on frame k is known."""
+        near = times_s[max(k - 1, 0) : k + 2]
+        frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
+        P = _unsure(view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
+        motion = np.concatenate([pose.position_m, np.zeros(6)])
+        made = Chase(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]))
+        made.next_frame = k + 1
+        return made
+
+    def turned_back(self, seen: Seen, k: int) -> Chase:
+        """The chase of the frames before frame k, from what is known of the flight after it."""
+        motion, P = self.motion.copy(), self.P.copy()
+        back = Chase(self.view, motion, self.rotation.copy(), P, self.clock.copy())
+        back.backwards = True
+        return back
+
+    def over(self, frames: Frames, times_s: Array, first: int, seen: Seen) -> None:
+        """Follow the die over frames (n, cameras, height, width), of which the first is frame `first` of the clip, and
+        write what is seen; backwards from the last frame where the chase runs backwards."""
+        order = np.arange(len(frames))
+        if self.backwards:
+            order = order[::-1]
+        else:
+            order = order[first + order >= self.next_frame]
+        done = 0
+        while done < len(order):
+            done += self._in_flight(frames, times_s, first, order[done:], seen)
+            if done == len(order):
+                break
+            k = int(order[done])
+            found = self._resolved(np.asarray(frames[k], np.float32), float(times_s[first + k]))
+            if found is not None:
+                seen.put(first + k, found, self.motion[3:].copy())
+            done += 1
+            if self.backwards and self.misses > 3:
+                return
+        self.next_frame = first + len(frames)
+
+    def _in_flight(self, frames: Frames, times_s: Array, first: int, order: NDArray[np.int64], seen: Seen) -> int:
+        """As many frames as the compiled chase can follow; how many."""
+        if self.misses > 0:
+            return 0
+        n = len(order)
+        position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
+        stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
+        ordered = frames[order[0] : order[-1] + 1] if not self.backwards else frames[order[-1] : order[0] + 1][::-1]
+        done = chase(
+            ordered, times_s[first + order], self.view.backgrounds, self.view.eyes, self.view.shape, self.view.lens,
+            self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,
+        )  # fmt: skip
+        rows = first + order[:done]
+        seen.known[rows] = True
+        seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = position[:done], rotation[:done], motion[:done]
+        seen.H[rows], seen.stats[rows], seen.cost[rows] = H[:done], stats[:done], cost[:done]
+        return int(done)
+
+    # --- where flight and picture disagree ---
+
+    def _resolved(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
+        """The pose on one frame that the motion so far does not explain, or None where the die is lost or out of view."""
+        dt = time_s - float(self.clock[0])
+        ahead, P = self.motion.copy(), self.P.copy()
+        R = coast(ahead, self.rotation, P, dt)
+        expected = _state(time_s, ahead, R)
+        if share_in_view(self.view, expected.position_m, R) == 0.0:
+            self.misses += 1
+            return None
+        best = self._best(image, expected, time_s)
+        if best is None or not self._believable(best[0]):
+            self.misses += 1
+            if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
+                return None
+            return self._found_again(image, time_s, R, abs(dt) / (self.misses + 1))
+        pose, start = best
+        pose = replace(pose, rotation=labelled_like(self.view, pose.rotation, R))
+        self._remember(pose, start, ahead, R, P, time_s, abs(dt) / (self.misses + 1))
+        return pose
+
+    def _best(self, image: NDArray[np.float32], expected: State, time_s: float) -> tuple[Pose, State] | None:
+        """The pose that explains the picture best, with the start that led to it."""
+        best: tuple[Pose, State] | None = None
+        usual = float(self.clock[1])
+        for start, coarse in ((expected, 2), *self._rivals(expected, time_s)):
+            pose = refine_pose(
+                self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
+                omega_rad_s=start.omega_rad_s, coarse=coarse, desk=self._desk,
+            )  # fmt: skip
+            if pose.covariance is None or pose.contour_px < 20.0:
+                continue
+            if best is None or pose.cost < best[0].cost - 0.02:
+                best = pose, start
+            if best[0].cost < usual + PLAINLY:
+                break
+        return best
+
+    def _believable(self, pose: Pose) -> bool:
+        whole = share_in_view(self.view, pose.position_m, pose.rotation) == 1.0
+        covariance = pose.covariance
+        sure = covariance is not None and float(np.sqrt(np.trace(covariance[3:, 3:]))) < np.radians(6.0)
+        return sure and pose.support > (0.45 if whole else 0.6) and pose.cost < float(self.clock[1]) + BELIEVED
+
+    def _rivals(self, expected: State, time_s: float) -> Iterator[tuple[State, int]]:
+        """Other starts: bounces on the low corners, the last pose, and turns about it."""
+        last = _state(float(self.clock[0]), self.motion, self.rotation)
+        if not self.backwards:
+            yield from ((state, 3) for state in _bounced(self.view.die, last, time_s))
+        yield State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s), 4
+        yield expected, 4
+        half = Flight(last, np.inf).at(0.5 * (last.time_s + time_s)).position_m
+        for axis in _TURNS:
+            q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(np.radians(6.0) * axis)) @ last.rotation)
+            yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
+
+    def _found_again(self, image: NDArray[np.float32], time_s: float, R: Array, frame_s: float) -> Pose | None:
+        """A fresh start after frames without a pose."""
+        found = [pose for _, pose in find_start(self.view, image) if self._believable(pose)]
+        if not found:
+            return None
+        pose = replace(found[0], rotation=labelled_like(self.view, found[0].rotation, R))
+        self.motion = np.concatenate([pose.position_m, np.zeros(6)])
+        self.rotation, self.P = pose.rotation.copy(), _unsure(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
+        self.clock = np.array([time_s, pose.cost, 1.0])
+        self.misses = 0
+        return pose
+
+    def _remember(
+        self, pose: Pose, start: State, ahead: Array, R: Array, P: Array, time_s: float, frame_s: float
+    ) -> None:
+        """Carry the motion to this frame: corrected by the pose, or, where that lies far off, begun anew with the
+        velocities of the start that led there."""
+        self.misses = 0
+        off = float(np.linalg.norm(pose.position_m - ahead[:3]))
+        turned = float(np.arccos(np.clip(0.5 * (np.trace(pose.rotation @ R.T) - 1.0), -1.0, 1.0)))
+        count = float(self.clock[2])
+        if count >= 3 and (off > NEW_REACH * self.view.reach_m or turned > NEW_RAD):
+            guessed = np.any(start.velocity_m_s != 0.0)
+            reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if guessed else (UNKNOWN_REACH, UNKNOWN_RAD)
+            self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
+            self.rotation, self.P = pose.rotation.copy(), _unsure(self.view, pose, frame_s, reach, rad)
+            count = 0.0
+        else:
+            motion = ahead
+            self.rotation = correct(motion, R, P, pose.position_m, pose.rotation, pose.equations, self.view.lens)
+            self.motion, self.P = motion, P
+        usual = float(self.clock[1])
+        self.clock = np.array([time_s, usual + (pose.cost - usual) / 8.0, count + 1.0])
+
+
+_TURNS = np.vstack(
+    [
+        np.eye(3),
+        -np.eye(3),
+        np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0),
+    ]
+)
+
+
+def _state(time_s: float, motion: Array, rotation: Array) -> State:
+    return State(time_s, motion[:3].copy(), quat_from_matrix(rotation), motion[3:6].copy(), motion[6:9].copy())
+
+
+def _unsure(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
+    """Covariance (12, 12) of a motion whose velocities are guesses: so far a frame, in units of the die's reach and in
+    radians."""
+    P = np.zeros((12, 12))
+    known = pose.covariance
+    P[:6, :6] = 4.0 * known if known is not None else 0.0
+    P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
+    P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
+    return P
+
+
+def _bounced(die: Die, last: State, time_s: float) -> Iterator[State]:
+    """Where the die would be after a bounce between the last frame and this one: the paper's smooth impact with several
+    restitutions on each corner that could reach the table."""
+    dt = time_s - last.time_s
+    corners = last.rotation @ die.solid.vertices.T
+    heights = corners[2] + last.position_m[2]
+    sink = np.minimum(last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2], 0.0) * dt
+    edge = die.solid.edge_m
+    for i in np.flatnonzero(heights + 1.5 * sink < 0.12 * edge):
+        arm = corners[:, i]
+        normal = last.velocity_m_s[2] + np.cross(last.omega_rad_s, arm)[2]
+        if normal >= 0:
+            continue
+        lever = np.cross(arm, [0.0, 0.0, 1.0])
+        for chi in (0.5, 0.15, 0.85):
+            impulse = -(1.0 + chi) * normal / (1.0 / die.mass_kg + lever @ lever / die.inertia_kg_m2)
+            velocity = last.velocity_m_s + np.array([0.0, 0.0, impulse / die.mass_kg])
+            omega = last.omega_rad_s + impulse * lever / die.inertia_kg_m2
+            for share in (0.2, 0.8):
+                touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
+                yield Flight(State(touch.time_s, touch.position_m, touch.quaternion, velocity, omega), np.inf).at(
+                    time_s
+                )

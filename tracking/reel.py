@@ -1,0 +1,135 @@
+"""The frames of one throw, whatever camera took them: blocks read ahead while others are worked on.
+
+A reel joins the clips of synchronised cameras: its frame k is the stack of every camera's frame k. Reading happens in a
+thread of its own, so that decoding and tracking overlap; never more than a few blocks are in memory.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from queue import Empty, Full, Queue
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .clip import Clip
+
+Frames = NDArray[Any]
+
+BLOCK_BYTES = 2**24
+"""Size of a block: large enough for threads to share its frames, small enough to keep three in memory."""
+MOST_FRAMES = 64
+RECENT_BYTES = 2**26
+"""Frames that random access keeps."""
+
+
+class Reel:
+    """Synchronised clips as one."""
+
+    def __init__(self, clips: Sequence[Clip]) -> None:
+        """Raises ValueError where the clips do not run over the same frames."""
+        self.clips = tuple(clips)
+        counts = {len(clip) for clip in clips}
+        if len(counts) > 1:
+            raise ValueError(
+                f"the cameras have {', '.join(str(len(clip)) for clip in clips)} frames: synchronised clips have as many "
+                "frames as each other; give clip.frames = [first, stop] that all of them cover"
+            )
+        self.times_s = np.asarray(clips[0].times_s, float)
+        self.first_frame = clips[0].first_frame
+        height, width = max(c.height_px for c in clips), max(c.width_px for c in clips)
+        self._shape = (len(clips), height, width)
+        self._dtype = np.uint8 if all(c.bit_depth <= 8 for c in clips) else np.uint16
+        self._recent: OrderedDict[int, Frames] = OrderedDict()
+        self._running: tuple[int, list[Iterator[Frames]]] | None = None
+        frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
+        self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
+        self._keep = max(4, RECENT_BYTES // frame_bytes)
+
+    def __len__(self) -> int:
+        return len(self.times_s)
+
+    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
+        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
+        stop = len(self) if stop is None else stop
+        queue: Queue[Any] = Queue(maxsize=2)
+        closed = threading.Event()
+        reader = threading.Thread(target=self._read, args=(start, stop, queue, closed), daemon=True)
+        reader.start()
+        try:
+            while True:
+                item = queue.get()
+                if item is None:
+                    return
+                if isinstance(item, BaseException):
+                    raise item
+                yield item
+        finally:
+            closed.set()
+            while reader.is_alive():
+                try:
+                    queue.get_nowait()
+                except Empty:
+                    reader.join(0.01)
+
+    def blocks_backwards(self, stop: int) -> Iterator[tuple[int, Frames]]:
+        """The frames before `stop` in blocks, the last block first; frames within a block in their own order."""
+        while stop > 0:
+            start = max(0, stop - self._block)
+            yield start, np.concatenate([frames for _, frames in self.blocks(start, stop)])
+            stop = start
+
+    def frame(self, k: int) -> Frames:
+        """One frame (cameras, height, width), cheap where frames are asked for in order or again soon."""
+        if k in self._recent:
+            return self._recent[k]
+        if self._running is None or not 0 <= k - self._running[0] < MOST_FRAMES:
+            self._running = k, [clip.frames(k) for clip in self.clips]
+        at, frames = self._running
+        while at <= k:
+            self._remember(at, self._stack([next(f) for f in frames]))
+            at += 1
+        self._running = at, frames
+        return self._recent[k]
+
+    def _remember(self, k: int, stack: Frames) -> None:
+        self._recent[k] = stack
+        while len(self._recent) > self._keep:
+            self._recent.popitem(last=False)
+
+    def _stack(self, frames: Sequence[Frames]) -> Frames:
+        if len(frames) == 1:
+            return frames[0][None]
+        out = np.zeros(self._shape, self._dtype)
+        for c, frame in enumerate(frames):
+            out[c, : frame.shape[0], : frame.shape[1]] = frame
+        return out
+
+    def _read(self, start: int, stop: int, queue: Queue[Any], closed: threading.Event) -> None:
+        """Fill the queue; what goes wrong is handed on to whoever waits."""
+        last: Any = None
+        try:
+            runs = [clip.frames(start, stop) for clip in self.clips]
+            for first in range(start, stop, self._block):
+                count = min(self._block, stop - first)
+                block = np.empty((count, *self._shape), self._dtype)
+                for k in range(count):
+                    if closed.is_set():
+                        return
+                    block[k] = self._stack([next(run) for run in runs])
+                _put(queue, (first, block), closed)
+        except BaseException as error:  # noqa: BLE001 - it is raised again by the thread that reads the blocks
+            last = error
+        _put(queue, last, closed)
+
+
+def _put(queue: Queue[Any], item: Any, closed: threading.Event) -> None:
+    while not closed.is_set():
+        try:
+            queue.put(item, timeout=0.1)
+            return
+        except Full:
+            continue
