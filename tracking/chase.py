@@ -159,7 +159,7 @@ class Chase:
         if share_in_view(self.view, expected.position_m, R) == 0.0:
             self.misses += 1
             return None
-        best = self._best(image, expected, time_s)
+        best = self._best(image, expected, time_s, P)
         if best is None or not self._believable(best[0]):
             self.misses += 1
             if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
@@ -170,14 +170,18 @@ class Chase:
         self._remember(pose, start, ahead, R, P, time_s, abs(dt) / (self.misses + 1))
         return pose
 
-    def _best(self, image: NDArray[np.float32], expected: State, time_s: float) -> tuple[Pose, State] | None:
+    def _best(self, image: NDArray[np.float32], expected: State, time_s: float, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, with the start that led to it."""
         best: tuple[Pose, State] | None = None
-        usual = float(self.clock[1])
-        for start, coarse in ((expected, 2), *self._rivals(expected, time_s)):
+        usual, lens = float(self.clock[1]), self.view.lens
+        sigma_m, sigma_rad = 4.0 * np.sqrt(np.diag(P)[:3].max()), 4.0 * np.sqrt(np.diag(P)[3:6].max())
+        tight = float(np.clip(sigma_m, lens.tight_m, lens.loose_m)), float(np.clip(sigma_rad, lens.tight_rad, lens.loose_rad))
+        loose = lens.loose_m, lens.loose_rad
+        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in self._rivals(expected, time_s))):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
-                omega_rad_s=start.omega_rad_s, coarse=coarse, desk=self._desk,
+                omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
+                desk=self._desk,
             )  # fmt: skip
             if pose.covariance is None or pose.contour_px < 20.0:
                 continue

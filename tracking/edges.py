@@ -72,10 +72,10 @@ shadow explains."""
 WINDOW_PX = 20.0
 """Margin of the window about the outline: the widest band, and what a prediction may be off."""
 DEARER, MUCH_DEARER = 0.35, 2.5
-"""By how much a pose in flight may cost more than usual before other explanations are tried, and the same for a pose that
-lies NEAR where the motion leads."""
-NEAR_REACH, NEAR_RAD = 0.05, 0.01
-"""Position in units of the die's reach, and turn."""
+"""By how much a pose in flight may cost more than usual before other explanations are tried, and the same for a pose NEAR
+where the motion leads whose contour is badly seen; where it is well seen, a changed light does not count."""
+NEAR = 30.0
+"""Squared sigmas of six numbers: one in 25 000 of honest poses lies further off."""
 FADE = 1.06
 """Growth of a motion's covariance a frame."""
 GRAVITY = GRAVITY_M_S2
@@ -1157,30 +1157,51 @@ def coast(x: Any, R: Any, P: Any, dt: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
-    """Let a motion learn from a pose (p, Q) with information H: the Kalman filter on positions and turns. Returns the
-    rotation.
+def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens, S: Any, z: Any) -> bool:
+    """What a pose (p, Q) with information H adds to a motion: the difference z (6,), and the inverse S (6, 6) of its
+    covariance; False where there is none.
 
-    The pose's covariance is taken four times too large, and no smaller than the tight prior squared over 300 (1e-3 rad):
-    what shading does to single poses goes on for many frames. P fades by FADE a frame, so that some twenty frames count.
+    The pose's covariance is taken four times too large, and no smaller than a small part of the tight prior: what shading
+    does to single poses goes on for many frames.
     """
-    A, S, gain = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros((12, 6))
+    A = np.zeros((6, 6))
     for a in range(6):
         for b in range(6):
             A[a, b] = 0.25 * H[a, b]
         A[a, a] += 1.0 / (lens.loose_m**2 if a < 3 else lens.loose_rad**2)
     if not _inverse(A, 6, S):
-        return R
-    z = np.zeros(6)
-    for a in range(3):
-        z[a] = p[a] - x[a]
-        S[a, a] += (lens.tight_m / 25.0) ** 2
-        S[3 + a, 3 + a] += (lens.tight_rad / 12.0) ** 2
-    _log(Q @ R.T, z[3:])
+        return False
     for a in range(6):
         for b in range(6):
             A[a, b] = S[a, b] + P[a, b]
-    if not _inverse(A, 6, S):
+    for a in range(3):
+        z[a] = p[a] - x[a]
+        A[a, a] += (lens.tight_m / 25.0) ** 2
+        A[3 + a, 3 + a] += (lens.tight_rad / 12.0) ** 2
+    _log(Q @ R.T, z[3:])
+    return _inverse(A, 6, S)
+
+
+@njit(cache=True, nogil=True)
+def surprise(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> float:
+    """Squared distance of a pose from a motion, in the sigmas of both."""
+    S, z = np.zeros((6, 6)), np.zeros(6)
+    if not _innovation(x, R, P, p, Q, H, lens, S, z):
+        return 1e9
+    total = 0.0
+    for a in range(6):
+        for b in range(6):
+            total += z[a] * S[a, b] * z[b]
+    return total
+
+
+@njit(cache=True, nogil=True)
+def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
+    """Let a motion learn from a pose (p, Q) with information H: the Kalman filter on positions and turns. Returns the
+    rotation. P grows by FADE a frame, so that some twenty frames count.
+    """
+    S, gain, z = np.zeros((6, 6)), np.zeros((12, 6)), np.zeros(6)
+    if not _innovation(x, R, P, p, Q, H, lens, S, z):
         return R
     for i in range(12):
         for a in range(6):
@@ -1264,9 +1285,11 @@ def chase(
         gone = sqrt((p[0] - ahead[0]) ** 2 + (p[1] - ahead[1]) ** 2 + (p[2] - ahead[2]) ** 2)
         usual = clock[1] if clock[2] > 0.0 else cost
         seen_enough = row[3] >= 20.0 and row[4] > 0.45 * row[3] and h[0, 0] > 0.0
-        # Where the pose is where the motion leads, a dearer picture only means that the light has changed.
-        near = not new and turned < max(NEAR_RAD, 4.0 * sigma_rad) and gone < max(NEAR_REACH * reach, 4.0 * sigma_m)
-        allowed = MUCH_DEARER if near else DEARER
+        # Where the pose is where the motion leads, a dearer picture only means that the light has changed; and what the
+        # pixels leave open, as the distance of a face seen alone, may be far off.
+        allowed = DEARER
+        if not new and seen_enough and turned < far_rad and surprise(ahead, R_ahead, P_ahead, p, Q, h, lens) < NEAR:
+            allowed, far_m = 1e9 if row[4] > 0.6 * row[3] else MUCH_DEARER, 0.28 * reach
         if not (seen_enough and turned < far_rad and gone < far_m and cost < usual + allowed):
             return k
         for a in range(3):
