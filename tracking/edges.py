@@ -124,6 +124,8 @@ class Eyes(NamedTuple):
     """(views,) which camera's picture it is."""
     partner: Any
     """(views,) the view that shares the picture and may hide this one; -1 if there is none."""
+    used: Any
+    """(views,) whether its edges count; a view that does not still hides others."""
 
 
 class Sight(NamedTuple):
@@ -586,7 +588,7 @@ def normal_equations(
     g[:] = 0.0
     stats[:] = 0.0
     for view in range(eyes.camera.shape[0]):
-        if sight.size[eyes.camera[view], 0] > 0:
+        if eyes.used[view] and sight.size[eyes.camera[view], 0] > 0:
             _view_equations(
                 view, sight, backgrounds, eyes, shape, pos, R, vel, omega, exposure, sigma, band, floor_grey, full,
                 desk, H, g, stats,

@@ -29,7 +29,7 @@ from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
 from .edges import settle
-from .pose import Pose, View, blur_step, covariances, labelled_like, make_view, share_in_view, shares_in_view, stacked
+from .pose import Pose, View, blur_step, covariances, labelled_like, make_view, share_in_view, shares_in_view, with_reflections
 from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .segment import background_noise
@@ -94,6 +94,7 @@ def follow(
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
     if quality.second_pass:
+        view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         seen = _second_pass(view, reel, seen, throw, report)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,11 @@ class View:
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.judging_pixels,
         )  # fmt: skip
+
+
+def with_reflections(view: View) -> View:
+    """The view with what the mirror shows as views of their own; without a mirror the same view."""
+    return replace(view, eyes=view.eyes._replace(used=np.ones_like(view.eyes.used)))
 
 
 LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
@@ -133,7 +138,8 @@ def make_view(
     mirror: bool = False,
     quality: Quality = STANDARD,
 ) -> View:
-    """Prepare the geometry that every frame shares. `mirror`: the table reflects the die, and the reflection is used."""
+    """Prepare the geometry that every frame shares. `mirror`: the table reflects the die. The reflection then hides what
+    it hides, and counts as a view of its own after `with_reflections`."""
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
     solid = die.solid
@@ -182,7 +188,7 @@ def _eyes(cameras: tuple[Camera, ...], mirror: bool) -> Eyes:
     return Eyes(
         np.ascontiguousarray([c.matrix for c in twice], float), np.ascontiguousarray([c.distortion for c in twice], float),
         np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
-        np.array([k % n for k in range(len(twice))]), np.array(partner),
+        np.array([k % n for k in range(len(twice))]), np.array(partner), np.arange(len(twice)) < n,
     )  # fmt: skip
 
 

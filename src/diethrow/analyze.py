@@ -252,6 +252,7 @@ def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32
             scene.die,
             background=background,
             exposure_s=scene.clip.exposure_s,
+            mirror=scene.table.surface == "mirror",
             progress=lambda done, total: progress("Following the die", done, total),
         )
     except (ValueError, OSError) as error:
