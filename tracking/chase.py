@@ -70,7 +70,12 @@ class Seen:
 
     def put(self, k: int, pose: Pose, motion: Array) -> None:
         """Write one frame."""
-        self.known[k], self.position_m[k], self.rotation[k], self.motion[k] = True, pose.position_m, pose.rotation, motion
+        self.known[k], self.position_m[k], self.rotation[k], self.motion[k] = (
+            True,
+            pose.position_m,
+            pose.rotation,
+            motion,
+        )
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
     def take(self, rows: NDArray[np.int64], other: Seen) -> None:
@@ -137,9 +142,11 @@ class Chase:
         n = len(order)
         position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
         stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
-        ordered = frames[order[0] : order[-1] + 1] if not self.backwards else frames[order[-1] : order[0] + 1][::-1]
+        # Contiguous either way, so that there is one compiled chase and not two.
+        ordered = np.ascontiguousarray(frames[order])
+        lens = self.view.lens._replace(fine_steps=self.view.quality.chase_steps)
         done = chase(
-            ordered, times_s[first + order], self.view.backgrounds, self.view.eyes, self.view.shape, self.view.lens,
+            ordered, times_s[first + order], self.view.backgrounds, self.view.eyes, self.view.shape, lens,
             self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,
         )  # fmt: skip
         rows = first + order[:done]
@@ -175,13 +182,16 @@ class Chase:
         best: tuple[Pose, State] | None = None
         usual, lens = float(self.clock[1]), self.view.lens
         sigma_m, sigma_rad = 4.0 * np.sqrt(np.diag(P)[:3].max()), 4.0 * np.sqrt(np.diag(P)[3:6].max())
-        tight = float(np.clip(sigma_m, lens.tight_m, lens.loose_m)), float(np.clip(sigma_rad, lens.tight_rad, lens.loose_rad))
+        tight = (
+            float(np.clip(sigma_m, lens.tight_m, lens.loose_m)),
+            float(np.clip(sigma_rad, lens.tight_rad, lens.loose_rad)),
+        )
         loose = lens.loose_m, lens.loose_rad
         for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in self._rivals(expected, time_s))):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
                 omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
-                desk=self._desk,
+                roughly=True, desk=self._desk,
             )  # fmt: skip
             if pose.covariance is None or pose.contour_px < 20.0:
                 continue

@@ -8,9 +8,10 @@ frames: nothing is smoothed here (`smooth`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,17 @@ from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
 from .edges import settle
-from .pose import Pose, View, blur_step, covariances, labelled_like, make_view, share_in_view, shares_in_view, with_reflections
+from .pose import (
+    Pose,
+    View,
+    blur_step,
+    covariances,
+    labelled_like,
+    make_view,
+    share_in_view,
+    shares_in_view,
+    with_reflections,
+)
 from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .segment import background_noise
@@ -146,7 +157,7 @@ def _first_pass(view: View, reel: Reel, report: _Reporter) -> tuple[View, Seen]:
         raise NoDieError(
             f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
         )
-    start, chase, seen = beginning
+    _, chase, seen = beginning
     view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
     chase.view = view
     first_known = int(np.flatnonzero(seen.known)[0])
@@ -314,7 +325,7 @@ def _settle_block(
             H[a:b], stats[a:b], cost[a:b],
         )  # fmt: skip
 
-    for job in [pool.submit(part, int(a), int(b)) for a, b in zip(cuts, cuts[1:], strict=False) if b > a]:
+    for job in [pool.submit(part, int(a), int(b)) for a, b in pairwise(cuts) if b > a]:
         job.result()
     good = _borne_out(view, start, rows, position, rotation, H, stats)
     index = np.arange(rows.start, rows.start + len(frames))[good]
@@ -340,7 +351,9 @@ def _borne_out(
 def _apart(view: View, flown: Seen, first: Seen, rows: slice) -> NDArray[np.bool_]:
     """(n,) where the first pass lies further from the flight than a refinement is sure to cover."""
     moved = np.linalg.norm(flown.position_m[rows] - first.position_m[rows], axis=1)
-    return np.asarray((_angles(flown.rotation[rows], first.rotation[rows]) > np.radians(1.5)) | (moved > 0.1 * view.reach_m))
+    return np.asarray(
+        (_angles(flown.rotation[rows], first.rotation[rows]) > np.radians(1.5)) | (moved > 0.1 * view.reach_m)
+    )
 
 
 def _angles(a: Array, b: Array) -> Array:
@@ -419,11 +432,6 @@ class _Reporter:
 
     def __init__(self, progress: Progress | None, total: int) -> None:
         self._progress, self._total, self._done = progress, total, 0
-
-    def over(self, frames: Iterable[Frame]) -> Iterator[Frame]:
-        for frame in frames:
-            yield frame
-            self.at_least(self._done + 1)
 
     def at_least(self, done: int) -> None:
         self._done = max(self._done, done)

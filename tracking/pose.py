@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, symmetry_rotations
 from .camera import Camera
-from .edges import BLUR, COARSE, COLUMNS, Desk, Eyes, Lens, Shape, Sight, look, new_desk, refine, score_many
+from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Shape, Sight, look, new_desk, refine, score_many
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -20,6 +20,8 @@ MIRRORED = np.diag([1.0, 1.0, -1.0])
 """Reflection in the table."""
 CONTOUR = 6
 """Column of the contour error in the normal equations."""
+EXACT_STEPS, EXACTLY = 8, 1e-4
+"""Steps and gain [squared sigmas] of a refinement that leaves no more than a hundredth of a sigma."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +66,7 @@ class View:
         reach, quality = self.reach_m, self.quality
         return Lens(
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
-            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.judging_pixels,
+            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, quality.judging_pixels,
         )  # fmt: skip
 
 
@@ -94,6 +96,8 @@ class Pose:
     """Share of the visible contour that shows a clear step, 0 to 1."""
     contour_px: float
     """Length of visible contour that was walked."""
+    log_noise: float
+    """Mean logarithm of the grey noise that the edge model leaves over."""
     cost: float
     """How badly the picture as a whole is explained; comparable between poses of one frame only."""
     equations: Array
@@ -124,7 +128,9 @@ def contour_leans(H: Array) -> Array:
     solved."""
     solved = H[:, 0, 0] > 0
     A = np.where(solved[:, None, None], H[:, :6, :6], np.eye(6))
-    return np.where(solved[:, None], (np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ H[:, :6, CONTOUR, None])[..., 0], 0.0)
+    return np.where(
+        solved[:, None], (np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ H[:, :6, CONTOUR, None])[..., 0], 0.0
+    )
 
 
 def make_view(
@@ -210,16 +216,17 @@ def refine_pose(
     coarse: int = 2,
     prior_position_m: float | None = None,
     prior_rotation_rad: float | None = None,
+    roughly: bool = False,
     desk: Desk | None = None,
 ) -> Pose:
     """The pose near a predicted one that explains the frame's edges best.
 
     `image` is the whole frame as float32, a stack for several cameras; `coarse` is how many steps at larger blurs come
     before the fine ones; the prior keeps directions that the pixels leave open near the prediction and is too weak to
-    pull the others.
+    pull the others. `roughly` stops where the view's quality says, and not where nothing moves any more.
     """
     H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    zero, lens = np.zeros(3), view.lens
+    zero, lens = np.zeros(3), view.lens if roughly else view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY)
     p, Q, cost = look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
@@ -239,6 +246,7 @@ def pose_from(position_m: Array, rotation: Array, H: Array, stats: Array, cost: 
         unexplained=float(stats[0] / max(stats[2], 1.0)),
         support=float(stats[4] / max(stats[3], 1e-9)),
         contour_px=float(stats[3]),
+        log_noise=float(stats[6] / max(stats[2], 1.0)),
         cost=float(cost),
         equations=H.copy(),
         stats=stats.copy(),
@@ -254,7 +262,7 @@ def blur_step(
     refine(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, position_m, rotation, velocity_m_s,
         omega_rad_s, view.exposure_s, np.full(fine, view.blur_px), np.full(fine, max(3.5, 4.0 * view.blur_px)),
-        lens.floor_grey, lens.loose_m, lens.loose_rad, True, new_desk(view.shape), H, g, stats,
+        lens.floor_grey, lens.loose_m, lens.loose_rad, EXACTLY, True, new_desk(view.shape), H, g, stats,
     )  # fmt: skip
     A = H[:6, :6] + np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
     reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))

@@ -12,6 +12,11 @@ class Quality:
     name: str
     fine_steps: int
     """Most Gauss-Newton steps at the lens blur on one frame."""
+    chase_steps: int
+    """The same while the die is only followed, where a second pass refines every pose again."""
+    enough: float
+    """Squared sigmas: a step that gains less is the last one. 0.2 moves a pose by half its sigma, and the next step would
+    move it by a small part of that."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
     second_pass: bool
@@ -20,7 +25,9 @@ class Quality:
     """Use what is printed on the faces, where it helps."""
 
 
-FAST = Quality("fast", fine_steps=2, judging_pixels=400, second_pass=False, marks=False)
-STANDARD = Quality("standard", fine_steps=4, judging_pixels=800, second_pass=True, marks=True)
-FINE = Quality("fine", fine_steps=8, judging_pixels=2500, second_pass=True, marks=True)
+FAST = Quality("fast", fine_steps=2, chase_steps=2, enough=0.2, judging_pixels=400, second_pass=False, marks=False)
+STANDARD = Quality(
+    "standard", fine_steps=4, chase_steps=2, enough=0.05, judging_pixels=800, second_pass=True, marks=True
+)
+FINE = Quality("fine", fine_steps=8, chase_steps=4, enough=1e-3, judging_pixels=2500, second_pass=True, marks=True)
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}

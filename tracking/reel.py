@@ -121,7 +121,7 @@ class Reel:
                         return
                     block[k] = self._stack([next(run) for run in runs])
                 _put(queue, (first, block), closed)
-        except BaseException as error:  # noqa: BLE001 - it is raised again by the thread that reads the blocks
+        except BaseException as error:  # raised again by the thread that reads the blocks
             last = error
         _put(queue, last, closed)
 

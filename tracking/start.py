@@ -82,16 +82,27 @@ def _search(
     loose_m = 1.5 * view.reach_m
     poses = [
         refine_pose(
-            view, images, positions[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
-            prior_rotation_rad=0.3, desk=desk,
-        )  # fmt: skip
+            view,
+            images,
+            positions[k],
+            rotations[k],
+            coarse=len(COARSE),
+            prior_position_m=loose_m,
+            prior_rotation_rad=0.3,
+            desk=desk,
+        )
         for k in np.argsort(scores, kind="stable")[:REFINED]
     ]
     poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= 0.3 * solid.inradius]
     if not poses:
         return []
     scores, differs = picture_scores(
-        view, image, box, np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses]), 4 * SEARCH_PIXELS
+        view,
+        image,
+        box,
+        np.array([p.position_m for p in poses]),
+        np.array([p.rotation for p in poses]),
+        4 * SEARCH_PIXELS,
     )
     return [
         (float(score) + 2.0 * (1.0 - pose.support) + 10.0 * pose.unexplained, pose)
