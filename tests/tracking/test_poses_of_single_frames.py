@@ -92,8 +92,9 @@ def noisy_nees(shape: str, count: int) -> tuple[Array, int]:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_covariance_of_a_noisy_frame_is_honest(shape: str) -> None:
     nees, open_ones = noisy_nees(shape, 60)
-    # A tetrahedron seen face-on shows one face; then the pixels may leave a direction open, and the pose says so.
-    assert open_ones <= (6 if shape == "tetrahedron" else 1)
+    # A die seen face-on shows one face, a tetrahedron often; then the pixels may leave a direction open, and the pose says
+    # so.
+    assert open_ones <= (6 if shape == "tetrahedron" else 2)
     # The median of chi-square with six numbers is 5.35, and scatters by 0.5 over 60 frames; corners are rounded by the
     # blur, which the model of straight edges leaves out.
     assert 4.0 < np.median(nees) < 8.0
