@@ -140,7 +140,7 @@ class CineClip(Footage):
             notices=(*cut_off, *late, *_varying(path, exposures), *_turned(path, header)),
             facts={
                 "format": "phantom",
-                "record_rate_hz": _rate_hz(step_s, declared) if stamps is not None else declared,
+                "record_rate_hz": _rate_hz(step_s, declared) if step_s is not None else declared,
                 "exposure_s": exposure_s or None,
                 "declared_rate_hz": declared,
                 "start_frame": header.first_image,
@@ -163,7 +163,9 @@ class CineClip(Footage):
         bottom_up = header.packing == UNPACKED
         if bottom_up != header.flip_over:
             levels = levels[::-1]
-        return np.ascontiguousarray(levels[:, ::-1] if header.flip_sideways else levels)
+        if header.flip_sideways:
+            levels = levels[:, ::-1]
+        return levels.copy()
 
 
 @njit(cache=True)
@@ -354,11 +356,9 @@ def _times(
     return since_s, (*wrong, *_gaps(path, since_s, step_s))
 
 
-def _rate_hz(step_s: float | None, stated: float | None) -> float | None:
+def _rate_hz(step_s: float, stated: float | None) -> float:
     """The stated rate where the step between frames is its rounding, else that of the step."""
-    if step_s is None or (stated is not None and abs(stated * step_s - 1.0) < 1e-6):
-        return stated
-    return 1.0 / step_s
+    return stated if stated is not None and abs(stated * step_s - 1.0) < 1e-6 else 1.0 / step_s
 
 
 def _agree(path: Path, fps: float | None, found_hz: float | None, who: str) -> None:
