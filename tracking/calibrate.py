@@ -270,11 +270,11 @@ def _calibration(
         lens = lens[:, used]
         blocks.append((lens.T @ lens, lens.T @ pose, np.linalg.inv(pose.T @ pose)))
     variance = fit.squares / max(fit.terms - fit.numbers, 1)
-    C = _scaled_inverse(sum(A - B @ E @ B.T for A, B, E in blocks))
+    C = _scaled_inverse(np.sum([A - B @ E @ B.T for A, B, E in blocks], axis=0))
     covariance = np.zeros((9, 9))
     covariance[np.ix_(used, used)] = variance * C
     boards = tuple(
-        SeenBoard(view, R, t, variance * (E + E @ B.T @ C @ B @ E), residuals)
+        SeenBoard(view, R, t, np.asarray(variance * (E + E @ B.T @ C @ B @ E), float), residuals)
         for view, R, t, residuals, (_, B, E) in zip(
             fit.views, fit.turns, fit.shifts, fit.residuals, blocks, strict=True
         )

@@ -398,6 +398,58 @@ def paper(
         typer.echo(f"Look at it:  {out / 'paper.html'}")
 
 
+@app.command(
+    epilog="Example:  diethrow calibrate board_*.png --table board_on_table.png --squares 7x5 --square-mm 10 "
+    "--marker-mm 7.5 --out out/camera"
+)
+def calibrate(
+    pictures: Annotated[
+        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted to all sides.")
+    ],
+    out: OutFolder,
+    square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
+    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
+    board: Annotated[str, typer.Option("--board", help="charuco or chessboard.")] = "charuco",
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
+    ] = "DICT_4X4_50",
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="PICTURE", help="The board flat on the table: gives the camera's place."),
+    ] = None,
+    thickness_mm: Annotated[
+        float, typer.Option("--thickness-mm", metavar="MM", help="Of the board that lies on the table.")
+    ] = 0.0,
+    force: Force = False,
+) -> None:
+    """Camera and table pose from pictures of a ChArUco board or a chessboard: camera.toml, calibration.json and a page."""
+    with _one_sentence_errors():
+        with _options_that_fit():
+            from .tracking.boards import make_board
+
+            columns, rows = _two_counts("squares", squares)
+            marker_m = None if marker_mm is None else 1e-3 * marker_mm
+            printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
+        from .calibrate import calibrate_camera
+
+        found = calibrate_camera(
+            pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
+        )
+        camera, errors = found.calibration, found.calibration.sigmas
+        typer.echo(
+            f"{len(camera.boards)} of {len(pictures) + (table is not None and table not in pictures)} pictures, residuals "
+            f"{camera.rms_px:.3g} px, focal length {camera.matrix[0, 0]:.6g} ± {errors[0]:.2g} px"
+        )
+        if found.table is not None:
+            x, y, z = 1e3 * found.table.camera.centre_m
+            typer.echo(f"The camera stands at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
+        _print_notices(found.notices)
+        typer.echo(f"Look at it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
+
+
 @contextmanager
 def _one_sentence_errors() -> Iterator[None]:
     """Tell an error in one sentence, with its exit status; DIETHROW_TRACEBACK=1 shows where it came from."""
@@ -436,6 +488,14 @@ def _that_can_go_on() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         _stop("stopped; no output was left behind, and --resume goes on with what was done", INTERRUPTED)
+
+
+def _two_counts(name: str, text: str) -> tuple[int, int]:
+    """`7x5` as two numbers."""
+    first, cross, second = text.lower().replace("×", "x").partition("x")
+    if not (cross and first.strip().isdecimal() and second.strip().isdecimal()):
+        raise ValueError(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
+    return int(first), int(second)
 
 
 def _cores() -> int:
