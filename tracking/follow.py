@@ -30,10 +30,12 @@ from .background import estimate_background
 from .bounces import NoFlightError, measure_throw
 from .camera import Camera
 from .clip import Clip, Frame
+from .hints import HandStart, excluded_rows
 from .joined import Sightings, fit_flight, transition
 from .pose import Pose, View, labelled_like, make_view, outline_box, picture_score, refine_pose, share_in_view
 from .segment import background_noise
 from .start import die_blobs, find_start
+from .start_by_hand import start_by_hand
 from .track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -91,12 +93,15 @@ def follow(
     *,
     background: NDArray[np.float32] | None = None,
     exposure_s: float | None = None,
+    start: HandStart | None = None,
+    excluded: Sequence[tuple[int, int]] = (),
     progress: Progress | None = None,
 ) -> Track:
     """Track a die through a clip: a pose with covariance for every frame on which it can be known.
 
-    `background` (height, width) is a frame without the die, estimated from the clip where it is None. `progress` is
-    called with frames done and frames to do. Raises ValueError where camera, background and clip differ in size, and
+    `background` (height, width) is a frame without the die, estimated from the clip where it is None. `start` is a first
+    pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not used: they are lost. `progress`
+    is called with frames done and frames to do. Raises ValueError where camera, background and clip differ in size, and
     NoDieError where no die was found.
     """
     _check_sizes(clip, camera, background)
@@ -106,7 +111,8 @@ def follow(
     sample = [_grey(clip.frame(k)) for k in np.unique(np.linspace(0, len(clip) - 1, 12).astype(int))]
     noise = background_noise(sample, np.asarray(background, np.float32))
     view = make_view(camera, die, np.asarray(background, np.float32), noise, exposure_s, FIRST_BLUR_PX)
-    seen = _first_pass(view, clip, report)
+    unused = excluded_rows(excluded, clip.first_frame, len(clip))
+    seen = _first_pass(view, clip, report, start, unused)
     throw = _measured(view, clip, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw)
@@ -114,7 +120,7 @@ def follow(
     view = replace(view, blur_px=_lens_blur(view, clip, seen))
     report.at_least(len(clip))
     poses = [
-        _settled(view, _grey(frame), float(t), seen[k], throw)
+        None if k in unused else _settled(view, _grey(frame), float(t), seen[k], throw)
         for k, (frame, t) in enumerate(zip(report.over(clip.frames()), clip.times_s, strict=False))
     ]
     return _calibrated(_track(clip, view, poses, throw), die)
@@ -140,11 +146,17 @@ def _grey(frame: Frame) -> Image:
 # --- the first pass ---------------------------------------------------------------------------------------------------
 
 
-def _first_pass(view: View, clip: Clip, report: _Reporter) -> list[Sighting | None]:
+def _first_pass(
+    view: View, clip: Clip, report: _Reporter, by_hand: HandStart | None, unused: frozenset[int]
+) -> list[Sighting | None]:
     """A pose for every frame that can be followed from the start."""
     times = clip.times_s
     ahead = _Ahead(report.over(clip.frames()))
-    start = _find_beginning(view, ahead, times)
+    start = (
+        _find_beginning(view, ahead, times, unused)
+        if by_hand is None
+        else _begin_by_hand(view, ahead, clip, by_hand, unused)
+    )
     seen: list[Sighting | None] = [None] * len(clip)
     if start is None:
         raise NoDieError(
@@ -160,17 +172,35 @@ def _first_pass(view: View, clip: Clip, report: _Reporter) -> list[Sighting | No
         image = ahead.image(k)
         if image is None:
             break
-        seen[k] = chase.step(image, float(times[k]))
+        if k not in unused:
+            seen[k] = chase.step(image, float(times[k]))
         ahead.forget(k)
     chase = _Chase(view, history[::-1], backwards=True)
     for k in range(index - 1, -1, -1):
-        seen[k] = chase.step(before.image(k), float(times[k]))
+        if k not in unused:
+            seen[k] = chase.step(before.image(k), float(times[k]))
         if chase.misses > 3:
             break
     return seen
 
 
-def _find_beginning(view: View, ahead: _Ahead, times: Array) -> tuple[int, list[Sighting | None]] | None:
+def _begin_by_hand(
+    view: View, ahead: _Ahead, clip: Clip, by_hand: HandStart, unused: frozenset[int]
+) -> tuple[int, list[Sighting | None]]:
+    """The frame that a person named, with the frames over which the pose given there was followed."""
+    k = by_hand.frame - clip.first_frame
+    image = ahead.image(k) if 0 <= k < len(clip) and k not in unused else None
+    if image is None:
+        last = clip.first_frame + len(clip) - 1
+        raise ValueError(
+            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({clip.first_frame} to {last}), none that is excluded"
+        )
+    return k, _trial(view, ahead, clip.times_s, k, start_by_hand(view, image, by_hand), np.inf, unused)
+
+
+def _find_beginning(
+    view: View, ahead: _Ahead, times: Array, unused: frozenset[int]
+) -> tuple[int, list[Sighting | None]] | None:
     """The first frame on which the die is wholly seen, with the frames over which the best start was followed."""
     tried = 0
     k = 0
@@ -179,13 +209,13 @@ def _find_beginning(view: View, ahead: _Ahead, times: Array) -> tuple[int, list[
         image = ahead.image(k)
         if image is None:
             break
-        if not die_blobs(view, image):
+        if k in unused or not die_blobs(view, image):
             k += 1
             continue
         tried += 1
         best: tuple[float, list[Sighting | None]] | None = None
         for _, pose in find_start(view, image):
-            chain = _trial(view, ahead, times, k, pose, best[0] if best else np.inf)
+            chain = _trial(view, ahead, times, k, pose, best[0] if best else np.inf, unused)
             alive = [s for s in chain if s is not None]
             whole = len(alive) >= min(TRIAL_FRAMES, len(times) - k) - 1
             if whole and _steady(view, alive):
@@ -203,7 +233,9 @@ def _find_beginning(view: View, ahead: _Ahead, times: Array) -> tuple[int, list[
     return spare[1:] if spare is not None and spare[0] > FAIR_SUPPORT else None
 
 
-def _trial(view: View, ahead: _Ahead, times: Array, k: int, pose: Pose, to_beat: float) -> list[Sighting | None]:
+def _trial(
+    view: View, ahead: _Ahead, times: Array, k: int, pose: Pose, to_beat: float, unused: frozenset[int]
+) -> list[Sighting | None]:
     """Follow one start for a few frames, and no further once it explains them clearly worse than another start did."""
     image = ahead.image(k)
     assert image is not None
@@ -215,7 +247,7 @@ def _trial(view: View, ahead: _Ahead, times: Array, k: int, pose: Pose, to_beat:
         image = ahead.image(j)
         if image is None:
             break
-        seen = chase.step(image, float(times[j]))
+        seen = None if j in unused else chase.step(image, float(times[j]))
         chain.append(seen)
         costs += [seen.cost] if seen is not None else []
         if chase.misses > 1 or (len(costs) > 3 and np.mean(costs) > to_beat + 0.3):

@@ -252,6 +252,8 @@ def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32
             scene.die,
             background=background,
             exposure_s=scene.clip.exposure_s,
+            start=scene.start,
+            excluded=scene.clip.excluded,
             progress=lambda done, total: progress("Following the die", done, total),
         )
     except (ValueError, OSError) as error:
