@@ -17,6 +17,7 @@ import typer
 
 if TYPE_CHECKING:
     from .analyze import Analysis
+    from .check import Check
     from .fitting.results import Parameter
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
@@ -398,6 +399,33 @@ def paper(
         typer.echo(f"Look at it:  {out / 'paper.html'}")
 
 
+@app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
+def check(
+    scene: SceneFile,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="A folder for check.json and check.html; left out: none."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Before tracking: is the clip fit for it? Timing, blur, pixels, background, scale and vertical, with verdicts.
+
+    The exit status is 1 where something is bad.
+    """
+    with _one_sentence_errors():
+        from .scene import read_scene
+
+        checked = read_scene(scene)
+        from .check import check_clip
+
+        result = check_clip(checked, out, force=force, command=_as_typed())
+        _print_check(result)
+        if out is not None:
+            typer.echo(f"See {out / 'check.html'}")
+        if result.bad:
+            raise typer.Exit(FAILED)
+
+
 @app.command(
     epilog="Example:  diethrow calibrate board_*.png --table board_on_table.png --squares 7x5 --square-mm 10 "
     "--marker-mm 7.5 --out out/camera"
@@ -558,6 +586,30 @@ def _print_analysis(result: Analysis) -> None:
     table.add_row("look at it", f"rerun {result.folder / 'replay.rrd'}")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.notices, *result.fit.messages))
+
+
+def _print_check(result: Check) -> None:
+    """Every finding in a row."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
+    table.add_column("")
+    table.add_column("verdict")
+    table.add_column("measured", overflow="fold")
+    table.add_column("what to change", overflow="fold")
+    styles = {"good": "green", "doubtful": "yellow", "bad": "bold red"}
+    for finding in result.findings:
+        word = finding.verdict.value
+        table.add_row(finding.name, f"[{styles[word]}]{word}[/]", *_plain_cells(finding.measured, finding.advice))
+    Console(highlight=False).print(table)
+
+
+def _plain_cells(*texts: str) -> tuple[str, ...]:
+    """Texts that must not be taken for markup."""
+    from rich.markup import escape
+
+    return tuple(escape(text) for text in texts)
 
 
 def _restitution(chi: Parameter) -> str:
