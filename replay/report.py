@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from ..model.motion import Impact, State
 from . import figures
+from .pages import as_address, as_table, captioned, drawing, plotted, whole_page
 from .palette import MEASURED, SIMULATED, hex_colour
 from .record import Motion, Record, Residuals, motions_of, residuals
 from .words import UNKNOWN, chi_of, decimals_for, fixed, number, role, verdict
@@ -27,35 +22,6 @@ if TYPE_CHECKING:
 
 STRIP_FRAMES = 5
 """Most frames of the clip shown side by side."""
-
-STYLE = """
-:root { --ink: #1d2126; --soft: #5b6470; --rule: #d9dde2; --paper: #fff; --wash: #f5f6f8; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 54rem; padding: 2.2rem 1.2rem 4rem; background: var(--paper); color: var(--ink);
-  font: 1rem/1.55 "Source Serif 4", Charter, Georgia, "DejaVu Serif", serif; }
-h1, h2, th, figcaption, .key { font-family: system-ui, "Segoe UI", Helvetica, Arial, "DejaVu Sans", sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 .3rem; overflow-wrap: anywhere; }
-h2 { font-size: 1.1rem; margin: 2.6rem 0 .6rem; padding-top: .8rem; border-top: 1px solid var(--rule); }
-p { margin: .5rem 0; max-width: 42rem; }
-.key { color: var(--soft); font-size: .85rem; }
-.verdict { margin: 1.2rem 0; padding: .8rem 1.1rem; background: var(--wash); border-left: 4px solid MEASURED; }
-.headline { font-family: system-ui, Helvetica, Arial, "DejaVu Sans", sans-serif; font-size: 1.25rem; font-weight: 600; }
-figure { margin: 1.2rem 0; break-inside: avoid; }
-figure img { display: block; width: 100%; height: auto; }
-figure.narrow { max-width: 30rem; }
-figcaption { color: var(--soft); font-size: .85rem; line-height: 1.4; margin-top: .4rem; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: .88rem; width: 100%; font-variant-numeric: tabular-nums; }
-th, td { text-align: left; padding: .35rem .7rem .35rem 0; border-bottom: 1px solid var(--rule); vertical-align: top; }
-th { color: var(--soft); font-weight: 600; font-size: .8rem; }
-ul { padding-left: 1.2rem; max-width: 42rem; }
-li { margin: .3rem 0; }
-.unknown { color: var(--soft); font-style: italic; }
-.dot { display: inline-block; width: .7em; height: .7em; border-radius: 50%; margin: 0 .35em 0 0; }
-.dot ~ .dot { margin-left: 1.1em; }
-@media print { body { max-width: none; padding: 0; font-size: 10pt; }
-  .wide { overflow: visible; } h2 { break-after: avoid; } }
-""".replace("MEASURED", hex_colour(MEASURED))
 
 
 def write_report(path: Path, record: Record) -> None:
@@ -77,15 +43,7 @@ def page(record: Record) -> str:
         _fit(record),
         _notes(record),
     ]
-    return "\n".join(
-        [
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escape(record.title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>",
-            *(part for part in parts if part),
-            "</body>\n</html>\n",
-        ]
-    )
+    return whole_page(record.title, (part for part in parts if part))
 
 
 def _subtitle(record: Record) -> str:
@@ -134,8 +92,8 @@ def _pictures(record: Record) -> str:
         chi = record.fit.parameters.get("chi") if record.fit is not None else None
         caption = "Apparent restitution of every bounce with its interval"
         caption += ", and the fitted χ with its own as a band." if chi is not None and chi.value is not None else "."
-        picture = _picture((5.2, 2.9), lambda ax: figures.restitution(ax, impacts, chi))
-        parts.append(_figure(picture, caption, narrow=True))
+        picture = plotted((5.2, 2.9), lambda ax: figures.restitution(ax, impacts, chi))
+        parts.append(captioned(picture, caption, narrow=True))
     if record.simulated is not None:
         parts.append(_residual_figures(residuals(record.track, record.simulated), impacts))
     return "\n".join(parts)
@@ -152,15 +110,15 @@ def _film_strip(record: Record, motions: list[Motion]) -> str:
     instants = [clip.times_s[seen[0] - clip.first_frame], *(impact.time_s for impact in record.measured.impacts)]
     nearest = [int(seen[np.abs(clip.times_s[seen - clip.first_frame] - instant).argmin()]) for instant in instants]
     chosen = sorted({*nearest[: STRIP_FRAMES - 1], int(seen[-1])})
-    with _drawing((8.4, 8.4 * clip.height_px / clip.width_px / max(len(chosen), 3) + 0.25)) as figure:
+    with drawing((8.4, 8.4 * clip.height_px / clip.width_px / max(len(chosen), 3) + 0.25)) as figure:
         for ax, frame in zip(figure.subplots(1, max(len(chosen), 3), squeeze=False)[0], chosen, strict=False):
             figures.edges_on_frame(ax, clip, camera, record.die.solid, motions, frame)
             ax.set_title(f"frame {frame}", fontsize=8.0, color="#5b6470")
         for ax in figure.axes:
             ax.set_axis_off()
-        picture = _address(figure, "png")
+        picture = as_address(figure, "png")
     lines = "measured edges blue" + (", simulated orange" if len(motions) > 1 else "")
-    return _figure(picture, f"The die on film, at its first and last pose and at its bounces: {lines}.")
+    return captioned(picture, f"The die on film, at its first and last pose and at its bounces: {lines}.")
 
 
 def _heights(record: Record, motions: list[Motion]) -> str:
@@ -178,19 +136,19 @@ def _heights(record: Record, motions: list[Motion]) -> str:
 
     caption = "Height of every corner over time: measured dots"
     caption += ", simulated lines" if record.simulated is not None else ""
-    return _figure(_picture((8.4, 4.0), draw), caption + ". Dashed: the bounces.")
+    return captioned(plotted((8.4, 4.0), draw), caption + ". Dashed: the bounces.")
 
 
 def _residual_figures(rest: Residuals, impacts: tuple[Impact, ...]) -> str:
     if not len(rest.frame):
         return "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
     parts = [
-        _figure(
-            _picture((8.4, 2.3), lambda ax: figures.position_residuals(ax, rest, impacts)),
+        captioned(
+            plotted((8.4, 2.3), lambda ax: figures.position_residuals(ax, rest, impacts)),
             "Measured minus simulated position, in world axes.",
         ),
-        _figure(
-            _picture((8.4, 2.1), lambda ax: figures.angle_residuals(ax, rest, impacts)),
+        captioned(
+            plotted((8.4, 2.1), lambda ax: figures.angle_residuals(ax, rest, impacts)),
             "Angle between the measured and the simulated orientation.",
         ),
     ]
@@ -198,58 +156,11 @@ def _residual_figures(rest: Residuals, impacts: tuple[Impact, ...]) -> str:
         caption = (
             "Both together in standard errors of the measured poses: root mean square of six; noise alone gives 1."
         )
-        parts.append(_figure(_picture((8.4, 2.1), lambda ax: figures.sigma_residuals(ax, rest, impacts)), caption))
+        parts.append(captioned(plotted((8.4, 2.1), lambda ax: figures.sigma_residuals(ax, rest, impacts)), caption))
     return "\n".join(parts)
 
 
-def _picture(inches: tuple[float, float], draw: Callable[[Axes], Axes]) -> str:
-    """One pair of axes as a data address."""
-    with _drawing(inches) as figure:
-        ax = draw(figure.subplots())
-        if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
-            ax.legend(loc="upper right", frameon=False)
-        return _address(figure, "svg")
-
-
-@contextmanager
-def _drawing(inches: tuple[float, float]) -> Iterator[Figure]:
-    """An empty figure in the report's own style; drawing and writing happen inside."""
-    # Without a salt the names inside an SVG are random, and the same record would give another page each time.
-    with rc_context(
-        {"font.size": 9.0, "font.family": "DejaVu Sans", "axes.linewidth": 0.7, "svg.hashsalt": "diethrow"}
-    ):
-        figure = Figure(figsize=inches, layout="constrained")
-        FigureCanvasAgg(figure)
-        yield figure
-
-
-def _address(figure: Figure, kind: str) -> str:
-    """The figure as a data address; text as outlines, so that it looks the same everywhere."""
-    buffer = io.BytesIO()
-    nothing = {"Date": None, "Creator": None} if kind == "svg" else {"Software": None}
-    figure.savefig(buffer, format=kind, dpi=160, metadata=nothing)
-    media = "image/svg+xml" if kind == "svg" else "image/png"
-    return f"data:{media};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
-
-
-def _figure(address: str, caption: str, *, narrow: bool = False) -> str:
-    kind = ' class="narrow"' if narrow else ""
-    text = escape(caption)
-    return f'<figure{kind}><img src="{address}" alt="{text}"><figcaption>{text}</figcaption></figure>'
-
-
 # Tables
-
-
-def _table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
-    body = "\n".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
-    return f'<div class="wide"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>'
-
-
-def _cell(text: str) -> str:
-    kind = ' class="unknown"' if text.startswith(UNKNOWN) else ""
-    return f"<td{kind}>{escape(text)}</td>"
 
 
 def _bounces(impacts: tuple[Impact, ...]) -> str:
@@ -264,7 +175,7 @@ def _bounces(impacts: tuple[Impact, ...]) -> str:
         "energy before → after [mJ]",
         "lowest face before → after",
     )
-    return "<h2>Bounces</h2>\n" + _table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
+    return "<h2>Bounces</h2>\n" + as_table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
 
 
 def _bounce_row(count: int, impact: Impact) -> tuple[str, ...]:
@@ -287,14 +198,14 @@ def _fit(record: Record) -> str:
     if fit is None:
         return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
     rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
-    parts = ["<h2>Fit</h2>", _table(("parameter", "value", "interval", "part in the fit"), rows)]
+    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "part in the fit"), rows)]
     if fit.initial is not None:
         parts += ["<h2>Initial conditions</h2>", _initial(fit.initial, fit)]
     if fit.considered or fit.chosen:
         parts += ["<h2>Effects</h2>", _effects(fit)]
     if fit.face_odds:
         odds = [(str(face), f"{100 * share:.1f} %") for face, share in sorted(fit.face_odds.items())]
-        parts += ["<h2>Odds of each face</h2>", _table(("face", "share of simulated landings"), odds)]
+        parts += ["<h2>Odds of each face</h2>", as_table(("face", "share of simulated landings"), odds)]
     return "\n".join(parts)
 
 
@@ -329,7 +240,7 @@ def _initial(state: State, fit: Fit) -> str:
         ("velocity [m/s]", *_vector(state.velocity_m_s, errors[6:9])),
         ("angular velocity [rad/s]", *_vector(state.omega_rad_s, errors[9:])),
     ]
-    return _table(("world axes", "value", "standard errors"), rows)
+    return as_table(("world axes", "value", "standard errors"), rows)
 
 
 def _vector(values: np.ndarray, errors: np.ndarray) -> tuple[str, str]:
@@ -353,7 +264,7 @@ def _effects(fit: Fit) -> str:
         )
         for effect in fit.considered
     ]
-    return _table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
+    return as_table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
 
 
 def _notes(record: Record) -> str:

@@ -87,8 +87,11 @@ class Seen:
 class Chase:
     """Follows the die through blocks of frames; the one place that remembers how it moved."""
 
-    def __init__(self, view: View, motion: Array, rotation: Array, P: Array, clock: Array) -> None:
+    def __init__(
+        self, view: View, motion: Array, rotation: Array, P: Array, clock: Array, unused: NDArray[np.bool_]
+    ) -> None:
         self.view = view
+        self.unused = unused
         self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
         self.misses = 0
         self.next_frame = 0
@@ -96,27 +99,27 @@ class Chase:
         self._desk: Desk = new_desk(view.shape)
 
     @staticmethod
-    def from_start(view: View, pose: Pose, times_s: Array, k: int) -> Chase:
-        """A chase of which only the pose on frame k is known."""
+    def from_start(view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_]) -> Chase:
+        """A chase of which only the pose on frame k is known; frames that are `unused` (n,) are passed over."""
         near = times_s[max(k - 1, 0) : k + 2]
         frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
         P = _unsure(view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
         motion = np.concatenate([pose.position_m, np.zeros(6)])
-        made = Chase(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]))
+        made = Chase(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
         made.next_frame = k + 1
         return made
 
     def turned_back(self, seen: Seen, k: int) -> Chase:
         """The chase of the frames before frame k, from what is known of the flight after it."""
         motion, P = self.motion.copy(), self.P.copy()
-        back = Chase(self.view, motion, self.rotation.copy(), P, self.clock.copy())
+        back = Chase(self.view, motion, self.rotation.copy(), P, self.clock.copy(), self.unused)
         back.backwards = True
         return back
 
     def over(self, frames: Frames, times_s: Array, first: int, seen: Seen) -> None:
         """Follow the die over frames (n, cameras, height, width), of which the first is frame `first` of the clip, and
         write what is seen; backwards from the last frame where the chase runs backwards."""
-        order = np.arange(len(frames))
+        order = np.flatnonzero(~self.unused[first : first + len(frames)])
         if self.backwards:
             order = order[::-1]
         else:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .footage import Frame as Frame
+from .footage_cine import is_cine, open_cine
 from .footage_images import is_tiff, open_pictures
 from .footage_photron import is_photron, open_photron
 from .footage_video import open_video
@@ -54,10 +55,10 @@ class Clip(Protocol):
 
 
 def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None) -> Clip:
-    """A film, whatever it is kept in: video, numbered pictures, multi-page TIFF, Photron.
+    """A film, whatever it is kept in: video, numbered pictures, multi-page TIFF, Photron, Phantom.
 
     `path` is a film; a folder of numbered pictures, one of them (for all of its sequence) or a glob pattern; a TIFF;
-    a .cih or .cihx header or its .mraw. `fps` [1/s] is the recording rate, needed where the file carries only a playback
+    a .cih or .cihx header or its .mraw; a .cine. `fps` [1/s] is the recording rate, needed where the file carries only a playback
     rate. `frame_range` (first, stop) restricts the frames; times still count from the file's first frame.
 
     Raises FileNotFoundError where nothing is there, and ValueError, in one sentence, for what is no film, for a rate that
@@ -72,6 +73,8 @@ def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, i
         )
     if path.stat().st_size == 0:
         raise ValueError(f"{path.name}: the clip is an empty file; copy it again")
+    if is_cine(path):
+        return open_cine(path, fps, frame_range)
     if is_photron(path):
         return open_photron(path, fps, frame_range)
     return (open_pictures if _is_picture(path) else open_video)(path, fps, frame_range)

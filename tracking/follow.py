@@ -30,6 +30,7 @@ from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
 from .edges import settle
+from .hints import HandStart, excluded_rows
 from .pose import (
     Pose,
     View,
@@ -45,9 +46,11 @@ from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .segment import background_noise
 from .start import die_blobs, find_start
+from .start_by_hand import start_by_hand
 from .track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 FIRST_BLUR_PX = 0.7
@@ -84,6 +87,8 @@ def follow(
     background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
     exposure_s: float | None = None,
     mirror: bool = False,
+    start: HandStart | None = None,
+    excluded: Sequence[tuple[int, int]] = (),
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> Track:
@@ -91,7 +96,8 @@ def follow(
 
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
-    the die. `progress` is called with frames done and frames to do. Raises ValueError where camera, background and clip
+    the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
+    used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera, background and clip
     differ in size, and NoDieError where no die was found.
     """
     clips = [clip] if not isinstance(clip, Sequence) else list(clip)
@@ -99,7 +105,9 @@ def follow(
     reel = Reel(clips)
     view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
     report = _Reporter(progress, (2 if quality.second_pass else 1) * len(reel))
-    view, seen = _first_pass(view, reel, report)
+    unused = np.zeros(len(reel), bool)
+    unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
+    view, seen = _first_pass(view, reel, report, start, unused)
     throw = _measured(view, reel, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw, reel.times_s)
@@ -108,7 +116,7 @@ def follow(
         view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
-        seen = _second_pass(view, reel, seen, throw, report)
+        seen = _second_pass(view, reel, seen, throw, unused, report)
     return _calibrated(_track(reel, view, seen, throw), die)
 
 
@@ -150,9 +158,14 @@ def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | N
 # --- the first pass ---------------------------------------------------------------------------------------------------
 
 
-def _first_pass(view: View, reel: Reel, report: _Reporter) -> tuple[View, Seen]:
+def _first_pass(
+    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask
+) -> tuple[View, Seen]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
-    beginning = _find_beginning(view, reel)
+    if by_hand is None:
+        beginning = _find_beginning(view, reel, unused)
+    else:
+        beginning = _begin_by_hand(view, reel, by_hand, unused)
     if beginning is None:
         raise NoDieError(
             f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
@@ -172,20 +185,32 @@ def _first_pass(view: View, reel: Reel, report: _Reporter) -> tuple[View, Seen]:
     return view, seen
 
 
-def _find_beginning(view: View, reel: Reel) -> tuple[int, Chase, Seen] | None:
+def _begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[int, Chase, Seen]:
+    """The frame that a person named, with the chase that followed the pose given there a few frames on."""
+    k = by_hand.frame - reel.first_frame
+    if not 0 <= k < len(reel) or unused[k]:
+        last = reel.first_frame + len(reel) - 1
+        raise ValueError(
+            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({reel.first_frame} to {last}), none that is "
+            "excluded"
+        )
+    pose = start_by_hand(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
+    return k, *_trial(view, reel, k, pose, np.inf, unused)
+
+
+def _find_beginning(view: View, reel: Reel, unused: Mask) -> tuple[int, Chase, Seen] | None:
     """The first frame on which the die is wholly seen, with the chase that followed the best start a few frames on."""
     tried, k = 0, 0
     spare: tuple[float, int, Chase, Seen] | None = None
     while tried < START_FRAMES and k < len(reel):
-        picture = reel.frame(k)
-        image = np.asarray(picture, np.float32)
-        if not die_blobs(view, image[0]):
+        image = np.asarray(reel.frame(k), np.float32)
+        if unused[k] or not die_blobs(view, image[0]):
             k += 1
             continue
         tried += 1
         best: tuple[float, Chase, Seen] | None = None
         for _, pose in find_start(view, image):
-            chase, seen = _trial(view, reel, k, pose, best[0] if best else np.inf)
+            chase, seen = _trial(view, reel, k, pose, best[0] if best else np.inf, unused)
             if seen.known.sum() >= min(TRIAL_FRAMES, len(reel) - k) - 1 and _steady(view, seen, reel.times_s):
                 cost = float(seen.cost[seen.known].mean())
                 if best is None or cost < best[0]:
@@ -201,11 +226,11 @@ def _find_beginning(view: View, reel: Reel) -> tuple[int, Chase, Seen] | None:
     return spare[1:] if spare is not None and spare[0] > FAIR_SUPPORT else None
 
 
-def _trial(view: View, reel: Reel, k: int, pose: Pose, to_beat: float) -> tuple[Chase, Seen]:
+def _trial(view: View, reel: Reel, k: int, pose: Pose, to_beat: float, unused: Mask) -> tuple[Chase, Seen]:
     """Follow one start for a few frames, and no further once it explains them clearly worse than another start did."""
     seen = Seen.empty(len(reel))
     seen.put(k, pose, np.zeros(6))
-    chase = Chase.from_start(view, pose, reel.times_s, k)
+    chase = Chase.from_start(view, pose, reel.times_s, k, unused)
     for j in range(k + 1, min(k + TRIAL_FRAMES, len(reel))):
         chase.over(reel.frame(j)[None], reel.times_s, j, seen)
         costs = seen.cost[seen.known]
@@ -260,7 +285,7 @@ def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Se
     return replace(seen, rotation=rotation)
 
 
-def _lens_blur(view: View, reel: Reel, seen: Seen, known: NDArray[np.bool_]) -> float:
+def _lens_blur(view: View, reel: Reel, seen: Seen, known: Mask) -> float:
     """The lens blur [px] that fits some frames spread over the track best: Newton steps on their common blur, each frame
     weighted by what it says of it, frames far from the others left out."""
     have = np.flatnonzero(known)
@@ -284,7 +309,7 @@ def _lens_blur(view: View, reel: Reel, seen: Seen, known: NDArray[np.bool_]) -> 
     return view.blur_px
 
 
-def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, report: _Reporter) -> Seen:
+def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter) -> Seen:
     """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
     seen = Seen.empty(len(reel))
     flown = _motions(throw, reel.times_s) if throw is not None else None
@@ -294,7 +319,7 @@ def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, repor
             if flown is None:
                 _settle_block(view, pool, frames, first, rows, seen, first.known[rows])
             else:
-                _settle_block(view, pool, frames, flown, rows, seen, np.ones(len(frames), bool))
+                _settle_block(view, pool, frames, flown, rows, seen, ~unused[rows])
                 apart = first.known[rows] & _apart(view, flown, first, rows)
                 if apart.any():
                     other = Seen.empty(len(reel))
@@ -309,7 +334,7 @@ def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, repor
 
 
 def _settle_block(
-    view: View, pool: ThreadPoolExecutor, frames: Frames, start: Seen, rows: slice, out: Seen, use: NDArray[np.bool_]
+    view: View, pool: ThreadPoolExecutor, frames: Frames, start: Seen, rows: slice, out: Seen, use: Mask
 ) -> None:
     """Refine the frames of one block in threads, and keep what the pixels bear out."""
     position = np.where(use[:, None], start.position_m[rows], np.nan)
@@ -335,9 +360,7 @@ def _settle_block(
     out.stats[index], out.cost[index] = stats[good], cost[good]
 
 
-def _borne_out(
-    view: View, start: Seen, rows: slice, position: Array, rotation: Array, H: Array, stats: Array
-) -> NDArray[np.bool_]:
+def _borne_out(view: View, start: Seen, rows: slice, position: Array, rotation: Array, H: Array, stats: Array) -> Mask:
     """(n,) where the pixels bear a refined pose out."""
     gone = np.linalg.norm(position - start.position_m[rows], axis=1)
     turned = _angles(rotation, start.rotation[rows])
@@ -348,7 +371,7 @@ def _borne_out(
     return np.asarray(near & (stats[:, 3] >= 20.0) & (support >= least) & (open_rad < OPEN_RAD))
 
 
-def _apart(view: View, flown: Seen, first: Seen, rows: slice) -> NDArray[np.bool_]:
+def _apart(view: View, flown: Seen, first: Seen, rows: slice) -> Mask:
     """(n,) where the first pass lies further from the flight than a refinement is sure to cover."""
     moved = np.linalg.norm(flown.position_m[rows] - first.position_m[rows], axis=1)
     return np.asarray(
@@ -380,7 +403,7 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
 # --- the table of poses -----------------------------------------------------------------------------------------------
 
 
-def _as_track(reel: Reel, seen: Seen, use: NDArray[np.bool_] | None = None) -> Track:
+def _as_track(reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
     """A track of the frames that have a pose; the others are lost."""
     n = len(reel)
     known = seen.known if use is None else seen.known & use

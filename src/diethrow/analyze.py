@@ -253,6 +253,8 @@ def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32
             background=background,
             exposure_s=scene.clip.exposure_s,
             mirror=scene.table.surface == "mirror",
+            start=scene.start,
+            excluded=scene.clip.excluded,
             progress=lambda done, total: progress("Following the die", done, total),
         )
     except (ValueError, OSError) as error:

@@ -17,6 +17,7 @@ import typer
 
 if TYPE_CHECKING:
     from .analyze import Analysis
+    from .check import Check
     from .fitting.results import Parameter
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
@@ -398,6 +399,85 @@ def paper(
         typer.echo(f"Look at it:  {out / 'paper.html'}")
 
 
+@app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
+def check(
+    scene: SceneFile,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="A folder for check.json and check.html; left out: none."),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Before tracking: is the clip fit for it? Timing, blur, pixels, background, scale and vertical, with verdicts.
+
+    The exit status is 1 where something is bad.
+    """
+    with _one_sentence_errors():
+        from .scene import read_scene
+
+        checked = read_scene(scene)
+        from .check import check_clip
+
+        result = check_clip(checked, out, force=force, command=_as_typed())
+        _print_check(result)
+        if out is not None:
+            typer.echo(f"See {out / 'check.html'}")
+        if result.bad:
+            raise typer.Exit(FAILED)
+
+
+@app.command(
+    epilog="Example:  diethrow calibrate board_*.png --table board_on_table.png --squares 7x5 --square-mm 10 "
+    "--marker-mm 7.5 --out out/camera"
+)
+def calibrate(
+    pictures: Annotated[
+        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted to all sides.")
+    ],
+    out: OutFolder,
+    square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
+    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
+    board: Annotated[str, typer.Option("--board", help="charuco or chessboard.")] = "charuco",
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
+    ] = "DICT_4X4_50",
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="PICTURE", help="The board flat on the table: gives the camera's place."),
+    ] = None,
+    thickness_mm: Annotated[
+        float, typer.Option("--thickness-mm", metavar="MM", help="Of the board that lies on the table.")
+    ] = 0.0,
+    force: Force = False,
+) -> None:
+    """Camera and table pose from pictures of a ChArUco board or a chessboard: camera.toml, calibration.json and a page."""
+    with _one_sentence_errors():
+        with _options_that_fit():
+            from .tracking.boards import make_board
+
+            columns, rows = _two_counts("squares", squares)
+            marker_m = None if marker_mm is None else 1e-3 * marker_mm
+            printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
+        from .calibrate import calibrate_camera
+
+        found = calibrate_camera(
+            pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
+        )
+        camera, errors = found.calibration, found.calibration.sigmas
+        typer.echo(
+            f"{len(camera.boards)} of {len(pictures) + (table is not None and table not in pictures)} pictures, residuals "
+            f"{camera.rms_px:.3g} px, focal length {camera.matrix[0, 0]:.6g} ± {errors[0]:.2g} px"
+        )
+        if found.table is not None:
+            x, y, z = 1e3 * found.table.camera.centre_m
+            typer.echo(f"The camera stands at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
+        _print_notices(found.notices)
+        typer.echo(f"Look at it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
+
+
 @contextmanager
 def _one_sentence_errors() -> Iterator[None]:
     """Tell an error in one sentence, with its exit status; DIETHROW_TRACEBACK=1 shows where it came from."""
@@ -436,6 +516,14 @@ def _that_can_go_on() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         _stop("stopped; no output was left behind, and --resume goes on with what was done", INTERRUPTED)
+
+
+def _two_counts(name: str, text: str) -> tuple[int, int]:
+    """`7x5` as two numbers."""
+    first, cross, second = text.lower().replace("×", "x").partition("x")
+    if not (cross and first.strip().isdecimal() and second.strip().isdecimal()):
+        raise ValueError(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
+    return int(first), int(second)
 
 
 def _cores() -> int:
@@ -498,6 +586,30 @@ def _print_analysis(result: Analysis) -> None:
     table.add_row("look at it", f"rerun {result.folder / 'replay.rrd'}")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.notices, *result.fit.messages))
+
+
+def _print_check(result: Check) -> None:
+    """Every finding in a row."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
+    table.add_column("")
+    table.add_column("verdict")
+    table.add_column("measured", overflow="fold")
+    table.add_column("what to change", overflow="fold")
+    styles = {"good": "green", "doubtful": "yellow", "bad": "bold red"}
+    for finding in result.findings:
+        word = finding.verdict.value
+        table.add_row(finding.name, f"[{styles[word]}]{word}[/]", *_plain_cells(finding.measured, finding.advice))
+    Console(highlight=False).print(table)
+
+
+def _plain_cells(*texts: str) -> tuple[str, ...]:
+    """Texts that must not be taken for markup."""
+    from rich.markup import escape
+
+    return tuple(escape(text) for text in texts)
 
 
 def _restitution(chi: Parameter) -> str:

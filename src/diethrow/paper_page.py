@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 
 from .paper_values import Picture, Result, Table, Verdict, cell
+from .replay.pages import STYLE
 from .replay.palette import IMPACT, MEASURED, SIMULATED, hex_colour
-from .replay.report import STYLE
 
 COLOURS = {
     Verdict.REPRODUCED: hex_colour(MEASURED),

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from .model.solids import ROUNDEST, SHAPES, Die, make_die
-from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector5, read_toml, refuse, validate
+from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
+from .tracking.hints import FEWEST_CLICKS, Click, HandStart
 
 __all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
 
@@ -46,6 +47,8 @@ class ClipSource:
     """A frame without the die."""
     frame_range: tuple[int, int] | None
     """First frame, and the one after the last; None for the whole clip."""
+    excluded: tuple[tuple[int, int], ...] = ()
+    """Frames whose pictures are not used: ranges of a first frame and the one after the last."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,8 @@ class Scene:
     cameras: tuple[View, ...]
     die: Die
     table: Table
+    start: HandStart | None = None
+    """The first pose by hand; None where it is found."""
 
     def only_view(self) -> View:
         """The one camera with its footage. Raises SceneError where there is none, or more than one."""
@@ -120,7 +125,9 @@ def read_scene(path: Path) -> Scene:
     views = tuple(
         _view(table, f"camera[{k + 1}]" if several else "camera", clip, path) for k, table in enumerate(checked.camera)
     )
-    return Scene(path, text, clip, views, die_from(checked.die, path), table_from(checked.table))
+    die = die_from(checked.die, path)
+    start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
+    return Scene(path, text, clip, views, die, table_from(checked.table), start)
 
 
 # --- the file, as TOML tables ---
@@ -158,6 +165,18 @@ def _rising(value: list[int]) -> list[int]:
     return value
 
 
+def _unit(value: list[float]) -> list[float]:
+    if abs(float(np.linalg.norm(value)) - 1.0) > ROTATION_TOLERANCE:
+        raise ValueError("not of length 1")
+    return value
+
+
+def _a_pair(value: list[float]) -> list[float]:
+    if len(value) != 2:
+        raise ValueError("not two numbers")
+    return value
+
+
 def _not_empty(value: str) -> str:
     if not value.strip() or "\0" in value:
         raise ValueError("empty")
@@ -167,6 +186,8 @@ def _not_empty(value: str) -> str:
 Positive = Annotated[float, AfterValidator(_positive)]
 NotNegative = Annotated[float, AfterValidator(_not_negative)]
 PositiveInt = Annotated[int, AfterValidator(_positive)]
+NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
+UnitQuaternion = Annotated[Vector4, AfterValidator(_unit)]
 PathText = Annotated[str, AfterValidator(_not_empty)]
 
 _BACKGROUND_WANTED = "the path of a picture of the scene without the die, relative to the scene file"
@@ -179,6 +200,11 @@ class _ClipTable(TomlTable):
     background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
     frames: Annotated[Vector2i, AfterValidator(_rising)] | None = Field(
         None, description="[first, stop], two whole numbers with 0 <= first < stop"
+    )
+    exclude: list[NotNegativeInt | Annotated[Vector2i, AfterValidator(_rising)]] = Field(
+        [],
+        description="a list of frame numbers and of ranges [first, stop] with 0 <= first < stop, as in [[120, 131], 200]; "
+        "their pictures are not used",
     )
 
 
@@ -219,11 +245,30 @@ class DieTable(TomlTable):
     )
 
 
+class _ClickTable(TomlTable):
+    px: Annotated[list[float], AfterValidator(_a_pair)] = Field(
+        description="[x, y], where the corner is seen, in pixels"
+    )
+    vertex: NotNegativeInt | None = Field(None, description="the corner's number in vertices.csv, or no such key")
+
+
+class _StartTable(TomlTable):
+    frame: NotNegativeInt = Field(description="the number of the frame in the file, as in track.csv, 0 or more")
+    position_m: Vector3 | None = Field(None, description="3 numbers in metres, the die's centre in the world")
+    quaternion_wxyz: UnitQuaternion | None = Field(
+        None, description="4 numbers of length 1, w x y z, from body to world"
+    )
+    corners: list[_ClickTable] = Field(
+        [], description="4 or more clicks, [{vertex = 0, px = [x, y]}, ...], all with their vertex or none"
+    )
+
+
 class _SceneFile(TomlTable):
     clip: _ClipTable = Field(description="a [clip] table with path and fps")
     camera: list[_CameraTable] = Field([], description="a [camera] table, or several [[camera]] tables")
     table: TableTable = Field(description='a [table] table, for example surface = "wood"')
     die: DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
+    start: _StartTable | None = Field(None, description="a [start] table with frame, and a pose or corners")
 
 
 # --- from tables to values ---
@@ -241,7 +286,43 @@ def _clip(table: _ClipTable, path: Path) -> ClipSource:
         table.exposure_s,
         _existing(table.background, "clip.background", path, _BACKGROUND_WANTED),
         (table.frames[0], table.frames[1]) if table.frames else None,
+        tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
     )
+
+
+def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> HandStart:
+    """The first pose by hand. Raises SceneError for one that is half given, or cannot be."""
+    first, stop = clip.frame_range or (0, np.inf)
+    if not first <= table.frame < stop or any(a <= table.frame < b for a, b in clip.excluded):
+        raise refuse(path, "start.frame", table.frame, "wanted a frame within clip.frames that is not excluded")
+    posed = table.position_m is not None and table.quaternion_wxyz is not None
+    if posed == bool(table.corners) or (table.position_m is None) != (table.quaternion_wxyz is None):
+        given = [key for key in ("position_m", "quaternion_wxyz", "corners") if getattr(table, key)]
+        raise refuse(path, "start", given, "wanted either position_m and quaternion_wxyz, or corners")
+    if table.position_m is not None and not 0 < table.position_m[2] <= FARTHEST_M:
+        raise refuse(path, "start.position_m", table.position_m, "wanted metres, above the table (z = 0)")
+    clicks = tuple(Click(np.array(each.px, float), each.vertex) for each in table.corners)
+    if clicks:
+        _check_clicks(clicks, views, die, path)
+    if not posed:
+        return HandStart(table.frame, clicks=clicks)
+    quaternion = np.array(table.quaternion_wxyz, float)
+    return HandStart(table.frame, np.array(table.position_m, float), quaternion / np.linalg.norm(quaternion))
+
+
+def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, path: Path) -> None:
+    """Enough clicks, inside the picture, on different corners that the die has."""
+    if len(clicks) < FEWEST_CLICKS:
+        raise refuse(path, "start.corners", f"{len(clicks)} clicks", f"wanted {FEWEST_CLICKS} or more")
+    vertices = [click.vertex for click in clicks if click.vertex is not None]
+    count = len(die.solid.vertices)
+    if vertices and (len(vertices) < len(clicks) or len(set(vertices)) < len(clicks) or max(vertices) >= count):
+        wanted = f"wanted different numbers from 0 to {count - 1}, one for each click, or none at all"
+        raise refuse(path, "start.corners.vertex", vertices, wanted)
+    size = (views[0].camera.width_px, views[0].camera.height_px) if views else (np.inf, np.inf)
+    for click in clicks:
+        if not (-0.5 <= click.px[0] < size[0] and -0.5 <= click.px[1] < size[1]):
+            raise refuse(path, "start.corners.px", click.px, "wanted a place inside the picture, [x, y] in pixels")
 
 
 def _existing(text: str | None, key: str, scene_path: Path, wanted: str) -> Path | None:

@@ -52,6 +52,45 @@ MISTAKES = {
     "fps of zero": ("fps = 1500.0", "fps = 0", ["clip.fps = 0", "above 0"]),
     "fps below zero": ("fps = 1500.0", "fps = -1500.0", ["clip.fps = -1500", "above 0"]),
     "fps not finite": ("fps = 1500.0", "fps = inf", ["clip.fps", "above 0"]),
+    "exclude that falls": ("fps = 1500.0", "fps = 1500.0\nexclude = [[9, 3]]", ["clip.exclude", "[first, stop]"]),
+    "exclude of text": ("fps = 1500.0", 'fps = 1500.0\nexclude = ["9"]', ["clip.exclude", "frame numbers"]),
+    "start without a frame": ("[table]", "[start]\nposition_m = [0, 0, 0.1]\n[table]", ["start.frame is missing"]),
+    "start with half a pose": (
+        "[table]",
+        "[start]\nframe = 3\nposition_m = [0, 0, 0.1]\n[table]",
+        ["start", "position_m and quaternion_wxyz"],
+    ),
+    "start below the table": (
+        "[table]",
+        "[start]\nframe = 3\nposition_m = [0, 0, -0.1]\nquaternion_wxyz = [1, 0, 0, 0]\n[table]",
+        ["start.position_m", "above the table"],
+    ),
+    "start that is no rotation": (
+        "[table]",
+        "[start]\nframe = 3\nposition_m = [0, 0, 0.1]\nquaternion_wxyz = [1, 1, 0, 0]\n[table]",
+        ["start.quaternion_wxyz", "length 1"],
+    ),
+    "three clicks": (
+        "[table]",
+        "[start]\nframe = 3\ncorners = [{px = [1, 2]}, {px = [3, 4]}, {px = [5, 6]}]\n[table]",
+        ["start.corners", "3 clicks", "4 or more"],
+    ),
+    "a vertex twice": (
+        "[table]",
+        "[start]\nframe = 3\ncorners = [{px = [1, 2], vertex = 1}, {px = [3, 4], vertex = 1}, {px = [5, 6], vertex = 2}, "
+        "{px = [7, 8], vertex = 3}]\n[table]",
+        ["start.corners.vertex", "different numbers from 0 to 7"],
+    ),
+    "a click outside": (
+        "[table]",
+        "[start]\nframe = 3\ncorners = [{px = [1, 2]}, {px = [3, 4]}, {px = [5, 6]}, {px = [700, 6]}]\n[table]",
+        ["start.corners.px", "inside the picture"],
+    ),
+    "start on an excluded frame": (
+        'background = "background.png"',
+        "exclude = [[2, 5]]\n[start]\nframe = 3\nposition_m = [0, 0, 0.1]\nquaternion_wxyz = [1, 0, 0, 0]",
+        ["start.frame = 3", "not excluded"],
+    ),
     "fraction of a pixel": ("width = 384", "width = 384.5", ["camera.width = 384.5", "whole number"]),
     "frames that fall": ("fps = 1500.0", "fps = 1500.0\nframes = [9, 3]", ["clip.frames = [9, 3]", "first < stop"]),
     "matrix of two rows": ("[0.0, 2700.0, 189.0], ", "", ["camera.matrix", "3 rows of 3"]),
@@ -206,3 +245,14 @@ def test_a_pattern_of_images_is_a_path_when_it_matches_something(folder: Path) -
         read_scene(scene_file(folder, text))
     (folder / "frame_0001.png").write_bytes(b"")
     assert read_scene(scene_file(folder, text)).clip.path == folder / "frame_*.png"
+
+
+def test_frames_and_ranges_to_exclude_and_a_start_are_read(folder: Path) -> None:
+    text = SCENE.replace("fps = 1500.0", "fps = 1500.0\nexclude = [[120, 131], 200]")
+    clicks = "corners = [" + ", ".join(f"{{vertex = {k}, px = [{10 * k}, 20.5]}}" for k in range(4)) + "]"
+    scene = read_scene(scene_file(folder, f"{text}[start]\nframe = 12\n{clicks}\n"))
+    assert scene.clip.excluded == ((120, 131), (200, 201))
+    assert scene.start is not None
+    assert (scene.start.frame, scene.start.position_m) == (12, None)
+    assert [(click.vertex, *click.px) for click in scene.start.clicks] == [(k, 10 * k, 20.5) for k in range(4)]
+    assert read_scene(scene_file(folder, SCENE)).start is None

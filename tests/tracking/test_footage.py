@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from footage_files import noisy_frames, write_photron, write_pictures, write_tiff, write_video
+from footage_files import noisy_frames, write_cine, write_photron, write_pictures, write_tiff, write_video
 from numpy.typing import NDArray
 
 from diethrow.tracking.clip import open_clip, scan_notices
@@ -68,6 +68,9 @@ FORMATS = [
         lambda folder, frames: write_photron(folder / "c.cihx", frames, stored_bits=12).with_suffix(".mraw"),
         None,
     ),
+    Format("Phantom 8 bit", 8, lambda folder, frames: write_cine(folder / "c.cine", frames, stored_bits=8), None),
+    Format("Phantom 12 packed", 12, lambda folder, frames: write_cine(folder / "c.cine", frames, stored_bits=12), None),
+    Format("Phantom 16 bit", 12, lambda folder, frames: write_cine(folder / "c.cine", frames, stored_bits=16), None),
 ]
 
 
@@ -165,6 +168,9 @@ def test_an_exact_copy_among_noisy_frames_is_reported_and_a_still_rendering_is_n
         ("empty.cihx", b"<cih></cih>"),
         ("cut.cihx", b"<cih><imageDataInfo>"),
         ("lonely.mraw", b"\0" * 100),
+        ("begun.cine", b"CI\x2c\0" + b"\0" * 20),
+        ("zeros.cine", b"CI\x2c\0" + b"\0" * 20000),
+        ("noise.cine", b"CI\x2c\0" + np.random.default_rng(6).bytes(20000)),
     ],
 )
 def test_what_is_no_film_ends_in_one_sentence_that_names_it(

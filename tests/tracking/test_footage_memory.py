@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from footage_files import noisy_frames, write_photron, write_tiff, write_video
+from footage_files import noisy_frames, write_cine, write_photron, write_tiff, write_video
 
 READ = """
 import resource, sys
@@ -24,7 +24,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the unit of ru_maxrss is the kilobyte on Linux only")
-@pytest.mark.parametrize("kind", ["H.264", "TIFF", "Photron"])
+@pytest.mark.parametrize("kind", ["H.264", "TIFF", "Photron", "Phantom"])
 def test_reading_a_film_takes_no_more_memory_than_reading_its_beginning(kind: str, tmp_path: Path) -> None:
     frames = np.tile(noisy_frames(20, bits=12, height=256, width=320), (20, 1, 1))  # 400 frames, 65 MB
     path = {
@@ -33,6 +33,7 @@ def test_reading_a_film_takes_no_more_memory_than_reading_its_beginning(kind: st
         ),
         "TIFF": lambda: write_tiff(tmp_path / "x.tif", frames),
         "Photron": lambda: write_photron(tmp_path / "x.cihx", frames, stored_bits=12),
+        "Phantom": lambda: write_cine(tmp_path / "x.cine", frames, stored_bits=12),
     }[kind]()
     run = subprocess.run([sys.executable, "-c", READ, str(path), "1500"], capture_output=True, text=True, check=True)
     assert int(run.stdout) < 12_000  # kB: the frames in flight of the decoder, well below the 33 to 65 MB of the film

@@ -1,0 +1,99 @@
+"""`diethrow calibrate` writes a camera that a scene takes as it stands, and refuses pictures that give none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.scene import read_scene
+
+OPTIONS = ("--square-mm", "10", "--marker-mm", "7.5")
+
+
+def invoke(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["calibrate", *(str(word) for word in words)])
+    assert "Traceback" not in result.output
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Six of the tilted board and, last, one of it on the table."""
+    folder = tmp_path_factory.mktemp("pictures")
+    where = [*poses(6, CHARUCO_BOARD), on_table(CHARUCO_BOARD, *table_pose_of())]
+    paths = []
+    for k, pose in enumerate(where):
+        paths.append(folder / f"{k}.png")
+        assert cv2.imwrite(str(paths[-1]), picture(CHARUCO_BOARD, *pose, noise_grey=2.0))
+    return paths
+
+
+def test_the_camera_that_is_written_is_that_of_the_pictures_and_fits_a_scene(
+    pictures: list[Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "camera"
+    empty = tmp_path / "empty.png"
+    cv2.imwrite(str(empty), np.full((400, 480), 90, np.uint8))
+    status, said, notes = invoke(*pictures[:-1], empty, "--table", pictures[-1], *OPTIONS, "--out", out)
+    assert status == 0
+    assert "7 of 8 pictures" in said
+    assert "No board is found on 1 of the pictures (empty.png)" in notes
+    assert {file.name for file in out.iterdir()} == {
+        "camera.toml", "calibration.json", "calibration.html", "provenance.json"
+    }  # fmt: skip
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        "[clip]\nfps = 1500.0\n" + (out / "camera.toml").read_text()
+        + '[table]\nsurface = "wood"\n[die]\nshape = "cube"\nedge_m = 0.016\nmass_kg = 0.0048\n'
+    )  # fmt: skip
+    camera = read_scene(scene).cameras[0].camera
+    rotation, shift = table_pose_of()
+    record = json.loads((out / "calibration.json").read_text())
+    sigma = record["intrinsics"]["fx"]["sigma"]
+    # Found corners err together, by blur and neighbours: six sigmas of white noise, and a hundredth of a radian.
+    assert abs(camera.matrix[0, 0] - MATRIX[0, 0]) < 6.0 * sigma
+    assert sigma < 10.0
+    assert np.abs(camera.rotation - rotation).max() < 0.01
+    assert np.linalg.norm(camera.translation_m - shift) < 0.006
+    page = (out / "calibration.html").read_text()
+    assert "http" not in page.replace("http://www.w3.org", "")
+
+
+def test_without_a_table_the_place_is_left_open_and_says_how_to_get_it(pictures: list[Path], tmp_path: Path) -> None:
+    assert invoke(*pictures, *OPTIONS, "--out", tmp_path / "c")[0] == 0
+    assert "--table" in (tmp_path / "c" / "camera.toml").read_text()
+    status, _, said = invoke(*pictures, *OPTIONS, "--out", tmp_path / "c")
+    assert status == 2
+    assert "exists" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (("--square-mm", "10"), 2, "marker_mm = missing"),
+        ((*OPTIONS, "--squares", "7"), 2, "squares = 7; wanted two whole numbers"),
+        ((*OPTIONS, "--squares", "9x9"), 1, "the board is usable on 0 pictures"),
+        ((*OPTIONS, "--table", "none.png"), 1, "none.png: there is no such picture"),
+    ],
+)
+def test_what_gives_no_camera_ends_in_one_sentence(
+    words: tuple[str, ...], status: int, message: str, pictures: list[Path], tmp_path: Path
+) -> None:
+    ended, _, said = invoke(*pictures[:4], *words, "--out", tmp_path / "c")
+    assert ended == status
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+    assert not (tmp_path / "c").exists()
+
+
+def test_pictures_of_two_sizes_are_refused(pictures: list[Path], tmp_path: Path) -> None:
+    small = tmp_path / "small.png"
+    cv2.imwrite(str(small), np.zeros((60, 80), np.uint8))
+    assert "is 80 × 60 px" in invoke(*pictures[:3], small, *OPTIONS, "--out", tmp_path / "c")[2]

@@ -1,0 +1,317 @@
+"""The camera's intrinsics and distortion from pictures of a board, with their covariance.
+
+Zhang's method (IEEE Trans. Pattern Anal. Mach. Intell. 22, 1330, 2000) as OpenCV carries it out: corners X of a known plane,
+seen at x with independent errors of one sigma, give camera and board poses by least squares,
+
+    sum over pictures and corners |x - project(K, distortion, R_i X + t_i)|²  = min.
+
+How many of k1, k2, (p1, p2), k3 the corners bear out is decided by the Bayesian information criterion
+n ln(S/n) + k ln n, with S the sum of squares, n its terms and k the free numbers: each that is not needed would only be
+noise at the border of the picture.
+
+At the minimum the covariance is sigma² (JᵀJ)⁻¹ with sigma² = S / (n - k). JᵀJ is an arrow, intrinsics A, poses E_i and
+B_i between them, so that with C = (A - sum B_i E_i⁻¹ B_iᵀ)⁻¹
+
+    cov(intrinsics) = sigma² C,    cov(pose i) = sigma² (E_i⁻¹ + E_i⁻¹ B_iᵀ C B_i E_i⁻¹):
+
+what the intrinsics do not know, the poses do not either. Pose increments are (δθ, δt) in camera axes, R_true = exp(δθ) R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .boards import FEWEST_CORNERS, BoardView
+
+Array = NDArray[np.float64]
+
+INTRINSICS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
+"""Names, in the order of every vector and covariance here."""
+FEWEST_PICTURES = 4
+"""Three determine focal length and centre; one more says whether they agree."""
+LENSES = ((), ("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"))
+"""Distortions that are tried, from none to all of it."""
+FAR_CORNER = 5.0
+"""Sigmas (of one coordinate) beyond which a corner is left out: of a thousand good ones not one lies there."""
+FAR_PICTURE = 3.0
+"""Times the usual residual of the other pictures beyond which a picture is left out: a blurred or bent board."""
+MOST_BAD_SHARE = 0.2
+"""Share of a picture's corners that may be bad; a picture with more of them is."""
+LOOSE_FOCAL = 0.01
+"""Relative standard error of the focal length above which the scale of everything is in doubt."""
+UNEVEN_SHARE = 0.5
+"""Share of the picture, by width and by height, that the corners must reach over for the distortion to be known."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBoard:
+    """One picture of the board with its pose."""
+
+    view: BoardView
+    rotation: Array
+    """(3, 3) board to camera."""
+    translation_m: Array
+    """(3,) of the board's origin in the camera."""
+    covariance: Array
+    """(6, 6) of (δθ [rad], δt [m]) in camera axes, the uncertainty of the intrinsics included."""
+    residuals_px: Array
+    """(n, 2) seen minus drawn."""
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of the distances between seen and drawn corners."""
+        return _rms(self.residuals_px)
+
+
+@dataclass(frozen=True, eq=False)
+class Calibration:
+    """A camera without its place."""
+
+    width_px: int
+    height_px: int
+    matrix: Array
+    """(3, 3) [px]."""
+    distortion: Array
+    """(5,) k1 k2 p1 p2 k3; those that the corners do not bear out are 0."""
+    free: tuple[str, ...]
+    """Names of the numbers that were fitted; the others are 0 and have no error."""
+    covariance: Array
+    """(9, 9) in the order of INTRINSICS; 0 where nothing was fitted."""
+    sigma_px: float
+    """Standard error of one coordinate of a corner, from the residuals."""
+    boards: tuple[SeenBoard, ...]
+    left_out: tuple[tuple[str, float], ...]
+    """Pictures that do not fit the others, with their residuals [px] among them."""
+    corners_left_out: int
+    notices: tuple[str, ...]
+    """What a careful user should know, one sentence each."""
+
+    @property
+    def values(self) -> Array:
+        """(9,) in the order of INTRINSICS."""
+        K = self.matrix
+        return np.array([K[0, 0], K[1, 1], K[0, 2], K[1, 2], *self.distortion])
+
+    @property
+    def sigmas(self) -> Array:
+        """(9,) standard errors; 0 for what was not fitted."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square of all distances between seen and drawn corners."""
+        return _rms(np.concatenate([board.residuals_px for board in self.boards]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """One least-squares solution."""
+
+    views: list[BoardView]
+    free: tuple[str, ...]
+    matrix: Array
+    distortion: Array
+    turns: list[Array]
+    shifts: list[Array]
+    residuals: list[Array]
+
+    @property
+    def terms(self) -> int:
+        return 2 * sum(len(view.ids) for view in self.views)
+
+    @property
+    def numbers(self) -> int:
+        return 4 + len(self.free) + 6 * len(self.views)
+
+    @property
+    def squares(self) -> float:
+        return float(sum((r * r).sum() for r in self.residuals))
+
+    @property
+    def criterion(self) -> float:
+        """Bayesian information criterion; the floor keeps corners without any noise from deciding by rounding."""
+        floor = (1e-4) ** 2 * self.terms
+        return self.terms * np.log(max(self.squares, floor) / self.terms) + self.numbers * np.log(self.terms)
+
+
+def calibrate(views: Sequence[BoardView], width_px: int, height_px: int) -> Calibration:
+    """Camera matrix and distortion from four or more pictures of one board.
+
+    Raises ValueError, in one sentence, for too few pictures and for boards from which nothing follows.
+    """
+    kept, left_out, corners_out = _agreeing(list(views), width_px, height_px)
+    trials = [_solve(kept, width_px, height_px, lens) for lens in LENSES]
+    best = min(trials, key=lambda fit: fit.criterion)
+    return _calibration(best, width_px, height_px, tuple(left_out), corners_out)
+
+
+def _agreeing(
+    kept: list[BoardView], width_px: int, height_px: int
+) -> tuple[list[BoardView], list[tuple[str, float]], int]:
+    """The views without what does not fit the others: pictures left out with their residuals, and the number of corners.
+
+    A picture that fits far worse loses its worst corners one by one, since a single one pulls all of its board; where that
+    does not help, it is left out whole. Then single corners far off go.
+    """
+    left_out: list[tuple[str, float]] = []
+    lost = {view.name: 0 for view in kept}
+    most = {view.name: int(MOST_BAD_SHARE * len(view.ids)) for view in kept}
+    while True:
+        _demand(kept, left_out)
+        full = _solve(kept, width_px, height_px, LENSES[-1])
+        worst, rms = _worst_picture(full)
+        if worst is not None and lost[kept[worst].name] < most[kept[worst].name]:
+            size = np.linalg.norm(full.residuals[worst], axis=1)
+            lost[kept[worst].name] += 1
+            kept[worst] = kept[worst].without(size == size.max())
+            continue
+        if worst is not None and len(kept) > FEWEST_PICTURES:
+            name = kept.pop(worst).name
+            left_out.append((name, rms))
+            lost[name] = 0
+            continue
+        far = [_far(r, full) for r in full.residuals]
+        thinned = [view.without(bad) for view, bad in zip(kept, far, strict=True)]
+        if not any(bad.any() for bad in far) or min(len(view.ids) for view in thinned) < FEWEST_CORNERS:
+            return kept, left_out, sum(lost.values())
+        for view, bad in zip(kept, far, strict=True):
+            lost[view.name] += int(bad.sum())
+        kept = thinned
+
+
+def _demand(views: list[BoardView], left_out: list[tuple[str, float]]) -> None:
+    if len(views) < FEWEST_PICTURES:
+        names = ", ".join(name for name, _ in left_out)
+        also = f" ({names} do not fit the others)" if left_out else ""
+        raise ValueError(
+            f"the board is usable on {len(views)} pictures{also}; wanted {FEWEST_PICTURES} at least, better 10 to 20, "
+            "with the board tilted to all sides"
+        )
+
+
+def _solve(views: list[BoardView], width_px: int, height_px: int, lens: tuple[str, ...]) -> _Fit:
+    """Least squares by OpenCV with the distortion terms of `lens` free; raises ValueError where it finds no camera."""
+    flags = 0 if "p1" in lens else cv2.CALIB_ZERO_TANGENT_DIST
+    for name, flag in (("k1", cv2.CALIB_FIX_K1), ("k2", cv2.CALIB_FIX_K2), ("k3", cv2.CALIB_FIX_K3)):
+        flags |= 0 if name in lens else flag
+    corners = [view.corners_m.astype(np.float32) for view in views]
+    pixels = [view.pixels.astype(np.float32) for view in views]
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
+    try:
+        _, matrix, distortion, turns, shifts = cv2.calibrateCamera(
+            corners, pixels, (width_px, height_px), None, None, flags=flags, criteria=criteria
+        )
+    except cv2.error as error:
+        raise ValueError(_NOTHING) from error
+    distortion = np.asarray(distortion, float).ravel()[:5]
+    rotations = [np.asarray(cv2.Rodrigues(turn)[0], float) for turn in turns]
+    places = [np.asarray(shift, float).ravel() for shift in shifts]
+    if not (np.isfinite(matrix).all() and np.isfinite(distortion).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        raise ValueError(_NOTHING)
+    residuals = [
+        view.pixels - _drawn(view, R, t, matrix, distortion)[0]
+        for view, R, t in zip(views, rotations, places, strict=True)
+    ]
+    return _Fit(views, lens, np.asarray(matrix, float), distortion, rotations, places, residuals)
+
+
+_NOTHING = (
+    "no camera follows from these pictures of the board; take some with the board tilted by 20 to 50 degrees to all sides, "
+    "and look whether squares and their size are right"
+)
+
+
+def _drawn(
+    view: BoardView, rotation: Array, shift: Array, matrix: Array, distortion: Array
+) -> tuple[Array, Array, Array]:
+    """Corners drawn (n, 2), and their derivatives by (δθ, δt) (2n, 6) and by the intrinsics (2n, 9)."""
+    turn = cv2.Rodrigues(rotation)[0]
+    pixels, slopes = cv2.projectPoints(view.corners_m, turn, shift, matrix, distortion)
+    by_point = slopes[:, 3:6].reshape(-1, 2, 3)
+    arm = view.corners_m @ rotation.T
+    # δx = δθ × arm, so that column j of the derivative is e_j × arm.
+    by_turn = np.einsum("nij,nkj->nik", by_point, np.cross(np.eye(3)[None], arm[:, None, :]))
+    pose = np.concatenate([by_turn, by_point], axis=2).reshape(-1, 6)
+    return pixels.reshape(-1, 2), pose, slopes[:, 6:15]
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt((residuals**2).sum(axis=-1).mean()))
+
+
+def _worst_picture(fit: _Fit) -> tuple[int | None, float]:
+    """The picture that fits far worse than the others, if there is one, and its residual; by medians, so that a single bad
+    corner condemns no picture."""
+    each = np.array([float(np.median(np.linalg.norm(r, axis=1))) for r in fit.residuals])
+    worst = int(np.argmax(each))
+    usual = float(np.median(np.delete(each, worst)))
+    return (worst if each[worst] > FAR_PICTURE * max(usual, 1e-3) else None), _rms(fit.residuals[worst])
+
+
+def _far(residuals: Array, fit: _Fit) -> NDArray[np.bool_]:
+    """(n,) corners far off; the scale is the median's, which a few bad ones do not move."""
+    sizes = np.abs(np.concatenate(fit.residuals))
+    sigma = 1.4826 * float(np.median(sizes))
+    return np.asarray((np.abs(residuals) > FAR_CORNER * max(sigma, 1e-3)).any(axis=1))
+
+
+def _calibration(
+    fit: _Fit, width_px: int, height_px: int, left_out: tuple[tuple[str, float], ...], corners_out: int
+) -> Calibration:
+    used = np.array([name in (*INTRINSICS[:4], *fit.free) for name in INTRINSICS])
+    blocks = []
+    for view, R, t in zip(fit.views, fit.turns, fit.shifts, strict=True):
+        _, pose, lens = _drawn(view, R, t, fit.matrix, fit.distortion)
+        lens = lens[:, used]
+        blocks.append((lens.T @ lens, lens.T @ pose, np.linalg.inv(pose.T @ pose)))
+    variance = fit.squares / max(fit.terms - fit.numbers, 1)
+    C = _scaled_inverse(np.sum([A - B @ E @ B.T for A, B, E in blocks], axis=0))
+    covariance = np.zeros((9, 9))
+    covariance[np.ix_(used, used)] = variance * C
+    boards = tuple(
+        SeenBoard(view, R, t, np.asarray(variance * (E + E @ B.T @ C @ B @ E), float), residuals)
+        for view, R, t, residuals, (_, B, E) in zip(
+            fit.views, fit.turns, fit.shifts, fit.residuals, blocks, strict=True
+        )
+    )
+    found = Calibration(
+        width_px, height_px, fit.matrix, fit.distortion, (*INTRINSICS[:4], *fit.free), covariance, float(np.sqrt(variance)),
+        boards, left_out, corners_out, (),
+    )  # fmt: skip
+    return Calibration(**{**vars(found), "notices": _notices(found)})
+
+
+def _scaled_inverse(matrix: Array) -> Array:
+    """The inverse of a symmetric matrix whose units differ, through one with a diagonal of ones."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
+    return np.asarray(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
+
+
+def _notices(found: Calibration) -> tuple[str, ...]:
+    told = [
+        f"{name} was left out: its corners lie {rms:.2f} px from where the other pictures have them (blur, or a bent board)."
+        for name, rms in found.left_out
+    ]
+    if found.corners_left_out:
+        told.append(
+            f"{found.corners_left_out} single corners were left out: they lie far from where the others have them."
+        )
+    share = found.sigmas[:2] / found.values[:2]
+    if share.max() > LOOSE_FOCAL:
+        told.append(
+            f"The focal length is known to {100 * share.max():.2g} % only; add pictures with the board tilted by 20 to 50 "
+            "degrees to all sides."
+        )
+    reach = np.ptp(np.concatenate([board.view.pixels for board in found.boards]), axis=0)
+    covered = reach / np.array([found.width_px, found.height_px])
+    if covered.min() < UNEVEN_SHARE:
+        told.append(
+            f"The corners reach over {100 * covered[0]:.0f} % of the width and {100 * covered[1]:.0f} % of the height; "
+            "distortion beyond them is guessed, so add pictures with the board near the border."
+        )
+    return tuple(told)
