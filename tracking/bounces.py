@@ -26,6 +26,7 @@ from .flights import Scatter, Sightings, fit_flight, misfits
 from .joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, moved, transition
 from .lean import shared_lean, shared_sigma
 from .parting import FEWEST, TABLE_REACH, part_flights
+from .quick import resolved
 from .rest import Carried, carried_from, resting_vertices
 from .scatter import estimate_scatter
 from .track import Track
@@ -290,6 +291,7 @@ def _settled(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> Joined
     found = rules.again(seen, joined, links, None)
     found = rules.again(seen, found, found.links, _scatter_of(seen, found))
     found = _without_ghosts(seen, found, die, rules)
+    seen, found = _with_quick_ones(seen, found, die, rules)
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
@@ -343,6 +345,17 @@ def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: _Rules) ->
         joined = rules.fit(seen, starts, links, joined.scatter)
         joined = rules.again(seen, joined, joined.links, _scatter_of(seen, joined))
     return joined
+
+
+def _with_quick_ones(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> tuple[Sightings, Joined]:
+    """The frames and the chain with open links resolved where the model tells what may have happened there."""
+    strikes = _strikes(die)
+    for k, link in reversed(_numbered(joined)):
+        if link.is_open and k < len(joined.links):
+            scatter = joined.scatter
+            told = resolved(seen, joined, k, die, strikes, lambda own, starts, links: rules.fit(own, starts, links, scatter))
+            seen, joined = told or (seen, joined)
+    return seen, joined
 
 
 def _spacing(seen: Sightings) -> float:

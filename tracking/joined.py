@@ -45,7 +45,7 @@ MEDIAN_RMS = 0.944
 """Median of the root mean square of six unit normals."""
 PRIOR_NUMBERS = 12.0
 """The frames' stated sigmas count for as much as so many numbers that scatter as stated: few frames do not overrule them."""
-TABLE_SIGMA_M = 5e-5
+TABLE_SIGMA_M = 3e-5
 """How well the height of the table is known, alike for all contacts: flatness and calibration."""
 CONTACT_SIGMA_M = 2e-5
 """How far a single contact may lie off it: a stiff die of a few grams dents by some hundredths of a millimetre."""

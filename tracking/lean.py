@@ -32,6 +32,8 @@ SIZE_SHARE = 0.1
 ASIDE_PX, ASIDE_SHARE = 0.015, 0.03
 """One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
 opposite contours err by some hundredths of a pixel each, and there are several of them."""
+TURN_SHARE = 0.5
+"""The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
 SHARED = 6
 """Contour out; die to the right and down; die turned about the camera's three axes."""
 
@@ -63,7 +65,7 @@ def shared_sigma(track: Track, camera: Camera, die: Die) -> Array:
     sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
     radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
     size, aside = np.hypot(SIZE_PX, SIZE_SHARE * radius_px), np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
-    return np.array([size, *[aside] * (SHARED - 1)])
+    return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
 
 
 def _growth(corners_px: Array) -> float:

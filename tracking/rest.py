@@ -26,6 +26,8 @@ millimetre at some thousand frames a second."""
 LEVEL_SHARE = 0.02
 """How far the lowest point may stray from its level, as a share of an edge, besides three sigmas of a frame: bounces
 below that are part of coming to rest."""
+HOPS = 1.5
+"""A hop that strays no further than that is over in 2 √(2h/g): what lasts so many times as long is none, nor its end."""
 CARRIED = 0.5
 """Share of g below which the centre does not fall freely: half-way between a die in flight and one that lies."""
 
@@ -72,11 +74,14 @@ def carried_from(seen: Sightings, die: Die) -> int:
     if abs(level) > TABLE_REACH * die.solid.edge_m:
         return n
     information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
-    sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
-    off = np.flatnonzero(np.abs(heights - level) > LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma)
+    stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * np.sqrt(np.linalg.inv(information)[:, 2, 2])
+    off = np.flatnonzero(np.abs(heights - level) > stray)
     first = int(off[-1]) + 1 if len(off) else 0
+    if first >= n:
+        return n
+    hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2)
     # A bounce that ends in the level brings its own last moments of flight: they are left to it while enough remains.
-    while n - first >= FEWEST:
+    while n - first >= FEWEST and seen.time_s[-1] - seen.time_s[first] > HOPS * hop:
         if all(_is_carried(seen, rows) for rows in (slice(first, n), slice(first, first + FEWEST))):
             return first
         first += 1
