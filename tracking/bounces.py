@@ -26,7 +26,7 @@ from .flights import Scatter, Sightings, fit_flight, misfits
 from .joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, moved, transition
 from .lean import shared_lean, shared_sigma
 from .parting import FEWEST, TABLE_REACH, part_flights
-from .quick import resolved
+from .quick import INSTANT_FRAMES, resolved
 from .rest import Carried, carried_from, resting_vertices
 from .scatter import estimate_scatter
 from .track import Track
@@ -45,6 +45,8 @@ SAMPLES = 2000
 STRIKE_STRAIN = 40.0
 """Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
 thousandth of the cases; slow errors of the frames take the rest)."""
+LIKELY_STRAIN = 9.5
+"""Squared sigmas that four rules cost by chance in one case of twenty."""
 NEAR_SHARE = 0.1
 """Vertices no higher than this above the lowest, as a share of an edge, may be the one that strikes."""
 CLEAR_SHARE = 0.03
@@ -98,10 +100,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     ahead = slice(0, flying)
-    joined, opened = _join(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
-    joined = _settled(seen.rows(ahead), joined, die, _Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
+    rough = _join(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
+    joined = _settled(seen.rows(ahead), rough, die, _Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
     flights = tuple(_with_floor(flight, floor) for flight in joined.flights)
-    impacts = _impacts(joined, die)
+    impacts = _impacts(joined, die, _spacing(seen))
     if flying < len(use):
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), die)
     return Measured(Throw(flights, impacts), joined, use[:flying], floor)
@@ -147,6 +149,8 @@ def _at_rest(
         positions_m=seen.position_m,
         quaternions=seen.quaternion,
     )
+    struck = sum(impact.time_s < begin for impact in impacts)
+    flights, impacts = flights[: struck + 1], impacts[:struck]
     before, after = flights[-1].at(begin), carried.at(begin)
     held = Impact(
         begin, "held", resting_vertices(die, carried.at(end).rotation), before.position_m[:2], np.full(3, np.nan),
@@ -159,42 +163,42 @@ def _at_rest(
 # --- from partings to links -------------------------------------------------------------------------------------------
 
 
-def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> tuple[Joined, list[bool]]:
+def _join(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> Joined:
     """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
     flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
     bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
+    judged: dict[tuple[int, ...], float] = {}
     while True:
-        gross = _gross_gaps(seen, parts, die)
-        strains = [_strain(seen, a, b) for a, b in itertools.pairwise(parts)]
-        opened = [g or strain > OPEN_STRAIN for g, strain in zip(gross, strains, strict=True)]
+        strains = []
+        for a, b in itertools.pairwise(parts):
+            pair = (int(a[0]), int(a[-1]), int(b[0]), int(b[-1]))
+            if pair not in judged:
+                judged[pair] = np.inf if _is_gross(seen, a, b, die) else _strain(seen, a, b)
+            strains.append(judged[pair])
+        opened = [strain > OPEN_STRAIN for strain in strains]
         joined = _fit_parts(seen, parts, opened)
         impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
-        if any(bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)):
+        faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
+        if any(faulty):
             # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
-            opened = [
-                o or (bad and strain > FAULTY_STRAIN)
-                for o, bad, strain in zip(opened, impossible, strains, strict=True)
-            ]
+            opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
             joined = _fit_parts(seen, parts, opened)
         faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
         if not faults:
-            return joined, opened
+            return joined
         k = min(faults, key=lambda j: _jump(joined, j, die))
         parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
 
 
-def _gross_gaps(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> list[bool]:
-    """Neighbouring flights that, each fitted alone, come nowhere near each other: several contacts lie between them, or
-    the track was lost there and taken up under another labelling. Forcing them together would spoil both."""
-    gross = []
-    for a, b in itertools.pairwise(parts):
-        before, after = (Flight(fit_flight(seen.rows(_best_rows(seen, rows)))[0], np.inf) for rows in (a, b))
-        t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
-        p, q = before.at(t), after.at(t)
-        turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
-        moved = float(np.linalg.norm(p.position_m - q.position_m))
-        gross.append(turned > GROSS_RAD or moved > 0.3 * die.solid.circumradius)
-    return gross
+def _is_gross(seen: Sightings, a: NDArray[np.int64], b: NDArray[np.int64], die: Die) -> bool:
+    """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
+    track was lost there and taken up under another labelling. Forcing them together would spoil both."""
+    before, after = (Flight(fit_flight(seen.rows(_best_rows(seen, rows)))[0], np.inf) for rows in (a, b))
+    t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
+    p, q = before.at(t), after.at(t)
+    turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
+    away = float(np.linalg.norm(p.position_m - q.position_m))
+    return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
 
 
 def _strain(seen: Sightings, before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
@@ -285,17 +289,42 @@ class _Rules:
 
 def _settled(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> Joined:
     """The chain with each joined link an impact at the vertex that explains it best, or free where none does, and with
-    the frames' own scatter."""
-    strikes = _strikes(die)
-    links = [link if link.is_open else replace(link, strike=_lowest(joined, k, strikes)[0]) for k, link in _numbered(joined)]
-    found = rules.again(seen, joined, links, None)
+    the frames' own scatter. The scatter is that about flights joined anyhow: what an impact that is none would do to
+    them must show as a cost, not as scatter."""
+    found = rules.again(seen, joined, joined.links, None)
     found = rules.again(seen, found, found.links, _scatter_of(seen, found))
+    found = _struck(seen, found, die, rules)
     found = _without_ghosts(seen, found, die, rules)
     seen, found = _with_quick_ones(seen, found, die, rules)
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
-    return _named(seen, found, die, rules)
+    return rules.again(seen, found, found.links, _scatter_of(seen, found))
+
+
+def _struck(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> Joined:
+    """The chain with its joined links as impacts at the low vertex of least cost. Those that cost more than noise does
+    are left free: two contacts at once, or an edge that struck along its length, push at no one vertex."""
+    strikes = _strikes(die)
+    lowest = [_lowest(joined, k, strikes) for k in range(len(joined.links))]
+    links = [
+        link if link.is_open or not low else replace(link, strike=low[0])
+        for link, low in zip(joined.links, lowest, strict=True)
+    ]
+    trial = rules.again(seen, joined, links, joined.scatter)
+    if trial.cost < joined.cost + LIKELY_STRAIN * len(links) and all(len(low) < 2 for low in lowest):
+        return trial
+    for k, low in enumerate(lowest):
+        if joined.links[k].is_open:
+            continue
+        trials = []
+        for strike in low:
+            links = list(joined.links)
+            links[k] = replace(links[k], strike=strike)
+            trials.append(rules.again(seen, joined, links, joined.scatter))
+        best = min(trials, key=lambda trial: trial.cost, default=joined)
+        joined = best if best.cost < joined.cost + STRIKE_STRAIN else joined
+    return joined
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
@@ -310,10 +339,10 @@ def _strikes(die: Die) -> list[Strike]:
     return [Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
 
 
-def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike | None]:
+def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike]:
     """The contacts that link k may be, the lowest vertex first."""
     if not strikes:
-        return [None]
+        return []
     state = joined.flights[k].at(joined.links[k].time_s)
     heights = np.array([strike.arm(state.rotation)[2] for strike in strikes])
     reach = NEAR_SHARE * float(np.ptp(heights))
@@ -367,44 +396,26 @@ def _height(state: State, strikes: list[Strike]) -> float:
     return float(state.position_m[2] + min(strike.arm(state.rotation)[2] for strike in strikes))
 
 
-def _named(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> Joined:
-    """The chain with each strike at the vertex of least cost, where more than one is low; a link that no vertex explains
-    is left free."""
-    strikes = _strikes(die)
-    for k, link in _numbered(joined):
-        if link.strike is None:
-            continue
-        others = [s for s in _lowest(joined, k, strikes) if s is not None and s is not link.strike]
-        if joined.strain[k] > STRIKE_STRAIN:
-            others.append(None)
-        for other in others:
-            links = list(joined.links)
-            links[k] = replace(links[k], strike=other)
-            trial = rules.again(seen, joined, links, joined.scatter)
-            # Without a strike four rules less are obeyed: that alone is no gain.
-            if trial.cost + (STRIKE_STRAIN if other is None else 0.0) < joined.cost:
-                joined = trial
-    return joined
-
-
-def _impacts(joined: Joined, die: Die) -> tuple[Impact, ...]:
+def _impacts(joined: Joined, die: Die, spacing_s: float) -> tuple[Impact, ...]:
     """What each link says about its bounce."""
     rng = np.random.default_rng(20120404)
     values, vectors = np.linalg.eigh(joined.covariance)
     draws = rng.standard_normal((SAMPLES, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    return tuple(_impact(joined, die, k, draws) for k in range(len(joined.links)))
+    return tuple(_impact(joined, die, k, draws, spacing_s) for k in range(len(joined.links)))
 
 
-def _impact(joined: Joined, die: Die, k: int, draws: Array) -> Impact:
+def _impact(joined: Joined, die: Die, k: int, draws: Array, spacing_s: float) -> Impact:
     """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
     link, before, after = joined.links[k], joined.flights[k], joined.flights[k + 1]
     t = link.time_s
     a, b = before.at(t), after.at(t)
     touching, arm = _contact(link, die, a)
-    contact = "unresolved" if link.is_open else {1: "vertex", 2: "edge"}.get(len(touching), "face")
     v_before, v_after = _normal_velocity(a, arm), _normal_velocity(b, arm)
+    known = joined.sigma_time_s[k] < INSTANT_FRAMES * spacing_s
+    is_resolved = not link.is_open and known and v_before < 0.0 < v_after
+    contact = {1: "vertex", 2: "edge"}.get(len(touching), "face") if is_resolved else "unresolved"
     chi, low, high = np.nan, np.nan, np.nan
-    if not link.is_open and v_before < 0:
+    if is_resolved:
         chi = -v_after / v_before
         low, high = _chi_interval(joined, k, t, arm, v_before, v_after, draws)
     middle_before = before.at(0.5 * (before.start.time_s + before.end_s))
@@ -412,7 +423,7 @@ def _impact(joined: Joined, die: Die, k: int, draws: Array) -> Impact:
     return Impact(
         t,
         contact,
-        () if link.is_open else touching,
+        touching if is_resolved else (),
         (a.position_m + arm)[:2],
         die.mass_kg * (b.velocity_m_s - a.velocity_m_s),
         v_before,

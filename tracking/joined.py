@@ -49,6 +49,8 @@ TABLE_SIGMA_M = 3e-5
 """How well the height of the table is known, alike for all contacts: flatness and calibration."""
 CONTACT_SIGMA_M = 2e-5
 """How far a single contact may lie off it: a stiff die of a few grams dents by some hundredths of a millimetre."""
+FARTHEST = 1e5
+"""A step longer than this in any parameter (SI) leaves all that a die can do: the spin of a die reaches some 1e3."""
 LEVER_SHARE, LEVER_RAD_S = 0.01, 0.3
 """Tolerance of J Δω = m r × Δv, as a share of Δω and at the least: drilled pips change J by a per cent, and the
 contact is a patch of some 0.1 mm, not a point."""
@@ -114,8 +116,8 @@ class Joined:
     table_m: float
     """Height of the table that the strikes agree on."""
     cost: float
-    """Squared sigmas of frames, priors and strikes; a frame costs 2 CUT_SIGMA² at the most (Tukey's loss over its six
-    numbers), so that fits of the same frames may be compared."""
+    """Squared sigmas of frames, priors and strikes, so that fits of the same frames with one scatter may be compared:
+    Tukey's loss, by which a frame costs 2 CUT_SIGMA² at the most, and all frames for as much as they count."""
 
     @property
     def links_s(self) -> Array:
@@ -155,13 +157,15 @@ def fit_joined(
         weights = np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0)
         sums = chain.sums(weights)
         for _ in range(12):
-            held = sums.normal + damping * np.diag(np.diag(sums.normal) + 1e-300)
+            # A number that no frame knows of, as of a flight between two frames, stays where it is.
+            held = sums.normal + damping * np.diag(np.diag(sums.normal)) + 1e-9 * np.eye(len(sums.gradient))
             unit = 1.0 / np.sqrt(np.diag(held))
             step = -unit * np.linalg.solve(held * np.outer(unit, unit), unit * sums.gradient)
-            trial = chain.stepped(step)
-            new = trial.sums(weights)
-            if np.isfinite(new.cost) and new.cost <= sums.cost * (1.0 + 1e-12):
-                break
+            if np.abs(step).max() < FARTHEST:
+                trial = chain.stepped(step)
+                new = trial.sums(weights)
+                if new.cost <= sums.cost * (1.0 + 1e-12):
+                    break
             damping = max(damping * 10.0, 1e-9)
         else:
             break
@@ -400,7 +404,8 @@ class _Chain:
         covariance, scatter = self._covariance(sums, weights, states, maps), self.scatter
         rest = sum(float(residual @ residual) for _, residual, _ in self._rules(ends_of_flights))
         ratio = np.minimum(np.sqrt(sums.squares) / CUT_SIGMA, 1.0)
-        cost = rest + float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
+        share = float(np.mean(scatter.variance / scatter.slow_variance(self.spacing_s)))
+        cost = rest + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
         sigma, columns, column = [], [], 12
         for link in self.links:
             columns.append(-1 if link.is_open else column)

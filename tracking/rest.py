@@ -7,25 +7,30 @@ last frames over which both hold are no flight, and none is fitted to them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
 
-from ..model.motion import GRAVITY_M_S2, Flight, State
+from ..model.motion import GRAVITY_M_S2, Flight, State, Throw
 from ..model.rotations import continuous_sign, matrix_from_quat, rotation_between
 from ..model.solids import Die, inner_vertices
 from .flights import Sightings
 from .parting import TABLE_REACH
+from .track import LOST, Track
 
 Array = NDArray[np.float64]
 
 FEWEST = 12
-"""Frames over which the mean acceleration of the centre is known to a fraction of g, from poses of a few hundredths of a
-millimetre at some thousand frames a second."""
-LEVEL_SHARE = 0.02
-"""How far the lowest point may stray from its level, as a share of an edge, besides three sigmas of a frame: bounces
-below that are part of coming to rest."""
+"""Frames that show a level."""
+LEFT = 3
+"""Frames that measure a flight behind a bounce."""
+LEVEL_SHARE = 0.01
+"""How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
+part of coming to rest."""
+SMOOTHED = 5
+"""Frames whose median height is looked at, against the depth error of single frames."""
 HOPS = 1.5
 """A hop that strays no further than that is over in 2 √(2h/g): what lasts so many times as long is none, nor its end."""
 CARRIED = 0.5
@@ -54,7 +59,7 @@ class Carried(Flight):
         omega = share * rotation_between(self.quaternions[k - 1], self.quaternions[k])
         return State(float(time_s), positions[0], quaternions[0], velocity, omega)
 
-    def poses(self, times_s: object) -> tuple[Array, Array]:
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
         times = np.clip(np.asarray(times_s, float), self.times_s[0], self.times_s[-1])
         signed = continuous_sign(self.quaternions)
@@ -74,29 +79,43 @@ def carried_from(seen: Sightings, die: Die) -> int:
     if abs(level) > TABLE_REACH * die.solid.edge_m:
         return n
     information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
-    stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * np.sqrt(np.linalg.inv(information)[:, 2, 2])
-    off = np.flatnonzero(np.abs(heights - level) > stray)
+    sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
+    stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma / np.sqrt(0.64 * SMOOTHED)
+    # The efficiency of a median is 0.64.
+    off = np.flatnonzero(np.abs(median_filter(heights, SMOOTHED, mode="nearest") - level) > stray)
     first = int(off[-1]) + 1 if len(off) else 0
     if first >= n:
         return n
     hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2)
-    # A bounce that ends in the level brings its own last moments of flight: they are left to it while enough remains.
-    while n - first >= FEWEST and seen.time_s[-1] - seen.time_s[first] > HOPS * hop:
-        if all(_is_carried(seen, rows) for rows in (slice(first, n), slice(first, first + FEWEST))):
-            return first
-        first += 1
-    return n
+    if seen.time_s[-1] - seen.time_s[first] < HOPS * hop or not _is_carried(seen, slice(first, n)):
+        return n
+    # The last bounce may lie a frame behind the first that is level: the frames that show it are left to it.
+    return min(first + LEFT, n)
 
 
 def _is_carried(seen: Sightings, rows: slice) -> bool:
-    """Whether the centre falls clearly more slowly than freely over these frames, noise allowed for."""
+    """Whether the centre clearly does not fall freely over these frames, but much more slowly."""
     t, z = seen.time_s[rows] - seen.time_s[rows].mean(), seen.position_m[rows, 2]
     basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)
     values, *_ = np.linalg.lstsq(basis, z, rcond=None)
     inverse = np.linalg.inv(basis.T @ basis)
     scatter = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
     sigma = float(np.sqrt(scatter * inverse[2, 2]))
-    return bool(values[2] - 2.0 * sigma > -CARRIED * GRAVITY_M_S2)
+    return bool(values[2] > -CARRIED * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > 3.0 * sigma)
+
+
+def flown(throw: Throw) -> Throw:
+    """The flights of a measured throw alone, without what the table carries at its end."""
+    if not isinstance(throw.flights[-1], Carried):
+        return throw
+    return Throw(throw.flights[:-1], throw.impacts[:-1])
+
+
+def frames_in_flight(track: Track, throw: Throw) -> Track:
+    """The track with the frames behind the last flight of a measured throw as lost: what a model of flights may be
+    fitted to. The poses stay as they are."""
+    behind = track.tracked & (track.time_s > flown(throw).flights[-1].end_s)
+    return replace(track, status=np.where(behind, LOST, track.status)) if behind.any() else track
 
 
 def resting_vertices(die: Die, rotation: Array) -> tuple[int, ...]:
