@@ -185,6 +185,26 @@ def transition(flight: Flight, time_s: float) -> Array:
     return np.asarray(transitions(flight, np.array([time_s]))[0])
 
 
+def carried_on(state: State, time_s: float) -> tuple[State, Array]:
+    """The state at another instant of the same flight, and its derivative (12, 12): `transition` without the cost of many
+    small calls."""
+    out, M = np.empty(14), np.zeros((12, 12))
+    _carry(_packed(state), time_s, out, M)
+    return State(time_s, out[1:4], out[4:8], out[8:11], out[11:14]), M
+
+
+def rotation_matrix(quaternion: Array) -> Array:
+    """(3, 3) of one unit quaternion wxyz."""
+    w, x, y, z = quaternion.tolist()
+    return np.array(
+        [
+            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+        ]
+    )
+
+
 def moved(state: State, change: Array) -> State:
     """The state after a change of position, rotation vector, velocity and angular velocity (12,)."""
     return State(
@@ -332,6 +352,28 @@ def _rows(
                 leans += W[i, b_] * lean[b_, j]
             rows[i, 12 + j] = leans
             rows[i, last] -= leans * shared[j]
+
+
+@njit(cache=True, nogil=True)
+def _carry(state: Array, time: float, out: Array, M: Array) -> None:
+    """The state (14,) at another instant, and its derivative (12, 12)."""
+    dt = time - state[0]
+    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
+    angle = np.sqrt(x * x + y * y + z * z)
+    E, L = _turn_matrices(x, y, z, angle, dt)
+    half = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    q = _product(np.cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    out[:] = state
+    out[0] = time
+    for i in range(3):
+        out[1 + i] += dt * state[8 + i]
+        M[i, i], M[6 + i, 6 + i], M[9 + i, 9 + i], M[i, 6 + i] = 1.0, 1.0, 1.0, dt
+        for j in range(3):
+            M[3 + i, 3 + j], M[3 + i, 9 + j] = E[i, j], L[i, j]
+    out[3] -= 0.5 * GRAVITY_M_S2 * dt * dt
+    out[10] -= GRAVITY_M_S2 * dt
+    for i in range(4):
+        out[4 + i] = q[i]
 
 
 @njit(cache=True, nogil=True)

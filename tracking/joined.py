@@ -30,7 +30,7 @@ from ..model.motion import Flight, State
 from .flights import Scatter as Scatter
 from .flights import Sightings as Sightings
 from .flights import fit_flight as fit_flight
-from .flights import flight_meat, flight_sums, scaled_inverse
+from .flights import carried_on, flight_meat, flight_sums, rotation_matrix, scaled_inverse
 from .flights import left_jacobians as left_jacobians
 from .flights import moved as moved
 from .flights import seen_minus_motion as seen_minus_motion
@@ -171,7 +171,7 @@ def fit_joined(
             break
         gained = sums.cost - new.cost
         chain, sums, damping = trial, new, max(damping * 0.1, 1e-12)
-        if gained < 1e-7 * sums.cost and turn >= 5:
+        if gained < min(1e-2, 1e-4 * sums.cost) and turn >= 4:
             break
     return chain.finished(sums, weights)
 
@@ -260,8 +260,8 @@ class _Chain:
         column = 12
         for k, link in enumerate(self.links):
             t = link.time_s
-            flight = Flight(states[-1], t)
-            end, reached = flight.at(t), transition(flight, t) @ maps[-1]
+            end, passage = carried_on(states[-1], t)
+            reached = passage @ maps[-1]
             ends.append((end, reached))
             free = self.free[k]
             if free is not None:
@@ -341,14 +341,15 @@ class _Chain:
 
     def _strike_rows(self, strike: Strike, end: State, reached: Array, k: int, column: int) -> tuple[Array, Array]:
         """Four rows of a strike: its point on the table, and J Δω = m r × Δv."""
-        ball = end.rotation @ strike.point_m
-        arm, ratio = strike.arm(end.rotation), strike.mass_over_inertia
+        rotation = rotation_matrix(end.quaternion)
+        ball = rotation @ strike.point_m
+        arm, ratio = strike.arm(rotation), strike.mass_over_inertia
         dv, dw = self.jumps[k, :3], self.jumps[k, 3:]
         rows, residual = np.zeros((4, reached.shape[1])), np.empty(4)
         # δ(R p) = δθ × R p, and both p and R move on with the instant.
         turn = -_cross(ball)
         moves = turn @ reached[3:6]
-        moves[:, column] += np.cross(end.omega_rad_s, ball)
+        moves[:, column] += _cross(end.omega_rad_s) @ ball
         rows[0] = reached[2] + moves[2]
         rows[0, column] += end.velocity_m_s[2]
         rows[0, -1] -= 1.0
@@ -357,7 +358,7 @@ class _Chain:
         rows[1:] = ratio * _cross(dv) @ moves
         rows[1:, column + 1 : column + 4] -= ratio * _cross(arm)
         rows[1:, column + 4 : column + 7] += np.eye(3)
-        residual[1:] = dw - ratio * np.cross(arm, dv)
+        residual[1:] = dw - ratio * (_cross(arm) @ dv)
         return np.vstack([rows[:1], rows[1:] / self.lever_sigma[k]]), np.append(
             residual[:1], residual[1:] / self.lever_sigma[k]
         )
