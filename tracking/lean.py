@@ -29,10 +29,10 @@ SIZE_PX = 0.05
 """One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
 SIZE_SHARE = 0.1
 """And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
-ASIDE_PX, ASIDE_SHARE = 0.015, 0.03
+ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
 """One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
 opposite contours err by some hundredths of a pixel each, and there are several of them."""
-TURN_SHARE = 0.5
+TURN_SHARE = 0.75
 """The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
 SHARED = 6
 """Contour out; die to the right and down; die turned about the camera's three axes."""

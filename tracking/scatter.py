@@ -11,6 +11,11 @@ of what the flights cannot follow, so that a slow error that a flight has swallo
 likelihood, or the residuals' own correlation, would find errors too small and too quick. A flight has a place and a
 velocity for each of the six, which are nearly its twelve numbers: each of the six is a series of its own, X = (1, t).
 
+One clip determines a and T within a factor of two or three, and the likeliest often says that there is no slow part where
+there is one. So the likelihood is computed on a grid, even in the logarithms, the logarithms of the variances are
+averaged with it, and the six series, which are moved by the same marks and the same light, speak for each other by a
+share.
+
 w + c is whitened by the innovations of its Kalman filter (Harvey, Forecasting, Structural Time Series Models and the
 Kalman Filter, 1989, 3.4), gaps as they are, at a cost linear in the frames.
 """
@@ -32,13 +37,13 @@ FEWEST = 10
 """Frames of a flight that say anything of how errors go together."""
 INLIER = 0.3
 """Weight (of Tukey's biweight) from which a frame counts as one amid the others."""
-SEPARATE = 4.0
-"""By how much -2 l must fall for a slow part to be believed in: two numbers more."""
 PRIOR_FRAMES = 4.0
 """The stated sigmas count for as much as so many frames that scatter as stated."""
-WANDERS = np.geomspace(0.05, 50.0, 8)
-MEMORIES = np.geomspace(0.7, 60.0, 8)
-"""Where the maximum is looked for first, in frames; then between neighbours."""
+WANDERS = np.append(0.0, np.geomspace(0.05, 50.0, 11))
+MEMORIES = np.geomspace(0.7, 60.0, 10)
+"""The grid; memories in frames."""
+NEIGHBOURS = 0.2
+"""Share with which each of the five other series counts."""
 
 
 def estimate_scatter(
@@ -60,32 +65,40 @@ def estimate_scatter(
             ends.append(ends[-1] + len(part))
     if not times:
         return Scatter.white()
-    time_s = np.concatenate(times)
     spacing = float(np.median(np.concatenate([np.diff(t) for t in times])))
     longest = max(float(t[-1] - t[0]) for t in times) / 3.0
-    found = np.array(
-        [_likeliest(time_s, np.ascontiguousarray(r), np.array(ends), spacing, longest) for r in np.vstack(series).T]
-    )
-    return Scatter(found[:, 0], found[:, 1], found[:, 2])
+    memories = MEMORIES[: max(1, int((MEMORIES * spacing < longest).sum()))] * spacing
+    likelihood, variance = np.empty((2, 6, len(memories), len(WANDERS)))
+    residuals = np.ascontiguousarray(np.vstack(series).T)
+    _fill(np.concatenate(times), residuals, np.array(ends), WANDERS, memories, likelihood, variance)
+    pooled = (1.0 - NEIGHBOURS) * likelihood + NEIGHBOURS * likelihood.sum(axis=0)
+    odds = np.exp(-0.5 * (pooled - pooled.min(axis=(1, 2), keepdims=True)))
+    odds /= odds.sum(axis=(1, 2), keepdims=True)
+    return _mean_scatter(odds, variance, memories, spacing)
 
 
-def _likeliest(time_s: Array, series: Array, ends: NDArray[np.int64], spacing: float, longest: float) -> Array:
-    """σ, a and T [s] of one series of residuals."""
-    white, scale = _likelihood(time_s, series, ends, 0.0, spacing)
-    memories = MEMORIES[MEMORIES * spacing < longest] * spacing
-    best, at = white - SEPARATE, (0.0, spacing)
-    for wanders, near in ((WANDERS, memories), (np.empty(0), np.empty(0))):
-        if not len(near):
-            # Between the neighbours of the best of the coarse grid.
-            if at[0] == 0.0:
-                break
-            wanders, near = at[0] * np.geomspace(0.4, 2.5, 7), at[1] * np.geomspace(0.6, 1.7, 7)
-        for memory in near:
-            for wander in wanders:
-                value, sigma = _likelihood(time_s, series, ends, wander, memory)
-                if value < best and memory <= longest:
-                    best, at, scale = value, (float(wander), float(memory)), sigma
-    return np.array([scale, *at])
+def _mean_scatter(odds: Array, variance: Array, memories_s: Array, spacing: float) -> Scatter:
+    """The scatter whose white, single and lasting variance are the geometric means over scatters (6, memories, wanders)
+    of these odds. Arithmetic means would be those of the few with the longest memory."""
+    keep = np.exp(-spacing / memories_s)[:, None]
+    forms = (np.ones_like(WANDERS), 1.0 + WANDERS, 1.0 + WANDERS * (1.0 + keep) / (1.0 - keep))
+    white, single, lasting = (np.exp((odds * np.log(variance * form)).sum(axis=(1, 2))) for form in forms)
+    wander = single / white - 1.0
+    ratio = np.maximum((lasting / white - 1.0) / np.maximum(wander, 1e-12), 1.0 + 1e-6)
+    return Scatter(np.sqrt(white), wander, spacing / np.log((ratio + 1.0) / (ratio - 1.0)))
+
+
+@njit(cache=True, nogil=True)
+def _fill(
+    time: Array, series: Array, ends: NDArray[np.int64], wanders: Array, memories_s: Array, likelihood: Array,
+    variance: Array,
+) -> None:  # fmt: skip
+    """-2 l and σ² of each series (6, n) at each memory and wander."""
+    for i in range(len(series)):
+        for j in range(len(memories_s)):
+            for k in range(len(wanders)):
+                value, sigma = _likelihood(time, series[i], ends, wanders[k], memories_s[j])
+                likelihood[i, j, k], variance[i, j, k] = value, sigma * sigma
 
 
 @njit(cache=True, nogil=True)
