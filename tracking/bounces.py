@@ -26,7 +26,7 @@ from .flights import Scatter, Sightings, fit_flight, misfits
 from .joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, moved, transition
 from .lean import shared_lean, shared_sigma
 from .parting import FEWEST, TABLE_REACH, part_flights
-from .quick import INSTANT_FRAMES, resolved
+from .quick import INSTANT_FRAMES, is_crowded, resolved
 from .rest import Carried, carried_from, resting_vertices
 from .scatter import estimate_scatter
 from .track import Track
@@ -105,7 +105,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     flights = tuple(_with_floor(flight, floor) for flight in joined.flights)
     impacts = _impacts(joined, die, _spacing(seen))
     if flying < len(use):
-        flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), die)
+        last_s = float(seen.time_s[flying - 1])
+        flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
     return Measured(Throw(flights, impacts), joined, use[:flying], floor)
 
 
@@ -138,10 +139,10 @@ def _with_floor(flight: Flight, floor: Array) -> Flight:
 
 
 def _at_rest(
-    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], seen: Sightings, die: Die
+    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], seen: Sightings, last_s: float, die: Die
 ) -> tuple[tuple[Flight, ...], tuple[Impact, ...]]:
-    """Flights and impacts with the end that the table carries."""
-    begin, end = float(seen.time_s[0]), float(seen.time_s[-1])
+    """Flights and impacts with the end that the table carries, from between the last frame in flight and the next."""
+    begin, end = 0.5 * (last_s + float(seen.time_s[0])), float(seen.time_s[-1])
     carried = Carried(
         start=State(begin, seen.position_m[0], seen.quaternion[0], np.zeros(3), np.zeros(3)),
         end_s=end,
@@ -377,13 +378,19 @@ def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: _Rules) ->
 
 
 def _with_quick_ones(seen: Sightings, joined: Joined, die: Die, rules: _Rules) -> tuple[Sightings, Joined]:
-    """The frames and the chain with open links resolved where the model tells what may have happened there."""
-    strikes = _strikes(die)
-    for k, link in reversed(_numbered(joined)):
-        if link.is_open and k < len(joined.links):
-            scatter = joined.scatter
-            told = resolved(seen, joined, k, die, strikes, lambda own, starts, links: rules.fit(own, starts, links, scatter))
-            seen, joined = told or (seen, joined)
+    """The frames and the chain with open links, and such as leave frames beside them unexplained, resolved where the
+    model tells what may have happened there."""
+    strikes, scatter = _strikes(die), joined.scatter
+
+    def fit(own: Sightings, starts: Sequence[State], links: Sequence[Link]) -> Joined:
+        return rules.fit(own, starts, links, scatter)
+
+    k = len(joined.links) - 1
+    while k >= 0 and strikes:
+        told = None
+        if joined.links[k].is_open or is_crowded(seen, joined, k):
+            told = resolved(seen, joined, k, die, strikes, fit)
+        seen, joined, k = (told[0], told[1], told[2] - 1) if told else (seen, joined, k - 1)
     return seen, joined
 
 

@@ -35,6 +35,8 @@ Fit = Callable[[Sightings, Sequence[State], Sequence[Link]], Joined]
 
 SOUND = 0.5
 """Weight from which a frame is taken to lie on its flight."""
+BESIDE, LOST_WEIGHT = 3, 0.1
+"""Frames on either side of a link that are looked at, and the weight of one that lies on no flight."""
 ANCHOR = 8
 """Sound frames that make a flight one to start from, or to arrive at."""
 CHIS = np.linspace(0.05, 0.95, 19)
@@ -63,10 +65,10 @@ class _Story:
 
 
 def resolved(seen: Sightings, joined: Joined, k: int, die: Die, strikes: Sequence[Strike], fit: Fit) -> (
-    tuple[Sightings, Joined] | None
+    tuple[Sightings, Joined, int] | None
 ):
-    """The frames (relabelled where need be) and the chain with open link k resolved into impacts; None where it cannot
-    be."""
+    """The frames (relabelled where need be), the chain with link k and its neighbours resolved into impacts, and the first
+    of these; None where that cannot be."""
     before = _anchor(seen, joined, range(k, -1, -1))
     after = _anchor(seen, joined, range(k + 1, len(joined.flights)))
     if before is None or after is None or not die.is_spherical_top:
@@ -87,9 +89,18 @@ def resolved(seen: Sightings, joined: Joined, k: int, die: Die, strikes: Sequenc
     spacing = float(np.median(np.diff(seen.time_s)))
     unsure = bool((best.sigma_time_s[new] > INSTANT_FRAMES * spacing).any())
     rivals = [other.cost for _, other, told, _ in found[1:] if told.order != story.order]
-    if unsure or (rivals and rivals[0] - best.cost < SURE) or best.cost > joined.cost + 2.0 * CUT_SIGMA**2:
+    # An open link has more freedom than impacts and may cost less; one that is taken for a single impact has less.
+    allowed = joined.cost + (2.0 * CUT_SIGMA**2 if joined.links[k].is_open else -SURE)
+    if unsure or (rivals and rivals[0] - best.cost < SURE) or best.cost > allowed:
         return None
-    return own, best
+    return own, best, before
+
+
+def is_crowded(seen: Sightings, joined: Joined, k: int) -> bool:
+    """Whether some frames beside a link lie on neither of its flights: one may straddle an impact, more of them have
+    seen another one."""
+    row = int(np.searchsorted(seen.time_s, joined.links[k].time_s))
+    return int((joined.weights[max(row - BESIDE, 0) : row + BESIDE] < LOST_WEIGHT).sum()) > 1
 
 
 def _sound(seen: Sightings, joined: Joined, flight: int) -> NDArray[np.int64]:
