@@ -245,9 +245,7 @@ def _arrays(seen: Sightings) -> tuple[Array, Array, Array, Array]:
 
 def _packed(state: State) -> Array:
     """(14,): time, position, quaternion, velocity, angular velocity."""
-    return np.concatenate(
-        [[state.time_s], state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s]
-    )
+    return np.concatenate([[state.time_s], state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
 
 
 # --- kernels ----------------------------------------------------------------------------------------------------------

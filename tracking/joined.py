@@ -27,15 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Flight, State
-from .flights import Scatter as Scatter
+from .flights import Scatter, carried_on, flight_meat, flight_sums, moved, rotation_matrix, scaled_inverse
 from .flights import Sightings as Sightings
 from .flights import fit_flight as fit_flight
-from .flights import carried_on, flight_meat, flight_sums, rotation_matrix, scaled_inverse
-from .flights import left_jacobians as left_jacobians
-from .flights import moved as moved
-from .flights import seen_minus_motion as seen_minus_motion
 from .flights import transition as transition
-from .flights import transitions as transitions
 
 Array = NDArray[np.float64]
 
@@ -138,9 +133,9 @@ def fit_joined(
     """Least squares over a whole chain: Gauss-Newton with Levenberg's damping and biweight frames.
 
     `starts` (N + 1) are guesses of each flight's state (only the velocities matter for flights behind a joined link).
-    `scatter` says how errors go together; its scale is found here where it is None. `shared_sigma` (m,) is the prior of
-    the shared errors, none of which is looked for where it is None; `table_sigma_m` that of the height of the table. Deterministic; a chain that cannot be improved is
-    returned as it is.
+    `scatter` says how errors go together; white ones of a scale that is found here where it is None. `shared_sigma` (m,)
+    is the prior of the shared errors, none of which is looked for where it is None; `table_sigma_m` that of the height of
+    the table. Deterministic; a chain that cannot be improved is returned as it is.
     """
     seen = seen if shared_sigma is not None else seen.leaning(np.zeros((len(seen), 6, 0)))
     sigma = np.zeros(0) if shared_sigma is None else shared_sigma
@@ -216,7 +211,11 @@ class _Chain:
 
     @staticmethod
     def from_guess(
-        seen: Sightings, starts: list[State], links: tuple[Link, ...], shared_sigma: Array, scatter: Scatter,
+        seen: Sightings,
+        starts: list[State],
+        links: tuple[Link, ...],
+        shared_sigma: Array,
+        scatter: Scatter,
         table_sigma_m: float,
     ) -> _Chain:
         jumps = np.zeros((len(links), 6))

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.impacts import CoulombImpact, ImpactLaw, SmoothImpact
-from ..model.motion import Flight, State, Throw
+from ..model.motion import State, Throw
 from ..model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from ..model.simulate import Until, throw_die
 from ..model.solids import Die, symmetry_rotations
@@ -64,9 +64,9 @@ class _Story:
     """Typical distance from the frames between, in edges and radians."""
 
 
-def resolved(seen: Sightings, joined: Joined, k: int, die: Die, strikes: Sequence[Strike], fit: Fit) -> (
-    tuple[Sightings, Joined, int] | None
-):
+def resolved(
+    seen: Sightings, joined: Joined, k: int, die: Die, strikes: Sequence[Strike], fit: Fit
+) -> tuple[Sightings, Joined, int] | None:
     """The frames (relabelled where need be), the chain with link k and its neighbours resolved into impacts, and the first
     of these; None where that cannot be."""
     before = _anchor(seen, joined, range(k, -1, -1))
@@ -149,7 +149,8 @@ def _laws(joined: Joined, die: Die) -> list[ImpactLaw]:
 def _thrown(die: Die, release: State, law: ImpactLaw, until_s: float) -> Throw | None:
     """The model's throw, lifted where depth error has put the die into the table; None where no such throw begins."""
     for lift in (0.0, 0.02, 0.05, 0.1):
-        raised = replace(release, position_m=release.position_m + [0.0, 0.0, lift * die.solid.edge_m])
+        height = np.array([0.0, 0.0, lift * die.solid.edge_m])
+        raised = replace(release, position_m=release.position_m + height)
         try:
             return throw_die(die, raised, law, until=Until(time_s=until_s, impacts=MOST_IMPACTS + 1)).throw
         except ValueError:

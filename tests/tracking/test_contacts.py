@@ -49,7 +49,9 @@ def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Thr
 
 
 def joined_at(throw: Throw, track: Track, strike: Strike | None) -> Joined:
-    return fit_joined(sightings(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, strike=strike)])
+    return fit_joined(
+        sightings(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, strike=strike)]
+    )
 
 
 LAWS = {"smooth": SmoothImpact(0.6), "friction": CoulombImpact(0.6, 0.2)}
@@ -82,7 +84,9 @@ def test_a_strike_makes_nothing_less_sure_and_keeps_its_sigma_true() -> None:
 
 def test_a_state_is_carried_on_as_its_flight_says() -> None:
     rng = np.random.default_rng(2)
-    state = State(0.2, rng.normal(size=3), quat_from_rotvec([0.3, -1.0, 0.4]), rng.normal(size=3), 90 * rng.normal(size=3))
+    state = State(
+        0.2, rng.normal(size=3), quat_from_rotvec([0.3, -1.0, 0.4]), rng.normal(size=3), 90 * rng.normal(size=3)
+    )
     for after in (-0.01, 0.0, 1e-7, 0.03):
         there, passage = carried_on(state, 0.2 + after)
         flight = Flight(state, np.inf)
@@ -165,7 +169,10 @@ def test_a_die_that_rolls_or_lies_is_not_fitted_with_flights(law: ImpactLaw, see
     assert isinstance(found.flights[-1], Carried)
     # From where it is carried on, the lowest corner of the true die never leaves the table by more than a small hop.
     behind = track.time_s[track.time_s >= last.time_s]
-    heights = [(throw.at(float(t)).rotation @ CUBE.solid.vertices.T)[2].min() + throw.at(float(t)).position_m[2] for t in behind]
+    heights = [
+        (throw.at(float(t)).rotation @ CUBE.solid.vertices.T)[2].min() + throw.at(float(t)).position_m[2]
+        for t in behind
+    ]
     assert max(heights) < 1e-3
     # No bounce is told of behind it, and those before it each have a true one within two frames.
     told = [impact.time_s for impact in found.impacts[:-1]]
@@ -194,7 +201,9 @@ def test_a_die_in_flight_is_not_at_rest_even_where_it_passes_low(seed: int) -> N
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=3, frames_after=40)
     track = seen(throw, rng)
-    assert carried_from(Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE) == len(track)
+    assert carried_from(
+        Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE
+    ) == len(track)
     assert flown(throw) is throw
     assert frames_in_flight(track, replace_end(throw)) is track
 
@@ -205,7 +214,13 @@ def replace_end(throw: Throw) -> Throw:
 
 def test_poses_that_jump_high_above_the_table_are_no_contact() -> None:
     # A stretch of frames taken wrongly parts the track; the motion before it stays clear of the table.
-    start = State(0.0, np.array([0.0, 0.0, 0.05]), quat_from_rotvec([0.3, 0.2, 0.1]), np.array([0.1, 0.0, 0.4]), np.array([30.0, 10.0, -5.0]))
+    start = State(
+        0.0,
+        np.array([0.0, 0.0, 0.05]),
+        quat_from_rotvec([0.3, 0.2, 0.1]),
+        np.array([0.1, 0.0, 0.4]),
+        np.array([30.0, 10.0, -5.0]),
+    )
     throw = Throw((Flight(start, 120 / FPS),), ())
     rng = np.random.default_rng(1)
     track = seen(throw, rng)
@@ -219,7 +234,7 @@ def test_a_table_at_another_height_than_stated_does_not_bend_the_flights() -> No
     rng = np.random.default_rng(11)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1)
     track = seen(throw, rng)
-    lifted = replace(track, position_m=track.position_m + [0.0, 0.0, 0.004])
+    lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.004]))
     plain, found = measure(track, CUBE), measure(lifted, CUBE)
     assert found.joined.table_m == pytest.approx(0.004, abs=5e-4)
     assert found.throw.impacts[0].time_s == pytest.approx(plain.throw.impacts[0].time_s, abs=0.02 / FPS)

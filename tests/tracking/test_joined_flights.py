@@ -16,19 +16,13 @@ from diethrow.model.solids import make_die
 from diethrow.tracking.flights import (
     SLACK_POSITION_M,
     SLACK_ROTATION_RAD,
-    Scatter,
     Sightings,
-    carried_on,
     fit_flight,
-    flight_meat,
-    flight_sums,
     left_jacobians,
-    misfits,
     moved,
-    seen_minus_motion,
     transition,
 )
-from diethrow.tracking.joined import Joined, Link, Strike, fit_joined
+from diethrow.tracking.joined import Joined, Link, fit_joined
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]

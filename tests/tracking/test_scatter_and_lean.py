@@ -35,7 +35,9 @@ ROUND = make_die("cube", 0.016, 0.0048, corner_radius_m=0.0006)
 
 
 def one_flight(rng: np.random.Generator, frames: int = 120) -> Throw:
-    start = State(0.0, np.array([0.0, 0.0, 0.2]), np.array([1.0, 0, 0, 0]), rng.normal(size=3), 20.0 * rng.normal(size=3))
+    start = State(
+        0.0, np.array([0.0, 0.0, 0.2]), np.array([1.0, 0, 0, 0]), rng.normal(size=3), 20.0 * rng.normal(size=3)
+    )
     return Throw((Flight(start, frames / FPS),), ())
 
 
