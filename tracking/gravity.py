@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2, Throw
+from .rest import frames_in_flight
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ class Fall:
 
 def measure_fall(track: Track, throw: Throw) -> Fall | None:
     """The acceleration common to all flights of a throw, from poses of single frames; None where they are too short."""
+    track = frames_in_flight(track, throw)
     ends = [-np.inf, *(impact.time_s for impact in throw.impacts), np.inf]
     information, pull = np.zeros((3, 3)), np.zeros(3)
     for begins_s, ends_s in itertools.pairwise(ends):

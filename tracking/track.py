@@ -29,6 +29,9 @@ class Track:
     """(n, 6, 6) of position [m] and rotation vector [rad], world axes: R_true = exp(δ) R_est; NaN unless tracked."""
     status: NDArray[np.str_]
     """(n,) TRACKED, LOST or ABSENT."""
+    lean: Array | None = None
+    """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour that is taken a pixel too far out all round;
+    NaN where it is not known, None where no frame has it."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

@@ -36,9 +36,11 @@ from .scene import ClipSource, Scene, View
 from .settings import SceneError, refuse
 from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure_throw
+from .tracking.camera import Camera
 from .tracking.clip import Clip, open_clip
 from .tracking.follow import follow
 from .tracking.gravity import fall_notices, measure_fall
+from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
 
@@ -146,7 +148,7 @@ def fit_track(
     frames = read_track(track_path)
     inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with whole_folder(out, force=force, inputs=inputs) as folder:
-        measured, smoothed = _bounces(frames, track_path, scene.die, progress, watch)
+        measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
         fit = _fit(frames, measured, scene, progress, watch)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
@@ -197,7 +199,7 @@ def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | No
         with watch.stage("track"):
             progress("Following the die", 0, len(clip))
             frames = _follow(scene, view, clip, background, progress)
-        measured, smoothed = _bounces(frames, scene.path, scene.die, progress, watch)
+        measured, smoothed = _bounces(frames, scene.path, scene.die, view.camera, progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in clip.notices:
@@ -261,15 +263,18 @@ def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32
         raise RunError(f"{scene.path}: {error}") from error
 
 
-def _bounces(frames: Track, source: Path, die: Die, progress: Progress, watch: Stopwatch) -> tuple[Throw, Track]:
+def _bounces(
+    frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
+) -> tuple[Throw, Track]:
+    """The flights that the frames show, and all frames with those in flight smoothed."""
     _demand_a_die(frames, source, die)
     with watch.stage("bounces"):
         progress("Finding the bounces", 0, 0)
         try:
-            measured = measure_throw(frames, die)
+            measured = measure_throw(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return measured, smooth(frames, measured)
+        return flown(measured), smooth(frames, measured)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
@@ -290,7 +295,7 @@ def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
 def _fit(frames: Track, measured: Throw, scene: Scene, progress: Progress, watch: Stopwatch) -> Fit:
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames, measured, scene.die)
+        return fit_throw(frames_in_flight(frames, measured), measured, scene.die)
 
 
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:

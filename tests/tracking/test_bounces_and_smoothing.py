@@ -16,7 +16,7 @@ from diethrow.model.motion import Flight, Impact, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.solids import Die, make_die
 from diethrow.tracking.bounces import NoFlightError, measure_throw
-from diethrow.tracking.joined import moved
+from diethrow.tracking.flights import moved
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 

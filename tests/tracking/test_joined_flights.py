@@ -13,17 +13,16 @@ from throws import FPS, initial_errors, random_release, seen, true_throw
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.solids import make_die
-from diethrow.tracking.joined import (
+from diethrow.tracking.flights import (
     SLACK_POSITION_M,
     SLACK_ROTATION_RAD,
-    Joined,
     Sightings,
     fit_flight,
-    fit_joined,
     left_jacobians,
     moved,
     transition,
 )
+from diethrow.tracking.joined import Joined, Link, fit_joined
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -107,7 +106,7 @@ def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> Joine
     rough = 0.03 * np.eye(12)[6:9].sum(0) + 2.0 * np.eye(12)[9:12].sum(0)
     starts = [moved(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
     links = [impact.time_s + rng.uniform(-0.2, 0.2) / FPS for impact in throw.impacts]
-    return fit_joined(sightings(track), starts, links, [False] * len(links))
+    return fit_joined(sightings(track), starts, [Link(t) for t in links])
 
 
 def test_a_chain_without_noise_is_found_exactly() -> None:
@@ -191,6 +190,7 @@ def test_a_frame_far_off_carries_no_weight() -> None:
     assert abs(joined.links_s[0] - clean.links_s[0]) < 0.5 * sigma
     assert joined.residual[10] > 20.0
     assert joined.residual[40] > 20.0
+    assert (joined.weights[[10, 40]] == 0.0).all()
 
 
 def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
@@ -202,7 +202,7 @@ def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
     aside[:6] = [0.002, 0.0, 0.001, 0.1, 0.05, 0.0]
     apart = Throw((throw.flights[0], Flight(moved(after.start, aside), after.end_s)), throw.impacts)
     track = seen(apart, rng, noise=1e-9)
-    joined = fit_joined(sightings(track), [f.start for f in apart.flights], [t], [True])
+    joined = fit_joined(sightings(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
     np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(joined.sigma_time_s[0])
     assert joined.time_columns[0] == -1

@@ -1,0 +1,231 @@
+"""How sure tracking is: the scatter of the frames and its memory, and what all frames of a clip get wrong alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from footage_of_throws import studio
+from numpy.typing import NDArray
+from throws import FPS, blurred_in_time, random_release, seen, true_throw
+
+from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.solids import make_die
+from diethrow.tracking.bounces import calibrated, measure
+from diethrow.tracking.flights import (
+    Scatter,
+    Sightings,
+    fit_flight,
+    flight_meat,
+    flight_sums,
+    moved,
+    seen_minus_motion,
+)
+from diethrow.tracking.lean import SIZE_PX, shared_lean, shared_sigma
+from diethrow.tracking.scatter import estimate_scatter
+from diethrow.tracking.smooth import smooth
+from diethrow.tracking.track import LOST, Track
+
+Array = NDArray[np.float64]
+
+CUBE = make_die("cube", 0.016, 0.0048)
+ROUND = make_die("cube", 0.016, 0.0048, corner_radius_m=0.0006)
+
+
+def one_flight(rng: np.random.Generator, frames: int = 120) -> Throw:
+    start = State(
+        0.0, np.array([0.0, 0.0, 0.2]), np.array([1.0, 0, 0, 0]), rng.normal(size=3), 20.0 * rng.normal(size=3)
+    )
+    return Throw((Flight(start, frames / FPS),), ())
+
+
+def scattered(rng: np.random.Generator, wander: float, frames: float) -> Track:
+    """A flight whose errors are white as stated, plus a slow part of `wander` times that variance."""
+    throw = one_flight(rng)
+    track = seen(throw, rng)
+    slow = blurred_in_time(track, throw, rng, frames)
+    p, q = throw.poses(track.time_s)
+    size = np.sqrt(wander)
+    turned = quat_multiply(quat_from_rotvec(size * rotation_between(q, slow.quaternion)), track.quaternion)
+    return replace(track, position_m=track.position_m + size * (slow.position_m - p), quaternion=turned)
+
+
+def scatter_of(track: Track) -> Scatter:
+    sightings = sightings_of(track)
+    state, _, _ = fit_flight(sightings)
+    return estimate_scatter(sightings, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
+
+
+def sightings_of(track: Track) -> Sightings:
+    return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
+
+
+@pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
+def test_frames_that_err_each_for_itself_are_found_to_do_so_at_their_true_scale(stated: float) -> None:
+    rng = np.random.default_rng(3)
+    found = scatter_of(seen(one_flight(rng), rng, stated=stated))
+    # 720 numbers know a scale to 3 %; four frames' worth of the stated one add up to 9 · 4/120 to the variance.
+    assert np.sqrt(found.variance).mean() == pytest.approx(1.0 / stated, rel=0.2)
+    assert (found.slow_variance(1.0 / FPS) / found.variance).max() < 3.0
+
+
+def test_slow_errors_are_told_from_white_ones() -> None:
+    ratios, sizes = [], []
+    for seed in range(6):
+        found = scatter_of(scattered(np.random.default_rng(seed), 3.0, 6.0))
+        sizes.append(found.variance.mean())
+        ratios.append(found.slow_variance(1.0 / FPS).mean())
+    # 1 + 3, and 1 + 3 (1 + φ)/(1 - φ) = 37 with φ = exp(-1/6). A flight of twenty memories knows its spectrum near zero
+    # to a factor of two.
+    assert np.mean(sizes) == pytest.approx(4.0, rel=0.3)
+    assert 18.0 < np.median(ratios) < 74.0
+
+
+def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
+    rng = np.random.default_rng(1)
+    found = scatter_of(seen(one_flight(rng, frames=6), rng, stated=0.1))
+    np.testing.assert_array_equal(found.scale, 1.0)
+    np.testing.assert_array_equal(found.wander, 0.0)
+
+
+def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> None:
+    rng = np.random.default_rng(5)
+    sightings = sightings_of(seen(one_flight(rng), rng))
+    state, _, _ = fit_flight(sightings)
+    ones, share = np.ones(len(sightings)), np.full(6, 0.25)
+    sums = flight_sums(sightings, state, np.zeros(0), ones, share, share)
+    # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
+    np.testing.assert_allclose(flight_meat(sightings, state, ones, share, Scatter.white(2.0)), sums.normal, rtol=1e-12)
+
+
+def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_makes_it() -> None:
+    rng = np.random.default_rng(6)
+    sightings = sightings_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
+    state, _, _ = fit_flight(sightings)
+    n = len(sightings)
+    scatter = Scatter(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
+    steps = np.concatenate([1e-7 * np.ones(3), 1e-6 * np.ones(3), 1e-5 * np.ones(3), 1e-4 * np.ones(3)])
+    X = np.empty((n, 6, 12))
+    for a, step in enumerate(np.diag(steps)):
+        ahead, behind = (seen_minus_motion(sightings, moved(state, sign * step)) for sign in (1.0, -1.0))
+        X[:, :, a] = (behind - ahead) / (2.0 * steps[a])
+    apart = np.abs(sightings.time_s[:, None] - sightings.time_s)
+    wanted = np.zeros((12, 12))
+    for i in range(6):
+        V = scatter.scale[i] ** 2 * (np.eye(n) + scatter.wander[i] * np.exp(-apart / scatter.memory_s[i]))
+        wanted += X[:, i].T @ V @ X[:, i]
+    found = flight_meat(sightings, state, np.ones(n), np.ones(6), scatter)
+    unit = 1.0 / np.sqrt(np.diag(wanted))
+    # Central differences of noisy residuals: the derivative is that at the frame seen, off by its residual of 0.1 degrees.
+    np.testing.assert_allclose(found * np.outer(unit, unit), wanted * np.outer(unit, unit), atol=0.02)
+
+
+def lone(seed: int) -> tuple[Throw, np.random.Generator]:
+    while True:
+        rng = np.random.default_rng(seed)
+        throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=100)
+        ends = [0.0, *(impact.time_s for impact in throw.impacts), throw.flights[-1].end_s]
+        if min(np.diff(ends)) > 8.0 / FPS:
+            return throw, rng
+        seed += 1000
+
+
+def nees(track: Track, throw: Throw) -> Array:
+    p, q = throw.poses(track.time_s[track.tracked])
+    use = track.tracked
+    errors = np.concatenate([p - track.position_m[use], rotation_between(track.quaternion[use], q)], axis=1)
+    return np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance[use], strict=True)])
+
+
+def over_seeds(frames: float | None, count: int = 10) -> tuple[Array, Array]:
+    """NEES of single frames as calibrated, and of the smoothed track, for errors of that memory, stated a half."""
+    single, smoothed = [], []
+    for seed in range(count):
+        throw, rng = lone(seed)
+        track = seen(throw, rng)
+        if frames is not None:
+            track = blurred_in_time(track, throw, rng, frames)
+        track = replace(track, covariance=track.covariance / 4.0)
+        single.append(np.median(nees(calibrated(track, CUBE), throw)))
+        smoothed.append(np.median(nees(smooth(track, measure(track, CUBE).throw), throw)))
+    return np.array(single), np.array(smoothed)
+
+
+@pytest.mark.parametrize("frames", [None, 4.0])
+def test_frames_and_smoothed_track_know_how_good_they_are_however_long_errors_last(frames: float | None) -> None:
+    single, smoothed = over_seeds(frames)
+    # The median of chi-square with six numbers is 5.35. A hundred independent frames know theirs to 10 % a clip. A
+    # smoothed clip has the 36 numbers of its three flights: 25 % a clip, and ten clips. Errors taken for independent when
+    # they last for four frames would make the smoothed one about 40.
+    assert 4.3 < np.median(single) < 6.6
+    assert 3.0 < np.median(smoothed) < 7.5
+
+
+def leaning(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
+    """A throw seen in the studio with its contour taken so far out."""
+    throw, rng = lone(seed)
+    track = seen(throw, rng, noise=0.3)
+    lean = shared_lean(track, studio().camera, CUBE)[:, :, 0]
+    turned = quat_multiply(quat_from_rotvec(size_px * lean[:, 3:]), track.quaternion)
+    return throw, replace(track, position_m=track.position_m + size_px * lean[:, :3], quaternion=turned)
+
+
+def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> None:
+    camera = studio().camera
+    throw, track = leaning(0.08)
+    found = measure(track, CUBE, camera)
+    sigma = float(np.sqrt(found.joined.covariance[-2, -2]))
+    assert sigma < 0.3 * SIZE_PX
+    assert found.joined.shared[0] == pytest.approx(0.08, abs=3.0 * sigma + 0.003)
+    p, _ = throw.poses(track.time_s)
+    depth = camera.rotation[2]
+    off = [np.abs((t.position_m - p) @ depth).mean() for t in (track, smooth(track, found.throw))]
+    assert off[1] < 0.25 * off[0]
+
+
+def test_without_a_lean_none_is_found() -> None:
+    _, track = leaning(0.0)
+    found = measure(track, CUBE, studio().camera)
+    assert abs(found.joined.shared[0]) < 3.5 * float(np.sqrt(found.joined.covariance[-2, -2]))
+
+
+def test_the_lean_is_what_a_larger_outline_does_to_a_pose() -> None:
+    _, rng = lone(1)
+    track = seen(lone(1)[0], rng, noise=1e-6)
+    camera = studio().camera
+    lean = shared_lean(track, camera, CUBE)
+    out = camera.project(CUBE.solid.vertices + track.position_m[0])
+    near = camera.project(CUBE.solid.vertices + track.position_m[0] + 0.5 * lean[0, :3, 0])
+    middle = camera.project(track.position_m[0])
+    # Half a pixel out all round: corners of a hull go out by more than its sides, by up to √2 for a square one.
+    grown = np.linalg.norm(near - middle, axis=1).max() - np.linalg.norm(out - middle, axis=1).max()
+    assert 0.45 < grown < 0.8
+    right = camera.project(track.position_m[0] + lean[0, :3, 1]) - middle
+    np.testing.assert_allclose(right, [1.0, 0.0], atol=0.02)  # the lens bends by a per cent
+
+
+def test_a_track_that_brings_its_own_lean_is_believed() -> None:
+    throw, rng = lone(1)
+    track = seen(throw, rng)
+    own = np.tile(np.arange(6.0), (len(track), 1))
+    lean = shared_lean(replace(track, lean=own), studio().camera, CUBE)
+    np.testing.assert_array_equal(lean[:, :, 0], own)
+
+
+def test_frames_without_a_pose_have_no_lean() -> None:
+    throw, rng = lone(1)
+    track = seen(throw, rng)
+    status = track.status.copy()
+    status[4] = LOST
+    lean = shared_lean(replace(track, status=status), studio().camera, CUBE)
+    assert np.isnan(lean[4]).all()
+    assert np.isfinite(np.delete(lean, 4, axis=0)).all()
+
+
+def test_rounded_corners_are_allowed_more_of_it() -> None:
+    throw, rng = lone(1)
+    track = seen(throw, rng)
+    camera = studio().camera
+    assert (shared_sigma(track, camera, ROUND) > 2.0 * shared_sigma(track, camera, CUBE)).all()

@@ -1,0 +1,79 @@
+"""What all poses of a clip get wrong alike.
+
+Where the contour of the die is taken δ pixels too far out (a blur that is a little off, glare, the bevel of an edge), the
+die seems larger, and so nearer: with an outline of area A and perimeter P, moving it out by δ enlarges it by δ P/(2 A),
+and at a distance z along the line of sight d the centre seems to lie at
+
+    p - d z δ P/(2 A).
+
+Light from one side takes the contour further out there than on the other, and the inner edges to one side of where they
+are: the whole die seems moved across the picture and turned. No frame tells these six errors from a pose, and averaging
+over frames does not make them smaller. The flight does for the first: a die falls with g, in metres, and meets the table
+at a height of zero. The others it leaves open, and they are part of every covariance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from ..model.rotations import matrix_from_quat
+from ..model.solids import Die
+from .camera import Camera
+from .track import Track
+
+Array = NDArray[np.float64]
+
+SIZE_PX = 0.05
+"""One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
+SIZE_SHARE = 0.1
+"""And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
+ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
+"""One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
+opposite contours err by some hundredths of a pixel each, and there are several of them."""
+TURN_SHARE = 0.75
+"""The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
+SHARED = 6
+"""Contour out; die to the right and down; die turned about the camera's three axes."""
+
+
+def shared_lean(track: Track, camera: Camera, die: Die) -> Array:
+    """(n, 6, SHARED) change of each frame's pose, world axes, [m] and [rad] for a pixel of each shared error.
+
+    The track's own `lean` takes the place of the first where it has one. NaN where the frame has no pose.
+    """
+    lean = np.full((len(track), 6, SHARED), np.nan)
+    for k in np.flatnonzero(track.tracked):
+        place = track.position_m[k]
+        sight = place - camera.centre_m
+        depth = float(camera.rotation[2] @ sight)
+        corners = camera.project(die.solid.vertices @ matrix_from_quat(track.quaternion[k]).T + place)
+        growth = _growth(corners)
+        lean[k] = 0.0
+        lean[k, :3, 0] = -sight * growth
+        lean[k, :3, 1] = camera.rotation[0] * depth / camera.matrix[0, 0]
+        lean[k, :3, 2] = camera.rotation[1] * depth / camera.matrix[1, 1]
+        lean[k, 3:, 3:] = camera.rotation.T * growth
+        if track.lean is not None and np.isfinite(track.lean[k]).all():
+            lean[k, :, 0] = track.lean[k]
+    return lean
+
+
+def shared_sigma(track: Track, camera: Camera, die: Die) -> Array:
+    """(SHARED,) prior standard deviations [px] of the shared errors."""
+    sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
+    radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
+    size, aside = np.hypot(SIZE_PX, SIZE_SHARE * radius_px), np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
+    return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
+
+
+def _growth(corners_px: Array) -> float:
+    """P/(2 A) [1/px] of the outline of projected corners (n, 2)."""
+    try:
+        hull = ConvexHull(corners_px)
+    except (QhullError, ValueError):
+        # Behind the camera or edge on: nothing is seen to lean.
+        return 0.0
+    # Of a plane hull, scipy's area is the perimeter and its volume the area.
+    return float(hull.area / (2.0 * hull.volume))

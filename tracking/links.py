@@ -1,0 +1,294 @@
+"""What stands between two flights: an impact at a vertex, a jump of any kind, several contacts, or nothing.
+
+Neighbouring flights are joined at one instant each and all are fitted together (`joined`): first with any jump between
+them, then as impacts at the vertex that explains them best, each obeying what impacts obey, with the errors that the
+whole clip shares (`lean`) and the frames' own scatter and its memory (`scatter`) found on the way. A link that no single
+impact explains may be a few that follow each other within some frames (`quick`); where they cannot be told apart either,
+it stays open. Where the motion before, followed on, stays clear of the table, nothing struck: such a parting is undone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import Flight, State
+from ..model.rotations import rotation_between
+from ..model.solids import Die, inner_vertices
+from .flights import Scatter, Sightings, fit_flight, misfits
+from .joined import Joined, Link, Strike, fit_joined
+from .parting import TABLE_REACH
+from .quick import is_crowded, resolved
+from .scatter import estimate_scatter
+
+Array = NDArray[np.float64]
+
+OPEN_STRAIN = 5.0
+"""Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
+FAULTY_STRAIN = 2.0
+"""The same, for a link that on top of it does not look like a bounce."""
+LONGEST = 40
+"""Frames of each flight that are enough to judge a contact between them."""
+GROSS_RAD = 0.2
+"""Flights whose orientations stay further apart than this at their nearest are not joined at one instant."""
+STRIKE_STRAIN = 40.0
+"""Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
+thousandth of the cases; slow errors of the frames take the rest)."""
+LIKELY_STRAIN = 9.5
+"""Squared sigmas that four rules cost by chance in one case of twenty."""
+NEAR_SHARE = 0.1
+"""Vertices no higher than this above the lowest, as a share of an edge, may be the one that strikes."""
+CLEAR_SHARE = 0.03
+"""A motion that stays this share of an edge above the table has touched nothing."""
+UNKNOWN_TABLE_M = 3e-3
+"""Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
+FAR_SIGMAS = 5.0
+"""A table found this many sigmas from where it should be was not calibrated as well as is taken for granted."""
+
+
+def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> Joined:
+    """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
+    flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
+    bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
+    judged: dict[tuple[int, ...], float] = {}
+    while True:
+        strains = []
+        for a, b in itertools.pairwise(parts):
+            pair = (int(a[0]), int(a[-1]), int(b[0]), int(b[-1]))
+            if pair not in judged:
+                judged[pair] = np.inf if _is_gross(seen, a, b, die) else _strain(seen, a, b)
+            strains.append(judged[pair])
+        opened = [strain > OPEN_STRAIN for strain in strains]
+        joined = _fit_parts(seen, parts, opened)
+        impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
+        faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
+        if any(faulty):
+            # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
+            opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
+            joined = _fit_parts(seen, parts, opened)
+        faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
+        if not faults:
+            return joined
+        k = min(faults, key=lambda j: _jump(joined, j, die))
+        parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
+
+
+def _is_gross(seen: Sightings, a: NDArray[np.int64], b: NDArray[np.int64], die: Die) -> bool:
+    """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
+    track was lost there and taken up under another labelling. Forcing them together would spoil both."""
+    before, after = (Flight(fit_flight(seen.rows(_best_rows(seen, rows)))[0], np.inf) for rows in (a, b))
+    t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
+    p, q = before.at(t), after.at(t)
+    turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
+    away = float(np.linalg.norm(p.position_m - q.position_m))
+    return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
+
+
+def _strain(seen: Sightings, before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
+    """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
+    left out: one frame may straddle the contact in its exposure."""
+    a, b = before[-LONGEST:], after[:LONGEST]
+    alone = np.concatenate([misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0]) for rows in (a, b)])
+    pair = seen.rows(np.concatenate([a, b]))
+    joined = _fit_parts(pair, [np.arange(len(a)), np.arange(len(a), len(a) + len(b))], [False])
+    beside = joined.scatter.scale[0] * joined.residual[max(len(a) - 4, 0) : len(a) + 4]
+    return float(np.mean(np.sort(beside)[:-1])) / max(float(np.median(alone)), 0.5)
+
+
+def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
+    """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before
+    and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this."""
+    t = float(joined.links_s[k])
+    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    arms = die.solid.vertices @ a.rotation.T
+    low = int(np.argmin(arms[:, 2]))
+    edge = die.solid.edge_m
+    if abs(arms[low, 2] + a.position_m[2]) > TABLE_REACH * edge or b.velocity_m_s[2] <= a.velocity_m_s[2]:
+        return False
+    return normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low])
+
+
+def _jump(joined: Joined, k: int, die: Die) -> float:
+    """Size [m/s] of the change of motion at a link, at the die's surface."""
+    t = float(joined.links_s[k])
+    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    spin = die.solid.circumradius * np.linalg.norm(b.omega_rad_s - a.omega_rad_s)
+    return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
+
+
+def _fit_parts(seen: Sightings, parts: list[NDArray[np.int64]], opened: list[bool]) -> Joined:
+    """The joint fit of the frames of all flights, from each flight's own fit."""
+    good = [_best_rows(seen, rows) for rows in parts]
+    states = [fit_flight(seen.rows(rows))[0] for rows in good]
+    links = []
+    for k in range(len(parts) - 1):
+        if opened[k]:
+            # Between the frames that surely lie on either flight; where exactly, no single instant says.
+            links.append(0.5 * float(seen.time_s[good[k][-1]] + seen.time_s[good[k + 1][0]]))
+        else:
+            low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
+            links.append(_meeting(states[k], states[k + 1], low, high))
+    return fit_joined(seen, states, [Link(t, is_open) for t, is_open in zip(links, opened, strict=True)])
+
+
+def _best_rows(seen: Sightings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Rows of a flight without those far off its own motion."""
+    misfit = misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0])
+    good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
+    return good if len(good) >= 3 else rows
+
+
+def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
+    """The instant near [low, high] at which two motions come closest, positions and turns (times 5 mm) together."""
+    spread = max(high_s - low_s, 1e-9)
+    times = np.linspace(low_s - 1.0 * spread, high_s + 1.0 * spread, 121)
+    pa, qa = Flight(before, np.inf).poses(times)
+    pb, qb = Flight(after, np.inf).poses(times)
+    distance = np.linalg.norm(pa - pb, axis=1) + 5e-3 * np.linalg.norm(rotation_between(qa, qb), axis=1)
+    return float(times[int(np.argmin(distance))])
+
+
+# --- from links to impacts ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What holds for all fits of a clip."""
+
+    shared_sigma: Array
+    table_sigma_m: float
+
+    def fit(
+        self, seen: Sightings, starts: Sequence[State], links: Sequence[Link], scatter: Scatter | None = None
+    ) -> Joined:
+        return fit_joined(
+            seen, starts, links, scatter=scatter, shared_sigma=self.shared_sigma, table_sigma_m=self.table_sigma_m
+        )
+
+    def again(self, seen: Sightings, joined: Joined, links: Sequence[Link], scatter: Scatter | None) -> Joined:
+        """The same flights with other links, or with another scatter."""
+        return self.fit(seen, [flight.start for flight in joined.flights], links, scatter)
+
+
+def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+    """The chain with each joined link an impact at the vertex that explains it best, or free where none does, and with
+    the frames' own scatter. The scatter is that about flights joined anyhow: what an impact that is none would do to
+    them must show as a cost, not as scatter."""
+    found = rules.again(seen, joined, joined.links, None)
+    found = rules.again(seen, found, found.links, _scatter_of(seen, found))
+    found = _struck(seen, found, die, rules)
+    found = _without_ghosts(seen, found, die, rules)
+    seen, found = _with_quick_ones(seen, found, die, rules)
+    if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
+        rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
+        found = rules.again(seen, found, found.links, found.scatter)
+    return rules.again(seen, found, found.links, _scatter_of(seen, found))
+
+
+def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+    """The chain with its joined links as impacts at the low vertex of least cost. Those that cost more than noise does
+    are left free: two contacts at once, or an edge that struck along its length, push at no one vertex."""
+    strikes = _strikes(die)
+    lowest = [_lowest(joined, k, strikes) for k in range(len(joined.links))]
+    links = [
+        link if link.is_open or not low else replace(link, strike=low[0])
+        for link, low in zip(joined.links, lowest, strict=True)
+    ]
+    trial = rules.again(seen, joined, links, joined.scatter)
+    if trial.cost < joined.cost + LIKELY_STRAIN * len(links) and all(len(low) < 2 for low in lowest):
+        return trial
+    for k, low in enumerate(lowest):
+        if joined.links[k].is_open:
+            continue
+        trials = []
+        for strike in low:
+            links = list(joined.links)
+            links[k] = replace(links[k], strike=strike)
+            trials.append(rules.again(seen, joined, links, joined.scatter))
+        best = min(trials, key=lambda trial: trial.cost, default=joined)
+        joined = best if best.cost < joined.cost + STRIKE_STRAIN else joined
+    return joined
+
+
+def _numbered(joined: Joined) -> list[tuple[int, Link]]:
+    return list(enumerate(joined.links))
+
+
+def _strikes(die: Die) -> list[Strike]:
+    """A contact at each vertex. A die that is no spherical top has none that could be judged so simply."""
+    if not die.is_spherical_top:
+        return []
+    inner = inner_vertices(die.solid, die.corner_radius_m)
+    return [Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
+
+
+def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike]:
+    """The contacts that link k may be, the lowest vertex first."""
+    if not strikes:
+        return []
+    state = joined.flights[k].at(joined.links[k].time_s)
+    heights = np.array([strike.arm(state.rotation)[2] for strike in strikes])
+    reach = NEAR_SHARE * float(np.ptp(heights))
+    return [strikes[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
+
+
+def _scatter_of(seen: Sightings, joined: Joined) -> Scatter:
+    """The scatter of the frames about the fitted flights."""
+    cuts = [0, *(int(c) for c in np.searchsorted(seen.time_s, joined.links_s, side="right")), len(seen)]
+    parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
+    return estimate_scatter(seen, parts, [flight.start for flight in joined.flights], joined.shared, joined.weights)
+
+
+def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+    """The chain without open links at which nothing can have struck: the motion before, followed on to where the next
+    flight is sure, stays clear of the table."""
+    strikes = _strikes(die)
+    for k, link in reversed(_numbered(joined)):
+        if not link.is_open or not strikes:
+            continue
+        inside = np.flatnonzero((seen.time_s > link.time_s) & (joined.weights > 0.5))
+        until = float(seen.time_s[inside[0]]) if len(inside) else link.time_s
+        times = np.linspace(link.time_s, max(until, link.time_s + 4.0 * _spacing(seen)), 24)
+        lowest = min(_height(joined.flights[k].at(float(t)), strikes) for t in times)
+        if lowest - joined.table_m < CLEAR_SHARE * die.solid.edge_m:
+            continue
+        starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
+        links = [other for j, other in enumerate(joined.links) if j != k]
+        joined = rules.fit(seen, starts, links, joined.scatter)
+        joined = rules.again(seen, joined, joined.links, _scatter_of(seen, joined))
+    return joined
+
+
+def _with_quick_ones(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> tuple[Sightings, Joined]:
+    """The frames and the chain with open links, and such as leave frames beside them unexplained, resolved where the
+    model tells what may have happened there."""
+    strikes, scatter = _strikes(die), joined.scatter
+
+    def fit(own: Sightings, starts: Sequence[State], links: Sequence[Link]) -> Joined:
+        return rules.fit(own, starts, links, scatter)
+
+    k = len(joined.links) - 1
+    while k >= 0 and strikes:
+        told = None
+        if joined.links[k].is_open or is_crowded(seen, joined, k):
+            told = resolved(seen, joined, k, die, strikes, fit)
+        seen, joined, k = (told[0], told[1], told[2] - 1) if told else (seen, joined, k - 1)
+    return seen, joined
+
+
+def _spacing(seen: Sightings) -> float:
+    return float(np.median(np.diff(seen.time_s)))
+
+
+def _height(state: State, strikes: list[Strike]) -> float:
+    """Of the lowest point of the die."""
+    return float(state.position_m[2] + min(strike.arm(state.rotation)[2] for strike in strikes))
+
+
+def normal_velocity(state: State, arm: Array) -> float:
+    """Vertical velocity [m/s] of a point of the die at `arm` from its centre."""
+    return float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])

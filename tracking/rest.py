@@ -1,0 +1,125 @@
+"""The end of a throw: where the die no longer flies but rolls or lies on the table.
+
+In flight the centre of the die falls with g. Once the table carries it, be it in contact that lasts or in bounces too
+small to be told apart, its lowest point stays at one height and its centre falls, on the average, much more slowly. The
+last frames over which both hold are no flight, and none is fitted to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
+
+from ..model.motion import GRAVITY_M_S2, Flight, State, Throw
+from ..model.rotations import continuous_sign, matrix_from_quat, rotation_between
+from ..model.solids import Die, inner_vertices
+from .flights import Sightings
+from .parting import TABLE_REACH
+from .track import LOST, Track
+
+Array = NDArray[np.float64]
+
+FEWEST = 12
+"""Frames that show a level."""
+LEFT = 3
+"""Frames that measure a flight behind a bounce."""
+LEVEL_SHARE = 0.01
+"""How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
+part of coming to rest."""
+SMOOTHED = 5
+"""Frames whose median height is looked at, against the depth error of single frames."""
+HOPS = 1.5
+"""A hop that strays no further than that is over in 2 √(2h/g): what lasts so many times as long is none, nor its end."""
+CARRIED = 0.5
+"""Share of g below which the centre does not fall freely: half-way between a die in flight and one that lies."""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Carried(Flight):
+    """What was seen of a die that the table carries: the poses of its frames, and straight lines between."""
+
+    times_s: Array
+    """(n,) of the frames."""
+    positions_m: Array
+    """(n, 3)."""
+    quaternions: Array
+    """(n, 4) wxyz."""
+
+    def at(self, time_s: float) -> State:
+        """The state at any instant; before the first frame and after the last the die does not move."""
+        positions, quaternions = self.poses(np.array([time_s]))
+        k = int(np.clip(np.searchsorted(self.times_s, time_s), 1, len(self.times_s) - 1))
+        dt = float(self.times_s[k] - self.times_s[k - 1])
+        inside = self.times_s[0] <= time_s <= self.times_s[-1]
+        share = 1.0 / dt if inside else 0.0
+        velocity = share * (self.positions_m[k] - self.positions_m[k - 1])
+        omega = share * rotation_between(self.quaternions[k - 1], self.quaternions[k])
+        return State(float(time_s), positions[0], quaternions[0], velocity, omega)
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        times = np.clip(np.asarray(times_s, float), self.times_s[0], self.times_s[-1])
+        signed = continuous_sign(self.quaternions)
+        positions = np.stack([np.interp(times, self.times_s, column) for column in self.positions_m.T], axis=1)
+        quaternions = np.stack([np.interp(times, self.times_s, column) for column in signed.T], axis=1)
+        return positions, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def carried_from(seen: Sightings, die: Die) -> int:
+    """The first of the last rows over which the table carries the die; the number of rows where it flies to the end."""
+    n = len(seen)
+    if n < FEWEST:
+        return n
+    corners = matrix_from_quat(seen.quaternion) @ inner_vertices(die.solid, die.corner_radius_m).T
+    heights = corners[:, 2].min(1) + seen.position_m[:, 2] - die.corner_radius_m
+    level = float(np.median(heights[-FEWEST:]))
+    if abs(level) > TABLE_REACH * die.solid.edge_m:
+        return n
+    information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
+    sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
+    stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma / np.sqrt(0.64 * SMOOTHED)
+    # The efficiency of a median is 0.64.
+    off = np.flatnonzero(np.abs(median_filter(heights, SMOOTHED, mode="nearest") - level) > stray)
+    first = int(off[-1]) + 1 if len(off) else 0
+    if first >= n:
+        return n
+    hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2)
+    if seen.time_s[-1] - seen.time_s[first] < HOPS * hop or not _is_carried(seen, slice(first, n)):
+        return n
+    # The last bounce may lie a frame behind the first that is level: the frames that show it are left to it.
+    return min(first + LEFT, n)
+
+
+def _is_carried(seen: Sightings, rows: slice) -> bool:
+    """Whether the centre clearly does not fall freely over these frames, but much more slowly."""
+    t, z = seen.time_s[rows] - seen.time_s[rows].mean(), seen.position_m[rows, 2]
+    basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)
+    values, *_ = np.linalg.lstsq(basis, z, rcond=None)
+    inverse = np.linalg.inv(basis.T @ basis)
+    scatter = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
+    sigma = float(np.sqrt(scatter * inverse[2, 2]))
+    return bool(values[2] > -CARRIED * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > 3.0 * sigma)
+
+
+def flown(throw: Throw) -> Throw:
+    """The flights of a measured throw alone, without what the table carries at its end."""
+    if not isinstance(throw.flights[-1], Carried):
+        return throw
+    return Throw(throw.flights[:-1], throw.impacts[:-1])
+
+
+def frames_in_flight(track: Track, throw: Throw) -> Track:
+    """The track with the frames behind the last flight of a measured throw as lost: what a model of flights may be
+    fitted to. The poses stay as they are."""
+    behind = track.tracked & (track.time_s > flown(throw).flights[-1].end_s)
+    return replace(track, status=np.where(behind, LOST, track.status)) if behind.any() else track
+
+
+def resting_vertices(die: Die, rotation: Array) -> tuple[int, ...]:
+    """The vertices that touch the table with the die in this orientation, within a hundredth of an edge."""
+    heights = (rotation @ die.solid.vertices.T)[2]
+    order = np.argsort(heights)
+    return tuple(int(i) for i in order if heights[i] - heights[order[0]] < 0.01 * die.solid.edge_m)
