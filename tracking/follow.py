@@ -25,7 +25,7 @@ from ..model.rotations import (
 )
 from ..model.solids import Die
 from .background import estimate_background
-from .bounces import NoFlightError, measure_throw
+from .bounces import NoFlightError, calibrated, measure_throw
 from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
@@ -35,6 +35,7 @@ from .pose import (
     Pose,
     View,
     blur_step,
+    contour_leans,
     covariances,
     labelled_like,
     make_view,
@@ -69,8 +70,6 @@ LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
-CHI2_MEDIAN = 5.348
-"""Median of chi-square with six degrees of freedom."""
 THREADS = 2
 """Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
@@ -97,8 +96,8 @@ def follow(
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
     the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
-    used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera, background and clip
-    differ in size, and NoDieError where no die was found.
+    used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera,
+    background and clip differ in size, and NoDieError where no die was found.
     """
     clips = [clip] if not isinstance(clip, Sequence) else list(clip)
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
@@ -117,7 +116,7 @@ def follow(
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         seen = _second_pass(view, reel, seen, throw, unused, report)
-    return _calibrated(_track(reel, view, seen, throw), die)
+    return calibrated(_track(reel, view, seen, throw), die, view.camera)
 
 
 def _view_of(
@@ -265,7 +264,7 @@ def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     try:
-        return measure_throw(_as_track(reel, seen, whole), view.die)
+        return measure_throw(_as_track(reel, seen, whole), view.die, view.camera)
     except NoFlightError:
         return None
 
@@ -415,7 +414,9 @@ def _as_track(reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
     quaternion[known] = quat_from_matrix(seen.rotation[known])
     status = np.where(known, TRACKED, LOST).astype("<U7")
     frames = reel.first_frame + np.arange(n)
-    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status)
+    lean = np.full((n, 6), np.nan)
+    lean[known] = contour_leans(seen.H[known])
+    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
 def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
@@ -429,25 +430,6 @@ def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
         if share_in_view(view, state.position_m, state.rotation) == 0.0:
             status[k] = ABSENT
     return replace(track, status=status)
-
-
-def _calibrated(track: Track, die: Die) -> Track:
-    """The track with its covariances scaled to the scatter of the poses about their own flights.
-
-    Grain and shading on a die's faces are alike from pixel to pixel, so that single poses scatter more (usually about
-    twice as much) than the noise of independent pixels says. The factor is one number for the whole clip, from the
-    median, and never below one. What shifts all poses alike, as an error of the lens blur does, it cannot show.
-    """
-    try:
-        throw = measure_throw(track, die)
-    except NoFlightError:
-        return track
-    use = np.flatnonzero(track.tracked)
-    p, q = throw.poses(track.time_s[use])
-    miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
-    squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
-    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN)
-    return replace(track, covariance=track.covariance * factor)
 
 
 class _Reporter:
