@@ -33,7 +33,7 @@ from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .joined import transition
 from .pose import View, make_view, outline_box, refine_pose
-from .segment import background_noise, differing, largest_blob
+from .segment import background_noise, differing, largest_blob, without_shadow
 from .start import die_blobs
 from .track import Track
 
@@ -193,7 +193,7 @@ def _backdrop(sample: list[Image], background: Image, noise: float, estimated: b
 
 def _always_off(sample: list[Image], background: Image, noise: float) -> float:
     """Share of the pixels that differ from the background on nearly every frame on which the largest region that differs,
-    the die or its shadow, lies elsewhere."""
+    the die, lies elsewhere; what is only darker does not count, since a slow shadow stays long in a small picture."""
     looked, off = np.zeros(background.shape, int), np.zeros(background.shape, int)
     for image in sample:
         mask = differing(image, background, noise)
@@ -203,7 +203,7 @@ def _always_off(sample: list[Image], background: Image, noise: float) -> float:
             x0, y0, x1, y1 = blob.box
             elsewhere[y0:y1, x0:x1] = False
         looked += elsewhere
-        off += mask & elsewhere
+        off += without_shadow(image, background, noise, mask) & elsewhere
     known = looked >= max(len(sample) // 4, 1)
     if not known.any():
         return 1.0  # what differs fills the picture on every frame
