@@ -22,6 +22,7 @@ COLOURS = {
     Verdict.DOUBTFUL: hex_colour(IMPACT),
     Verdict.BAD: hex_colour(SIMULATED),
 }
+OWN_STYLE = "td:nth-child(-n+2) { white-space: nowrap; }"
 SHOWN = 3
 """Frames of the clip side by side."""
 
@@ -33,7 +34,7 @@ def check_page(
     parts = [f"<h1>{escape(title)}</h1>", _summary(findings), _findings(findings)]
     if sight is not None and sight.track.tracked.any():
         parts += ["<h2>The frames that were tried</h2>", _film(sight, clip, camera, die), _heights(sight, die)]
-    return whole_page(title, parts)
+    return whole_page(title, parts, OWN_STYLE)
 
 
 def _summary(findings: tuple[Finding, ...]) -> str:

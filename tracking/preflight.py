@@ -33,7 +33,7 @@ from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .joined import transition
 from .pose import View, make_view, outline_box, refine_pose
-from .segment import background_noise, differing
+from .segment import background_noise, differing, largest_blob, without_shadow
 from .start import die_blobs
 from .track import Track
 
@@ -51,6 +51,8 @@ LOOKS = 48
 BLURS_PX = (0.3, 0.45, 0.6, 0.8, 1.05, 1.4, 1.9, 2.6)
 """Widths of edge that are tried; each is a third more than the one before."""
 BLUR_FRAMES = 6
+NEARLY_EVERY = 0.8
+"""Share of the frames on which a pixel of a foreign background differs; a moving die or shadow does on fewer."""
 STRONGEST_CORRELATION = 0.97
 """Of neighbouring frames; beyond it the residuals are a drift and no noise, and the interval means little."""
 
@@ -82,7 +84,7 @@ class Backdrop:
     offset_grey: float
     """Median difference between the frames and the background, at its worst."""
     differing_share: float
-    """Share of the pixels that differ, on the frame where it is smallest."""
+    """Share of the pixels that differ on nearly every frame that does not show the die there."""
     brightest_share: float
     """Brightest grey level of the sampled frames (99.9th percentile), as a share of full scale."""
 
@@ -184,10 +186,28 @@ def _timing(clip: Clip, notices: tuple[str, ...]) -> Timing:
 
 def _backdrop(sample: list[Image], background: Image, noise: float, estimated: bool, bit_depth: int) -> Backdrop:
     offsets = [float(np.median(image - background)) for image in sample]
-    shares = [float(differing(image, background, noise).mean()) for image in sample]
     brightest = max(float(np.percentile(image[::2, ::2], 99.9)) for image in sample)
     worst = max(offsets, key=abs)
-    return Backdrop(estimated, noise, worst, min(shares), brightest / (2**bit_depth - 1))
+    return Backdrop(estimated, noise, worst, _always_off(sample, background, noise), brightest / (2**bit_depth - 1))
+
+
+def _always_off(sample: list[Image], background: Image, noise: float) -> float:
+    """Share of the pixels that differ from the background on nearly every frame on which the largest region that differs,
+    the die, lies elsewhere; what is only darker does not count, since a slow shadow stays long in a small picture."""
+    looked, off = np.zeros(background.shape, int), np.zeros(background.shape, int)
+    for image in sample:
+        mask = differing(image, background, noise)
+        elsewhere = np.ones(mask.shape, bool)
+        blob = largest_blob(mask)
+        if blob is not None:
+            x0, y0, x1, y1 = blob.box
+            elsewhere[y0:y1, x0:x1] = False
+        looked += elsewhere
+        off += without_shadow(image, background, noise, mask) & elsewhere
+    known = looked >= max(len(sample) // 4, 1)
+    if not known.any():
+        return 1.0  # what differs fills the picture on every frame
+    return float((off[known] >= NEARLY_EVERY * looked[known]).mean())
 
 
 def _first_sight(clip: Clip, view: View, start: HandStart | None) -> int | None:
@@ -252,16 +272,16 @@ def _lens_blur_px(clip: Clip, view: View, track: Track, throw: Throw | None) -> 
     noise = []
     for k in _spread_rows(track, BLUR_FRAMES):
         image, state = _grey(clip.frame(k)), throw.at(float(track.time_s[k])) if throw else None
-        motion = {} if state is None else {"velocity_m_s": state.velocity_m_s, "omega_rad_s": state.omega_rad_s}
+        velocity, omega = (state.velocity_m_s, state.omega_rad_s) if state is not None else (None, None)
         rotation = matrix_from_quat(track.quaternion[k])
-        noise.append(
-            [
-                refine_pose(
-                    replace(view, blur_px=blur), image, track.position_m[k], rotation, coarse=0, **motion
-                ).log_noise
-                for blur in BLURS_PX
-            ]
-        )
+        trials = [
+            refine_pose(
+                replace(view, blur_px=blur), image, track.position_m[k], rotation,
+                velocity_m_s=velocity, omega_rad_s=omega, coarse=0,
+            )
+            for blur in BLURS_PX
+        ]  # fmt: skip
+        noise.append([trial.log_noise for trial in trials])
     level = np.median(np.array(noise) - np.min(noise, axis=1, keepdims=True), axis=0)
     best = int(np.clip(np.argmin(level), 1, len(BLURS_PX) - 2))
     x, y = np.array(BLURS_PX[best - 1 : best + 2]), level[best - 1 : best + 2]
@@ -281,7 +301,7 @@ def _saturated_share(clip: Clip, view: View, track: Track) -> float:
 
 
 def _fall(track: Track, throw: Throw) -> Fall | None:
-    """The acceleration in flight, from frames that show the die whole, with an interval that knows that neighbours err alike."""
+    """The acceleration in flight, with an interval that knows that neighbours err alike."""
     fall = measure_fall(track, throw)
     if fall is None:
         return None
@@ -315,5 +335,5 @@ def _contacts(throw: Throw, die: Die) -> tuple[Array, Array]:
         covariance = transition(before, impact.time_s) @ before.covariance @ transition(before, impact.time_s).T
         speed = impact.normal_velocity_before_m_s * impact.sigma_time_s
         heights.append(float(state.position_m[2] + z - die.corner_radius_m))
-        sigmas.append(float(np.sqrt(max(row @ covariance @ row, 0.0) + speed**2)))
+        sigmas.append(float(np.sqrt(max(float(row @ covariance @ row), 0.0) + speed**2)))
     return np.array(heights), np.array(sigmas)

@@ -8,6 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from footage_files import write_cine
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
 from typer.testing import CliRunner
 
@@ -97,3 +98,11 @@ def test_pictures_of_two_sizes_are_refused(pictures: list[Path], tmp_path: Path)
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((60, 80), np.uint8))
     assert "is 80 × 60 px" in invoke(*pictures[:3], small, *OPTIONS, "--out", tmp_path / "c")[2]
+
+
+def test_a_film_serves_as_a_picture_by_its_first_frame(pictures: list[Path], tmp_path: Path) -> None:
+    board = cv2.imread(str(pictures[-1]), cv2.IMREAD_GRAYSCALE)
+    film = write_cine(tmp_path / "table.cine", np.stack([board, 0 * board]), stored_bits=8)
+    assert invoke(*pictures[:-1], "--table", film, *OPTIONS, "--out", tmp_path / "film")[0] == 0
+    assert invoke(*pictures[:-1], "--table", pictures[-1], *OPTIONS, "--out", tmp_path / "picture")[0] == 0
+    assert (tmp_path / "film" / "camera.toml").read_text() == (tmp_path / "picture" / "camera.toml").read_text()

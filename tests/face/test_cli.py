@@ -89,7 +89,7 @@ def test_the_version_is_told() -> None:
     assert invoke("--version")[:2] == (0, f"diethrow {diethrow.__version__}\n")
 
 
-@pytest.mark.parametrize("command", ["analyze", "track", "fit", "throw"])
+@pytest.mark.parametrize("command", ["analyze", "track", "fit", "throw", "calibrate", "check"])
 def test_every_command_explains_itself_with_an_example(command: str) -> None:
     status, text, _ = invoke(command, "--help")
     assert status == 0

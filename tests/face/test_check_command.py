@@ -1,0 +1,86 @@
+"""`diethrow check` prints every verdict, ends with status 1 where something is bad, and writes a page."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from footage_files import write_tiff
+from footage_of_throws import DICE, film, studio
+from random_throws import random_quaternion
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.model.motion import Flight, State, Throw
+
+ROOM = replace(studio(), noise_grey=2.0)
+FRAMES = 40
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cube in free flight through the picture, and the scene file of its clip."""
+    folder = tmp_path_factory.mktemp("clip")
+    spin = np.array([6.0, 15.0, -4.0])
+    release = State(0.0, np.array([0.0, 0.0, 0.034]), random_quaternion(np.random.default_rng(2)), np.zeros(3), spin)
+    clip = film(ROOM, DICE["cube"], Throw((Flight(release, 1.0),), ()), FRAMES)
+    write_tiff(folder / "clip.tif", clip.array)
+    cv2.imwrite(str(folder / "background.png"), np.rint(ROOM.table).astype(np.uint8))
+    camera, die = ROOM.camera, DICE["cube"]
+    lines = [
+        "[clip]", 'path = "clip.tif"', "fps = 1500.0", "exposure_s = 1e-4", 'background = "background.png"',
+        "[camera]", f"width = {camera.width_px}", f"height = {camera.height_px}",
+        *(f"{name} = {getattr(camera, name).tolist()}" for name in ("matrix", "distortion", "rotation", "translation_m")),
+        "[table]", 'surface = "wood"',
+        "[die]", 'shape = "cube"', f"edge_m = {die.solid.edge_m}", f"mass_kg = {die.mass_kg}",
+    ]  # fmt: skip
+    path = folder / "scene.toml"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def invoke(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["check", *(str(word) for word in words)])
+    assert "Traceback" not in result.output
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_a_sound_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "check"
+    status, said, _ = invoke(scene, "--out", out)
+    assert status == 0
+    names = ("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "scale", "vertical", "table")
+    assert all(name in said for name in names)
+    assert {file.name for file in out.iterdir()} == {"check.json", "check.html", "provenance.json"}
+    record = json.loads((out / "check.json").read_text())
+    assert [each["name"] for each in record["findings"]] == list(names)
+    assert record["verdict"] in ("good", "doubtful")
+    # A scale good to a few per cent is all that forty frames, 27 ms, can say; its interval holds the truth.
+    values = next(each for each in record["findings"] if each["name"] == "scale")["values"]
+    assert abs(values["edge_from_fall_m"] - DICE["cube"].solid.edge_m) < 1.5 * values["edge_from_fall_half_width_m"]
+    page = (out / "check.html").read_text()
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert invoke(scene, "--out", out)[0] == 2
+
+
+def test_something_bad_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
+    text = scene.read_text().replace('"clip.tif"', f'"{scene.parent / "clip.tif"}"')
+    bright = tmp_path / "bright.png"
+    cv2.imwrite(str(bright), np.rint(ROOM.table + 60).astype(np.uint8))
+    other = tmp_path / "scene.toml"
+    other.write_text(text.replace('"background.png"', f'"{bright}"'))
+    status, said, _ = invoke(other)
+    assert status == 1
+    assert "bad" in said
+
+
+def test_a_missing_clip_is_one_sentence(scene: Path, tmp_path: Path) -> None:
+    other = tmp_path / "scene.toml"
+    other.write_text(scene.read_text())
+    status, _, said = invoke(other)
+    assert status == 2
+    assert len(said.strip().splitlines()) == 1
