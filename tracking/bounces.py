@@ -17,7 +17,7 @@ from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
 from .flights import Sightings, transition
 from .joined import TABLE_SIGMA_M, Joined, Link
-from .lean import shared_lean, shared_sigma
+from .lean import shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
 from .parting import FEWEST, part_flights
 from .quick import INSTANT_FRAMES
@@ -39,6 +39,8 @@ class Measured:
     """A throw as the frames have it, and what was learnt of the frames on the way."""
 
     throw: Throw
+    frames: Track
+    """The single frames with the error that they share taken out: what a model is fitted to."""
     joined: Joined
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
@@ -62,13 +64,14 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     if len(use) < FEWEST:
         raise NoFlightError(f"{len(use)} frames are tracked: wanted at least three in a row to measure a flight")
     poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
+    lean = np.zeros((len(track), 6, 0))
     loose, seen = Sightings.from_poses(*poses), Sightings.from_poses(*poses, slack=0.1)
     flying = carried_from(loose, die)
     prior, floor = np.zeros(0), np.zeros((6, 6))
     if camera is not None:
-        lean, sigma = shared_lean(track, camera, die)[use], shared_sigma(track, camera, die)
-        seen, prior = seen.leaning(lean[:, :, :1]), sigma[:1]
-        typical = np.median(lean[:, :, 1:], axis=0) * sigma[1:]
+        lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
+        seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
+        typical = np.median(lean[use, :, 1:], axis=0) * sigma[1:]
         floor = typical @ typical.T
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
@@ -80,7 +83,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     if flying < len(use):
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
-    return Measured(Throw(flights, impacts), joined, use[:flying], floor)
+    straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
+    return Measured(Throw(flights, impacts), straight, joined, use[:flying], floor)
 
 
 def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:

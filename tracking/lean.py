@@ -14,11 +14,13 @@ at a height of zero. The others it leaves open, and they are part of every covar
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from ..model.rotations import matrix_from_quat
+from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ..model.solids import Die
 from .camera import Camera
 from .track import Track
@@ -66,6 +68,15 @@ def shared_sigma(track: Track, camera: Camera, die: Die) -> Array:
     radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
     size, aside = np.hypot(SIZE_PX, SIZE_SHARE * radius_px), np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
     return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
+
+
+def without_lean(track: Track, lean: Array, shared: Array) -> Track:
+    """The track with shared errors (m,) of that lean (n, 6, m) taken out of its poses, to the first order."""
+    change = lean @ shared
+    quaternion = track.quaternion.copy()
+    use = track.tracked
+    quaternion[use] = quat_multiply(quat_from_rotvec(-change[use, 3:]), track.quaternion[use])
+    return replace(track, position_m=track.position_m - change[:, :3], quaternion=quaternion)
 
 
 def _growth(corners_px: Array) -> float:

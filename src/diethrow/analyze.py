@@ -35,7 +35,7 @@ from .replay.report import write_report
 from .scene import ClipSource, Scene, View
 from .settings import SceneError, refuse
 from .tracking.background import load_background
-from .tracking.bounces import NoFlightError, measure_throw
+from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
 from .tracking.clip import Clip, open_clip
 from .tracking.follow import follow
@@ -59,6 +59,8 @@ class Tracking:
     clip: Clip
     frames: Track
     """The pose of each frame alone."""
+    straight: Track
+    """The same with the error that all frames share taken out."""
     measured: Throw
     smoothed: Track
     """The same frames, with the exact motion of the flights where it holds."""
@@ -99,7 +101,7 @@ def analyze(
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         tracking = track_scene(scene, progress, watch)
-        fit = _fit(tracking.frames, tracking.measured, scene, progress, watch)
+        fit = _fit(tracking.straight, tracking.measured, scene, progress, watch)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = _write_model(folder, fit, tracking.frames)
@@ -148,7 +150,7 @@ def fit_track(
     frames = read_track(track_path)
     inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with whole_folder(out, force=force, inputs=inputs) as folder:
-        measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
+        frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
         fit = _fit(frames, measured, scene, progress, watch)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
@@ -199,13 +201,13 @@ def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | No
         with watch.stage("track"):
             progress("Following the die", 0, len(clip))
             frames = _follow(scene, view, clip, background, progress)
-        measured, smoothed = _bounces(frames, scene.path, scene.die, view.camera, progress, watch)
+        straight, measured, smoothed = _bounces(frames, scene.path, scene.die, view.camera, progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in clip.notices:
             error.add_note(notice)
         raise
-    return Tracking(clip, frames, measured, smoothed)
+    return Tracking(clip, frames, straight, measured, smoothed)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -233,7 +235,7 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     """The files of the tracking stage."""
     write_vertices(folder / "vertices.csv", scene.die.solid)
     write_track(folder / "track.csv", tracking.smoothed)
-    write_track(folder / "track_frames.csv", tracking.frames)
+    write_track(folder / "track_frames.csv", tracking.straight)
     write_bounces(folder / "bounces.csv", tracking.measured.impacts)
 
 
@@ -265,16 +267,16 @@ def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32
 
 def _bounces(
     frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
-) -> tuple[Throw, Track]:
-    """The flights that the frames show, and all frames with those in flight smoothed."""
+) -> tuple[Track, Throw, Track]:
+    """The frames without the error that they share, the flights that they show, and all with those in flight smoothed."""
     _demand_a_die(frames, source, die)
     with watch.stage("bounces"):
         progress("Finding the bounces", 0, 0)
         try:
-            measured = measure_throw(frames, die, camera)
+            found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return flown(measured), smooth(frames, measured)
+        return found.frames, flown(found.throw), smooth(frames, found.throw)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:

@@ -23,6 +23,7 @@ from diethrow.tracking.flights import (
     moved,
     seen_minus_motion,
 )
+from diethrow.tracking.gravity import fall_notices, measure_fall
 from diethrow.tracking.lean import SIZE_PX, shared_lean, shared_sigma
 from diethrow.tracking.scatter import estimate_scatter
 from diethrow.tracking.smooth import smooth
@@ -183,6 +184,27 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
     depth = camera.rotation[2]
     off = [np.abs((t.position_m - p) @ depth).mean() for t in (track, smooth(track, found.throw))]
     assert off[1] < 0.25 * off[0]
+
+
+def test_the_frames_come_without_the_error_that_they_share() -> None:
+    camera = studio().camera
+    throw, track = leaning(0.08)
+    p, _ = throw.poses(track.time_s)
+    straight = measure(track, CUBE, camera).frames
+    off = [float(np.mean((t.position_m - p) @ camera.rotation[2])) for t in (track, straight)]
+    assert abs(off[1]) < 0.25 * abs(off[0])
+    np.testing.assert_array_equal(straight.covariance, track.covariance)
+
+
+def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
+    camera = studio().camera
+    _, track = leaning(0.0)
+    # Ten per cent too large, it seems ten per cent farther away.
+    far = replace(track, position_m=camera.centre_m + 1.1 * (track.position_m - camera.centre_m))
+    found = measure(far, make_die("cube", 0.0176, 0.0048), camera)
+    assert len(found.joined.shared) == 0
+    (notice,) = fall_notices(measure_fall(far, found.throw))
+    assert "[die]" in notice
 
 
 def test_without_a_lean_none_is_found() -> None:
