@@ -23,7 +23,8 @@ from diethrow.model.motion import State, Throw
 from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, make_die
 from diethrow.outputs import whole_folder
-from diethrow.replay.film import Effort, Look, lamp_beside
+from diethrow.replay.film import Effort
+from diethrow.replay.film_set import Look, lamp_beside
 from diethrow.replay.sensor import Sensor
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.clip import open_clip

@@ -23,7 +23,8 @@ from .model.solids import Die
 from .outputs import whole_folder
 from .plan import Plan
 from .provenance import Stopwatch, write_provenance
-from .replay.film import Effort, Look, Studio, film_light, lamp_beside
+from .replay.film import Effort, Studio, film_light
+from .replay.film_set import Look, lamp_beside
 from .replay.sensor import FixedPattern, Sensor, expose, fixed_pattern, rounded
 from .scene import Scene
 from .settings import refuse
@@ -108,6 +109,15 @@ class FilmSettings:
 
 
 @dataclass(frozen=True, eq=False)
+class _Understood:
+    """What provenance repeats of a film."""
+
+    plan: Plan
+    settings: FilmSettings
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
 class Shot:
     """Everything that decides a clip."""
 
@@ -154,7 +164,7 @@ def film(
         write_provenance(
             folder / "provenance.json",
             command=command,
-            understood={"plan": plan, "settings": settings, "camera": shot.camera},
+            understood=_Understood(plan, settings, shot.camera),
             inputs=inputs,
             seconds=watch.seconds,
             seeds={"film": settings.seed},

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
 from diethrow.model.solids import SHAPES, Die, Solid, convex_solid, inner_vertices, make_die
-from diethrow.replay.film import Effort, Look, Studio, _optics, _undistorted, film_light, lamp_beside
+from diethrow.replay.film import Effort, Studio, film_light
+from diethrow.replay.film_set import Look, lamp_beside
+from diethrow.replay.lens import optics_of, undistorted
 from diethrow.replay.sensor import Sensor, expose, fixed_pattern, rounded
 from diethrow.replay.skin import PIPS, TILE_PX, die_mesh, face_frame, face_paint
 from diethrow.replay.surfaces import SURFACES, table_paint
@@ -159,7 +161,7 @@ def test_a_sensor_keeps_its_pattern_and_its_range() -> None:
 
 def test_undistorted_directions_project_back_onto_their_pixels() -> None:
     view = camera(distortion=-0.5)
-    directions = _undistorted(view)
+    directions = undistorted(view)
     there = np.concatenate([directions, np.ones((*directions.shape[:2], 1))], -1)
     world = (there - view.translation_m) @ view.rotation
     px = view.project(world)
@@ -170,12 +172,12 @@ def test_undistorted_directions_project_back_onto_their_pixels() -> None:
 
 def test_a_lens_that_folds_the_picture_is_refused() -> None:
     with pytest.raises(ValueError, match="folds the picture over"):
-        _undistorted(camera(distortion=-400.0))
+        undistorted(camera(distortion=-400.0))
 
 
 def test_a_bent_picture_keeps_its_light() -> None:
     """Brought home from the ideal camera, an even picture is even, and a spot keeps its light to the lens's own stretch."""
-    optics = _optics(camera(distortion=1e-9), 0.7)
+    optics = optics_of(camera(distortion=1e-9), 0.7)
     box = (10, 20, 60, 70)
     fine = optics.rendered_box(box)
     ideal = np.ones((fine[3] - fine[1], fine[2] - fine[0]))
