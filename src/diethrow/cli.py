@@ -149,6 +149,8 @@ def film(
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option("--frames", help="Left out: as many as the throw lasts.")] = None,
+    start: Annotated[float, typer.Option("--start", metavar="S", help="Leave so much of the fall out [s].")] = 0.0,
+    size: Annotated[int, typer.Option("--size", metavar="PX", help="Width and height, where there is no scene.")] = 512,
     fps: Annotated[
         float | None, typer.Option("--fps", metavar="HZ", help="Recording rate; left out: the scene's.")
     ] = None,
@@ -180,6 +182,8 @@ def film(
         with _options_that_fit():
             settings = FilmSettings(
                 frames=frames,
+                start_s=start,
+                size_px=size,
                 fps=fps,
                 exposure_s=exposure,
                 bit_depth=bits,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .model.impacts import CoulombImpact, SmoothImpact
-from .model.motion import Throw
+from .model.motion import State, Throw
 from .model.simulate import Until, throw_die
 from .model.solids import Die
 from .outputs import whole_folder
@@ -36,14 +36,13 @@ Progress = Callable[[str, int, int], None]
 
 EXPOSURE_S = 2e-4
 """Without a scene: half a pixel of blur at 2 m/s and 1.3 px/mm, a tenth of what would disturb."""
-SIZE_PX = 512
-"""Without a scene: the square picture."""
 FIELD_OF_VIEW_RAD = 0.15
 """Without a scene: 100 mm of lens before a sensor of 15 mm."""
 LOOKING_DOWN_RAD = np.radians(28.0)
 HEADING_RAD = np.radians(20.0)
 """From the y axis: no face of a die at rest is seen edge-on."""
 MOST_FRAMES = 100_000
+LARGEST_PX = 8192
 AFTER_S = 0.05
 """For which a film without another end goes on once the landed face is decided, to show the die lie down."""
 EMPTY_EXPOSURES = 16
@@ -58,6 +57,10 @@ class FilmSettings:
 
     frames: int | None = None
     """None for as many as the throw lasts."""
+    start_s: float = 0.0
+    """How much of the fall is left out; the clip's time begins there."""
+    size_px: int = 512
+    """Width and height, where no scene says it."""
     fps: float | None = None
     """Recording rate; None for the scene's, or the throw file's."""
     exposure_s: float | None = None
@@ -82,6 +85,10 @@ class FilmSettings:
             raise ValueError(f"noise = {self.noise}: wanted a factor, 0 or more")
         if self.frames is not None and not 1 <= self.frames <= MOST_FRAMES:
             raise ValueError(f"frames = {self.frames}: wanted 1 to {MOST_FRAMES}")
+        if not 16 <= self.size_px <= LARGEST_PX:
+            raise ValueError(f"size_px = {self.size_px}: wanted 16 to {LARGEST_PX}")
+        if not (np.isfinite(self.start_s) and self.start_s >= 0):
+            raise ValueError(f"start_s = {self.start_s}: wanted a time of 0 or more, before the first impact")
         for name in ("fps", "exposure_s"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
@@ -178,9 +185,9 @@ def shot_of(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) 
     exposure_s = settings.exposure_s or (scene.clip.exposure_s if scene else None) or min(EXPOSURE_S, 1.0 / fps)
     if exposure_s > 1.0 / fps:
         raise ValueError(f"exposure_s = {exposure_s}: wanted at most the {1.0 / fps:.4g} s between two frames")
-    throw, frames = _throw_on_film(plan, fps, settings.frames)
+    throw, frames = _throw_on_film(plan, fps, settings)
     times = np.arange(frames) / fps
-    camera = _scene_camera(scene, plan) if scene else camera_for(throw, plan.die, times)
+    camera = _scene_camera(scene, plan) if scene else camera_for(throw, plan.die, times, settings.size_px)
     surface = scene.table.surface if scene else plan.table.surface
     die = replace(plan.die, marks=plan.die.marks or scene.die.marks) if scene else plan.die
     look = Look(lamp_beside(camera), seed=settings.seed)
@@ -202,24 +209,37 @@ def shot_of(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) 
     )
 
 
-def _throw_on_film(plan: Plan, fps: float, frames: int | None) -> tuple[Throw, int]:
-    """The throw, simulated for as long as the film lasts, and its frames."""
+def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Throw, int]:
+    """The throw from the start of the film, simulated for as long as it lasts, and its frames."""
     motion = plan.table.motion
     if motion is not None and motion.amplitude_m > 0:
         raise refuse(plan.path, "table.motion.amplitude_m", motion.amplitude_m, "a table is filmed at rest, wanted 0")
-    until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
+    release, frames = _release_at(plan, settings.start_s), settings.frames
+    until_s = None if plan.until_s is None else plan.until_s - settings.start_s
+    until = Until(time_s=until_s, impacts=plan.until_impacts)
     if frames is not None:
         until = Until(time_s=frames / fps)
-    throw = throw_die(plan.die, plan.release, plan.law, until=until).throw
+    throw = throw_die(plan.die, release, plan.law, until=until).throw
     end_s = throw.flights[-1].end_s
     if until == Until():
         end_s += AFTER_S
-        throw = throw_die(plan.die, plan.release, plan.law, until=Until(time_s=end_s)).throw
+        throw = throw_die(plan.die, release, plan.law, until=Until(time_s=end_s)).throw
     count = frames or int(np.floor(end_s * fps + 1e-9)) + 1
     if count > MOST_FRAMES:
         wanted = f"the throw lasts {end_s:.3g} s, {count} frames; wanted at most {MOST_FRAMES}, set until.time_s"
         raise refuse(plan.path, "output.fps", fps, wanted)
     return throw, count
+
+
+def _release_at(plan: Plan, start_s: float) -> State:
+    """The state at the start of the film, as a release at time 0. Raises ValueError where the die has struck by then."""
+    if start_s == 0.0:
+        return plan.release
+    first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1)).throw
+    strikes_s = first.impacts[0].time_s if first.impacts else first.flights[0].end_s
+    if start_s >= strikes_s:
+        raise ValueError(f"start_s = {start_s}: wanted a time before the first impact at {strikes_s:.5g} s")
+    return replace(first.flights[0].at(start_s), time_s=0.0)
 
 
 def _scene_camera(scene: Scene, plan: Plan) -> Camera:
@@ -232,7 +252,7 @@ def _scene_camera(scene: Scene, plan: Plan) -> Camera:
     return scene.cameras[0].camera
 
 
-def camera_for(throw: Throw, die: Die, times_s: Array) -> Camera:
+def camera_for(throw: Throw, die: Die, times_s: Array, size_px: int = 512) -> Camera:
     """A camera that looks down on the table from so far that it keeps the die in view from its first impact on, and as
     much of the fall as fits without going farther away than twice that."""
     first = throw.impacts[0].time_s if throw.impacts else float(times_s[-1])
@@ -249,11 +269,11 @@ def camera_for(throw: Throw, die: Die, times_s: Array) -> Camera:
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(ahead, right), ahead])
-    focal = SIZE_PX / 2 / np.tan(FIELD_OF_VIEW_RAD / 2)
-    middle = (SIZE_PX - 1) / 2
+    focal = size_px / 2 / np.tan(FIELD_OF_VIEW_RAD / 2)
+    middle = (size_px - 1) / 2
     matrix = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
     centre = target - reach / np.tan(FIELD_OF_VIEW_RAD / 2) * ahead
-    return Camera(SIZE_PX, SIZE_PX, matrix, np.zeros(5), rotation, -rotation @ centre)
+    return Camera(size_px, size_px, matrix, np.zeros(5), rotation, -rotation @ centre)
 
 
 def _extent(throw: Throw, die: Die, times_s: Array) -> tuple[Array, Array]:

@@ -119,6 +119,15 @@ def test_a_camera_of_its_own_keeps_the_throw_in_view(plan: Path) -> None:
     assert shot.die.solid.edge_m * camera.matrix[0, 0] / camera.translation_m[2] > camera.width_px / 20
 
 
+def test_what_is_left_out_of_the_fall_is_left_out_of_the_truth(plan: Path) -> None:
+    """A film that starts later shows the same throw, its clock set to zero at the start."""
+    whole, late = (shot_of(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
+    for t in (0.0, 0.02, 0.05):
+        assert late.at(t).position_m == pytest.approx(whole.at(t + 0.01).position_m, abs=1e-9)
+    # The impacts multiply rounding by a few units.
+    assert late.impacts[1].time_s + 0.01 == pytest.approx(whole.impacts[1].time_s, abs=1e-9)
+
+
 def test_a_film_until_rest_shows_the_die_lie_down(plan: Path) -> None:
     plan.write_text(plan.read_text().replace("impacts = 2", "").replace("[until]", ""))
     shot = shot_of(read_plan(plan), None, FilmSettings(), "film")
@@ -133,6 +142,8 @@ def test_a_film_until_rest_shows_the_die_lie_down(plan: Path) -> None:
         (("--bits", 9), "bit_depth = 9: wanted one of 8, 10, 12, 16"),
         (("--noise", -1), "noise = -1.0: wanted a factor, 0 or more"),
         (("--frames", 0), "frames = 0: wanted 1 to 100000"),
+        (("--size", 5), "size_px = 5: wanted 16 to 8192"),
+        (("--start", 0.5), "start_s = 0.5: wanted a time before the first impact at"),
         (("--fps", 0), "fps = 0.0: wanted a finite number above 0"),
         (("--exposure", 1), "exposure_s = 1.0: wanted at most the 0.0006667 s between two frames"),
     ],
