@@ -34,6 +34,7 @@ app = typer.Typer(
 )
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to make.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
 
@@ -133,6 +134,75 @@ def throw(
         typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
 
 
+@app.command(
+    epilog="Example:  diethrow film throw.toml --scene clips/cube_wood/scene.toml --out out/film; "
+    "diethrow analyze out/film/scene.toml --out out/seen"
+)
+def film(
+    plan: Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")],
+    out: OutFolder,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            "--scene",
+            metavar="SCENE",
+            help="Its camera, rate, exposure, surface and marks; left out: a camera that keeps the throw in view.",
+        ),
+    ] = None,
+    frames: Annotated[int | None, typer.Option("--frames", help="Left out: as many as the throw lasts.")] = None,
+    start: Annotated[float, typer.Option("--start", metavar="S", help="Leave so much of the fall out [s].")] = 0.0,
+    size: Annotated[int, typer.Option("--size", metavar="PX", help="Width and height, where there is no scene.")] = 512,
+    fps: Annotated[
+        float | None, typer.Option("--fps", metavar="HZ", help="Recording rate; left out: the scene's.")
+    ] = None,
+    exposure: Annotated[
+        float | None, typer.Option("--exposure", metavar="S", help="Of a frame [s]; left out: the scene's, or 0.0002.")
+    ] = None,
+    bits: Annotated[int, typer.Option("--bits", help="8, 10, 12 or 16 for each pixel.")] = 8,
+    noise: Annotated[float, typer.Option("--noise", help="Factor on the sensor's noise; 0 for none.")] = 1.0,
+    blur: Annotated[float, typer.Option("--blur", metavar="PX", help="Standard deviation of the point spread.")] = 0.6,
+    samples: Annotated[int, typer.Option("--samples", help="Light paths for each pixel; more are smoother.")] = 48,
+    seed: Annotated[int, typer.Option("--seed", help="Of textures and noise.")] = 1,
+    threads: Threads = None,
+    variant: Annotated[
+        str,
+        typer.Option("--variant", help="Of Mitsuba; llvm_ad_mono is twice as fast where LLVM 16 or newer is found."),
+    ] = "scalar_rgb",
+    force: Force = False,
+) -> None:
+    """Render a simulated throw as a camera would film it, with the truth beside it, ready for analyze."""
+    with _one_sentence_errors():
+        from .plan import read_plan
+        from .scene import read_scene
+
+        checked = read_plan(plan)
+        seen = read_scene(scene) if scene else None
+        from .film import FilmSettings
+        from .film import film as shoot
+
+        with _options_that_fit():
+            settings = FilmSettings(
+                frames=frames,
+                start_s=start,
+                size_px=size,
+                fps=fps,
+                exposure_s=exposure,
+                bit_depth=bits,
+                noise=noise,
+                blur_px=blur,
+                samples=samples,
+                seed=seed,
+                threads=threads or _cores(),
+                variant=variant,
+            )
+        with _progress() as progress:
+            shot = shoot(
+                checked, out, scene=seen, settings=settings, force=force, progress=progress, command=_as_typed()
+            )
+        typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
+        typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
+
+
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
 Edge = Annotated[float, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
 Mass = Annotated[float, typer.Option("--mass", metavar="KG", help="Mass of the die [kg].")]
@@ -140,7 +210,6 @@ Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction; left o
 Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Of the table's oscillation [m].")]
 Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Of the table's oscillation [Hz].")]
 Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Of the table at the release [rad].")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run of the same settings that was stopped.")]
 
 

@@ -1,0 +1,89 @@
+"""Film the throws in data_samples/throws and make samples of them, small enough to clone.
+
+    PYTHONPATH=tests python benchmarks/make_film_samples.py data_samples tests/data [NAME...] [--variant llvm_ad_mono]
+
+Each is what `diethrow film data_samples/throws/NAME.toml` with the settings of `FILMS` writes, coded as monochrome H.264
+like the other sample (`make_data_samples`), with its truth in tests/data/NAME. Needs Mitsuba, and some minutes a film.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from footage_files import write_video
+from make_data_samples import X264
+
+from diethrow.film import FilmSettings, film
+from diethrow.plan import read_plan
+from diethrow.tracking.clip import open_clip
+
+FPS = 1500.0
+FILMS = {
+    "cube_mirror": FilmSettings(frames=170, start_s=0.31, size_px=384, exposure_s=1e-4, seed=5),
+    "icosahedron_cork": FilmSettings(frames=170, start_s=0.312, size_px=384, exposure_s=1e-4, seed=6),
+    "tetrahedron_wood": FilmSettings(frames=170, start_s=0.07, size_px=384, exposure_s=2e-4, seed=7),
+}
+"""A die that falls from 60 cm is in view for the last 30 ms of it; the rest of the fall is left out."""
+LARGEST_BYTES = 3_000_000
+COARSER = (1.0, 1.6, 2.5, 4.0)
+"""Added to x264's crf, one after the other, until the film is small enough."""
+TRUTH = ("truth.csv", "bounces.csv", "truth.toml", "vertices.csv", "faces.csv")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make the samples named, and print what coding them costs."""
+    parser = argparse.ArgumentParser(description="Film the throws in data_samples/throws.")
+    parser.add_argument("samples", type=Path)
+    parser.add_argument("truths", type=Path)
+    parser.add_argument("names", nargs="*", default=list(FILMS), metavar="NAME")
+    parser.add_argument("--variant", default="scalar_rgb")
+    chosen = parser.parse_intermixed_args(arguments)
+    for name in chosen.names:
+        make_sample(chosen.samples, chosen.truths / name, name, chosen.variant)
+    return 0
+
+
+def make_sample(samples: Path, truth: Path, name: str, variant: str) -> None:
+    """One sample: film, code, and lay scene, background and truth beside it."""
+    folder = samples / name
+    with tempfile.TemporaryDirectory() as scratch:
+        whole = Path(scratch) / name
+        settings = FILMS[name]
+        film(read_plan(samples / "throws" / f"{name}.toml"), whole, settings=settings_with(settings, variant))
+        frames = np.stack(list(open_clip(whole / "clip.avi", fps=FPS).frames()))
+        folder.mkdir(parents=True, exist_ok=True)
+        truth.mkdir(parents=True, exist_ok=True)
+        bytes_ = code(folder / "clip.mp4", frames)
+        (folder / "scene.toml").write_text((whole / "scene.toml").read_text().replace("clip.avi", "clip.mp4"))
+        shutil.copyfile(whole / "background.png", folder / "background.png")
+        for file in TRUTH:
+            shutil.copyfile(whole / file, truth / file)
+    coded = np.stack(list(open_clip(folder / "clip.mp4", fps=FPS).frames()))
+    error = coded.astype(int) - frames
+    print(f"{name}: {bytes_ / 1e6:.2f} MB, coding bias {error.mean():+.3f}, rms {error.std():.2f} grey levels")
+
+
+def settings_with(settings: FilmSettings, variant: str) -> FilmSettings:
+    """The settings on another of Mitsuba's variants: the same light but for its noise."""
+    return replace(settings, variant=variant)
+
+
+def code(path: Path, frames: np.ndarray) -> int:
+    """Write the film, as fine as fits, and return its size in bytes."""
+    for coarser in (0.0, *COARSER):
+        options = X264 | {"crf": str(float(X264["crf"]) + coarser)}
+        write_video(path, frames, codec="libx264", pixels="gray", fps=int(FPS), options=options)
+        if path.stat().st_size <= LARGEST_BYTES - 200_000:  # the background lies beside it
+            break
+    return path.stat().st_size
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,409 @@
+"""The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests python benchmarks/tracker.py CLIP_FOLDER...`
+
+A clip folder holds `scene.toml`, what it names, and its truth (see `benchmarks/accuracy.py`; `diethrow film` and
+`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once to compile, then once
+from decoded frames for the time, and once from the file to the written tables. The poses measured are those of
+`track.csv`: every frame's own, and smoothed within a flight.
+
+  tracked    share of the frames with a pose, among those that show the whole die
+  wrong      frames off by more than 5 degrees or 1 mm across the line of sight
+  rotation   geodesic angle [deg], median and 95th percentile; lateral, depth: error of the centre [mm] across and along
+  NEES       normalised estimation error squared, median (5.35 where the covariances are honest); and the share of
+             frames within the 95 % ellipsoid
+  bounces    found of those that can be (in view, no other within two frames), + spurious ones
+  vertex     found bounces that name the right corner; late: error of their instant [frames], median
+  decoded    frames a second from decoded frames; whole: from the file to the tables on disk
+  MB         most memory that the process ever held; code and libraries take 300 of it
+
+The second table compares the tracker with what the pixels allow (Cramér-Rao), on pictures that match its assumptions:
+faces of one unknown grey, Gaussian edges, white noise. With J the derivative of the noiseless picture to the pose and to
+the grey of every face, the bound is the pose's block of (JᵀJ/σ²)⁻¹, from all pixels. The tracker's errors over many draws of
+the noise have the covariance C; printed is sqrt(tr(B⁻¹C)/6), 1 for an efficient estimator, and the standard deviations.
+
+`--picture FILE` draws the trade between the tracker's qualities, where there are several.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import multiprocessing
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import footage_of_throws
+import numpy as np
+from accuracy import (
+    MATCHED_FRAMES,
+    WRONG_DEG,
+    WRONG_M,
+    Truth,
+    body_turn,
+    findable,
+    read_truth,
+    rows_of,
+    truth_corners,
+    truth_folder,
+    turn_errors,
+)
+from footage_of_throws import DICE, Studio, greys, photograph, studio
+from numpy.typing import NDArray
+
+from diethrow.analyze import Tracking, open_footage, write_tracking
+from diethrow.model.motion import Impact, State
+from diethrow.model.rotations import (
+    matrix_from_quat,
+    quat_from_matrix,
+    quat_from_rotvec,
+    quat_multiply,
+    rotation_between,
+)
+from diethrow.model.solids import Die
+from diethrow.scene import Scene, read_scene
+from diethrow.tracking.background import load_background
+from diethrow.tracking.bounces import measure_throw
+from diethrow.tracking.clip import Clip, Frame
+from diethrow.tracking.follow import follow
+from diethrow.tracking.pose import make_view, refine_pose
+from diethrow.tracking.smooth import smooth
+
+Array = NDArray[np.float64]
+
+CHI2_95 = 12.592
+"""95 % of chi-square with six degrees of freedom."""
+ROWS = (
+    *("tracked", "wrong", "rotation", "lateral", "depth", "NEES", "bounces", "vertex", "late"),
+    *("decoded", "whole", "MB"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DecodedClip:
+    """A clip held in memory, so that reading it costs nothing."""
+
+    stack: NDArray[Any]
+    times_s: Array
+    bit_depth: int
+    first_frame: int
+    notices: tuple[str, ...] = ()
+
+    @property
+    def width_px(self) -> int:
+        return int(self.stack.shape[2])
+
+    @property
+    def height_px(self) -> int:
+        return int(self.stack.shape[1])
+
+    def __len__(self) -> int:
+        return len(self.stack)
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        yield from self.stack[start:stop]
+
+    def frame(self, index: int) -> Frame:
+        return np.asarray(self.stack[index])
+
+    def metadata(self) -> dict[str, Any]:
+        return {}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print both tables and draw the picture; the exit status is 1 where a clip failed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("clips", nargs="*", type=Path, metavar="CLIP_FOLDER")
+    parser.add_argument("--truth", type=Path, help="the folder of the truth, if it is not the clip's own")
+    parser.add_argument("--qualities", nargs="+", choices=qualities(), default=list(qualities()))
+    parser.add_argument("--picture", type=Path, help="where to draw the trade between the qualities")
+    parser.add_argument("--draws", type=int, default=200, help="of the noise, against the bound; 0 for no such table")
+    chosen = parser.parse_intermixed_args(arguments)
+    results, failures = [], 0
+    for folder in chosen.clips:
+        for quality in chosen.qualities:
+            try:
+                results.append(in_own_process(folder, chosen.truth or truth_folder(folder), quality))
+            except (ValueError, OSError) as error:
+                failures += 1
+                print(f"{folder}, {quality}: {error}", file=sys.stderr)
+    if results:
+        print_rows(["clip", "quality", *ROWS], [[r["clip"], r["quality"], *map(str, texts(r))] for r in results])
+    if chosen.picture and results:
+        draw_trade(chosen.picture, results)
+    if chosen.draws:
+        print()
+        print_rows(["die", "quality", "/ bound", "rotation", "lateral", "depth"], efficiency_rows(chosen))
+    return 1 if failures else 0
+
+
+def qualities() -> tuple[str, ...]:
+    """The tracker's qualities, fastest first."""
+    if find_spec("diethrow.tracking.quality") is None:
+        return ("standard",)
+    from diethrow.tracking.quality import QUALITIES
+
+    return tuple(QUALITIES)
+
+
+def tracker_options(surface: str, quality: str) -> dict[str, Any]:
+    """What the tracker is told of the table, and how fine it is to be."""
+    known = inspect.signature(follow).parameters
+    options: dict[str, Any] = {"mirror": "mirror" in surface.lower()} if "mirror" in known else {}
+    if "quality" in known:
+        from diethrow.tracking.quality import QUALITIES
+
+        options["quality"] = QUALITIES[quality]
+    return options
+
+
+# --- one clip ---------------------------------------------------------------------------------------------------------
+
+
+def in_own_process(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
+    """Measure a clip where nothing else has taken memory. Raises what the measurement raises."""
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        return pool.apply(measure, (folder, truth_at, quality))
+
+
+def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
+    """Track one clip and compare: numbers by name."""
+    scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_at)
+    tracking = tracked(scene, quality, None)  # compiles
+    began = time.perf_counter()
+    with tempfile.TemporaryDirectory() as scratch:
+        write_tracking(Path(scratch), scene, tracked(scene, quality, None))
+    whole_s = time.perf_counter() - began
+    # Before the clip is decoded into memory, which no tracking does.
+    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    view = scene.only_view()
+    clip = open_footage(scene, view)
+    decoded = DecodedClip(np.stack(list(clip.frames())), np.asarray(clip.times_s), clip.bit_depth, clip.first_frame)
+    began = time.perf_counter()
+    tracked(scene, quality, decoded)
+    decoded_s = time.perf_counter() - began
+    rates = {"decoded": len(clip) / decoded_s, "whole": len(clip) / whole_s, "MB": peak_MB}
+    name = folder.resolve().name
+    return {"clip": name, "quality": quality} | errors(scene, truth, tracking) | rates
+
+
+def tracked(scene: Scene, quality: str, clip: Clip | None) -> Tracking:
+    """The whole of tracking, from the scene's file or from decoded frames."""
+    view = scene.only_view()
+    clip = clip or open_footage(scene, view)
+    background = load_background(view.background_path, clip) if view.background_path else None
+    options = tracker_options(scene.table.surface, quality)
+    exposure_s = scene.clip.exposure_s
+    frames = follow(clip, view.camera, scene.die, background=background, exposure_s=exposure_s, **options)
+    throw = measure_throw(frames, scene.die)
+    return Tracking(clip, frames, throw, smooth(frames, throw))
+
+
+def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
+    """How far the poses and bounces are from the truth."""
+    track = tracking.smoothed
+    row = rows_of(track, truth)
+    turn = body_turn(track, truth, row, scene)
+    both = truth.visible[row] & track.tracked
+    moved = truth.position_m[row[both]] - track.position_m[both]
+    turned = turn_errors(matrix_from_quat(track.quaternion[both]) @ turn, truth.rotation[row[both]])
+    in_camera = moved @ scene.only_view().camera.rotation.T
+    across, along = np.linalg.norm(in_camera[:, :2], axis=1), np.abs(in_camera[:, 2])
+    angle = np.degrees(np.linalg.norm(turned, axis=1))
+    nees = squared_sigmas(np.concatenate([moved, turned], 1), track.covariance[both])
+    return {
+        "tracked": float(both.sum() / truth.visible[row].sum()),
+        "wrong": int(((angle > WRONG_DEG) | (across > WRONG_M)).sum()),
+        "rotation": spread_of(angle),
+        "lateral": spread_of(1e3 * across),
+        "depth": spread_of(1e3 * along),
+        "NEES": (float(np.median(nees)), float((nees < CHI2_95).mean())),
+    } | bounce_errors(tracking.measured.impacts, truth, truth_corners(turn, scene, truth))
+
+
+def squared_sigmas(error: Array, covariance: Array) -> Array:
+    """(n,) eᵀ P⁻¹ e of errors (n, 6) with covariances (n, 6, 6)."""
+    return np.asarray(np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0]))
+
+
+def spread_of(values: Array) -> tuple[float, float]:
+    """Median and 95th percentile."""
+    return float(np.median(values)), float(np.percentile(values, 95))
+
+
+def bounce_errors(impacts: Sequence[Impact], truth: Truth, true_corner: NDArray[np.int64]) -> dict[str, Any]:
+    """How many of the bounces were found, and how well."""
+    frame_s = float(np.median(np.diff(truth.time_s)))
+    times = np.array([impact.time_s for impact in impacts])
+    gaps = np.abs(times[:, None] - truth.bounce_s) / frame_s
+    wanted = np.flatnonzero(findable(truth, frame_s))
+    found = [k for k in wanted if gaps[:, k].min(initial=np.inf) < MATCHED_FRAMES]
+    nearest = [int(gaps[:, k].argmin()) for k in found]
+    named = [[int(true_corner[v]) for v in impacts[m].vertices] for m in nearest]
+    right = sum(corners == [int(truth.bounce_vertex[k])] for corners, k in zip(named, found, strict=True))
+    return {
+        "bounces": (len(found), len(wanted), int((gaps.min(1, initial=np.inf) > MATCHED_FRAMES).sum())),
+        "vertex": (right, len(found)),
+        "late": float(np.median([gaps[m, k] for m, k in zip(nearest, found, strict=True)])) if found else np.nan,
+    }
+
+
+def texts(result: dict[str, Any]) -> Iterator[str]:
+    """The cells of a row."""
+    digits = {"rotation": 3, "lateral": 4, "depth": 3}
+    for name in ROWS:
+        value = result[name]
+        if name in digits:
+            yield f"{value[0]:.{digits[name]}f} / {value[1]:.{digits[name]}f}"
+        elif name == "tracked":
+            yield f"{100 * value:.1f} %"
+        elif name == "NEES":
+            yield f"{value[0]:.1f}, {100 * value[1]:.0f} %"
+        elif name == "bounces":
+            yield f"{value[0]}/{value[1]} + {value[2]}"
+        elif name == "vertex":
+            yield f"{value[0]}/{value[1]}"
+        else:
+            yield f"{value:.3f}" if name == "late" else f"{value:.0f}"
+
+
+def print_rows(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """A table in columns."""
+    widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
+    for row in (heads, *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def draw_trade(path: Path, results: Sequence[dict[str, Any]]) -> None:
+    """Rotation error over frames a second: a line for each clip, a point for each quality."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 5.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    markers = dict(zip(qualities(), "o^s", strict=False))
+    for k, clip in enumerate(dict.fromkeys(r["clip"] for r in results)):
+        mine = [r for r in results if r["clip"] == clip]
+        x, y = [r["decoded"] for r in mine], [r["rotation"][0] for r in mine]
+        ax.plot(x, y, color=f"C{k % 10}", linestyle=("-", "--")[k // 10 % 2], linewidth=1, label=clip)
+        for r in mine:
+            ax.plot(r["decoded"], r["rotation"][0], markers[r["quality"]], color=f"C{k % 10}", markersize=6)
+    for quality, marker in markers.items():
+        ax.plot([], [], marker, color="0.4", label=quality)
+    ax.set(
+        xscale="log", yscale="log", xlabel="frames a second, from decoded frames", ylabel="rotation error, median [deg]"
+    )
+    ax.grid(alpha=0.3, which="both")
+    ax.legend(fontsize=7, ncols=2)
+    figure.savefig(path)
+
+
+# --- against the bound ------------------------------------------------------------------------------------------------
+
+STEPS = np.array([2e-5] * 3 + [2e-3] * 3)
+"""Half steps of the derivatives [m, rad]: a tenth of a pixel, over which the picture is straight and the renderer's
+supersampling does not show."""
+NOISE_GREY = 4.0
+START = np.array([5e-5] * 3 + [5e-3] * 3)
+"""Standard deviation of the starts [m, rad]: what a flight predicts."""
+POSES = 4
+"""Poses of each die."""
+
+
+def efficiency_rows(chosen: argparse.Namespace) -> list[list[str]]:
+    """One row for each die and quality."""
+    return [
+        efficiency_row(name, die, quality, chosen.draws) for name, die in DICE.items() for quality in chosen.qualities
+    ]
+
+
+def efficiency_row(name: str, die: Die, quality: str, draws: int) -> list[str]:
+    """Errors of single frames over many draws of the noise, beside the bound."""
+    room = studio()
+    room = Studio(room.camera, room.table, noise_grey=NOISE_GREY)
+    rng = np.random.default_rng(1)
+    ratios, spreads = [], []
+    for _ in range(POSES):
+        state = random_state(rng)
+        bound = bound_of(room, die, state)
+        covariance = covariance_of(room, die, state, quality, draws, rng)
+        ratios.append(np.trace(np.linalg.solve(bound, covariance)) / 6.0)
+        spreads.append([components(room, matrix) for matrix in (covariance, bound)])
+    ours, least = np.sqrt(np.mean(np.square(spreads), axis=0))
+    pairs = [f"{a:.4f} ({b:.4f}) {unit}" for a, b, unit in zip(ours, least, ("deg", "mm", "mm"), strict=True)]
+    return [name, quality, f"{np.sqrt(np.mean(ratios)):.2f}", *pairs]
+
+
+def random_state(rng: np.random.Generator) -> State:
+    """Any orientation, in the middle of the picture, at rest: blur is not the question here."""
+    quaternion = rng.standard_normal(4)
+    position = np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018])
+    return State(0.0, position, quaternion / np.linalg.norm(quaternion), np.zeros(3), np.zeros(3))
+
+
+def bound_of(room: Studio, die: Die, state: State) -> Array:
+    """(6, 6) least covariance of the pose that an unbiased estimator can have: position [m], rotation vector [rad]."""
+    paint = greys(die, state.rotation)
+    columns = []
+    for step in np.diag(STEPS):
+        ahead, behind = (painted(room, die, shifted(state, sign * step), paint) for sign in (1.0, -1.0))
+        columns.append((ahead - behind) / (2.0 * step.max()))
+    # The picture is linear in the greys of the faces.
+    plain = painted(room, die, state, paint)
+    columns += [painted(room, die, state, paint + unit) - plain for unit in np.eye(len(paint))]
+    J = np.stack([column.ravel() for column in columns if np.abs(column).max() > 0.0], 1) / NOISE_GREY
+    scale = np.linalg.norm(J, axis=0)
+    return np.asarray((np.linalg.inv((J / scale).T @ (J / scale)) / np.outer(scale, scale))[:6, :6])
+
+
+def painted(room: Studio, die: Die, state: State, paint: Array) -> Array:
+    """The noiseless picture of a die whose faces have these greys (faces,)."""
+    with patch.object(footage_of_throws, "greys", lambda die, rotation: paint):
+        return np.asarray(photograph(room, die, state), float)
+
+
+def shifted(state: State, step: Array) -> State:
+    """The state displaced by (6,): metres, and a rotation vector in world axes."""
+    quaternion = quat_multiply(quat_from_rotvec(step[3:]), state.quaternion)
+    return replace(state, position_m=state.position_m + step[:3], quaternion=quaternion)
+
+
+def covariance_of(room: Studio, die: Die, state: State, quality: str, draws: int, rng: np.random.Generator) -> Array:
+    """(6, 6) of the tracker's errors about their mean, over draws of the noise, from starts a little off."""
+    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, **refine_options(quality))
+    plain = photograph(room, die, state)
+    found = np.empty((draws, 6))
+    for k in range(draws):
+        picture = np.asarray(plain + rng.normal(scale=NOISE_GREY, size=plain.shape), np.float32)
+        start = shifted(state, rng.standard_normal(6) * START)
+        pose = refine_pose(view, picture, start.position_m, start.rotation, coarse=1)
+        turn = rotation_between(state.quaternion, quat_from_matrix(pose.rotation))
+        found[k] = np.concatenate([pose.position_m - state.position_m, turn])
+    return np.asarray(np.cov(found.T))
+
+
+def refine_options(quality: str) -> dict[str, Any]:
+    """What a view is told beyond the scene."""
+    return (
+        {"quality": tracker_options("", quality)["quality"]}
+        if "quality" in inspect.signature(make_view).parameters
+        else {}
+    )
+
+
+def components(room: Studio, covariance: Array) -> tuple[float, float, float]:
+    """Standard deviations: rotation [deg] over all axes, lateral and depth [mm]."""
+    in_camera = room.camera.rotation @ covariance[:3, :3] @ room.camera.rotation.T
+    rotation = np.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
+    return float(rotation), 1e3 * float(np.sqrt(np.trace(in_camera[:2, :2]))), 1e3 * float(np.sqrt(in_camera[2, 2]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

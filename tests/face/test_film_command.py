@@ -1,0 +1,181 @@
+"""A filmed throw is a clip that the rest of the program takes, and what cannot be filmed is told in one sentence."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diethrow.analyze import open_footage
+from diethrow.cli import app
+from diethrow.film import FilmSettings, camera_for, shot_of
+from diethrow.plan import read_plan
+from diethrow.scene import read_scene
+from diethrow.tracking.background import load_background
+from diethrow.truth import visibility
+
+with_mitsuba = pytest.mark.skipif(
+    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"
+)
+
+DIE = '[table]\nsurface = "cork"\n[die]\nshape = "cube"\nedge_m = 0.016\nmass_kg = 0.0048\n'
+THROW = """\
+[law]
+chi = 0.5
+[initial]
+position_m = [0.0, 0.0, 0.03]
+euler_rad = [0.1, 0.7, -0.4]
+velocity_m_s = [0.1, 0.1, -0.4]
+omega_body_rad_s = [9.0, 30.0, 4.0]
+[until]
+impacts = 2
+"""
+CAMERA = """\
+[clip]
+fps = 1000.0
+exposure_s = 0.0003
+[camera]
+width = 96
+height = 64
+matrix = [[700.0, 0.0, 47.5], [0.0, 700.0, 31.5], [0.0, 0.0, 1.0]]
+rotation = [[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]
+translation_m = [0.0, 0.02, 0.6]
+"""
+
+
+def invoke(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    assert "Traceback" not in result.output
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Path:
+    path = tmp_path / "throw.toml"
+    path.write_text(DIE + THROW)
+    return path
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(CAMERA + DIE + 'marks = "pips"\n')
+    return path
+
+
+@with_mitsuba
+def test_a_film_is_a_clip_with_its_truth(plan: Path, scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "film"
+    words = ("film", plan, "--scene", scene, "--out", out, "--frames", 4, "--samples", 2, "--bits", 12, "--threads", 1)
+    assert invoke(*words)[0] == 0
+    filmed, given = read_scene(out / "scene.toml"), read_scene(scene)
+    assert filmed.die.marks == "pips"
+    assert filmed.table.surface == "cork"
+    assert (filmed.clip.fps, filmed.clip.exposure_s) == (1000.0, 0.0003)
+    assert (filmed.cameras[0].camera.matrix == given.cameras[0].camera.matrix).all()
+    clip = open_footage(filmed, filmed.only_view())
+    assert (len(clip), clip.bit_depth) == (4, 12)
+    background = load_background(out / "background.png", clip)
+    frame = clip.frame(3).astype(float)
+    assert 200 < background.mean() < 3000
+    # Where the die is, the frame differs from the empty table by more than its noise, which is below 40 of 4095.
+    assert np.abs(frame - background).max() > 400
+    with (out / "truth.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    throw = shot_of(read_plan(plan), given, FilmSettings(frames=4), "film").throw
+    for row in rows:
+        state = throw.at(float(row["t"]))
+        assert [float(row[name]) for name in "xyz"] == pytest.approx(state.position_m, abs=1e-12)
+    assert json.loads((out / "provenance.json").read_text())["seeds"] == {"film": 1}
+    assert invoke(*words)[0] == 2
+
+
+def test_without_mitsuba_the_error_says_what_to_install(
+    plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    status, _, told = invoke("film", plan, "--out", tmp_path / "film", "--frames", 2)
+    assert status == 1
+    assert "pip install 'diethrow[film]'" in told
+    assert not (tmp_path / "film").exists()
+
+
+def test_a_camera_of_its_own_keeps_the_throw_in_view(plan: Path) -> None:
+    shot = shot_of(read_plan(plan), None, FilmSettings(), "film")
+    times = np.arange(shot.frames) / shot.fps
+    camera = camera_for(shot.throw, shot.die, times)
+    positions = shot.throw.poses(times)[0]
+    rotations = np.array([shot.throw.at(float(t)).rotation for t in times])
+    wholly, _ = visibility(shot.die, camera, positions, rotations)
+    first = shot.throw.impacts[0].time_s
+    assert wholly[times >= first].all()
+    # Nor from so far that nothing can be measured: the die is at least a twentieth of the picture.
+    assert shot.die.solid.edge_m * camera.matrix[0, 0] / camera.translation_m[2] > camera.width_px / 20
+
+
+def test_what_is_left_out_of_the_fall_is_left_out_of_the_truth(plan: Path) -> None:
+    """A film that starts later shows the same throw, its clock set to zero at the start."""
+    whole, late = (shot_of(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
+    for t in (0.0, 0.02, 0.05):
+        assert late.at(t).position_m == pytest.approx(whole.at(t + 0.01).position_m, abs=1e-9)
+    # The impacts multiply rounding by a few units.
+    assert late.impacts[1].time_s + 0.01 == pytest.approx(whole.impacts[1].time_s, abs=1e-9)
+
+
+def test_a_film_until_rest_shows_the_die_lie_down(plan: Path) -> None:
+    plan.write_text(plan.read_text().replace("impacts = 2", "").replace("[until]", ""))
+    shot = shot_of(read_plan(plan), None, FilmSettings(), "film")
+    end = shot.throw.at((shot.frames - 1) / shot.fps)
+    lowest = float((shot.die.solid.vertices @ end.rotation.T + end.position_m)[:, 2].min())
+    assert lowest > -1e-6
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--bits", 9), "bit_depth = 9: wanted one of 8, 10, 12, 16"),
+        (("--noise", -1), "noise = -1.0: wanted a factor, 0 or more"),
+        (("--frames", 0), "frames = 0: wanted 1 to 100000"),
+        (("--size", 5), "size_px = 5: wanted 16 to 8192"),
+        (("--start", 0.5), "start_s = 0.5: wanted a time before the first impact at"),
+        (("--fps", 0), "fps = 0.0: wanted a finite number above 0"),
+        (("--exposure", 1), "exposure_s = 1.0: wanted at most the 0.0006667 s between two frames"),
+    ],
+)
+def test_options_that_cannot_be_are_told(plan: Path, tmp_path: Path, words: tuple[object, ...], told: str) -> None:
+    status, _, error = invoke("film", plan, "--out", tmp_path / "film", *words)
+    assert status in (1, 2)
+    assert told in error
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("[camera]", "[[camera]]", ""), ""),
+        (("cube", "octahedron", "die"), 'die.shape = "octahedron"'),
+    ],
+)
+def test_a_scene_must_be_of_the_same_die(
+    plan: Path, scene: Path, tmp_path: Path, change: tuple[str, str, str], told: str
+) -> None:
+    scene.write_text(scene.read_text().replace(change[0], change[1]).replace('marks = "pips"\n', ""))
+    if not told:
+        assert shot_of(read_plan(plan), read_scene(scene), FilmSettings(), "film").camera.width_px == 96
+        return
+    status, _, error = invoke("film", plan, "--scene", scene, "--out", tmp_path / "film")
+    assert status == 2
+    assert told in error
+
+
+def test_a_table_that_moves_is_refused(plan: Path, tmp_path: Path) -> None:
+    motion = 'surface = "cork"\nmotion = {amplitude_m = 0.001, frequency_hz = 20.0}'
+    plan.write_text(plan.read_text().replace('surface = "cork"', motion))
+    status, _, error = invoke("film", plan, "--out", tmp_path / "film")
+    assert status == 2
+    assert "table.motion.amplitude_m = 0.001: a table is filmed at rest" in error
