@@ -33,6 +33,7 @@ from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .joined import transition
 from .pose import View, make_view, outline_box, refine_pose
+from .quality import FAST
 from .segment import background_noise, differing, largest_blob, without_shadow
 from .start import die_blobs
 from .track import Track
@@ -155,7 +156,7 @@ def preflight(
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
             track = follow(
-                part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded
+                part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded, quality=FAST
             )  # fmt: skip
             sight = _sight(part, track, make_view(camera, die, empty, noise, exposure_s, 0.7))
         except NoDieError as error:

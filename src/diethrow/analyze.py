@@ -6,7 +6,7 @@ and puts the records into a folder that appears whole or not at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,7 @@ from .tracking.camera import Camera
 from .tracking.clip import Clip, open_clip
 from .tracking.follow import follow
 from .tracking.gravity import fall_notices, measure_fall
+from .tracking.quality import STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
@@ -56,7 +57,8 @@ class RunError(ValueError):
 class Tracking:
     """What the footage says, before any model of an impact."""
 
-    clip: Clip
+    clips: tuple[Clip, ...]
+    """One a camera."""
     frames: Track
     """The pose of each frame alone."""
     straight: Track
@@ -68,7 +70,10 @@ class Tracking:
     @property
     def notices(self) -> tuple[str, ...]:
         """What a careful reader should know of the footage and of the motion in it, one sentence each."""
-        return (*self.clip.notices, *fall_notices(measure_fall(self.frames, self.measured)))
+        return (
+            *(n for clip in self.clips for n in clip.notices),
+            *fall_notices(measure_fall(self.frames, self.measured)),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +95,13 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 def analyze(
-    scene: Scene, out: Path, *, force: bool = False, progress: Progress = silent, command: tuple[str, ...] = ()
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    quality: Quality = STANDARD,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
@@ -100,7 +111,7 @@ def analyze(
     watch = Stopwatch()
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch)
+        tracking = track_scene(scene, progress, watch, quality)
         fit = _fit(tracking.straight, tracking.measured, scene, progress, watch)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
@@ -111,8 +122,8 @@ def analyze(
             track=tracking.smoothed,
             measured=tracking.measured,
             fps=_rate_hz(tracking.frames),
-            clip=tracking.clip,
-            camera=scene.only_view().camera,
+            clip=tracking.clips[0],
+            camera=scene.views()[0].camera,
             fit=fit,
             simulated=simulated if fit.throw else None,
             notices=notices,
@@ -123,13 +134,19 @@ def analyze(
 
 
 def track_only(
-    scene: Scene, out: Path, *, force: bool = False, progress: Progress = silent, command: tuple[str, ...] = ()
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    quality: Quality = STANDARD,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
 ) -> Tracking:
     """The tracking stage alone, written to the folder `out`. Raises as `analyze`."""
     watch = Stopwatch()
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch)
+        tracking = track_scene(scene, progress, watch, quality)
         write_tracking(folder, scene, tracking)
         _write_origin(folder, scene, command, input_paths(scene), watch)
     return tracking
@@ -183,25 +200,27 @@ def smoothed_notices(track_path: Path) -> tuple[str, ...]:
 
 def check_scene(scene: Scene) -> None:
     """Raises SceneError for a well-formed scene that cannot be analysed: no footage, two views, a table that moves."""
-    scene.only_view()
+    scene.views()
     scene.still_table()
 
 
-def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | None = None) -> Tracking:
+def track_scene(
+    scene: Scene, progress: Progress = silent, watch: Stopwatch | None = None, quality: Quality = STANDARD
+) -> Tracking:
     """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
 
     Raises SceneError for footage that does not fit the scene, RunError where no die is found.
     """
     watch = watch or Stopwatch()
-    view = scene.only_view()
+    views = scene.views()
     with watch.stage("open"):
-        clip = open_footage(scene, view)
-        background = _background(scene, view, clip)
+        clips = [open_footage(scene, view) for view in views]
+        backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
     try:
         with watch.stage("track"):
-            progress("Following the die", 0, len(clip))
-            frames = _follow(scene, view, clip, background, progress)
-        straight, measured, smoothed = _bounces(frames, scene.path, scene.die, view.camera, progress, watch)
+            progress("Following the die", 0, len(clips[0]))
+            frames = _follow(scene, clips, backgrounds, quality, progress)
+        straight, measured, smoothed = _bounces(frames, scene.path, scene.die, views[0].camera, progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in clip.notices:
@@ -213,7 +232,7 @@ def track_scene(scene: Scene, progress: Progress = silent, watch: Stopwatch | No
 def open_footage(scene: Scene, view: View) -> Clip:
     """The clip of a view. Raises SceneError where it cannot be read, or its frames are not the camera's."""
     source: ClipSource = scene.clip
-    assert view.path is not None, "only_view() demands a path"
+    assert view.path is not None, "views() demands paths"
     try:
         clip = open_clip(view.path, fps=source.fps, frame_range=source.frame_range)
     except (ValueError, OSError) as error:
@@ -248,17 +267,24 @@ def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | N
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
-def _follow(scene: Scene, view: View, clip: Clip, background: NDArray[np.float32] | None, progress: Progress) -> Track:
+def _follow(
+    scene: Scene,
+    clips: Sequence[Clip],
+    backgrounds: Sequence[NDArray[np.float32] | None],
+    quality: Quality,
+    progress: Progress,
+) -> Track:
     try:
         return follow(
-            clip,
-            view.camera,
+            clips,
+            [view.camera for view in scene.views()],
             scene.die,
-            background=background,
+            background=backgrounds,
             exposure_s=scene.clip.exposure_s,
             mirror=scene.table.surface == "mirror",
             start=scene.start,
             excluded=scene.clip.excluded,
+            quality=quality,
             progress=lambda done, total: progress("Following the die", done, total),
         )
     except (ValueError, OSError) as error:

@@ -46,7 +46,7 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         check, clip = _check(scene, watch)
         write_json(folder / "check.json", _record(check))
-        camera, title = scene.only_view().camera, scene.path.resolve().parent.name
+        camera, title = scene.views()[0].camera, scene.path.resolve().parent.name
         page = check_page(title, check.findings, check.measured.sight, clip, camera, scene.die)
         (folder / "check.html").write_text(page, encoding="utf-8")
         write_provenance(
@@ -60,13 +60,13 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
 
 
 def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, Clip]:
-    view = scene.only_view()
+    view = scene.views()[0]
     with watch.stage("open"):
         clip = open_footage(scene, view)
         background = _background(view, clip, scene)
 
     def open_part(first: int, stop: int) -> Clip:
-        assert view.path is not None, "only_view() demands a path"
+        assert view.path is not None, "views() demands paths"
         return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
 
     exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from .analyze import Analysis
     from .check import Check
     from .fitting.results import Parameter
+    from .tracking.quality import Quality
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
 """Exit status: the run gave no result; the scene or the command line is wrong; Ctrl-C."""
@@ -36,6 +37,14 @@ app = typer.Typer(
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to make.")]
+Fineness = Annotated[
+    str,
+    typer.Option(
+        "--quality",
+        metavar="fast|standard|fine",
+        help="fast: each frame once, edges alone; standard: twice, and the marks on the faces; fine: the same with more steps.",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
 
 
@@ -62,7 +71,7 @@ def _program(
 
 
 @app.command(epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood")
-def analyze(scene: SceneFile, out: OutFolder, force: Force = False) -> None:
+def analyze(scene: SceneFile, out: OutFolder, quality: Fineness = "standard", force: Force = False) -> None:
     """From clip to replay: track the die, find its bounces, fit the model, write tables, a recording and a report."""
     with _one_sentence_errors():
         from .scene import read_scene
@@ -71,13 +80,14 @@ def analyze(scene: SceneFile, out: OutFolder, force: Force = False) -> None:
         from .analyze import analyze as analyze_scene
 
         with _progress() as progress:
-            command = _command("analyze", scene, out, force)
-            result = analyze_scene(checked, out, force=force, progress=progress, command=command)
+            command = (*_command("analyze", scene, out, force), "--quality", quality)
+            chosen = _quality(quality)
+            result = analyze_scene(checked, out, force=force, quality=chosen, progress=progress, command=command)
         _print_analysis(result)
 
 
 @app.command(epilog="Example:  diethrow track clips/cube_wood/scene.toml --out out/track")
-def track(scene: SceneFile, out: OutFolder, force: Force = False) -> None:
+def track(scene: SceneFile, out: OutFolder, quality: Fineness = "standard", force: Force = False) -> None:
     """The tracking stage alone: poses with covariances, and bounces."""
     with _one_sentence_errors():
         from .scene import read_scene
@@ -86,8 +96,9 @@ def track(scene: SceneFile, out: OutFolder, force: Force = False) -> None:
         from .analyze import track_only
 
         with _progress() as progress:
-            command = _command("track", scene, out, force)
-            result = track_only(checked, out, force=force, progress=progress, command=command)
+            command = (*_command("track", scene, out, force), "--quality", quality)
+            chosen = _quality(quality)
+            result = track_only(checked, out, force=force, quality=chosen, progress=progress, command=command)
         _print_notices(result.notices)
         tracked, total = int(result.frames.tracked.sum()), len(result.frames)
         typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
@@ -695,6 +706,15 @@ def _restitution(chi: Parameter) -> str:
 def _print_notices(sentences: tuple[str, ...]) -> None:
     for sentence in sentences:
         typer.echo(f"note: {sentence}", err=True)
+
+
+def _quality(name: str) -> Quality:
+    """The tracker's setting of that name. Raises ValueError, in a sentence, where there is none."""
+    from .tracking.quality import QUALITIES
+
+    if name not in QUALITIES:
+        raise ValueError(f"--quality {name}: wanted {', '.join(QUALITIES)}")
+    return QUALITIES[name]
 
 
 def _command(name: str, file: Path, out: Path, force: bool) -> tuple[str, ...]:

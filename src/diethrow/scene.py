@@ -2,7 +2,7 @@
 
 `read_scene` checks everything once, at the door, and returns frozen values of the stages. What no file can be without
 (a die, a table) is demanded here; footage and cameras are demanded by the commands that need them
-(`Scene.only_view`), because a fit to somebody else's track needs neither.
+(`Scene.views`), because a fit to somebody else's track needs neither.
 """
 
 from __future__ import annotations
@@ -92,17 +92,16 @@ class Scene:
     start: HandStart | None = None
     """The first pose by hand; None where it is found."""
 
-    def only_view(self) -> View:
-        """The one camera with its footage. Raises SceneError where there is none, or more than one."""
+    def views(self) -> tuple[View, ...]:
+        """The cameras with their footage; in the picture of the first a start is looked for, and the replay shows it. Raises
+        SceneError where there is none, or one lacks its footage."""
         if not self.cameras:
             raise SceneError(f"{self.path}: camera is missing; wanted a [camera] table to track the die with")
-        if len(self.cameras) > 1:
-            raise SceneError(
-                f"{self.path}: camera is given {len(self.cameras)} times; wanted one, views are not combined yet"
-            )
-        if self.cameras[0].path is None:
-            raise SceneError(f"{self.path}: clip.path is missing; wanted {PATH_WANTED}")
-        return self.cameras[0]
+        for k, view in enumerate(self.cameras):
+            if view.path is None:
+                key = "clip.path" if len(self.cameras) == 1 else f"camera[{k + 1}].path"
+                raise SceneError(f"{self.path}: {key} is missing; wanted {PATH_WANTED}")
+        return self.cameras
 
     def still_table(self) -> Table:
         """The table, at rest. Raises SceneError for one that moves: tracking and fitting know only one at rest."""

@@ -79,7 +79,7 @@ def test_a_film_is_a_clip_with_its_truth(plan: Path, scene: Path, tmp_path: Path
     assert filmed.table.surface == "cork"
     assert (filmed.clip.fps, filmed.clip.exposure_s) == (1000.0, 0.0003)
     assert (filmed.cameras[0].camera.matrix == given.cameras[0].camera.matrix).all()
-    clip = open_footage(filmed, filmed.only_view())
+    clip = open_footage(filmed, filmed.views()[0])
     assert (len(clip), clip.bit_depth) == (4, 12)
     background = load_background(out / "background.png", clip)
     frame = clip.frame(3).astype(float)

@@ -92,7 +92,7 @@ def test_the_poses_are_the_true_ones(folder: Path, truth: dict[str, Array]) -> N
     assert track.tracked[visible].mean() >= 0.99
     both = visible & track.tracked
     positions, rotations = true_poses(truth)
-    camera = read_scene(SCENE).only_view().camera
+    camera = read_scene(SCENE).views()[0].camera
     error = (track.position_m[both] - positions[both]) @ camera.rotation.T
     # Across the line of sight; along it one camera sees several times worse.
     assert np.median(np.linalg.norm(error[:, :2], axis=1)) < 0.02e-3
@@ -141,7 +141,7 @@ def test_the_provenance_names_every_input(folder: Path) -> None:
     origin = json.loads((folder / "provenance.json").read_text())
     named = {Path(entry["path"]).name for entry in origin["inputs"]}
     scene = read_scene(SCENE)
-    view = scene.only_view()
+    view = scene.views()[0]
     assert view.path is not None
     assert view.background_path is not None
     assert named == {"scene.toml", view.path.name, view.background_path.name}
