@@ -116,9 +116,9 @@ def covariances(information: Array) -> Array:
     """Inverse (n, 6, 6) of each information (n, 6, 6); NaN where a direction is left open."""
     scale = np.array([1e-3] * 3 + [1e-2] * 3)
     scaled = information * np.outer(scale, scale)
-    good = np.isfinite(scaled).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(good[:, None, None], scaled, np.eye(6)))
-    good &= (values[:, 0] > 1e-9 * values[:, -1]) & (values[:, -1] > 0)
+    good = good & (values[:, 0] > 1e-9 * values[:, -1]) & (values[:, -1] > 0)
     inverse = np.linalg.inv(np.where(good[:, None, None], scaled, np.eye(6))) * np.outer(scale, scale)
     return np.where(good[:, None, None], inverse, np.nan)
 

@@ -223,10 +223,10 @@ def track_scene(
         straight, measured, smoothed = _bounces(frames, scene.path, scene.die, views[0].camera, progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
-        for notice in clip.notices:
+        for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(clip, frames, straight, measured, smoothed)
+    return Tracking(tuple(clips), frames, straight, measured, smoothed)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
