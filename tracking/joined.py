@@ -146,9 +146,11 @@ def fit_joined(
     for turn in range(steps):
         if scatter is None:
             squares = sums.squares * chain.scatter.scale[0] ** 2
-            chain = replace(chain, scatter=Scatter.white(_scale(squares, weights, len(sums.gradient))))
+            chain = replace(chain, scatter=Scatter.white(_scale(squares, len(sums.gradient))))
             sums = replace(sums, squares=squares / chain.scatter.scale[0] ** 2)
-        ratio = np.sqrt(sums.squares) / (CUT_SIGMA * (3.0 if turn < 3 else 1.0))
+        # A first guess may leave all frames far off: they are drawn in before any is taken for wrong.
+        loose = max(3.0, float(np.sqrt(np.median(sums.squares))) / MEDIAN_RMS) if turn < 3 else 1.0
+        ratio = np.sqrt(sums.squares) / (CUT_SIGMA * loose)
         weights = np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0)
         sums = chain.sums(weights)
         for _ in range(12):
@@ -171,9 +173,9 @@ def fit_joined(
     return chain.finished(sums, weights)
 
 
-def _scale(squares: Array, weights: Array, parameters: int) -> float:
+def _scale(squares: Array, parameters: int) -> float:
     """σ from the median frame, corrected for the fitted parameters, and drawn to 1 where the frames are few."""
-    numbers = 6.0 * max(float((weights > 0.0).sum()), 1.0)
+    numbers = 6.0 * len(squares)
     free = max(numbers - parameters, 0.0)
     typical = float(np.median(squares)) / MEDIAN_RMS**2 * numbers / max(free, 6.0)
     return float(np.sqrt(max((free * typical + PRIOR_NUMBERS) / (free + PRIOR_NUMBERS), 1e-24)))
