@@ -162,7 +162,7 @@ def _first_pass(
 ) -> tuple[View, Seen]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
     if by_hand is None:
-        beginning = _find_beginning(view, reel, unused)
+        beginning = _find_beginning(view, reel, unused, report)
     else:
         beginning = _begin_by_hand(view, reel, by_hand, unused)
     if beginning is None:
@@ -197,11 +197,12 @@ def _begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> 
     return k, *_trial(view, reel, k, pose, np.inf, unused)
 
 
-def _find_beginning(view: View, reel: Reel, unused: Mask) -> tuple[int, Chase, Seen] | None:
+def _find_beginning(view: View, reel: Reel, unused: Mask, report: _Reporter) -> tuple[int, Chase, Seen] | None:
     """The first frame on which the die is wholly seen, with the chase that followed the best start a few frames on."""
     tried, k = 0, 0
     spare: tuple[float, int, Chase, Seen] | None = None
     while tried < START_FRAMES and k < len(reel):
+        report.at_least(k)
         image = np.asarray(reel.frame(k), np.float32)
         if unused[k] or not die_blobs(view, image[0]):
             k += 1
