@@ -265,7 +265,7 @@ def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     try:
-        return measure_throw(_as_track(reel, seen, whole), view.die, view.camera)
+        return measure_throw(_as_track(view, reel, seen, whole), view.die, view.camera)
     except NoFlightError:
         return None
 
@@ -403,7 +403,7 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
 # --- the table of poses -----------------------------------------------------------------------------------------------
 
 
-def _as_track(reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
+def _as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
     """A track of the frames that have a pose; the others are lost."""
     n = len(reel)
     known = seen.known if use is None else seen.known & use
@@ -416,13 +416,13 @@ def _as_track(reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
     status = np.where(known, TRACKED, LOST).astype("<U7")
     frames = reel.first_frame + np.arange(n)
     lean = np.full((n, 6), np.nan)
-    lean[known] = contour_leans(seen.H[known])
+    lean[known] = contour_leans(seen.H[known], view.lens)
     return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
 def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
     """The final table: frames without a pose are absent where the motion leads out of view, or lost."""
-    track = _as_track(reel, seen)
+    track = _as_track(view, reel, seen)
     status = track.status.copy()
     for k in np.flatnonzero(status == LOST):
         if throw is None:

@@ -123,14 +123,11 @@ def covariances(information: Array) -> Array:
     return np.where(good[:, None, None], inverse, np.nan)
 
 
-def contour_leans(H: Array) -> Array:
+def contour_leans(H: Array, lens: Lens) -> Array:
     """(n, 6) from normal equations (n, 8, 8): what a pixel of contour error does to each pose; zero where nothing was
-    solved."""
-    solved = H[:, 0, 0] > 0
-    A = np.where(solved[:, None, None], H[:, :6, :6], np.eye(6))
-    return np.where(
-        solved[:, None], (np.linalg.pinv(A, rcond=1e-14, hermitian=True) @ H[:, :6, CONTOUR, None])[..., 0], 0.0
-    )
+    solved. Directions that the pixels leave open are held by the refinement's own loose prior, and so is their lean."""
+    loose = np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + loose, H[:, :6, CONTOUR, None])[..., 0])
 
 
 def make_view(
@@ -233,16 +230,16 @@ def refine_pose(
         zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
         prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape), H, g, stats,
     )  # fmt: skip
-    return pose_from(p, Q, H, stats, cost)
+    return pose_from(p, Q, H, stats, cost, lens)
 
 
-def pose_from(position_m: Array, rotation: Array, H: Array, stats: Array, cost: float) -> Pose:
+def pose_from(position_m: Array, rotation: Array, H: Array, stats: Array, cost: float, lens: Lens) -> Pose:
     """A pose from what the kernels leave."""
     return Pose(
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
-        contour_leans(H[None])[0],
+        contour_leans(H[None], lens)[0],
         unexplained=float(stats[0] / max(stats[2], 1.0)),
         support=float(stats[4] / max(stats[3], 1e-9)),
         contour_px=float(stats[3]),
