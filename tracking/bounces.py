@@ -19,13 +19,15 @@ from .flights import Sightings, transition
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
-from .parting import FEWEST, part_flights
+from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
 from .rest import Carried, carried_from, resting_vertices
 from .track import Track
 
 Array = NDArray[np.float64]
 
+LITTLE_SLACK = 0.1
+"""Of the usual slack, where the scatter of the frames is measured: what keeps a frame that states no error in bounds."""
 SAMPLES = 2000
 """Draws from the joint covariance behind the interval of a restitution."""
 
@@ -61,11 +63,12 @@ def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw
 def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     """As `measure_throw`, with what was learnt of the frames."""
     use = np.flatnonzero(track.tracked)
+    if len(use) >= FEWEST:
+        use = use[sane_rows(_sightings(track, use), die)]
     if len(use) < FEWEST:
         raise NoFlightError(f"{len(use)} frames are tracked: wanted at least three in a row to measure a flight")
-    poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
     lean = np.zeros((len(track), 6, 0))
-    loose, seen = Sightings.from_poses(*poses), Sightings.from_poses(*poses, slack=0.1)
+    loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(loose, die)
     prior, floor = np.zeros(0), np.zeros((6, 6))
     if camera is not None:
@@ -95,14 +98,16 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)
-    root = np.linalg.inv(
-        Sightings.from_poses(
-            track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use], slack=0.1
-        ).whitener
-    )
+    root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor
     return replace(track, covariance=covariance)
+
+
+def _sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sightings:
+    """Some rows of a track as the fits want them."""
+    poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
+    return Sightings.from_poses(*poses, slack=slack)
 
 
 def _with_floor(flight: Flight, floor: Array) -> Flight:

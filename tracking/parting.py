@@ -12,12 +12,26 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.rotations import matrix_from_quat
+from ..model.motion import Flight, State
+from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ..model.solids import Die
-from .flights import Sightings, fit_flight
+from .flights import Sightings, fit_flight, misfits
 
 Array = NDArray[np.float64]
 
+BESIDE = 6
+"""Frames about one that say where it should be."""
+SANE_SIGMAS, WRONG_SIGMAS, TIMES_WORSE = 3.0, 10.0, 5.0
+"""Neighbours that lie on one motion within this, and a frame this far off it and so many times further than they: beside a
+bounce the neighbours lie on no one motion."""
+ROUGH_RAD, ROUGH_SHARE = 0.05, 0.03
+"""How far, in radians and edges, a frame must be off the straight way between its neighbours to be looked at: some sigmas
+of a good pose, and the least of the faults that do harm."""
+STRAY_RAD, STRAY_SHARE = 0.5, 0.6
+"""What a contact does to a pose within two frames: a die of 16 mm is thrown at some m/s and 300 rad/s. Beyond, a pose is
+wrong."""
+PASSES = 3
+"""A wrong frame spoils the neighbourhood of another."""
 WINDOW = 12
 """Frames on either side of an instant that say whether the motion changes there."""
 GAIN = 10.0
@@ -28,6 +42,70 @@ FEWEST = 3
 TABLE_REACH = 0.35
 """A contact's lowest vertex may seem this share of an edge off the table: rounding, calibration and depth error (half a
 per cent of the distance to the camera is a quarter of a die)."""
+
+
+def sane_rows(seen: Sightings, die: Die) -> NDArray[np.int64]:
+    """The rows without those whose pose is plainly wrong amid neighbours that agree on a motion."""
+    rows = np.arange(len(seen))
+    for _ in range(PASSES):
+        wrong = [k for k in _unsteady(seen, rows, die) if _is_wrong(seen, rows, k) or _is_stray(seen, rows, k, die)]
+        if not wrong:
+            break
+        rows = np.delete(rows, wrong)
+    return rows
+
+
+def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> list[int]:
+    """Which of the rows are worth a closer look: those off the way from the frame before to the frame behind, those
+    beside them, and the ends."""
+    if len(rows) < 3:
+        return []
+    t, p, q = seen.time_s[rows], seen.position_m[rows], seen.quaternion[rows]
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    away = np.linalg.norm(p[:-2] + share * (p[2:] - p[:-2]) - p[1:-1], axis=1)
+    half = quat_multiply(quat_from_rotvec(share * rotation_between(q[:-2], q[2:])), q[:-2])
+    turned = np.linalg.norm(rotation_between(half, q[1:-1]), axis=1)
+    rough = np.concatenate([[True], (away > ROUGH_SHARE * die.solid.edge_m) | (turned > ROUGH_RAD), [True]])
+    rough[:-1] |= rough[1:]
+    rough[1:] |= rough[:-1]
+    return [int(k) for k in np.flatnonzero(rough)]
+
+
+def _is_wrong(seen: Sightings, rows: NDArray[np.int64], k: int) -> bool:
+    """Whether row `rows[k]` lies far off the motion of its neighbours."""
+    first = int(np.clip(k - BESIDE // 2, 0, max(len(rows) - BESIDE - 1, 0)))
+    about = rows[first : first + BESIDE + 1]
+    others = about[about != rows[k]]
+    motion = _common_motion(seen, others)
+    if motion is None:
+        return False
+    off = float(misfits(seen.rows(rows[k : k + 1]), motion[0])[0])
+    return off > max(WRONG_SIGMAS, TIMES_WORSE * motion[1])
+
+
+def _is_stray(seen: Sightings, rows: NDArray[np.int64], k: int, die: Die) -> bool:
+    """Whether row `rows[k]` lies so far off the motions before and after (one of them, at an end of the track) that no
+    contact between could have thrown it there: one of a few wrong frames beside each other."""
+    told = []
+    for others in (rows[max(k - BESIDE, 0) : k], rows[k + 1 :][:BESIDE], rows[k + 2 :][:BESIDE]):
+        motion = _common_motion(seen, others)
+        if motion is not None:
+            p, q = Flight(motion[0], np.inf).poses(seen.time_s[rows[k : k + 1]])
+            turned = float(np.linalg.norm(rotation_between(q, seen.quaternion[rows[k : k + 1]])))
+            away = float(np.linalg.norm(p - seen.position_m[rows[k : k + 1]]))
+            told.append((turned > STRAY_RAD or away > STRAY_SHARE * die.solid.edge_m, others[0] > rows[k]))
+    after, before = [off for off, later in told if later], [off for off, later in told if not later]
+    ends = k < BESIDE or k >= len(rows) - BESIDE
+    return all(after) and all(before) and (bool(after and before) or (ends and bool(told)))
+
+
+def _common_motion(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float] | None:
+    """The motion of some frames, with their distance from it; None where they are too few or lie on no one motion."""
+    if len(rows) < BESIDE:
+        return None
+    state, _, _ = fit_flight(seen.rows(rows))
+    usual = float(np.sqrt((misfits(seen.rows(rows), state) ** 2).mean()))
+    return (state, usual) if usual < SANE_SIGMAS else None
 
 
 def part_flights(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:

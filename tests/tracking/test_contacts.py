@@ -249,3 +249,22 @@ def test_what_no_frame_knows_of_stays_where_it_is() -> None:
     joined = fit_joined(sightings(track), [throw.flights[0].start, throw.flights[1].start, third], links)
     assert np.isfinite(joined.covariance).all()
     assert np.median(joined.residual) < 2.0
+
+
+def test_a_few_poses_gone_wild_hide_no_bounce() -> None:
+    tried = 0
+    for seed in range(60, 80):
+        rng = np.random.default_rng(seed)
+        throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1, frames_after=40)
+        if throw.flights[1].end_s - throw.flights[1].start.time_s < 20 / FPS:
+            continue
+        track = seen(throw, rng)
+        wild = rng.choice(len(track), 4, replace=False)
+        position, quaternion = track.position_m.copy(), track.quaternion.copy()
+        position[wild] += 0.02 * rng.normal(size=(4, 3))
+        quaternion[wild] = quat_multiply(quat_from_rotvec(rng.normal(size=(4, 3))), quaternion[wild])
+        found = measure_throw(replace(track, position_m=position, quaternion=quaternion), CUBE)
+        assert [impact.vertices for impact in found.impacts] == [throw.impacts[0].vertices]
+        assert abs(found.impacts[0].time_s - throw.impacts[0].time_s) * FPS < 0.2
+        tried += 1
+    assert tried > 4
