@@ -1,0 +1,480 @@
+"""The die's own marks as features of its pose: pips, numbers, grain, whatever its faces show.
+
+A rounded or shaded edge lies where no model of a sharp edge expects it, and it does so alike on every frame, so that no
+averaging helps. What is printed on a flat face has no such error: the plane of the face is known to a part in a thousand
+from the die's size whatever its edges look like. The appearance of each face is learned from the clip itself.
+
+1. *Learning.* From the flights of a first track, chosen frames are brought onto a grid of face coordinates; the grey of
+   frame k on face f is modelled as
+
+       I(x) = c T_f(a(x), b(x)) + p + q a + r b
+
+   with T_f the texture (about one on bare paint) and four numbers of light for each face and frame, fitted robustly (Tukey's
+   biweight), so that glare, shadow and whatever hides the die drop out. T_f is the mean of what the frames show, each
+   weighted by its contrast, its noise and the squared cosine of its view.
+2. *Signal.* Even and odd frames give two textures whose noise is independent. Marks are where the product of their slopes
+   exceeds what noise leaves in the mean by SIGNAL; a plain face has none and costs nothing from there on.
+3. *Adjustment.* The textures were placed by the poses that they are meant to improve, so that an error which all poses
+   share is learned along with them. It shows as soon as the die turns: a texture placed wrongly on its face does not
+   follow the turn of a rigid body about its centre. Flights (twelve numbers each, gravity known) and for every face a
+   shift, a turn and a stretch of its texture are adjusted together (bundle adjustment, Gauss-Newton), the edges entering as weak observations;
+   then the textures are learned again from the adjusted flights. Size, and with it distance, comes from the known
+   distance of the faces from the centre about which the die turns, and from gravity.
+4. *Refinement.* A frame's residual is taken on its own pixels, never on resampled ones, so that their noise stays
+   independent; the light is eliminated by a Schur complement (variable projection). Marks and edges are added with the weights that their own
+   scatter about the flights gives them (variance components): errors of edges are systematic, not white.
+
+Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from ..model.motion import Flight, State, Throw
+from ..model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
+from ..model.solids import Solid
+from .camera import Camera
+from .joined import moved, transitions
+from .marks_kernels import MARGIN_BLURS, TUKEY, WARPS, look_at_face, mark_equations, refine_on_marks
+from .pose import Pose, View, outline_box
+from .track import Track
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LOOKS = 120
+"""Frames learned from at the most: the texture's noise is then a tenth of one frame's, and the cost does not grow with
+the clip."""
+FEWEST_LOOKS = 3
+"""Frames that must show a texel before it is known, and that must lie on a flight before it is learned from."""
+TEXEL_PX = 0.75
+"""Size of a texel in pixels of a face seen squarely at the median distance: finer than the pixels by as much as a lens
+resolves at the best."""
+SIGNAL = 4.0
+"""Power of the texture's slopes over that of the noise in them from which a place counts as marked. Noise in the slopes
+makes them seem steeper than they are; at 4 the information is overrated by a quarter there, and by far less on the whole."""
+SIGNAL_TEXELS = 7
+"""Side of the square over which signal and noise are compared."""
+FEWEST_TEXELS = 50
+"""Marked texels (about 28 pixels) without which a face is called plain."""
+CUTS = (8.0 * TUKEY, 4.0 * TUKEY, 2.0 * TUKEY, TUKEY, TUKEY, TUKEY)
+"""Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
+moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
+SETTLED_SIGMAS = 0.3
+"""A round that moves no flight by more than this many of its sigmas is the last."""
+PRIOR_WARP = 0.02
+"""Standard deviation of a texture's warps, where the die's edge is the unit of length: several times what the worst edges
+misplace it."""
+CHI2_MEDIAN = 5.348
+"""Median of chi-square with six degrees of freedom."""
+NEAR_BOUNCE = 1.0
+"""Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
+UNBOUNDED_GREY = 1e9
+"""Noise of a face that no frame has been asked for yet."""
+DEBUG = []
+STEPS = 4
+"""Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceGrid:
+    """Where texels lie on the faces: the same for the whole clip."""
+
+    axes: Array
+    """(faces, 3, 3) rows a, b and the outward normal, body axes."""
+    offsets: Array
+    """(faces,) [m] of the face planes from the centre."""
+    corners: Array
+    """(faces, most, 2) [m] corners of the flat part in (a, b), padded."""
+    counts: NDArray[np.int64]
+    """(faces,) corners of each."""
+    size: int
+    """Texels along a side."""
+    texel_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """What the faces of a die look like, learned from a clip, and how well they place it."""
+
+    grid: FaceGrid
+    texture: Array
+    """(faces, n, n) reflectance over that of the bare paint, rows along b; NaN where it was never seen."""
+    coefficients: Array
+    """(faces, n, n) of the cubic B-spline through it."""
+    marked: NDArray[np.uint8]
+    """(faces, n, n) 1 on and around marks, where pixels are looked at."""
+    noise_grey: Array
+    """(faces,) usual residual of a pixel; 0 for faces that are plain or were not seen."""
+    looks: NDArray[np.int64]
+    """(faces,) frames that showed the face."""
+    rays: NDArray[np.float32]
+    """(height, width, 2) camera rays x/z, y/z of the pixels, lens distortion undone."""
+    saturation_grey: float
+    factor: float
+    """Scatter of the marks' poses about the flights over what pixel noise says, as a variance; at least 1."""
+    edge_factor: float
+    """The same of the edges' poses: their errors are systematic, and this is how much."""
+    flights: tuple[Flight, ...]
+    """The adjusted flights, with covariance: uncertain texture places included."""
+
+    @property
+    def marked_faces(self) -> NDArray[np.int64]:
+        """Indices of the faces that show marks."""
+        return np.flatnonzero(self.noise_grey > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """One frame that is learned from: the window round the die."""
+
+    time_s: float
+    flight: int
+    x0: int
+    y0: int
+    image: Image
+    edge_position_m: Array
+    edge_quaternion: Array
+    edge_information: Array
+
+
+def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
+    """Rows of the track, at most LOOKS, spread evenly over the frames that surely lie on a flight."""
+    spacing = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
+    bounces = np.array([impact.time_s for impact in throw.impacts])
+    good = np.flatnonzero(track.tracked)
+    if len(bounces):
+        away = np.abs(track.time_s[good, None] - bounces).min(1)
+        good = good[away > NEAR_BOUNCE * spacing]
+    return good[np.unique(np.linspace(0, len(good) - 1, min(LOOKS, len(good))).round().astype(int))]
+
+
+def learn_marks(
+    view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw, *, saturation_grey: float = np.inf
+) -> Marks | None:
+    """What the faces of the die look like, or None where no face shows anything that places it.
+
+    `images` are pairs of a row of `track` and its whole frame (height, width) float32, best those of
+    `frames_to_learn_from`; only a window of each is kept. `track` holds poses of single frames from edges, `throw` the
+    flights measured through them. Pixels at `saturation_grey` and above are left out.
+    """
+    looks = _looks(view, images, track, throw)
+    if len(looks) < 2 * FEWEST_LOOKS:
+        return None
+    grid = _face_grid(view, looks, throw)
+    marks = _learned(view, looks, throw.flights, _blank(view, grid, saturation_grey, throw), CUTS[0])
+    for cut in CUTS:
+        if not len(marks.marked_faces):
+            return None
+        marks, moved_sigmas = _adjusted(view, looks, marks, cut)
+        if DEBUG: DEBUG[0](marks, moved_sigmas)
+        marks = _learned(view, looks, marks.flights, marks, cut)
+        if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
+            break
+    return marks if len(marks.marked_faces) else None
+
+
+def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: State | None = None) -> Pose:
+    """The pose that marks and edges of one frame bear out together.
+
+    `pose` is that of the edges; `start` the state that the flight gives for this frame, from which the steps begin where
+    it is known. Where no marked face is seen, the edges' pose comes back, its covariance widened by their systematic errors.
+    """
+    edges = pose.information / marks.edge_factor
+    position, rotation = (pose.position_m, pose.rotation) if start is None else (start.position_m, start.rotation)
+    turned = rotation_between(quat_from_matrix(rotation), quat_from_matrix(pose.rotation))
+    away = np.concatenate([pose.position_m - position, turned])
+    p, R, H = refine_on_marks(
+        image, 0, 0, *_seen_by(view, marks), np.asarray(position, float), np.ascontiguousarray(rotation, float),
+        *_on_faces(view, marks, TUKEY), marks.factor, edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
+    )  # fmt: skip
+    if not H.any():
+        return replace(pose, information=edges)
+    return replace(pose, position_m=p, rotation=R, information=H + edges)
+
+
+def undistorted_rays(camera: Camera) -> NDArray[np.float32]:
+    """Camera rays x/z, y/z (height, width, 2) of all pixels, by Newton-like fixed-point steps on the distortion."""
+    K, d = camera.matrix, camera.distortion
+    v, u = np.mgrid[0 : camera.height_px, 0 : camera.width_px]
+    yd = (v - K[1, 2]) / K[1, 1]
+    xd = (u - K[0, 2] - K[0, 1] * yd) / K[0, 0]
+    x, y = xd.copy(), yd.copy()
+    # The distortion of a usable lens is a contraction; each turn gains one to two digits.
+    for _ in range(20 if np.any(d) else 0):
+        r2 = x * x + y * y
+        g = 1.0 + r2 * (d[0] + r2 * (d[1] + r2 * d[4]))
+        dx, dy = 2.0 * d[2] * x * y + d[3] * (r2 + 2.0 * x * x), d[2] * (r2 + 2.0 * y * y) + 2.0 * d[3] * x * y
+        x, y = (xd - dx) / g, (yd - dy) / g
+    return np.stack([x, y], axis=-1).astype(np.float32)
+
+
+# --- what the kernels want ---
+
+
+def _seen_by(view: View, marks: Marks) -> tuple[Array | NDArray[np.float32], ...]:
+    camera = view.camera
+    return marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m
+
+
+def _on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
+    grid = marks.grid
+    return (
+        grid.axes, grid.offsets, grid.corners, grid.counts, _margin_px(view, 0.0), grid.texel_m,
+        marks.saturation_grey, max(0.5, 0.5 * view.noise_grey), cut, marks.noise_grey, marks.coefficients, marks.marked,
+    )  # fmt: skip
+
+
+def _margin_px(view: View, motion_px: float) -> float:
+    return MARGIN_BLURS * float(np.sqrt(view.blur_px**2 + motion_px**2 / 12.0)) + 0.5
+
+
+# --- looking ---
+
+
+def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[_Look]:
+    """Windows round the die on the frames of flights that have enough of them."""
+    looks = []
+    for row, image in images:
+        time_s = float(track.time_s[row])
+        flight = throw.flight_at(time_s)
+        state = throw.flights[flight].at(time_s)
+        box = outline_box(view, state.position_m, state.rotation, 6.0)
+        if box is None or not track.tracked[row]:
+            continue
+        x0, y0, x1, y1 = box
+        window = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
+        information = np.linalg.inv(track.covariance[row])
+        looks.append(
+            _Look(time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], information)
+        )
+    counts = np.bincount([look.flight for look in looks], minlength=len(throw.flights))
+    return [look for look in looks if counts[look.flight] >= FEWEST_LOOKS]
+
+
+def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
+    """Grids a texel of TEXEL_PX at the median distance."""
+    solid, camera = view.die.solid, view.camera
+    places = np.array([throw.flights[look.flight].at(look.time_s).position_m for look in looks])
+    depth = float(np.median(places @ camera.rotation[2] + camera.translation_m[2]))
+    texel = TEXEL_PX * depth / float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    axes = face_axes(solid)
+    most = max(len(face) for face in solid.faces)
+    corners = np.zeros((len(axes), most, 2))
+    flat = view.inner
+    for f, face in enumerate(solid.faces):
+        # The flat part of a rounded face is the inner body's face, pushed out by the radius.
+        corners[f, : len(face)] = flat[list(face)] @ axes[f, :2].T
+    size = 2 * (int(np.ceil(np.abs(corners).max() / texel)) + 2) + 1
+    counts = np.array([len(face) for face in solid.faces], np.int64)
+    return FaceGrid(axes, solid.offsets.copy(), corners, counts, size, texel)
+
+
+def face_axes(solid: Solid) -> Array:
+    """(faces, 3, 3) right-handed axes of each face, in rows: along its first edge, across it, and the outward normal."""
+    out = np.empty((len(solid.faces), 3, 3))
+    for f, face in enumerate(solid.faces):
+        along = solid.vertices[face[1]] - solid.vertices[face[0]]
+        out[f, 0] = along / np.linalg.norm(along)
+        out[f, 2] = solid.normals[f]
+        out[f, 1] = np.cross(out[f, 2], out[f, 0])
+    return out
+
+
+def _blank(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw) -> Marks:
+    shape = (len(grid.axes), grid.size, grid.size)
+    faces = len(grid.axes)
+    return Marks(
+        grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
+        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), 1.0, 1.0, throw.flights,
+    )  # fmt: skip
+
+
+# --- learning ---
+
+
+def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks: Marks, cut: float) -> Marks:
+    """Textures anew from the poses of `flights`, with the old ones as what a face should look like, where there are."""
+    grid = marks.grid
+    shape = (len(grid.axes), grid.size, grid.size)
+    # Even and odd looks apart: their noise is independent.
+    total, weight = np.zeros((2, *shape)), np.zeros((2, *shape))
+    count = np.zeros((2, *shape), np.int32)
+    values, w = np.zeros(shape[1:]), np.zeros(shape[1:])
+    seen = np.zeros(shape[0], np.int64)
+    camera = view.camera
+    floor_grey = max(0.5, 0.5 * view.noise_grey)
+    for look in looks:
+        state = flights[look.flight].at(look.time_s)
+        R = state.rotation
+        for f in range(shape[0]):
+            facing = _facing(view, state.position_m, R @ grid.axes[f, 2], grid.offsets[f])
+            if facing <= 0.0:
+                continue
+            known = bool(np.isfinite(marks.texture[f]).any())
+            texture = np.where(np.isfinite(marks.texture[f]), marks.texture[f], 1.0)
+            share = look_at_face(
+                look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
+                camera.translation_m, state.position_m, R, grid.axes[f], grid.offsets[f], grid.corners[f],
+                grid.counts[f], _margin_px(view, 0.0), grid.texel_m, marks.saturation_grey, floor_grey, cut, texture, known,
+                values, w,
+            )  # fmt: skip
+            if share < 0.5:
+                continue
+            half = seen[f] % 2
+            seen[f] += 1
+            used = w > 0
+            total[half, f][used] += facing**2 * w[used] * values[used]
+            weight[half, f] += facing**2 * w
+            count[half, f] += used
+    return _with_textures(marks, total, weight, count, seen)
+
+
+def _facing(view: View, position_m: Array, normal: Array, offset: float) -> float:
+    """Cosine between a face's normal (world axes) and the way to the camera, from the face's middle."""
+    toward = view.camera.centre_m - position_m - offset * normal
+    return float(toward @ normal / np.linalg.norm(toward))
+
+
+def _with_textures(marks: Marks, total: Array, weight: Array, count: NDArray[np.int32], seen: NDArray[np.int64]) -> Marks:
+    """Marks with the means of what was seen, and where on them there is signal."""
+    both = weight.sum(0)
+    known = (count.sum(0) >= FEWEST_LOOKS) & (both > 0)
+    texture = np.where(known, total.sum(0) / np.where(known, both, 1.0), np.nan)
+    split = (count > 0).all(0) & known
+    halves = [np.where(split, total[h] / np.where(split, weight[h], 1.0), np.nan) for h in (0, 1)]
+    coefficients, marked = np.ones_like(texture), np.zeros(texture.shape, np.uint8)
+    noise = np.zeros(len(texture))
+    for f in range(len(texture)):
+        if known[f].sum() < FEWEST_TEXELS:
+            continue
+        coefficients[f] = ndimage.spline_filter(_filled(texture[f]), order=3, mode="mirror")
+        marked[f] = _marked(halves[0][f], halves[1][f])
+        if marked[f].sum() >= FEWEST_TEXELS:
+            # Unbounded until frames have been asked for their own.
+            noise[f] = marks.noise_grey[f] if marks.noise_grey[f] > 0 else UNBOUNDED_GREY
+    return replace(marks, texture=texture, coefficients=coefficients, marked=marked, noise_grey=noise, looks=seen)
+
+
+def _filled(texture: Array) -> Array:
+    """The texture with unknown texels taken from their nearest known neighbour: a spline through it has no jump there."""
+    unknown = ~np.isfinite(texture)
+    nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    return np.asarray(texture[tuple(nearest)])
+
+
+def _marked(even: Array, odd: Array) -> NDArray[np.uint8]:
+    """Where two textures of independent noise agree on slopes steeper than that noise makes, and a little around."""
+    known = (np.isfinite(even) & np.isfinite(odd)).astype(np.uint8)
+    # Splines reach over two texels: nothing is looked at so near to what is unknown.
+    inner = cv2.erode(known, np.ones((5, 5), np.uint8), borderValue=0)
+    slopes = [np.stack(np.gradient(_filled(half))) if known.any() else np.zeros((2, *half.shape)) for half in (even, odd)]
+    box = (SIGNAL_TEXELS, SIGNAL_TEXELS)
+    signal = cv2.blur((slopes[0] * slopes[1]).sum(0) * inner, box)
+    # The mean of both halves has a quarter of the power of their difference as noise.
+    noise = cv2.blur(((slopes[0] - slopes[1]) ** 2).sum(0) * inner, box) / 4.0
+    clear = ((signal > SIGNAL * noise) & (inner > 0)).astype(np.uint8)
+    clear = cv2.morphologyEx(clear, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    return np.asarray(cv2.dilate(clear, np.ones((7, 7), np.uint8)) * inner, np.uint8)
+
+
+# --- adjusting ---
+
+
+def _adjusted(view: View, looks: list[_Look], marks: Marks, cut: float) -> tuple[Marks, float]:
+    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and the largest
+    move, in sigmas."""
+    faces = marks.marked_faces
+    used = np.unique([look.flight for look in looks])
+    column = {int(k): 12 * i for i, k in enumerate(used)}
+    first_place = 12 * len(used)
+    A = np.zeros((first_place + WARPS * len(faces),) * 2)
+    y = np.zeros(len(A))
+    in_flight = np.bincount([look.flight for look in looks])
+    noise = np.full((len(looks), len(marks.looks)), np.nan)
+    rows = []
+    edge_squared, squared = [], []
+    for i, look in enumerate(looks):
+        flight = marks.flights[look.flight]
+        H, g, place, stats = _equations(view, marks, look, cut)
+        noise[i] = np.where(stats[:, 1] > 0, stats[:, 2], np.nan)
+        M = transitions(flight, np.array([look.time_s]))[0, :6]
+        away = _edges_minus_flight(look, flight)
+        edge_squared.append(float(away @ look.edge_information @ away))
+        rows.append((look, H, g, place, M, away))
+        gain = _whitened_square(H, g)
+        if gain is not None:
+            squared.append(gain)
+    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
+    edge_factor = max(1.0, float(np.median(edge_squared)) / CHI2_MEDIAN)
+    for look, H, g, place, M, away in rows:
+        c = slice(column[look.flight], column[look.flight] + 12)
+        # What edges get wrong they get wrong alike on all frames of a flight: together they count as one.
+        E = 1e-3 * look.edge_information / (edge_factor * in_flight[look.flight])
+        A[c, c] += M.T @ (H / factor + E) @ M
+        y[c] += M.T @ (g / factor + E @ away)
+        for k, f in enumerate(faces):
+            if not place[f].any():
+                continue
+            s = slice(first_place + WARPS * k, first_place + WARPS * (k + 1))
+            cross = M.T @ place[f][:, :6].T / factor
+            A[c, s] += cross
+            A[s, c] += cross.T
+            A[s, s] += place[f][:, 6 : 6 + WARPS] / factor
+            y[s] += place[f][:, 6 + WARPS] / factor
+    edge = view.die.solid.edge_m
+    prior = 1.0 / (PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])) ** 2
+    for k in range(len(faces)):
+        s = np.arange(first_place + WARPS * k, first_place + WARPS * (k + 1))
+        A[s, s] += prior
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    C = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit)
+    step = C @ y
+    flights = list(marks.flights)
+    worst = 0.0
+    for k, c0 in column.items():
+        c = slice(c0, c0 + 12)
+        worst = max(worst, float(np.max(np.abs(step[c]) / np.sqrt(np.diag(C)[c]))))
+        flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
+    usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
+    return replace(
+        marks, flights=tuple(flights), factor=factor, edge_factor=edge_factor,
+        noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
+    ), worst  # fmt: skip
+
+
+def _equations(view: View, marks: Marks, look: _Look, cut: float) -> tuple[Array, Array, Array, Array]:
+    """Normal equations of one look at the pose of its flight."""
+    state = marks.flights[look.flight].at(look.time_s)
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    place, stats = np.zeros((len(marks.looks), WARPS, 7 + WARPS)), np.zeros((len(marks.looks), 3))
+    mark_equations(
+        look.image, look.x0, look.y0, *_seen_by(view, marks), state.position_m, state.rotation,
+        *_on_faces(view, marks, cut), True, H, g, place, stats,
+    )  # fmt: skip
+    return H, g, place, stats
+
+
+def _edges_minus_flight(look: _Look, flight: Flight) -> Array:
+    state = flight.at(look.time_s)
+    turned = rotation_between(state.quaternion, look.edge_quaternion)
+    return np.concatenate([look.edge_position_m - state.position_m, turned])
+
+
+def _whitened_square(H: Array, g: Array) -> float | None:
+    """gᵀ H⁻¹ g: how far, in squared sigmas, the marks of one frame alone want to move its pose; None where they leave a
+    direction open."""
+    unit = np.sqrt(np.diag(H))
+    if not (unit > 0).all():
+        return None
+    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
+    if values[0] < 1e-6 * values[-1]:
+        return None
+    return float((((g / unit) @ vectors) ** 2 / values).sum())
