@@ -42,13 +42,15 @@ from ..model.rotations import matrix_from_quat, quat_from_matrix, rotation_betwe
 from ..model.solids import Solid
 from .camera import Camera
 from .joined import moved, transitions
-from .marks_kernels import MARGIN_BLURS, TUKEY, WARPS, look_at_face, mark_equations, refine_on_marks
+from .marks_kernels import MARGIN_BLURS, SHARED, TUKEY, WARPS, look_at_face, mark_equations, refine_on_marks
 from .pose import Pose, View, outline_box
 from .track import Track
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
 
+PRIOR_BLUR, PRIOR_LENS_PX = 1.0, 0.3
+"""Standard deviations of a texture's blur [texel², as variance] and of the lens blur [px]."""
 LOOKS = 120
 """Frames learned from at the most: the texture's noise is then a tenth of one frame's, and the cost does not grow with
 the clip."""
@@ -72,6 +74,8 @@ SETTLED_SIGMAS = 0.3
 PRIOR_WARP = 0.02
 """Standard deviation of a texture's warps, where the die's edge is the unit of length: several times what the worst edges
 misplace it."""
+BLUR_RANGE_PX = (0.3, 4.0)
+"""A pixel alone has 0.29; beyond the other there would be no marks."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 NEAR_BOUNCE = 1.0
@@ -98,6 +102,8 @@ class FaceGrid:
     size: int
     """Texels along a side."""
     texel_m: float
+    finest_m: float
+    """Length of a pixel on a face seen squarely at the smallest distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +124,9 @@ class Marks:
     rays: NDArray[np.float32]
     """(height, width, 2) camera rays x/z, y/z of the pixels, lens distortion undone."""
     saturation_grey: float
+    blur_px: float
+    """Lens blur (standard deviation) as the marks show it: no bevel or shade beside an edge takes part in it. A texture is as
+    blurred as a face seen squarely at the smallest distance."""
     factor: float
     """Scatter of the marks' poses about the flights over what pixel noise says, as a variance; at least 1."""
     edge_factor: float
@@ -193,7 +202,7 @@ def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: S
     away = np.concatenate([pose.position_m - position, turned])
     p, R, H = refine_on_marks(
         image, 0, 0, *_seen_by(view, marks), np.asarray(position, float), np.ascontiguousarray(rotation, float),
-        *_on_faces(view, marks, TUKEY), marks.factor, edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
+        *_blurs(view, marks, start), *_on_faces(view, marks, TUKEY), marks.factor, edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
     )  # fmt: skip
     if not H.any():
         return replace(pose, information=edges)
@@ -227,13 +236,19 @@ def _seen_by(view: View, marks: Marks) -> tuple[Array | NDArray[np.float32], ...
 def _on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
     grid = marks.grid
     return (
-        grid.axes, grid.offsets, grid.corners, grid.counts, _margin_px(view, 0.0), grid.texel_m,
+        grid.axes, grid.offsets, grid.corners, grid.counts, _margin_px(marks), grid.texel_m,
         marks.saturation_grey, max(0.5, 0.5 * view.noise_grey), cut, marks.noise_grey, marks.coefficients, marks.marked,
     )  # fmt: skip
 
 
-def _margin_px(view: View, motion_px: float) -> float:
-    return MARGIN_BLURS * float(np.sqrt(view.blur_px**2 + motion_px**2 / 12.0)) + 0.5
+def _blurs(view: View, marks: Marks, state: State | None) -> tuple[object, ...]:
+    still = np.zeros(3)
+    velocity, omega = (still, still) if state is None else (state.velocity_m_s, state.omega_rad_s)
+    return velocity, omega, view.exposure_s, marks.blur_px, marks.blur_px * marks.grid.finest_m
+
+
+def _margin_px(marks: Marks) -> float:
+    return MARGIN_BLURS * marks.blur_px + 0.5
 
 
 # --- looking ---
@@ -263,8 +278,10 @@ def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
     """Grids a texel of TEXEL_PX at the median distance."""
     solid, camera = view.die.solid, view.camera
     places = np.array([throw.flights[look.flight].at(look.time_s).position_m for look in looks])
-    depth = float(np.median(places @ camera.rotation[2] + camera.translation_m[2]))
-    texel = TEXEL_PX * depth / float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    depth = places @ camera.rotation[2] + camera.translation_m[2]
+    focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    texel = TEXEL_PX * float(np.median(depth)) / focal
+    finest = float(depth.min() - view.reach_m) / focal
     axes = face_axes(solid)
     most = max(len(face) for face in solid.faces)
     corners = np.zeros((len(axes), most, 2))
@@ -274,7 +291,7 @@ def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
         corners[f, : len(face)] = flat[list(face)] @ axes[f, :2].T
     size = 2 * (int(np.ceil(np.abs(corners).max() / texel)) + 2) + 1
     counts = np.array([len(face) for face in solid.faces], np.int64)
-    return FaceGrid(axes, solid.offsets.copy(), corners, counts, size, texel)
+    return FaceGrid(axes, solid.offsets.copy(), corners, counts, size, texel, finest)
 
 
 def face_axes(solid: Solid) -> Array:
@@ -293,7 +310,7 @@ def _blank(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw) -> 
     faces = len(grid.axes)
     return Marks(
         grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
-        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), 1.0, 1.0, throw.flights,
+        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px, 1.0, 1.0, throw.flights,
     )  # fmt: skip
 
 
@@ -307,7 +324,8 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
     # Even and odd looks apart: their noise is independent.
     total, weight = np.zeros((2, *shape)), np.zeros((2, *shape))
     count = np.zeros((2, *shape), np.int32)
-    values, w = np.zeros(shape[1:]), np.zeros(shape[1:])
+    correction = np.zeros(shape)
+    values, sharper, w = np.zeros((3, *shape[1:]))
     seen = np.zeros(shape[0], np.int64)
     camera = view.camera
     floor_grey = max(0.5, 0.5 * view.noise_grey)
@@ -319,12 +337,13 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
             if facing <= 0.0:
                 continue
             known = bool(np.isfinite(marks.texture[f]).any())
-            texture = np.where(np.isfinite(marks.texture[f]), marks.texture[f], 1.0)
             share = look_at_face(
                 look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
-                camera.translation_m, state.position_m, R, grid.axes[f], grid.offsets[f], grid.corners[f],
-                grid.counts[f], _margin_px(view, 0.0), grid.texel_m, marks.saturation_grey, floor_grey, cut, texture, known,
-                values, w,
+                camera.translation_m, state.position_m, R, state.velocity_m_s, state.omega_rad_s, view.exposure_s,
+                marks.blur_px, marks.blur_px * grid.finest_m, grid.axes[f], grid.offsets[f], grid.corners[f],
+                grid.counts[f], _margin_px(marks), grid.texel_m, marks.saturation_grey, floor_grey, cut, marks.coefficients[f],
+                known,
+                values, sharper, w,
             )  # fmt: skip
             if share < 0.5:
                 continue
@@ -332,9 +351,10 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
             seen[f] += 1
             used = w > 0
             total[half, f][used] += facing**2 * w[used] * values[used]
+            correction[f][used] += facing**2 * w[used] * sharper[used]
             weight[half, f] += facing**2 * w
             count[half, f] += used
-    return _with_textures(marks, total, weight, count, seen)
+    return _with_textures(marks, total, correction, weight, count, seen)
 
 
 def _facing(view: View, position_m: Array, normal: Array, offset: float) -> float:
@@ -343,11 +363,13 @@ def _facing(view: View, position_m: Array, normal: Array, offset: float) -> floa
     return float(toward @ normal / np.linalg.norm(toward))
 
 
-def _with_textures(marks: Marks, total: Array, weight: Array, count: NDArray[np.int32], seen: NDArray[np.int64]) -> Marks:
+def _with_textures(
+    marks: Marks, total: Array, correction: Array, weight: Array, count: NDArray[np.int32], seen: NDArray[np.int64]
+) -> Marks:
     """Marks with the means of what was seen, and where on them there is signal."""
     both = weight.sum(0)
     known = (count.sum(0) >= FEWEST_LOOKS) & (both > 0)
-    texture = np.where(known, total.sum(0) / np.where(known, both, 1.0), np.nan)
+    texture = np.where(known, (total.sum(0) + correction) / np.where(known, both, 1.0), np.nan)
     split = (count > 0).all(0) & known
     halves = [np.where(split, total[h] / np.where(split, weight[h], 1.0), np.nan) for h in (0, 1)]
     coefficients, marked = np.ones_like(texture), np.zeros(texture.shape, np.uint8)
@@ -395,7 +417,8 @@ def _adjusted(view: View, looks: list[_Look], marks: Marks, cut: float) -> tuple
     used = np.unique([look.flight for look in looks])
     column = {int(k): 12 * i for i, k in enumerate(used)}
     first_place = 12 * len(used)
-    A = np.zeros((first_place + WARPS * len(faces),) * 2)
+    # The last unknown is the lens blur.
+    A = np.zeros((first_place + WARPS * len(faces) + SHARED,) * 2)
     y = np.zeros(len(A))
     in_flight = np.bincount([look.flight for look in looks])
     noise = np.full((len(looks), len(marks.looks)), np.nan)
@@ -423,17 +446,18 @@ def _adjusted(view: View, looks: list[_Look], marks: Marks, cut: float) -> tuple
         for k, f in enumerate(faces):
             if not place[f].any():
                 continue
-            s = slice(first_place + WARPS * k, first_place + WARPS * (k + 1))
+            s = np.r_[first_place + WARPS * k : first_place + WARPS * (k + 1), len(A) - 1]
             cross = M.T @ place[f][:, :6].T / factor
             A[c, s] += cross
             A[s, c] += cross.T
-            A[s, s] += place[f][:, 6 : 6 + WARPS] / factor
-            y[s] += place[f][:, 6 + WARPS] / factor
+            A[np.ix_(s, s)] += place[f][:, 6:-1] / factor
+            y[s] += place[f][:, -1] / factor
     edge = view.die.solid.edge_m
-    prior = 1.0 / (PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])) ** 2
+    prior = 1.0 / (PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge, PRIOR_BLUR / PRIOR_WARP])) ** 2
     for k in range(len(faces)):
         s = np.arange(first_place + WARPS * k, first_place + WARPS * (k + 1))
         A[s, s] += prior
+    A[-1, -1] += 1.0 / PRIOR_LENS_PX**2
     unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
     C = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit)
     step = C @ y
@@ -444,8 +468,9 @@ def _adjusted(view: View, looks: list[_Look], marks: Marks, cut: float) -> tuple
         worst = max(worst, float(np.max(np.abs(step[c]) / np.sqrt(np.diag(C)[c]))))
         flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
     usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
+    blur = marks.blur_px * float(np.clip(1.0 + step[-1] / marks.blur_px, 0.7, 1.4))
     return replace(
-        marks, flights=tuple(flights), factor=factor, edge_factor=edge_factor,
+        marks, flights=tuple(flights), blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), factor=factor, edge_factor=edge_factor,
         noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
     ), worst  # fmt: skip
 
@@ -454,9 +479,10 @@ def _equations(view: View, marks: Marks, look: _Look, cut: float) -> tuple[Array
     """Normal equations of one look at the pose of its flight."""
     state = marks.flights[look.flight].at(look.time_s)
     H, g = np.zeros((6, 6)), np.zeros(6)
-    place, stats = np.zeros((len(marks.looks), WARPS, 7 + WARPS)), np.zeros((len(marks.looks), 3))
+    place, stats = np.zeros((len(marks.looks), WARPS + SHARED, 7 + WARPS + SHARED)), np.zeros((len(marks.looks), 3))
     mark_equations(
         look.image, look.x0, look.y0, *_seen_by(view, marks), state.position_m, state.rotation,
+        *_blurs(view, marks, state),
         *_on_faces(view, marks, cut), True, H, g, place, stats,
     )  # fmt: skip
     return H, g, place, stats

@@ -19,11 +19,22 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-GAINS = 4
-"""Light on one face of one frame: contrast of the texture, and a plane (1, a, b) for shade and gloss."""
-WARPS = 8
+GAINS = 6
+"""Light on one face of one frame: T, 1, a, b, aT, bT. What the paint scatters follows the texture T, what it mirrors lies over
+it; either changes linearly over the face."""
+PLAIN = 4
+"""Those of them that a face of unknown texture has, T being 1."""
+GRADIENT = 0.3
+"""Standard deviation of the prior on how much the scattered light changes from the middle of a face to its border, as a share: a
+small mark seen through much noise does not show it."""
+WARPS = 9
 """Ways in which a texture may lie wrongly on its face: shift (2), linear map (4), and the two terms by which a plane seen from
-another side differs from that. Poses that are wrong alike on all frames warp what is learned from them in just these."""
+another side differs from that. Poses that are wrong alike on all frames warp what is learned from them in just these. The last
+one is blur."""
+SHARED = 1
+"""Numbers shared by all faces and frames: the lens blur."""
+BLUR_STEP = 1.15
+"""Factor on the lens blur for its difference quotient."""
 BUFFER = 60_000
 """Pixels of one face at the most; larger faces are walked on every second, third, ... row."""
 TUKEY = 4.685
@@ -164,11 +175,104 @@ def _spline(coef: Any, x: float, y: float, out: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
+def _extra_blur(
+    K: Any, Rcw: Any, E: Any, origin: Any, arm: Any, vel: Any, omega: Any, exposure: float, blur_px: float, base: float,
+    texel: float, spread: Any,
+) -> int:  # fmt: skip
+    """By how much more than its texture a face is blurred on a frame: principal directions in `spread` (2, 2) [texels],
+    √3 standard deviations long; returns how many of them matter.
+
+    The lens blurs alike in all directions of the picture, so on the face it blurs most where the view squeezes it; motion
+    during the exposure is a box with the variance of its length squared over twelve. `base` [m] is the blur that the
+    texture has, `arm` (3,) the face's middle from the die's centre in the camera.
+    """
+    iz = 1.0 / origin[2]
+    x, y = origin[0] * iz, origin[1] * iz
+    jaa, jab = K[0, 0] * (E[0, 0] - x * E[0, 2]) * iz, K[0, 0] * (E[1, 0] - x * E[1, 2]) * iz
+    jba, jbb = K[1, 1] * (E[0, 1] - y * E[0, 2]) * iz, K[1, 1] * (E[1, 1] - y * E[1, 2]) * iz
+    det = jaa * jbb - jab * jba
+    paa, pab, pbb = jab * jab + jbb * jbb, -(jaa * jab + jba * jbb), jaa * jaa + jba * jba
+    s = (blur_px / det) ** 2
+    caa, cab, cbb = s * paa - base * base, s * pab, s * pbb - base * base
+    if exposure > 0.0:
+        q = np.zeros(3)
+        for i in range(3):
+            for j in range(3):
+                q[i] += Rcw[i, j] * vel[j]
+        w = np.zeros(3)
+        for i in range(3):
+            for j in range(3):
+                w[i] += Rcw[i, j] * omega[j]
+        q[0] += w[1] * arm[2] - w[2] * arm[1]
+        q[1] += w[2] * arm[0] - w[0] * arm[2]
+        q[2] += w[0] * arm[1] - w[1] * arm[0]
+        nd = E[2, 0] * x + E[2, 1] * y + E[2, 2]
+        slip = (E[2, 0] * q[0] + E[2, 1] * q[1] + E[2, 2] * q[2]) / nd
+        ma, mb = 0.0, 0.0
+        d = (x, y, 1.0)
+        for i in range(3):
+            ma += exposure * E[0, i] * (slip * d[i] - q[i])
+            mb += exposure * E[1, i] * (slip * d[i] - q[i])
+        caa += ma * ma / 12.0
+        cab += ma * mb / 12.0
+        cbb += mb * mb / 12.0
+    mean, half = 0.5 * (caa + cbb), sqrt(0.25 * (caa - cbb) ** 2 + cab * cab)
+    number = 0
+    for k in range(2):
+        value = (mean + half if k == 0 else mean - half) / (texel * texel)
+        if value < 0.02:
+            # A seventh of a texel, beside the texture's own blur of about one.
+            break
+        ux, uy = (mean + half if k == 0 else mean - half) - cbb, cab
+        if abs(ux) + abs(uy) < 1e-9 * (abs(mean) + half):
+            ux, uy = (1.0, 0.0) if (k == 0) == (caa >= cbb) else (0.0, 1.0)
+        length = hypot(ux, uy)
+        spread[number, 0], spread[number, 1] = sqrt(3.0 * value) * ux / length, sqrt(3.0 * value) * uy / length
+        number += 1
+    return number
+
+
+@njit(cache=True, nogil=True)
+def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any, out: Any) -> None:
+    """The spline blurred along `number` directions, by three-point Gauss-Hermite quadrature along each: exact for
+    quintics, and an edge keeps its place where a second-order expansion would overshoot it."""
+    _spline(coef, x, y, out)
+    if number == 0:
+        return
+    top = coef.shape[0] - 2.0 - 1e-9
+    v, gx, gy = out[0], out[1], out[2]
+    for k in range(number):
+        for sign in (-1.0, 1.0):
+            _spline(
+                coef,
+                min(max(x + sign * spread[k, 0], 1.0), top),
+                min(max(y + sign * spread[k, 1], 1.0), top),
+                side,
+            )
+            out[0] += (side[0] - v) / 6.0
+            out[1] += (side[1] - gx) / 6.0
+            out[2] += (side[2] - gy) / 6.0
+
+
+@njit(cache=True, nogil=True)
+def _curvature(coef: Any, x: float, y: float, side: Any) -> float:
+    """Half the Laplacian of the spline [1/texel²], over steps of one texel: what more variance of blur does to it."""
+    top = coef.shape[0] - 2.0 - 1e-9
+    _spline(coef, x, y, side)
+    total = -4.0 * side[0]
+    for dx, dy in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
+        _spline(coef, min(max(x + dx, 1.0), top), min(max(y + dy, 1.0), top), side)
+        total += side[0]
+    return 0.5 * total
+
+
+@njit(cache=True, nogil=True)
 def _robust_gains(
     n: int,
     grey: Any,
     basis: Any,
     first: int,
+    last: int,
     floor_grey: float,
     ceiling_grey: float,
     cut: float,
@@ -177,10 +281,10 @@ def _robust_gains(
     res: Any,
     c: Any,
 ) -> float:
-    """Fit grey = basis · c by biweight least squares, columns `first` to GAINS of basis (n, GAINS) alone; fills weights w,
+    """Fit grey = basis · c by biweight least squares, columns `first` to `last` of basis (n, GAINS) alone; fills weights w,
     residuals res and c, and returns the scale [grey], between `floor_grey` and `ceiling_grey`; -1 where there is no fit."""
     A, y, x = np.zeros((GAINS, GAINS)), np.zeros(GAINS), np.zeros(GAINS)
-    K = GAINS - first
+    K = last - first
     size = np.empty(n // 4 + 1)
     for i in range(n):
         w[i] = 1.0
@@ -197,6 +301,10 @@ def _robust_gains(
                 y[a] += wa * grey[i]
                 for b in range(a + 1):
                     A[a, b] += wa * basis[i, b + first]
+        if last > PLAIN:
+            level = max(abs(x[0]), scale) if turn_number > 0 else 255.0
+            for a in range(PLAIN, last):
+                A[a - first, a - first] += (scale / (GRADIENT * level)) ** 2
         if not _solve(A, K, y, x):
             return -1.0
         m = 0
@@ -231,6 +339,11 @@ def look_at_face(
     tcw: Any,
     pos: Any,
     R: Any,
+    vel: Any,
+    omega: Any,
+    exposure: float,
+    blur_px: float,
+    base_blur: float,
     axes: Any,
     offset: float,
     corners: Any,
@@ -240,15 +353,16 @@ def look_at_face(
     saturation: float,
     floor_grey: float,
     cut: float,
-    texture: Any,
+    coef: Any,
     known: bool,
     values: Any,
+    sharper: Any,
     weights: Any,
 ) -> float:
     """What one frame shows of a face's texture, on its grid.
 
-    `values` (n, n) become the texture as this frame shows it, `weights` (n, n) its inverse variance, 0 where the frame
-    does not show it. The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, the light
+    `values` (n, n) become the texture as this frame shows it, `sharper` (n, n) what has to be added for the blur that this
+    frame has and the texture has not, `weights` (n, n) their inverse variance, 0 where the frame does not show it. The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, the light
     (contrast and plane) is fitted with it and what does not look like it is left out; else the plane alone is, and the values are
     grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
     """
@@ -263,6 +377,10 @@ def look_at_face(
     height, width = image.shape
     half = 0.5 * (n - 1)
     total = n * n
+    spread, side, out, arm = np.zeros((2, 2)), np.zeros(3), np.zeros(3), offset * E[2]
+    number = _extra_blur(
+        K, Rcw, E, origin, arm, vel, omega, exposure, blur_px, base_blur, texel, spread
+    )
     grey, res, w = np.empty(total), np.empty(total), np.empty(total)
     basis = np.empty((total, GAINS))
     where = np.empty(total, np.int64)
@@ -299,27 +417,36 @@ def look_at_face(
             if top >= saturation:
                 continue
             grey[m] = value
-            basis[m, 0] = texture[i, j] if known else 1.0
+            if known:
+                _blurred(coef, float(j), float(i), spread, number, side, out)
+            basis[m, 0] = out[0] if known else 1.0
             basis[m, 1], basis[m, 2], basis[m, 3] = 1.0, a / (half * texel), b / (half * texel)
+            basis[m, 4], basis[m, 5] = basis[m, 0] * basis[m, 2], basis[m, 0] * basis[m, 3]
             where[m] = i * n + j
             m += 1
     if m < 60:
         return 0.0
     c = np.zeros(GAINS)
-    scale = _robust_gains(m, grey, basis, 0 if known else 1, floor_grey, 1e9, cut, 6, w, res, c)
+    scale = _robust_gains(m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 6, w, res, c)
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0
     used = 0.0
     for k in range(m):
         i, j = where[k] // n, where[k] % n
         if known:
-            values[i, j] = basis[k, 0] + res[k] / c[0]
-            weights[i, j] = w[k] * (c[0] / scale) ** 2
+            contrast = c[0] + c[4] * basis[k, 2] + c[5] * basis[k, 3]
+            if contrast <= 0.1 * c[0]:
+                continue
+            _spline(coef, float(j), float(i), out)
+            values[i, j] = basis[k, 0] + res[k] / contrast
+            sharper[i, j] = out[0] - basis[k, 0]
+            weights[i, j] = w[k] * (contrast / scale) ** 2
             used += w[k]
         else:
             plane = grey[k] - res[k]
             if plane > 2.0 * scale:
                 values[i, j] = grey[k] / plane
+                sharper[i, j] = 0.0
                 weights[i, j] = (plane / scale) ** 2
                 used += 1.0
     return used / m
@@ -337,6 +464,11 @@ def mark_equations(
     tcw: Any,
     pos: Any,
     R: Any,
+    vel: Any,
+    omega: Any,
+    exposure: float,
+    blur_px: float,
+    base_blur: float,
     axes: Any,
     offsets: Any,
     corners: Any,
@@ -359,14 +491,14 @@ def mark_equations(
 
     `image` is a float32 window whose pixel [0, 0] lies at (x0, y0); `rays` (height, width, 2) are those of the whole
     picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where a pixel may not look, 1 where it may. `place`
-    (faces, WARPS, 6 + WARPS + 1) becomes, for the warps of each face's texture, the rows of their normal matrix: by pose (6),
-    by themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise [grey].
+    (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1) becomes, for the warps of each face's texture and the lens blur [px], the
+    rows of their normal matrix: by pose (6), by themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise [grey].
     """
     H[:] = 0.0
     g[:] = 0.0
     if places:
         place[:] = 0.0
-    N = 6 + WARPS if places else 6
+    N = 6 + WARPS + SHARED if places else 6
     stats[:] = 0.0
     height, width = image.shape
     n = coef.shape[1]
@@ -378,6 +510,9 @@ def mark_equations(
     basis = np.empty((BUFFER, GAINS))
     slope = np.empty((BUFFER, 2))
     ray = np.empty((BUFFER, 2))
+    spread, wider, side = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(3)
+    softer = np.empty((BUFFER if places else 1, 2))
+    more = 0
     w, res = np.empty(BUFFER), np.empty(BUFFER)
     out = np.zeros(3)
     c = np.zeros(GAINS)
@@ -398,6 +533,14 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
+        number = _extra_blur(
+            K, Rcw, E, origin, offsets[f] * E[2], vel, omega, exposure, blur_px, base_blur, texel, spread
+        )
+        if places:
+            more = _extra_blur(
+                K, Rcw, E, origin, offsets[f] * E[2], vel, omega, exposure, BLUR_STEP * blur_px, BLUR_STEP * base_blur,
+                texel, wider,
+            )  # fmt: skip
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // BUFFER
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
         m = 0
@@ -423,17 +566,23 @@ def mark_equations(
                 x, y = a / texel + half, b / texel + half
                 if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0) or use[f, int(y + 0.5), int(x + 0.5)] == 0:
                     continue
-                _spline(coef[f], x, y, out)
+                _blurred(coef[f], x, y, spread, number, side, out)
                 grey[m] = value
                 basis[m, 0], basis[m, 1] = out[0], 1.0
                 basis[m, 2], basis[m, 3] = (x - half) / half, (y - half) / half
+                basis[m, 4], basis[m, 5] = out[0] * basis[m, 2], out[0] * basis[m, 3]
                 slope[m, 0], slope[m, 1] = out[1] / texel, out[2] / texel
+                if places:
+                    value = out[0]
+                    _blurred(coef[f], x, y, wider, more, side, out)
+                    softer[m, 1] = (out[0] - value) / ((BLUR_STEP - 1.0) * blur_px)
+                    softer[m, 0] = _curvature(coef[f], x, y, side)
                 ray[m, 0], ray[m, 1] = dx, dy
                 m += 1
         stats[f, 0] = m
         if m < 40:
             continue
-        scale = _robust_gains(m, grey, basis, 0, floor_grey, 2.0 * usual_grey[f], cut, 4, w, res, c)
+        scale = _robust_gains(m, grey, basis, 0, GAINS, floor_grey, 2.0 * usual_grey[f], cut, 4, w, res, c)
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
@@ -454,7 +603,8 @@ def mark_equations(
             for k in range(GAINS):
                 for l in range(k + 1):
                     S[k, l] += wi * basis[i, k] * basis[i, l]
-            ga, gb = c[0] * slope[i, 0], c[0] * slope[i, 1]
+            contrast = c[0] + c[4] * basis[i, 2] + c[5] * basis[i, 3]
+            ga, gb = contrast * slope[i, 0], contrast * slope[i, 1]
             dx, dy = ray[i, 0], ray[i, 1]
             nd = E[2, 0] * dx + E[2, 1] * dy + E[2, 2]
             # Everything in camera axes here; turned to world axes once, after the sum.
@@ -473,6 +623,7 @@ def mark_equations(
                 J[6], J[7] = -ga, -gb
                 J[8], J[9], J[10], J[11] = -ga * a, -ga * b, -gb * a, -gb * b
                 J[12], J[13] = -radial * a, -radial * b
+                J[14], J[15] = contrast * softer[i, 0], contrast * softer[i, 1]
             for k in range(N):
                 jk = wi * J[k]
                 gg[k] += jk * res[i]
@@ -480,6 +631,8 @@ def mark_equations(
                     HH[k, l] += jk * J[l]
                 for l in range(GAINS):
                     C[k, l] += jk * basis[i, l]
+        for k in range(PLAIN, GAINS):
+            S[k, k] += 1.0 / (GRADIENT * c[0]) ** 2
         if not _solve(S, GAINS, C[0], elim):
             continue
         for k in range(N):
@@ -498,7 +651,7 @@ def mark_equations(
             for l in range(6):
                 H[k, l] += HH[k, l]
         if places:
-            for k in range(WARPS):
+            for k in range(WARPS + SHARED):
                 for l in range(N):
                     place[f, k, l] = HH[6 + k, l]
                 place[f, k, N] = gg[6 + k]
@@ -562,6 +715,11 @@ def refine_on_marks(
     tcw: Any,
     pos: Any,
     R: Any,
+    vel: Any,
+    omega: Any,
+    exposure: float,
+    blur_px: float,
+    base_blur: float,
     axes: Any,
     offsets: Any,
     corners: Any,
@@ -592,8 +750,8 @@ def refine_on_marks(
     A, y, step, away = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     for _ in range(steps):
         mark_equations(
-            image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, axes, offsets, corners, counts, margin, texel, saturation,
-            floor_grey, cut, usual_grey, coef, use, False, H, g, place, stats,
+            image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base_blur, axes, offsets, corners,
+            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, False, H, g, place, stats,
         )  # fmt: skip
         for i in range(6):
             y[i] = g[i] / factor + other_g[i]
