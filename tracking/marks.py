@@ -55,7 +55,9 @@ LOOKS = 120
 """Frames learned from at the most: the texture's noise is then a tenth of one frame's, and the cost does not grow with
 the clip."""
 FEWEST_LOOKS = 3
-"""Frames that must show a texel before it is known, and that must lie on a flight before it is learned from."""
+"""Frames that must show a texel before it is known."""
+SHORT_FLIGHT = 10
+"""Frames of a flight below which all are looked at."""
 TEXEL_PX = 0.75
 """Size of a texel in pixels of a face seen squarely at the median distance: finer than the pixels by as much as a lens
 resolves at the best."""
@@ -78,6 +80,13 @@ BLUR_RANGE_PX = (0.3, 4.0)
 """A pixel alone has 0.29; beyond the other there would be no marks."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
+CONTOUR_SHARE = 0.01
+"""Misplacement of edges, over the die's edge, that is thought possible before any was measured: bevels of 3 to 4 % of the edge
+shift the apparent contour by 1 to 2 %."""
+LINK_M, LINK_RAD = 1e-5, 5e-4
+"""How well flights meet at a bounce: a contact lasts some 0.05 ms, in which a die leaves the corner between its two motions by a
+quarter of that time its speed."""
+PRIOR_INSTANT_S = 2e-3
 NEAR_BOUNCE = 1.0
 """Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
 UNBOUNDED_GREY = 1e9
@@ -129,10 +138,14 @@ class Marks:
     blurred as a face seen squarely at the smallest distance."""
     factor: float
     """Scatter of the marks' poses about the flights over what pixel noise says, as a variance; at least 1."""
-    edge_factor: float
-    """The same of the edges' poses: their errors are systematic, and this is how much."""
+    contour_m: float
+    """By how much the edges seem to lie elsewhere than the model of an edge expects, as one length: their poses have a common
+    error of this size over the die's (see `edge_covariance`)."""
     flights: tuple[Flight, ...]
-    """The adjusted flights, with covariance: uncertain texture places included."""
+    """The adjusted flights, with covariance: uncertain places of the textures included."""
+    shared: tuple[Array, ...]
+    """(12, 12) for each flight: the part of its covariance that comes from those places and is common to all frames, however
+    many there are."""
 
     @property
     def marked_faces(self) -> NDArray[np.int64]:
@@ -151,18 +164,25 @@ class _Look:
     image: Image
     edge_position_m: Array
     edge_quaternion: Array
-    edge_information: Array
+    edge_covariance: Array
 
 
 def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
-    """Rows of the track, at most LOOKS, spread evenly over the frames that surely lie on a flight."""
+    """Rows of the track, about LOOKS, spread evenly over the frames that surely lie on a flight; short flights are not
+    thinned out."""
     spacing = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
     bounces = np.array([impact.time_s for impact in throw.impacts])
     good = np.flatnonzero(track.tracked)
     if len(bounces):
         away = np.abs(track.time_s[good, None] - bounces).min(1)
         good = good[away > NEAR_BOUNCE * spacing]
-    return good[np.unique(np.linspace(0, len(good) - 1, min(LOOKS, len(good))).round().astype(int))]
+    flight = np.array([throw.flight_at(float(t)) for t in track.time_s[good]])
+    chosen = []
+    for k in np.unique(flight):
+        mine = good[flight == k]
+        share = int(np.ceil(LOOKS * len(mine) / len(good)))
+        chosen.append(mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), max(share, SHORT_FLIGHT))).round().astype(int))])
+    return np.concatenate(chosen) if chosen else good
 
 
 def learn_marks(
@@ -179,10 +199,11 @@ def learn_marks(
         return None
     grid = _face_grid(view, looks, throw)
     marks = _learned(view, looks, throw.flights, _blank(view, grid, saturation_grey, throw), CUTS[0])
+    links = _links(looks, throw)
     for cut in CUTS:
         if not len(marks.marked_faces):
             return None
-        marks, moved_sigmas = _adjusted(view, looks, marks, cut)
+        marks, moved_sigmas = _adjusted(view, looks, links, marks, cut)
         if DEBUG: DEBUG[0](marks, moved_sigmas)
         marks = _learned(view, looks, marks.flights, marks, cut)
         if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
@@ -196,7 +217,7 @@ def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: S
     `pose` is that of the edges; `start` the state that the flight gives for this frame, from which the steps begin where
     it is known. Where no marked face is seen, the edges' pose comes back, its covariance widened by their systematic errors.
     """
-    edges = pose.information / marks.edge_factor
+    edges = edge_information(view, marks, pose)
     position, rotation = (pose.position_m, pose.rotation) if start is None else (start.position_m, start.rotation)
     turned = rotation_between(quat_from_matrix(rotation), quat_from_matrix(pose.rotation))
     away = np.concatenate([pose.position_m - position, turned])
@@ -207,6 +228,13 @@ def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: S
     if not H.any():
         return replace(pose, information=edges)
     return replace(pose, position_m=p, rotation=R, information=H + edges)
+
+
+def edge_information(view: View, marks: Marks, pose: Pose) -> Array:
+    """(6, 6) of a pose from edges, what they get wrong in common taken into account."""
+    common = _contour_covariance(view, pose.position_m, marks.contour_m)
+    # (Σ + S)⁻¹ by way of the information, which may be singular where Σ does not exist.
+    return np.asarray(pose.information @ np.linalg.inv(np.eye(6) + common @ pose.information))
 
 
 def undistorted_rays(camera: Camera) -> NDArray[np.float32]:
@@ -266,12 +294,13 @@ def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw:
             continue
         x0, y0, x1, y1 = box
         window = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
-        information = np.linalg.inv(track.covariance[row])
         looks.append(
-            _Look(time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], information)
+            _Look(
+                time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], track.covariance[row]
+            )
         )
     counts = np.bincount([look.flight for look in looks], minlength=len(throw.flights))
-    return [look for look in looks if counts[look.flight] >= FEWEST_LOOKS]
+    return [look for look in looks if counts[look.flight] >= 2]
 
 
 def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
@@ -310,7 +339,8 @@ def _blank(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw) -> 
     faces = len(grid.axes)
     return Marks(
         grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
-        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px, 1.0, 1.0, throw.flights,
+        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px, 1.0,
+        CONTOUR_SHARE * view.die.solid.edge_m, throw.flights, tuple(np.zeros((12, 12)) for _ in throw.flights),
     )  # fmt: skip
 
 
@@ -410,69 +440,125 @@ def _marked(even: Array, odd: Array) -> NDArray[np.uint8]:
 # --- adjusting ---
 
 
-def _adjusted(view: View, looks: list[_Look], marks: Marks, cut: float) -> tuple[Marks, float]:
+def _links(looks: list[_Look], throw: Throw) -> list[tuple[int, float]]:
+    """Flight and instant of every bounce that joins two flights which are both looked at."""
+    used = {look.flight for look in looks}
+    return [
+        (k, impact.time_s)
+        for k, impact in enumerate(throw.impacts)
+        if impact.contact != "unresolved" and k in used and k + 1 in used
+    ]
+
+
+def _adjusted(
+    view: View, looks: list[_Look], links: list[tuple[int, float]], marks: Marks, cut: float
+) -> tuple[Marks, float]:
     """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and the largest
-    move, in sigmas."""
-    faces = marks.marked_faces
+    move, in sigmas.
+
+    Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, and the instant of each bounce, at which
+    position and orientation go on without a jump.
+    """
     used = np.unique([look.flight for look in looks])
     column = {int(k): 12 * i for i, k in enumerate(used)}
-    first_place = 12 * len(used)
-    # The last unknown is the lens blur.
-    A = np.zeros((first_place + WARPS * len(faces) + SHARED,) * 2)
-    y = np.zeros(len(A))
+    place_of = {int(f): 12 * len(used) + WARPS * i for i, f in enumerate(marks.marked_faces)}
+    blur_at = 12 * len(used) + WARPS * len(place_of)
     in_flight = np.bincount([look.flight for look in looks])
-    noise = np.full((len(looks), len(marks.looks)), np.nan)
-    rows = []
-    edge_squared, squared = [], []
-    for i, look in enumerate(looks):
-        flight = marks.flights[look.flight]
-        H, g, place, stats = _equations(view, marks, look, cut)
-        noise[i] = np.where(stats[:, 1] > 0, stats[:, 2], np.nan)
-        M = transitions(flight, np.array([look.time_s]))[0, :6]
-        away = _edges_minus_flight(look, flight)
-        edge_squared.append(float(away @ look.edge_information @ away))
-        rows.append((look, H, g, place, M, away))
-        gain = _whitened_square(H, g)
-        if gain is not None:
-            squared.append(gain)
+    equations = [_equations(view, marks, look, cut) for look in looks]
+    squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
-    edge_factor = max(1.0, float(np.median(edge_squared)) / CHI2_MEDIAN)
-    for look, H, g, place, M, away in rows:
-        c = slice(column[look.flight], column[look.flight] + 12)
+    A = np.diag(_priors(view, len(used), len(place_of), len(links)))
+    y = np.zeros(len(A))
+    for look, (H, g, place, _) in zip(looks, equations, strict=True):
+        flight = marks.flights[look.flight]
+        M = transitions(flight, np.array([look.time_s]))[0, :6]
         # What edges get wrong they get wrong alike on all frames of a flight: together they count as one.
-        E = 1e-3 * look.edge_information / (edge_factor * in_flight[look.flight])
+        common = look.edge_covariance + _contour_covariance(view, look.edge_position_m, marks.contour_m)
+        E = np.linalg.inv(common) / in_flight[look.flight]
+        c = slice(column[look.flight], column[look.flight] + 12)
         A[c, c] += M.T @ (H / factor + E) @ M
-        y[c] += M.T @ (g / factor + E @ away)
-        for k, f in enumerate(faces):
-            if not place[f].any():
-                continue
-            s = np.r_[first_place + WARPS * k : first_place + WARPS * (k + 1), len(A) - 1]
+        y[c] += M.T @ (g / factor + E @ _edges_minus_flight(look, flight))
+        for f, at in place_of.items():
+            s = np.r_[at : at + WARPS, blur_at]
             cross = M.T @ place[f][:, :6].T / factor
             A[c, s] += cross
             A[s, c] += cross.T
             A[np.ix_(s, s)] += place[f][:, 6:-1] / factor
             y[s] += place[f][:, -1] / factor
-    edge = view.die.solid.edge_m
-    prior = 1.0 / (PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge, PRIOR_BLUR / PRIOR_WARP])) ** 2
-    for k in range(len(faces)):
-        s = np.arange(first_place + WARPS * k, first_place + WARPS * (k + 1))
-        A[s, s] += prior
-    A[-1, -1] += 1.0 / PRIOR_LENS_PX**2
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    C = np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit)
+    for i, (k, time_s) in enumerate(links):
+        J, gap = _link_equations(marks.flights[k], marks.flights[k + 1], time_s)
+        s = np.r_[column[k] : column[k] + 12, column[k + 1] : column[k + 1] + 12, blur_at + SHARED + i]
+        A[np.ix_(s, s)] += J.T @ J
+        y[s] += J.T @ gap
+    C = _inverse(A)
     step = C @ y
-    flights = list(marks.flights)
-    worst = 0.0
-    for k, c0 in column.items():
-        c = slice(c0, c0 + 12)
-        worst = max(worst, float(np.max(np.abs(step[c]) / np.sqrt(np.diag(C)[c]))))
+    # What would be left if the places of the textures were known: the rest of C is common to all frames.
+    sure = np.r_[0 : 12 * len(used), blur_at + SHARED : len(A)]
+    own = _inverse(A[np.ix_(sure, sure)])
+    flights, shared = list(marks.flights), list(marks.shared)
+    for k, at in column.items():
+        c = slice(at, at + 12)
         flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
+        shared[k] = C[c, c] - own[c, c]
+    moves = [np.abs(step[c : c + 12]) / np.sqrt(np.diag(C)[c : c + 12]) for c in column.values()]
+    blur = marks.blur_px * float(np.clip(1.0 + step[blur_at] / marks.blur_px, 0.7, 1.4))
+    noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
     usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
-    blur = marks.blur_px * float(np.clip(1.0 + step[-1] / marks.blur_px, 0.7, 1.4))
-    return replace(
-        marks, flights=tuple(flights), blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), factor=factor, edge_factor=edge_factor,
-        noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
-    ), worst  # fmt: skip
+    adjusted = replace(
+        marks, flights=tuple(flights), shared=tuple(shared), factor=factor,
+        blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
+    )  # fmt: skip
+    return replace(adjusted, contour_m=_contour_error(view, looks, adjusted)), float(np.max(moves))
+
+
+def _priors(view: View, flights: int, faces: int, links: int) -> Array:
+    """Diagonal of the prior's information, in the order of the unknowns."""
+    edge = view.die.solid.edge_m
+    warp = PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])
+    places = np.tile(1.0 / np.append(warp, PRIOR_BLUR) ** 2, faces)
+    return np.concatenate(
+        [np.zeros(12 * flights), places, [1.0 / PRIOR_LENS_PX**2], np.full(links, 1.0 / PRIOR_INSTANT_S**2)]
+    )
+
+
+def _link_equations(before: Flight, after: Flight, time_s: float) -> tuple[Array, Array]:
+    """Rows (6, 25) and right side (6,), in sigmas, of: both flights meet at time_s + δt."""
+    a, b = before.at(time_s), after.at(time_s)
+    gap = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
+    drift = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
+    instant = np.array([time_s])
+    J = np.hstack([transitions(before, instant)[0, :6], -transitions(after, instant)[0, :6], -drift[:, None]])
+    sigma = np.array([LINK_M] * 3 + [LINK_RAD] * 3)
+    return J / sigma[:, None], gap / sigma
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of a normal matrix whose unknowns have different units."""
+    unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
+    return np.asarray(np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit))
+
+
+def _contour_covariance(view: View, position_m: Array, contour_m: float) -> Array:
+    """(6, 6) of the pose from edges that all lie `contour_m` off, in world axes: sideways by as much, in distance by the share of the
+    die's size that it is, and turned by it over half the die's size."""
+    toward = position_m - view.camera.centre_m
+    distance = float(np.linalg.norm(toward))
+    ray = toward / distance
+    size = 2.0 * view.reach_m
+    out = np.zeros((6, 6))
+    out[:3, :3] = contour_m**2 * (np.eye(3) + ((2.0 * distance / size) ** 2 - 1.0) * np.outer(ray, ray))
+    out[3:, 3:] = (2.0 * contour_m / size) ** 2 * np.eye(3)
+    return out
+
+
+def _contour_error(view: View, looks: list[_Look], marks: Marks) -> float:
+    """The length [m] that makes the edges' distance from the flights what `_contour_covariance` expects."""
+    squared = []
+    for look in looks:
+        away = _edges_minus_flight(look, marks.flights[look.flight])
+        unit = _contour_covariance(view, look.edge_position_m, 1.0)
+        squared.append(float(away @ np.linalg.solve(unit, away)))
+    return float(np.sqrt(np.median(squared) / CHI2_MEDIAN))
 
 
 def _equations(view: View, marks: Marks, look: _Look, cut: float) -> tuple[Array, Array, Array, Array]:
