@@ -37,12 +37,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..model.motion import Flight, State, Throw
+from ..model.motion import GRAVITY_M_S2, Flight, State, Throw
 from ..model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from ..model.solids import Solid
 from .camera import Camera
 from .joined import moved, transitions
-from .marks_kernels import MARGIN_BLURS, SHARED, TUKEY, WARPS, look_at_face, mark_equations, refine_on_marks
+from .marks_kernels import GRAZING, MARGIN_BLURS, SHARED, TUKEY, WARPS, look_at_face, mark_equations, refine_on_marks
 from .pose import Pose, View, outline_box
 from .track import Track
 
@@ -68,7 +68,7 @@ SIGNAL_TEXELS = 7
 """Side of the square over which signal and noise are compared."""
 FEWEST_TEXELS = 50
 """Marked texels (about 28 pixels) without which a face is called plain."""
-CUTS = (8.0 * TUKEY, 4.0 * TUKEY, 2.0 * TUKEY, TUKEY, TUKEY, TUKEY)
+CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY)
 """Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
 moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
 SETTLED_SIGMAS = 0.3
@@ -125,7 +125,7 @@ class Marks:
     coefficients: Array
     """(faces, n, n) of the cubic B-spline through it."""
     marked: NDArray[np.uint8]
-    """(faces, n, n) 1 on and around marks, where pixels are looked at."""
+    """(faces, n, n) 2 on the slopes of marks, 1 around them, 0 where no pixel is looked at."""
     noise_grey: Array
     """(faces,) usual residual of a pixel; 0 for faces that are plain or were not seen."""
     looks: NDArray[np.int64]
@@ -165,6 +165,18 @@ class _Look:
     edge_position_m: Array
     edge_quaternion: Array
     edge_covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Poses:
+    """Where the flights put the die on every look."""
+
+    position_m: Array
+    rotation: Array
+    velocity_m_s: Array
+    omega_rad_s: Array
+    by_start: Array
+    """(n, 6, 12) derivative of the pose by the state at the start of its flight."""
 
 
 def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
@@ -218,12 +230,15 @@ def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: S
     it is known. Where no marked face is seen, the edges' pose comes back, its covariance widened by their systematic errors.
     """
     edges = edge_information(view, marks, pose)
-    position, rotation = (pose.position_m, pose.rotation) if start is None else (start.position_m, start.rotation)
-    turned = rotation_between(quat_from_matrix(rotation), quat_from_matrix(pose.rotation))
-    away = np.concatenate([pose.position_m - position, turned])
+    still = np.zeros(3)
+    if start is None:
+        start = State(0.0, pose.position_m, quat_from_matrix(pose.rotation), still, still)
+    rotation = start.rotation
+    away = np.concatenate([pose.position_m - start.position_m, _turn_between(rotation, pose.rotation)])
     p, R, H = refine_on_marks(
-        image, 0, 0, *_seen_by(view, marks), np.asarray(position, float), np.ascontiguousarray(rotation, float),
-        *_blurs(view, marks, start), *_on_faces(view, marks, TUKEY), marks.factor, edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
+        image, 0, 0, *_seen_by(view, marks), np.asarray(start.position_m, float), rotation,
+        *_blurs(view, marks, start.velocity_m_s, start.omega_rad_s), *_on_faces(view, marks, TUKEY), marks.factor,
+        edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
     )  # fmt: skip
     if not H.any():
         return replace(pose, information=edges)
@@ -269,10 +284,8 @@ def _on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _blurs(view: View, marks: Marks, state: State | None) -> tuple[object, ...]:
-    still = np.zeros(3)
-    velocity, omega = (still, still) if state is None else (state.velocity_m_s, state.omega_rad_s)
-    return velocity, omega, view.exposure_s, marks.blur_px, marks.blur_px * marks.grid.finest_m
+def _blurs(view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array) -> tuple[Array, Array, float, float, float]:
+    return velocity_m_s, omega_rad_s, view.exposure_s, marks.blur_px, marks.blur_px * marks.grid.finest_m
 
 
 def _margin_px(marks: Marks) -> float:
@@ -301,6 +314,22 @@ def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw:
         )
     counts = np.bincount([look.flight for look in looks], minlength=len(throw.flights))
     return [look for look in looks if counts[look.flight] >= 2]
+
+
+def _poses(looks: list[_Look], flights: tuple[Flight, ...]) -> _Poses:
+    n = len(looks)
+    out = _Poses(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 12)))
+    of = np.array([look.flight for look in looks])
+    times = np.array([look.time_s for look in looks])
+    for k in np.unique(of):
+        mine, flight = of == k, flights[k]
+        out.position_m[mine], q = flight.poses(times[mine])
+        out.rotation[mine] = matrix_from_quat(q)
+        fall = GRAVITY_M_S2 * (times[mine] - flight.start.time_s)
+        out.velocity_m_s[mine] = flight.start.velocity_m_s - np.outer(fall, [0.0, 0.0, 1.0])
+        out.omega_rad_s[mine] = flight.start.omega_rad_s
+        out.by_start[mine] = transitions(flight, times[mine])[:, :6]
+    return out
 
 
 def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
@@ -359,20 +388,20 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
     seen = np.zeros(shape[0], np.int64)
     camera = view.camera
     floor_grey = max(0.5, 0.5 * view.noise_grey)
-    for look in looks:
-        state = flights[look.flight].at(look.time_s)
-        R = state.rotation
-        for f in range(shape[0]):
-            facing = _facing(view, state.position_m, R @ grid.axes[f, 2], grid.offsets[f])
-            if facing <= 0.0:
-                continue
+    poses = _poses(looks, flights)
+    facings = _facings(view, grid, poses)
+    for i, look in enumerate(looks):
+        for f in np.flatnonzero(facings[i] > GRAZING):
             known = bool(np.isfinite(marks.texture[f]).any())
+            if known and not marks.noise_grey[f]:
+                continue
             share = look_at_face(
                 look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
-                camera.translation_m, state.position_m, R, state.velocity_m_s, state.omega_rad_s, view.exposure_s,
+                camera.translation_m, poses.position_m[i], poses.rotation[i], poses.velocity_m_s[i], poses.omega_rad_s[i],
+                view.exposure_s,
                 marks.blur_px, marks.blur_px * grid.finest_m, grid.axes[f], grid.offsets[f], grid.corners[f],
                 grid.counts[f], _margin_px(marks), grid.texel_m, marks.saturation_grey, floor_grey, cut, marks.coefficients[f],
-                known,
+                marks.marked[f], known,
                 values, sharper, w,
             )  # fmt: skip
             if share < 0.5:
@@ -380,17 +409,18 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
             half = seen[f] % 2
             seen[f] += 1
             used = w > 0
-            total[half, f][used] += facing**2 * w[used] * values[used]
-            correction[f][used] += facing**2 * w[used] * sharper[used]
-            weight[half, f] += facing**2 * w
+            total[half, f][used] += facings[i, f] ** 2 * w[used] * values[used]
+            correction[f][used] += facings[i, f] ** 2 * w[used] * sharper[used]
+            weight[half, f] += facings[i, f] ** 2 * w
             count[half, f] += used
     return _with_textures(marks, total, correction, weight, count, seen)
 
 
-def _facing(view: View, position_m: Array, normal: Array, offset: float) -> float:
-    """Cosine between a face's normal (world axes) and the way to the camera, from the face's middle."""
-    toward = view.camera.centre_m - position_m - offset * normal
-    return float(toward @ normal / np.linalg.norm(toward))
+def _facings(view: View, grid: FaceGrid, poses: _Poses) -> Array:
+    """(looks, faces) cosines between the faces' normals and the way to the camera, from the middle of each face."""
+    normals = np.einsum("nij,fj->nfi", poses.rotation, grid.axes[:, 2])
+    toward = view.camera.centre_m - poses.position_m[:, None] - grid.offsets[:, None] * normals
+    return np.asarray((toward * normals).sum(2) / np.linalg.norm(toward, axis=2))
 
 
 def _with_textures(
@@ -399,19 +429,18 @@ def _with_textures(
     """Marks with the means of what was seen, and where on them there is signal."""
     both = weight.sum(0)
     known = (count.sum(0) >= FEWEST_LOOKS) & (both > 0)
-    texture = np.where(known, (total.sum(0) + correction) / np.where(known, both, 1.0), np.nan)
-    split = (count > 0).all(0) & known
-    halves = [np.where(split, total[h] / np.where(split, weight[h], 1.0), np.nan) for h in (0, 1)]
-    coefficients, marked = np.ones_like(texture), np.zeros(texture.shape, np.uint8)
-    noise = np.zeros(len(texture))
-    for f in range(len(texture)):
-        if known[f].sum() < FEWEST_TEXELS:
-            continue
+    # Where nothing was looked at anew, what was known stays.
+    texture = np.where(known, (total.sum(0) + correction) / np.where(known, both, 1.0), marks.texture)
+    coefficients, marked, noise = marks.coefficients.copy(), marks.marked.copy(), marks.noise_grey.copy()
+    for f in np.flatnonzero(known.sum((1, 2)) >= FEWEST_TEXELS):
         coefficients[f] = ndimage.spline_filter(_filled(texture[f]), order=3, mode="mirror")
-        marked[f] = _marked(halves[0][f], halves[1][f])
-        if marked[f].sum() >= FEWEST_TEXELS:
-            # Unbounded until frames have been asked for their own.
-            noise[f] = marks.noise_grey[f] if marks.noise_grey[f] > 0 else UNBOUNDED_GREY
+        if noise[f] == 0.0:
+            split = (count[:, f] > 0).all(0) & known[f]
+            halves = [np.where(split, total[h, f] / np.where(split, weight[h, f], 1.0), np.nan) for h in (0, 1)]
+            marked[f] = _marked(*halves)
+            noise[f] = UNBOUNDED_GREY if (marked[f] > 0).sum() >= FEWEST_TEXELS else 0.0
+        marked[f] = _steep_places(coefficients[f], marked[f])
+    seen = np.maximum(seen, marks.looks)
     return replace(marks, texture=texture, coefficients=coefficients, marked=marked, noise_grey=noise, looks=seen)
 
 
@@ -435,6 +464,13 @@ def _marked(even: Array, odd: Array) -> NDArray[np.uint8]:
     clear = ((signal > SIGNAL * noise) & (inner > 0)).astype(np.uint8)
     clear = cv2.morphologyEx(clear, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     return np.asarray(cv2.dilate(clear, np.ones((7, 7), np.uint8)) * inner, np.uint8)
+
+
+def _steep_places(texture: Array, marked: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """2 for marked texels on and beside slopes, 1 for those on flat ground."""
+    slope = np.hypot(*np.gradient(texture)) * (marked > 0)
+    steep = cv2.dilate((slope > 0.1 * slope.max()).astype(np.uint8), np.ones((3, 3), np.uint8))
+    return np.where(marked > 0, 1 + steep, 0).astype(np.uint8)
 
 
 # --- adjusting ---
@@ -464,21 +500,23 @@ def _adjusted(
     place_of = {int(f): 12 * len(used) + WARPS * i for i, f in enumerate(marks.marked_faces)}
     blur_at = 12 * len(used) + WARPS * len(place_of)
     in_flight = np.bincount([look.flight for look in looks])
-    equations = [_equations(view, marks, look, cut) for look in looks]
+    poses = _poses(looks, marks.flights)
+    equations = [_equations(view, marks, look, poses, i, cut) for i, look in enumerate(looks)]
+    edges = _edges_minus_flights(looks, poses)
     squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
     A = np.diag(_priors(view, len(used), len(place_of), len(links)))
     y = np.zeros(len(A))
-    for look, (H, g, place, _) in zip(looks, equations, strict=True):
-        flight = marks.flights[look.flight]
-        M = transitions(flight, np.array([look.time_s]))[0, :6]
+    for look, (H, g, place, _), M, away in zip(looks, equations, poses.by_start, edges, strict=True):
         # What edges get wrong they get wrong alike on all frames of a flight: together they count as one.
         common = look.edge_covariance + _contour_covariance(view, look.edge_position_m, marks.contour_m)
         E = np.linalg.inv(common) / in_flight[look.flight]
         c = slice(column[look.flight], column[look.flight] + 12)
         A[c, c] += M.T @ (H / factor + E) @ M
-        y[c] += M.T @ (g / factor + E @ _edges_minus_flight(look, flight))
+        y[c] += M.T @ (g / factor + E @ away)
         for f, at in place_of.items():
+            if not place[f].any():
+                continue
             s = np.r_[at : at + WARPS, blur_at]
             cross = M.T @ place[f][:, :6].T / factor
             A[c, s] += cross
@@ -534,8 +572,11 @@ def _link_equations(before: Flight, after: Flight, time_s: float) -> tuple[Array
 
 def _inverse(A: Array) -> Array:
     """Inverse of a normal matrix whose unknowns have different units."""
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    return np.asarray(np.linalg.pinv(A * np.outer(unit, unit), rcond=1e-13, hermitian=True) * np.outer(unit, unit))
+    unit = 1.0 / np.sqrt(np.diag(A))
+    scaled = A * np.outer(unit, unit)
+    # Far below any direction that was observed, and enough for one that only rounding tells from none.
+    scaled[np.diag_indices_from(scaled)] += 1e-12
+    return np.asarray(np.linalg.inv(scaled) * np.outer(unit, unit))
 
 
 def _contour_covariance(view: View, position_m: Array, contour_m: float) -> Array:
@@ -554,30 +595,41 @@ def _contour_covariance(view: View, position_m: Array, contour_m: float) -> Arra
 def _contour_error(view: View, looks: list[_Look], marks: Marks) -> float:
     """The length [m] that makes the edges' distance from the flights what `_contour_covariance` expects."""
     squared = []
-    for look in looks:
-        away = _edges_minus_flight(look, marks.flights[look.flight])
+    for look, away in zip(looks, _edges_minus_flights(looks, _poses(looks, marks.flights)), strict=True):
         unit = _contour_covariance(view, look.edge_position_m, 1.0)
         squared.append(float(away @ np.linalg.solve(unit, away)))
     return float(np.sqrt(np.median(squared) / CHI2_MEDIAN))
 
 
-def _equations(view: View, marks: Marks, look: _Look, cut: float) -> tuple[Array, Array, Array, Array]:
-    """Normal equations of one look at the pose of its flight."""
-    state = marks.flights[look.flight].at(look.time_s)
+def _equations(
+    view: View, marks: Marks, look: _Look, poses: _Poses, i: int, cut: float
+) -> tuple[Array, Array, Array, Array]:
+    """Normal equations of look `i` at the pose of its flight."""
     H, g = np.zeros((6, 6)), np.zeros(6)
-    place, stats = np.zeros((len(marks.looks), WARPS + SHARED, 7 + WARPS + SHARED)), np.zeros((len(marks.looks), 3))
+    place = np.zeros((len(marks.looks), WARPS + SHARED, 7 + WARPS + SHARED))
+    stats = np.zeros((len(marks.looks), 3))
     mark_equations(
-        look.image, look.x0, look.y0, *_seen_by(view, marks), state.position_m, state.rotation,
-        *_blurs(view, marks, state),
-        *_on_faces(view, marks, cut), True, H, g, place, stats,
+        look.image, look.x0, look.y0, *_seen_by(view, marks), poses.position_m[i], poses.rotation[i],
+        *_blurs(view, marks, poses.velocity_m_s[i], poses.omega_rad_s[i]), *_on_faces(view, marks, cut), True, H, g,
+        place, stats,
     )  # fmt: skip
     return H, g, place, stats
 
 
-def _edges_minus_flight(look: _Look, flight: Flight) -> Array:
-    state = flight.at(look.time_s)
-    turned = rotation_between(state.quaternion, look.edge_quaternion)
-    return np.concatenate([look.edge_position_m - state.position_m, turned])
+def _edges_minus_flights(looks: list[_Look], poses: _Poses) -> Array:
+    """(looks, 6) from the flights' poses to those of the edges."""
+    moved_m = np.array([look.edge_position_m for look in looks]) - poses.position_m
+    edges = matrix_from_quat(np.array([look.edge_quaternion for look in looks]))
+    return np.concatenate([moved_m, _turn_between(poses.rotation, edges)], axis=1)
+
+
+def _turn_between(start: Array, end: Array) -> Array:
+    """Rotation vectors (..., 3), world axes, that take orientations (..., 3, 3) to others less than half a turn away."""
+    D = end @ np.swapaxes(start, -1, -2)
+    axis = 0.5 * np.stack([D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]], -1)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, 0.5 * (np.trace(D, axis1=-2, axis2=-1)[..., None] - 1.0))
+    return np.asarray(axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))
 
 
 def _whitened_square(H: Array, g: Array) -> float | None:

@@ -35,6 +35,10 @@ SHARED = 1
 """Numbers shared by all faces and frames: the lens blur."""
 STEEP = 0.3
 """Share of the steepest slope on a face from which a pixel counts as steep."""
+FLAT = 0.01
+"""The same share below which a pixel tells the light alone: its part in the normal equations is below 1e-4."""
+THINNED = 3
+"""Of the pixels on flat ground beside marks every third is enough for the six numbers of light."""
 BLUR_STEP = 1.15
 """Factor on the lens blur for its difference quotient."""
 BUFFER = 60_000
@@ -368,6 +372,7 @@ def look_at_face(
     floor_grey: float,
     cut: float,
     coef: Any,
+    use: Any,
     known: bool,
     values: Any,
     sharper: Any,
@@ -376,8 +381,8 @@ def look_at_face(
     """What one frame shows of a face's texture, on its grid.
 
     `values` (n, n) become the texture as this frame shows it, `sharper` (n, n) what has to be added for the blur that this
-    frame has and the texture has not, `weights` (n, n) their inverse variance, 0 where the frame does not show it. The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, the light
-    (contrast and plane) is fitted with it and what does not look like it is left out; else the plane alone is, and the values are
+    frame has and the texture has not, `weights` (n, n) their inverse variance, 0 where the frame does not show it. The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, only what
+    `use` names is looked at, the light (contrast and plane) is fitted with it and what does not look like it is left out; else the plane alone is, and the values are
     grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
     """
     n = values.shape[0]
@@ -402,6 +407,8 @@ def look_at_face(
     for i in range(n):
         b = (i - half) * texel
         for j in range(n):
+            if known and use[i, j] == 0:
+                continue
             a = (j - half) * texel
             X = origin[0] + a * E[0, 0] + b * E[1, 0]
             Y = origin[1] + a * E[0, 1] + b * E[1, 1]
@@ -443,7 +450,7 @@ def look_at_face(
         return 0.0
     c = np.zeros(GAINS)
     _relative(steep, m)
-    scale = _robust_gains(m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 6, steep, w, res, c)
+    scale = _robust_gains(m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 4, steep, w, res, c)
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0
     used = 0.0
@@ -506,7 +513,8 @@ def mark_equations(
     """Fill H (6, 6) and g (6,) of the pose increment from the marks of every face in view.
 
     `image` is a float32 window whose pixel [0, 0] lies at (x0, y0); `rays` (height, width, 2) are those of the whole
-    picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where a pixel may not look, 1 where it may. `place`
+    picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where no pixel looks, 1 where
+    few do because the texture is flat, 2 where all do. `place`
     (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1) becomes, for the warps of each face's texture and the lens blur [px], the
     rows of their normal matrix: by pose (6), by themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise [grey].
     """
@@ -580,7 +588,10 @@ def mark_equations(
                 a = E[0, 0] * X + E[0, 1] * Y + E[0, 2] * Z
                 b = E[1, 0] * X + E[1, 1] * Y + E[1, 2] * Z
                 x, y = a / texel + half, b / texel + half
-                if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0) or use[f, int(y + 0.5), int(x + 0.5)] == 0:
+                if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0):
+                    continue
+                kind = use[f, int(y + 0.5), int(x + 0.5)]
+                if kind == 0 or (kind == 1 and (u + v) % THINNED != 0):
                     continue
                 _blurred(coef[f], x, y, spread, number, side, out)
                 grey[m] = value
@@ -600,7 +611,7 @@ def mark_equations(
         if m < 40:
             continue
         _relative(steep, m)
-        scale = _robust_gains(m, grey, basis, 0, GAINS, floor_grey, 2.0 * usual_grey[f], cut, 4, steep, w, res, c)
+        scale = _robust_gains(m, grey, basis, 0, GAINS, floor_grey, 2.0 * usual_grey[f], cut, 3, steep, w, res, c)
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
@@ -621,6 +632,8 @@ def mark_equations(
             for k in range(GAINS):
                 for l in range(k + 1):
                     S[k, l] += wi * basis[i, k] * basis[i, l]
+            if steep[i] < FLAT:
+                continue
             contrast = c[0] + c[4] * basis[i, 2] + c[5] * basis[i, 3]
             ga, gb = contrast * slope[i, 0], contrast * slope[i, 1]
             dx, dy = ray[i, 0], ray[i, 1]
@@ -788,7 +801,10 @@ def refine_on_marks(
         for i in range(3):
             p[i] += step[i]
         Q = _turned(Q, step[3:])
-        # Steps far below what the pixels tell apart: a thousandth of a pixel at any usual distance.
-        if hypot(hypot(step[0], step[1]), step[2]) < 5e-7 and hypot(hypot(step[3], step[4]), step[5]) < 3e-5:
+        # A tenth of a sigma or less gained: the next step would be smaller still.
+        gained = 0.0
+        for i in range(6):
+            gained += step[i] * y[i]
+        if gained < 0.01:
             break
     return p, Q, H
