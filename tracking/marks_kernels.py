@@ -801,10 +801,10 @@ def refine_on_marks(
         for i in range(3):
             p[i] += step[i]
         Q = _turned(Q, step[3:])
-        # A tenth of a sigma or less gained: the next step would be smaller still.
+        # A third of a sigma moved: the next step would be a fifth of that.
         gained = 0.0
         for i in range(6):
             gained += step[i] * y[i]
-        if gained < 0.01:
+        if gained < 0.1:
             break
     return p, Q, H
