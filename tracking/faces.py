@@ -45,13 +45,20 @@ LEFT_HANDED = 0.05
 """Chance, before looking, that a die is left-handed."""
 SURE = 0.95
 """Chance from which a numbering is claimed."""
-PATCH = 40
+PATCH = 32
 """Side of the patches that numbers are compared on."""
 REACH = 2.6
 """Half of that side in root mean square radii of the marks: figures end at 1.5 to 2.2."""
 TURNS = 72
 """Angles at which a number is compared: 5 degrees change a correlation by less than 0.03."""
-ALIKE, CLEARER = 0.7, 0.06
+COARSE_PX = 5.0
+"""Blur [pixels of a patch] beyond which shape is coarse: strokes are 3 to 5 wide, figures 10 to 25."""
+BLURS = (0.8, 1.3, 2.0)
+SIZES = (0.85, 0.92, 1.0, 1.08)
+"""Blurs [pixels of a patch] and sizes at which a drawn number is compared: what was seen is blurred, which widens it as well."""
+WORTH_A_LOOK = 0.15
+"""Numbers whose first correlation lies further below the best are not compared more closely, which gains 0.1 at the most."""
+ALIKE, CLEARER = 0.8, 0.03
 """Correlation from which a number counts as read, and by which it must exceed every other number's."""
 FONTS = ("DejaVu Sans", "DejaVu Serif")
 """They come with matplotlib; a sans and a serif face, drawn bold, are near enough to what is engraved on dice."""
@@ -260,7 +267,7 @@ def _with_opposites(solid: Solid, numbers: list[int | None]) -> tuple[list[int |
 
 
 def _figure(marks: Marks, face: int) -> Array | None:
-    """The marks of a face as a patch of their own centre and size, zero mean and unit power; None where there are none."""
+    """The marks of a face as a patch (PATCH, PATCH) of ink, of their own centre and size; None where there are none."""
     if marks.noise_grey[face] == 0.0:
         return None
     spots = _spots(marks, face)
@@ -270,7 +277,8 @@ def _figure(marks: Marks, face: int) -> Array | None:
     away = np.abs(np.where(np.isfinite(texture), texture - np.nanmedian(texture), 0.0))
     # Shading at the border is no figure.
     near = cv2.dilate(spots.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return _patch(away * near)
+    # Face coordinates run up, pictures down: the texture is turned over to be read.
+    return _patch((away * near)[::-1])
 
 
 def _patch(ink: Array) -> Array | None:
@@ -285,26 +293,61 @@ def _patch(ink: Array) -> Array | None:
         return None
     scale = REACH * radius / (0.5 * PATCH)
     place = np.array([[scale, 0.0, x - scale * 0.5 * (PATCH - 1)], [0.0, scale, y - scale * 0.5 * (PATCH - 1)]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    # The pictures to be compared are as sharp as the coarsest of them is.
-    soft = cv2.GaussianBlur(cv2.warpAffine(ink, place, (PATCH, PATCH), flags=flags), (0, 0), 1.0)
+    return cv2.warpAffine(ink, place, (PATCH, PATCH), flags=cv2.INTER_AREA | cv2.WARP_INVERSE_MAP).astype(float)
+
+
+def _details(patch: Array, blur: float) -> Array:
+    """The patch blurred, its coarse shape taken out (any two figures are alike in that), zero mean and unit power."""
+    soft = cv2.GaussianBlur(patch, (0, 0), blur)
+    soft = soft - cv2.GaussianBlur(soft, (0, 0), COARSE_PX)
     soft = soft - soft.mean()
     return np.asarray(soft / np.linalg.norm(soft))
 
 
 def _likeness(patch: Array, count: int) -> Array:
-    """(count,) best correlation of a patch with each number, over fonts and turns. Face coordinates run up, pictures down:
-    the patch is turned over to be read."""
-    seen = patch[::-1].astype(np.float32).ravel()
+    """(count,) best correlation of a patch with each number, over fonts, turns, small shifts and sizes, and sharpness."""
+    seen = _details(patch, BLURS[1]).astype(np.float32)
+    shifts = _shifted(_details(patch, BLURS[0]))
+    rough = [(turned @ seen.ravel(), number, drawn) for number, drawn, turned in _drawn_numbers(count)]
+    near = max(float(alike.max()) for alike, _, _ in rough) - WORTH_A_LOOK
     best = np.full(count, -1.0)
-    for number, drawn in _drawn_numbers(count):
-        best[number - 1] = max(best[number - 1], float((drawn @ seen).max()))
+    for alike, number, drawn in rough:
+        best[number - 1] = max(best[number - 1], float(alike.max()))
+        if alike.max() > near:
+            closest = max(_closest(drawn, 360.0 * k / TURNS, shifts) for k in _best_turns(alike))
+            best[number - 1] = max(best[number - 1], closest)
+    return best
+
+
+def _best_turns(alike: NDArray[np.float32]) -> list[int]:
+    """The best of all turns, and the best of those more than 30 degrees from it."""
+    first = int(np.argmax(alike))
+    away = np.abs((np.arange(TURNS) - first + TURNS // 2) % TURNS - TURNS // 2) > TURNS // 12
+    return [first, int(np.argmax(np.where(away, alike, -1.0)))]
+
+
+def _shifted(patch: Array) -> NDArray[np.float32]:
+    """(25, PATCH²) the patch moved by up to two pixels each way."""
+    moves = [np.roll(patch, (i, j), (0, 1)).ravel() for i in range(-2, 3) for j in range(-2, 3)]
+    return np.array(moves, np.float32)
+
+
+def _closest(drawn: Array, degrees: float, seen: NDArray[np.float32]) -> float:
+    """Best correlation of a drawn number, about one turn, with a patch and its shifts."""
+    middle = 0.5 * (PATCH - 1)
+    best = -1.0
+    for size in SIZES:
+        for turn in (-3.0, 0.0, 3.0):
+            place = cv2.getRotationMatrix2D((middle, middle), degrees + turn, size)
+            placed = cv2.warpAffine(drawn, place, (PATCH, PATCH))
+            for blur in BLURS:
+                best = max(best, float((seen @ _details(placed, blur).astype(np.float32).ravel()).max()))
     return best
 
 
 @cache
-def _drawn_numbers(count: int) -> tuple[tuple[int, NDArray[np.float32]], ...]:
-    """Numbers 1 to `count` in all fonts, each (TURNS, PATCH²) at all angles; 6 and 9 with bar and dot where both occur."""
+def _drawn_numbers(count: int) -> tuple[tuple[int, Array, NDArray[np.float32]], ...]:
+    """Numbers 1 to `count` in all fonts, each as drawn and (TURNS, PATCH²) at all angles; 6 and 9 with bar and dot where both occur."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextPath
 
@@ -316,10 +359,9 @@ def _drawn_numbers(count: int) -> tuple[tuple[int, NDArray[np.float32]], ...]:
                 words = [f"{number}.", f"{number}_"]
             for word in words:
                 path = TextPath((0.0, 0.0), word.replace("_", ""), 100.0, prop=FontProperties(family=font, weight="bold"))
-                ink = _ink(path.to_polygons(), bar=word.endswith("_"))
-                patch = _patch(ink)
+                patch = _patch(_ink(path.to_polygons(), bar=word.endswith("_")))
                 assert patch is not None
-                out.append((number, _turned(patch)))
+                out.append((number, patch, _turned(patch)))
     return tuple(out)
 
 
@@ -338,12 +380,10 @@ def _ink(polygons: list[Array], bar: bool) -> Array:
 
 
 def _turned(patch: Array) -> NDArray[np.float32]:
-    """A patch at TURNS angles (TURNS, PATCH²), each of zero mean and unit power."""
+    """The details of a patch at TURNS angles (TURNS, PATCH²)."""
     middle = 0.5 * (PATCH - 1)
     out = []
     for k in range(TURNS):
         turn = cv2.getRotationMatrix2D((middle, middle), 360.0 * k / TURNS, 1.0)
-        turned = cv2.warpAffine(patch, turn, (PATCH, PATCH), borderMode=cv2.BORDER_REPLICATE)
-        turned -= turned.mean()
-        out.append((turned / np.linalg.norm(turned)).ravel())
+        out.append(_details(cv2.warpAffine(patch, turn, (PATCH, PATCH)), BLURS[1]).ravel())
     return np.array(out, np.float32)

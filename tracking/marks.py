@@ -68,7 +68,7 @@ SIGNAL_TEXELS = 7
 """Side of the square over which signal and noise are compared."""
 FEWEST_TEXELS = 50
 """Marked texels (about 28 pixels) without which a face is called plain."""
-CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY)
+CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY, TUKEY, TUKEY)
 """Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
 moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
 SETTLED_SIGMAS = 0.3
@@ -91,7 +91,7 @@ NEAR_BOUNCE = 1.0
 """Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
 UNBOUNDED_GREY = 1e9
 """Noise of a face that no frame has been asked for yet."""
-DEBUG = []
+DEBUG: list = []
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
 
@@ -111,8 +111,6 @@ class FaceGrid:
     size: int
     """Texels along a side."""
     texel_m: float
-    finest_m: float
-    """Length of a pixel on a face seen squarely at the smallest distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +132,10 @@ class Marks:
     """(height, width, 2) camera rays x/z, y/z of the pixels, lens distortion undone."""
     saturation_grey: float
     blur_px: float
-    """Lens blur (standard deviation) as the marks show it: no bevel or shade beside an edge takes part in it. A texture is as
-    blurred as a face seen squarely at the smallest distance."""
+    """Lens blur (standard deviation) as the marks show it: no bevel or shade beside an edge takes part in it."""
+    base: Array
+    """(faces, 2, 3) [m²] how blurred each texture is: variances aa, ab, bb that a lens blur of one pixel and the motion leave
+    in the mean of its looks."""
     factor: float
     """Scatter of the marks' poses about the flights over what pixel noise says, as a variance; at least 1."""
     contour_m: float
@@ -210,14 +210,16 @@ def learn_marks(
     if len(looks) < 2 * FEWEST_LOOKS:
         return None
     grid = _face_grid(view, looks, throw)
-    marks = _learned(view, looks, throw.flights, _blank(view, grid, saturation_grey, throw), CUTS[0])
     links = _links(looks, throw)
+    few = _thinned(looks)
+    marks = _learned(view, few, throw.flights, _blank(view, grid, saturation_grey, throw), CUTS[0])
     for cut in CUTS:
         if not len(marks.marked_faces):
             return None
-        marks, moved_sigmas = _adjusted(view, looks, links, marks, cut)
+        chosen = looks if cut == TUKEY else few
+        marks, moved_sigmas = _adjusted(view, chosen, links, marks, cut)
         if DEBUG: DEBUG[0](marks, moved_sigmas)
-        marks = _learned(view, looks, marks.flights, marks, cut)
+        marks = _learned(view, chosen, marks.flights, marks, cut)
         if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
             break
     return marks if len(marks.marked_faces) else None
@@ -284,8 +286,8 @@ def _on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _blurs(view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array) -> tuple[Array, Array, float, float, float]:
-    return velocity_m_s, omega_rad_s, view.exposure_s, marks.blur_px, marks.blur_px * marks.grid.finest_m
+def _blurs(view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array) -> tuple[Array, Array, float, float, Array]:
+    return velocity_m_s, omega_rad_s, view.exposure_s, marks.blur_px, marks.base
 
 
 def _margin_px(marks: Marks) -> float:
@@ -316,6 +318,12 @@ def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw:
     return [look for look in looks if counts[look.flight] >= 2]
 
 
+def _thinned(looks: list[_Look]) -> list[_Look]:
+    """Every second look, and all of short flights: enough to come near, in half the time."""
+    counts = np.bincount([look.flight for look in looks])
+    return [look for i, look in enumerate(looks) if i % 2 == 0 or counts[look.flight] <= SHORT_FLIGHT]
+
+
 def _poses(looks: list[_Look], flights: tuple[Flight, ...]) -> _Poses:
     n = len(looks)
     out = _Poses(np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 6, 12)))
@@ -339,7 +347,6 @@ def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
     depth = places @ camera.rotation[2] + camera.translation_m[2]
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     texel = TEXEL_PX * float(np.median(depth)) / focal
-    finest = float(depth.min() - view.reach_m) / focal
     axes = face_axes(solid)
     most = max(len(face) for face in solid.faces)
     corners = np.zeros((len(axes), most, 2))
@@ -349,7 +356,7 @@ def _face_grid(view: View, looks: list[_Look], throw: Throw) -> FaceGrid:
         corners[f, : len(face)] = flat[list(face)] @ axes[f, :2].T
     size = 2 * (int(np.ceil(np.abs(corners).max() / texel)) + 2) + 1
     counts = np.array([len(face) for face in solid.faces], np.int64)
-    return FaceGrid(axes, solid.offsets.copy(), corners, counts, size, texel, finest)
+    return FaceGrid(axes, solid.offsets.copy(), corners, counts, size, texel)
 
 
 def face_axes(solid: Solid) -> Array:
@@ -368,7 +375,7 @@ def _blank(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw) -> 
     faces = len(grid.axes)
     return Marks(
         grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
-        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px, 1.0,
+        np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px, np.zeros((faces, 2, 3)), 1.0,
         CONTOUR_SHARE * view.die.solid.edge_m, throw.flights, tuple(np.zeros((12, 12)) for _ in throw.flights),
     )  # fmt: skip
 
@@ -383,8 +390,9 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
     # Even and odd looks apart: their noise is independent.
     total, weight = np.zeros((2, *shape)), np.zeros((2, *shape))
     count = np.zeros((2, *shape), np.int32)
-    correction = np.zeros(shape)
-    values, sharper, w = np.zeros((3, *shape[1:]))
+    base, base_weight = np.zeros((shape[0], 2, 3)), np.zeros(shape[0])
+    values, w = np.zeros((2, *shape[1:]))
+    own = np.zeros((2, 3))
     seen = np.zeros(shape[0], np.int64)
     camera = view.camera
     floor_grey = max(0.5, 0.5 * view.noise_grey)
@@ -399,10 +407,10 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
                 look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
                 camera.translation_m, poses.position_m[i], poses.rotation[i], poses.velocity_m_s[i], poses.omega_rad_s[i],
                 view.exposure_s,
-                marks.blur_px, marks.blur_px * grid.finest_m, grid.axes[f], grid.offsets[f], grid.corners[f],
+                marks.blur_px, marks.base[f], grid.axes[f], grid.offsets[f], grid.corners[f],
                 grid.counts[f], _margin_px(marks), grid.texel_m, marks.saturation_grey, floor_grey, cut, marks.coefficients[f],
                 marks.marked[f], known,
-                values, sharper, w,
+                values, w, own,
             )  # fmt: skip
             if share < 0.5:
                 continue
@@ -410,10 +418,13 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
             seen[f] += 1
             used = w > 0
             total[half, f][used] += facings[i, f] ** 2 * w[used] * values[used]
-            correction[f][used] += facings[i, f] ** 2 * w[used] * sharper[used]
+            base[f] += facings[i, f] ** 2 * w.sum() * own
+            base_weight[f] += facings[i, f] ** 2 * w.sum()
             weight[half, f] += facings[i, f] ** 2 * w
             count[half, f] += used
-    return _with_textures(marks, total, correction, weight, count, seen)
+    return _with_textures(
+        replace(marks, base=_where_seen(base, base_weight, marks.base)), total, weight, count, seen
+    )
 
 
 def _facings(view: View, grid: FaceGrid, poses: _Poses) -> Array:
@@ -424,13 +435,13 @@ def _facings(view: View, grid: FaceGrid, poses: _Poses) -> Array:
 
 
 def _with_textures(
-    marks: Marks, total: Array, correction: Array, weight: Array, count: NDArray[np.int32], seen: NDArray[np.int64]
+    marks: Marks, total: Array, weight: Array, count: NDArray[np.int32], seen: NDArray[np.int64]
 ) -> Marks:
     """Marks with the means of what was seen, and where on them there is signal."""
     both = weight.sum(0)
     known = (count.sum(0) >= FEWEST_LOOKS) & (both > 0)
     # Where nothing was looked at anew, what was known stays.
-    texture = np.where(known, (total.sum(0) + correction) / np.where(known, both, 1.0), marks.texture)
+    texture = np.where(known, total.sum(0) / np.where(known, both, 1.0), marks.texture)
     coefficients, marked, noise = marks.coefficients.copy(), marks.marked.copy(), marks.noise_grey.copy()
     for f in np.flatnonzero(known.sum((1, 2)) >= FEWEST_TEXELS):
         coefficients[f] = ndimage.spline_filter(_filled(texture[f]), order=3, mode="mirror")
@@ -442,6 +453,12 @@ def _with_textures(
         marked[f] = _steep_places(coefficients[f], marked[f])
     seen = np.maximum(seen, marks.looks)
     return replace(marks, texture=texture, coefficients=coefficients, marked=marked, noise_grey=noise, looks=seen)
+
+
+def _where_seen(base: Array, weight: Array, old: Array) -> Array:
+    """Weighted means of the faces that were seen, the old values of the others."""
+    seen = (weight > 0)[:, None, None]
+    return np.where(seen, base / np.where(seen, weight[:, None, None], 1.0), old)
 
 
 def _filled(texture: Array) -> Array:

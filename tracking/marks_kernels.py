@@ -39,6 +39,8 @@ FLAT = 0.01
 """The same share below which a pixel tells the light alone: its part in the normal equations is below 1e-4."""
 THINNED = 3
 """Of the pixels on flat ground beside marks every third is enough for the six numbers of light."""
+NO_BLUR = 0.02
+"""Variance [texel²] below which more or less blur is left out: a texture's own is about one."""
 BLUR_STEP = 1.15
 """Factor on the lens blur for its difference quotient."""
 BUFFER = 60_000
@@ -181,59 +183,60 @@ def _spline(coef: Any, x: float, y: float, out: Any) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _extra_blur(
-    K: Any, Rcw: Any, E: Any, origin: Any, arm: Any, vel: Any, omega: Any, exposure: float, blur_px: float, base: float,
-    texel: float, spread: Any,
-) -> int:  # fmt: skip
-    """By how much more than its texture a face is blurred on a frame: principal directions in `spread` (2, 2) [texels],
-    √3 standard deviations long; returns how many of them matter.
+def _blur_on_face(
+    K: Any, Rcw: Any, E: Any, origin: Any, offset: float, vel: Any, omega: Any, exposure: float, lens: Any, motion: Any
+) -> None:
+    """Blur of a face in face coordinates, as variances aa, ab, bb: `lens` (3,) [m²] for a lens blur of one pixel, and
+    `motion` (3,) [m²].
 
     The lens blurs alike in all directions of the picture, so on the face it blurs most where the view squeezes it; motion
-    during the exposure is a box with the variance of its length squared over twelve. `base` [m] is the blur that the
-    texture has, `arm` (3,) the face's middle from the die's centre in the camera.
+    during the exposure is a box with the variance of its length squared over twelve.
     """
     iz = 1.0 / origin[2]
     x, y = origin[0] * iz, origin[1] * iz
     jaa, jab = K[0, 0] * (E[0, 0] - x * E[0, 2]) * iz, K[0, 0] * (E[1, 0] - x * E[1, 2]) * iz
     jba, jbb = K[1, 1] * (E[0, 1] - y * E[0, 2]) * iz, K[1, 1] * (E[1, 1] - y * E[1, 2]) * iz
-    det = jaa * jbb - jab * jba
-    paa, pab, pbb = jab * jab + jbb * jbb, -(jaa * jab + jba * jbb), jaa * jaa + jba * jba
-    s = (blur_px / det) ** 2
-    caa, cab, cbb = s * paa - base * base, s * pab, s * pbb - base * base
+    s = 1.0 / (jaa * jbb - jab * jba) ** 2
+    lens[0], lens[1], lens[2] = s * (jab * jab + jbb * jbb), -s * (jaa * jab + jba * jbb), s * (jaa * jaa + jba * jba)
+    motion[:] = 0.0
     if exposure > 0.0:
-        q = np.zeros(3)
+        q, w = np.zeros(3), np.zeros(3)
         for i in range(3):
             for j in range(3):
                 q[i] += Rcw[i, j] * vel[j]
-        w = np.zeros(3)
-        for i in range(3):
-            for j in range(3):
                 w[i] += Rcw[i, j] * omega[j]
-        q[0] += w[1] * arm[2] - w[2] * arm[1]
-        q[1] += w[2] * arm[0] - w[0] * arm[2]
-        q[2] += w[0] * arm[1] - w[1] * arm[0]
-        nd = E[2, 0] * x + E[2, 1] * y + E[2, 2]
-        slip = (E[2, 0] * q[0] + E[2, 1] * q[1] + E[2, 2] * q[2]) / nd
-        ma, mb = 0.0, 0.0
-        d = (x, y, 1.0)
-        for i in range(3):
-            ma += exposure * E[0, i] * (slip * d[i] - q[i])
-            mb += exposure * E[1, i] * (slip * d[i] - q[i])
-        caa += ma * ma / 12.0
-        cab += ma * mb / 12.0
-        cbb += mb * mb / 12.0
+        q[0] += offset * (w[1] * E[2, 2] - w[2] * E[2, 1])
+        q[1] += offset * (w[2] * E[2, 0] - w[0] * E[2, 2])
+        q[2] += offset * (w[0] * E[2, 1] - w[1] * E[2, 0])
+        slip = (E[2, 0] * q[0] + E[2, 1] * q[1] + E[2, 2] * q[2]) / (E[2, 0] * x + E[2, 1] * y + E[2, 2])
+        ma = exposure * (E[0, 0] * (slip * x - q[0]) + E[0, 1] * (slip * y - q[1]) + E[0, 2] * (slip - q[2]))
+        mb = exposure * (E[1, 0] * (slip * x - q[0]) + E[1, 1] * (slip * y - q[1]) + E[1, 2] * (slip - q[2]))
+        motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
+
+
+@njit(cache=True, nogil=True)
+def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, spread: Any) -> int:
+    """By how much more a face is blurred on a frame than its texture, in `spread` (2, 3): principal directions [texels],
+    √3 standard deviations long, and the sign, -1 where it is less; returns how many of them matter. `base` (2, 3) is the blur of
+    the texture, of the lens for one pixel and of motion."""
+    iv = 1.0 / (texel * texel)
+    s = blur_px * blur_px
+    caa = (s * (lens[0] - base[0, 0]) + motion[0] - base[1, 0]) * iv
+    cab = (s * (lens[1] - base[0, 1]) + motion[1] - base[1, 1]) * iv
+    cbb = (s * (lens[2] - base[0, 2]) + motion[2] - base[1, 2]) * iv
     mean, half = 0.5 * (caa + cbb), sqrt(0.25 * (caa - cbb) ** 2 + cab * cab)
     number = 0
     for k in range(2):
-        value = (mean + half if k == 0 else mean - half) / (texel * texel)
-        if value < 0.02:
-            # A seventh of a texel, beside the texture's own blur of about one.
-            break
-        ux, uy = (mean + half if k == 0 else mean - half) - cbb, cab
+        value = mean + half if k == 0 else mean - half
+        if abs(value) < NO_BLUR:
+            continue
+        ux, uy = value - cbb, cab
         if abs(ux) + abs(uy) < 1e-9 * (abs(mean) + half):
             ux, uy = (1.0, 0.0) if (k == 0) == (caa >= cbb) else (0.0, 1.0)
         length = hypot(ux, uy)
-        spread[number, 0], spread[number, 1] = sqrt(3.0 * value) * ux / length, sqrt(3.0 * value) * uy / length
+        reach = sqrt(3.0 * abs(value))
+        spread[number, 0], spread[number, 1] = reach * ux / length, reach * uy / length
+        spread[number, 2] = 1.0 if value > 0.0 else -1.0
         number += 1
     return number
 
@@ -241,13 +244,14 @@ def _extra_blur(
 @njit(cache=True, nogil=True)
 def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any, out: Any) -> None:
     """The spline blurred along `number` directions, by three-point Gauss-Hermite quadrature along each: exact for
-    quintics, and an edge keeps its place where a second-order expansion would overshoot it."""
+    quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
     _spline(coef, x, y, out)
     if number == 0:
         return
     top = coef.shape[0] - 2.0 - 1e-9
     v, gx, gy = out[0], out[1], out[2]
     for k in range(number):
+        share = spread[k, 2] / 6.0
         for sign in (-1.0, 1.0):
             _spline(
                 coef,
@@ -255,9 +259,9 @@ def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any,
                 min(max(y + sign * spread[k, 1], 1.0), top),
                 side,
             )
-            out[0] += (side[0] - v) / 6.0
-            out[1] += (side[1] - gx) / 6.0
-            out[2] += (side[2] - gy) / 6.0
+            out[0] += share * (side[0] - v)
+            out[1] += share * (side[1] - gx)
+            out[2] += share * (side[2] - gy)
 
 
 @njit(cache=True, nogil=True)
@@ -361,7 +365,7 @@ def look_at_face(
     omega: Any,
     exposure: float,
     blur_px: float,
-    base_blur: float,
+    base: Any,
     axes: Any,
     offset: float,
     corners: Any,
@@ -375,13 +379,13 @@ def look_at_face(
     use: Any,
     known: bool,
     values: Any,
-    sharper: Any,
     weights: Any,
+    own: Any,
 ) -> float:
     """What one frame shows of a face's texture, on its grid.
 
-    `values` (n, n) become the texture as this frame shows it, `sharper` (n, n) what has to be added for the blur that this
-    frame has and the texture has not, `weights` (n, n) their inverse variance, 0 where the frame does not show it. The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, only what
+    `values` (n, n) become the texture as this frame shows it, `weights` (n, n) their inverse variance, 0 where the frame
+    does not show it, and `own` (2, 3) their blur (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, only what
     `use` names is looked at, the light (contrast and plane) is fitted with it and what does not look like it is left out; else the plane alone is, and the values are
     grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
     """
@@ -396,10 +400,9 @@ def look_at_face(
     height, width = image.shape
     half = 0.5 * (n - 1)
     total = n * n
-    spread, side, out, arm = np.zeros((2, 2)), np.zeros(3), np.zeros(3), offset * E[2]
-    number = _extra_blur(
-        K, Rcw, E, origin, arm, vel, omega, exposure, blur_px, base_blur, texel, spread
-    )
+    spread, side, out = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
+    _blur_on_face(K, Rcw, E, origin, offset, vel, omega, exposure, own[0], own[1])
+    number = _extra_blur(own[0], own[1], blur_px, base, texel, spread)
     grey, res, w, steep = np.empty(total), np.empty(total), np.empty(total), np.empty(total)
     basis = np.empty((total, GAINS))
     where = np.empty(total, np.int64)
@@ -460,16 +463,13 @@ def look_at_face(
             contrast = c[0] + c[4] * basis[k, 2] + c[5] * basis[k, 3]
             if contrast <= 0.1 * c[0]:
                 continue
-            _spline(coef, float(j), float(i), out)
             values[i, j] = basis[k, 0] + res[k] / contrast
-            sharper[i, j] = out[0] - basis[k, 0]
             weights[i, j] = w[k] * (contrast / scale) ** 2
             used += w[k]
         else:
             plane = grey[k] - res[k]
             if plane > 2.0 * scale:
                 values[i, j] = grey[k] / plane
-                sharper[i, j] = 0.0
                 weights[i, j] = (plane / scale) ** 2
                 used += 1.0
     return used / m
@@ -491,7 +491,7 @@ def mark_equations(
     omega: Any,
     exposure: float,
     blur_px: float,
-    base_blur: float,
+    base: Any,
     axes: Any,
     offsets: Any,
     corners: Any,
@@ -534,7 +534,7 @@ def mark_equations(
     basis = np.empty((BUFFER, GAINS))
     slope = np.empty((BUFFER, 2))
     ray = np.empty((BUFFER, 2))
-    spread, wider, side = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(3)
+    spread, wider, own, side = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3)
     softer = np.empty((BUFFER if places else 1, 2))
     more = 0
     w, res, steep = np.empty(BUFFER), np.empty(BUFFER), np.empty(BUFFER)
@@ -557,14 +557,10 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        number = _extra_blur(
-            K, Rcw, E, origin, offsets[f] * E[2], vel, omega, exposure, blur_px, base_blur, texel, spread
-        )
+        _blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, exposure, own[0], own[1])
+        number = _extra_blur(own[0], own[1], blur_px, base[f], texel, spread)
         if places:
-            more = _extra_blur(
-                K, Rcw, E, origin, offsets[f] * E[2], vel, omega, exposure, BLUR_STEP * blur_px, BLUR_STEP * base_blur,
-                texel, wider,
-            )  # fmt: skip
+            more = _extra_blur(own[0], own[1], BLUR_STEP * blur_px, base[f], texel, wider)
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // BUFFER
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
         m = 0
@@ -750,7 +746,7 @@ def refine_on_marks(
     omega: Any,
     exposure: float,
     blur_px: float,
-    base_blur: float,
+    base: Any,
     axes: Any,
     offsets: Any,
     corners: Any,
@@ -781,7 +777,7 @@ def refine_on_marks(
     A, y, step, away = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     for _ in range(steps):
         mark_equations(
-            image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base_blur, axes, offsets, corners,
+            image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base, axes, offsets, corners,
             counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, False, H, g, place, stats,
         )  # fmt: skip
         for i in range(6):
