@@ -117,6 +117,35 @@ def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: flo
 
 
 @njit(cache=True, nogil=True)
+def _shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
+    """S (3, 3), camera axes, with c + S r the mean place over the exposure of a point r of a die about its centre c.
+
+    A turning point runs along an arc, whose middle lies nearer to the axis than the arc does: S = 1 - (ω² 1 - ω ωᵀ) T²/24. At
+    150 rad/s and half a millisecond the die seems smaller by 2e-4, and as much further off.
+    """
+    w = np.zeros(3)
+    for i in range(3):
+        for j in range(3):
+            w[i] += Rcw[i, j] * omega[j]
+    k = exposure * exposure / 24.0
+    for i in range(3):
+        for j in range(3):
+            S[i, j] = k * w[i] * w[j]
+        S[i, i] += 1.0 - k * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
+
+
+@njit(cache=True, nogil=True)
+def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
+    """The axes and the origin of a face as they seem on a picture with S."""
+    still = E.copy()
+    for k in range(3):
+        for i in range(3):
+            E[k, i] = S[i, 0] * still[k, 0] + S[i, 1] * still[k, 1] + S[i, 2] * still[k, 2]
+    for i in range(3):
+        origin[i] = centre[i] + offset * E[2, i]
+
+
+@njit(cache=True, nogil=True)
 def _outline(
     K: Any, dist: Any, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
@@ -394,6 +423,10 @@ def look_at_face(
     E, origin = np.zeros((3, 3)), np.zeros(3)
     if _face_in_camera(Rcw, tcw, pos, R, axes, offset, E, origin) < GRAZING:
         return 0.0
+    S, centre = np.zeros((3, 3)), origin - offset * E[2]
+    _shrink(Rcw, omega, exposure, S)
+    _blur_on_face(K, Rcw, E, origin, offset, vel, omega, exposure, own[0], own[1])
+    _smear(S, centre, offset, E, origin)
     px, planes = np.zeros((count, 2)), np.zeros((count, 3))
     if not _outline(K, dist, E, origin, corners, count, margin, px, planes):
         return 0.0
@@ -401,7 +434,6 @@ def look_at_face(
     half = 0.5 * (n - 1)
     total = n * n
     spread, side, out = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
-    _blur_on_face(K, Rcw, E, origin, offset, vel, omega, exposure, own[0], own[1])
     number = _extra_blur(own[0], own[1], blur_px, base, texel, spread)
     grey, res, w, steep = np.empty(total), np.empty(total), np.empty(total), np.empty(total)
     basis = np.empty((total, GAINS))
@@ -543,6 +575,15 @@ def mark_equations(
     J = np.zeros(N)
     HH, gg, C = np.zeros((N, N)), np.zeros(N), np.zeros((N, GAINS))
     S, elim = np.zeros((GAINS, GAINS)), np.zeros(GAINS)
+    shrink, wide, centre, middle = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    _shrink(Rcw, omega, exposure, shrink)
+    for i in range(3):
+        centre[i] = tcw[i] + Rcw[i, 0] * pos[0] + Rcw[i, 1] * pos[1] + Rcw[i, 2] * pos[2]
+        for j in range(3):
+            # 1/S to first order: its square is 1e-7.
+            wide[i, j] = (2.0 if i == j else 0.0) - shrink[i, j]
+    for i in range(3):
+        middle[i] = wide[i, 0] * centre[0] + wide[i, 1] * centre[1] + wide[i, 2] * centre[2]
     for f in range(axes.shape[0]):
         if usual_grey[f] <= 0.0:
             continue
@@ -562,6 +603,9 @@ def mark_equations(
         if places:
             more = _extra_blur(own[0], own[1], BLUR_STEP * blur_px, base[f], texel, wider)
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // BUFFER
+        # With λ D = c + S r on the ray D through a pixel, r = λ D/S - c/S: rays and centre are bent rather than the die.
+        for i in range(3):
+            origin[i] = middle[i] + offsets[f] * E[2, i]
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
         m = 0
         for v in range(first, last + 1, stride):
@@ -579,8 +623,11 @@ def mark_equations(
                 if value >= saturation:
                     continue
                 dx, dy = rays[v, u, 0], rays[v, u, 1]
-                depth = gap / (E[2, 0] * dx + E[2, 1] * dy + E[2, 2])
-                X, Y, Z = depth * dx - origin[0], depth * dy - origin[1], depth - origin[2]
+                bx = wide[0, 0] * dx + wide[0, 1] * dy + wide[0, 2]
+                by = wide[1, 0] * dx + wide[1, 1] * dy + wide[1, 2]
+                bz = wide[2, 0] * dx + wide[2, 1] * dy + wide[2, 2]
+                depth = gap / (E[2, 0] * bx + E[2, 1] * by + E[2, 2] * bz)
+                X, Y, Z = depth * bx - origin[0], depth * by - origin[1], depth * bz - origin[2]
                 a = E[0, 0] * X + E[0, 1] * Y + E[0, 2] * Z
                 b = E[1, 0] * X + E[1, 1] * Y + E[1, 2] * Z
                 x, y = a / texel + half, b / texel + half
