@@ -199,7 +199,9 @@ def _numbering(counts: list[PipCount | None], solid: Solid) -> FaceNumbers:
         )
     wrong = sum(c is not None and c.is_pattern and c.count != n for c, n in zip(counts, numberings[best], strict=True))
     if wrong:
-        return _symmetric(len(counts), f"the counts {shown} are not those of a die whose opposite faces add up to seven")
+        return _symmetric(
+            len(counts), f"the counts {shown} are not those of a die whose opposite faces add up to seven"
+        )
     hand = "right-handed" if best < len(right) else "left-handed"
     return FaceNumbers(
         tuple(int(n) for n in numberings[best]),
@@ -240,9 +242,7 @@ def _read_numbers(solid: Solid, marks: Marks) -> FaceNumbers:
     # A margin of CLEARER is the least that is claimed, three times as much is beyond doubt.
     probability = float(np.prod([1.0 - 0.1 * np.exp(-max(m, 0.0) / CLEARER) for m in margins]))
     rest = "" if known == count else f"; {count - known} are not known, and the numbering of the die stays symmetric"
-    return FaceNumbers(
-        tuple(numbers), probability, f"Numbers were read on {read} of {count} faces{inferred}{rest}."
-    )
+    return FaceNumbers(tuple(numbers), probability, f"Numbers were read on {read} of {count} faces{inferred}{rest}.")
 
 
 def _with_opposites(solid: Solid, numbers: list[int | None]) -> tuple[list[int | None], str]:
@@ -358,7 +358,9 @@ def _drawn_numbers(count: int) -> tuple[tuple[int, Array, NDArray[np.float32]], 
             if count >= 9 and number in (6, 9):
                 words = [f"{number}.", f"{number}_"]
             for word in words:
-                path = TextPath((0.0, 0.0), word.replace("_", ""), 100.0, prop=FontProperties(family=font, weight="bold"))
+                path = TextPath(
+                    (0.0, 0.0), word.replace("_", ""), 100.0, prop=FontProperties(family=font, weight="bold")
+                )
                 patch = _patch(_ink(path.to_polygons(), bar=word.endswith("_")))
                 assert patch is not None
                 out.append((number, patch, _turned(patch)))

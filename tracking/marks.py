@@ -91,7 +91,6 @@ NEAR_BOUNCE = 1.0
 """Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
 UNBOUNDED_GREY = 1e9
 """Noise of a face that no frame has been asked for yet."""
-DEBUG: list = []
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
 
@@ -193,7 +192,9 @@ def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
     for k in np.unique(flight):
         mine = good[flight == k]
         share = int(np.ceil(LOOKS * len(mine) / len(good)))
-        chosen.append(mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), max(share, SHORT_FLIGHT))).round().astype(int))])
+        chosen.append(
+            mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), max(share, SHORT_FLIGHT))).round().astype(int))]
+        )
     return np.concatenate(chosen) if chosen else good
 
 
@@ -218,7 +219,6 @@ def learn_marks(
             return None
         chosen = looks if cut == TUKEY else few
         marks, moved_sigmas = _adjusted(view, chosen, links, marks, cut)
-        if DEBUG: DEBUG[0](marks, moved_sigmas)
         marks = _learned(view, chosen, marks.flights, marks, cut)
         if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
             break
@@ -286,7 +286,9 @@ def _on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-def _blurs(view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array) -> tuple[Array, Array, float, float, Array]:
+def _blurs(
+    view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array
+) -> tuple[Array, Array, float, float, Array]:
     return velocity_m_s, omega_rad_s, view.exposure_s, marks.blur_px, marks.base
 
 
@@ -310,9 +312,7 @@ def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw:
         x0, y0, x1, y1 = box
         window = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
         looks.append(
-            _Look(
-                time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], track.covariance[row]
-            )
+            _Look(time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], track.covariance[row])
         )
     counts = np.bincount([look.flight for look in looks], minlength=len(throw.flights))
     return [look for look in looks if counts[look.flight] >= 2]
@@ -422,9 +422,7 @@ def _learned(view: View, looks: list[_Look], flights: tuple[Flight, ...], marks:
             base_weight[f] += facings[i, f] ** 2 * w.sum()
             weight[half, f] += facings[i, f] ** 2 * w
             count[half, f] += used
-    return _with_textures(
-        replace(marks, base=_where_seen(base, base_weight, marks.base)), total, weight, count, seen
-    )
+    return _with_textures(replace(marks, base=_where_seen(base, base_weight, marks.base)), total, weight, count, seen)
 
 
 def _facings(view: View, grid: FaceGrid, poses: _Poses) -> Array:
@@ -473,7 +471,9 @@ def _marked(even: Array, odd: Array) -> NDArray[np.uint8]:
     known = (np.isfinite(even) & np.isfinite(odd)).astype(np.uint8)
     # Splines reach over two texels: nothing is looked at so near to what is unknown.
     inner = cv2.erode(known, np.ones((5, 5), np.uint8), borderValue=0)
-    slopes = [np.stack(np.gradient(_filled(half))) if known.any() else np.zeros((2, *half.shape)) for half in (even, odd)]
+    slopes = [
+        np.stack(np.gradient(_filled(half))) if known.any() else np.zeros((2, *half.shape)) for half in (even, odd)
+    ]
     box = (SIGNAL_TEXELS, SIGNAL_TEXELS)
     signal = cv2.blur((slopes[0] * slopes[1]).sum(0) * inner, box)
     # The mean of both halves has a quarter of the power of their difference as noise.

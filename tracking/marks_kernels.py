@@ -178,7 +178,7 @@ def _outline(
 @njit(cache=True, nogil=True)
 def _spline(coef: Any, x: float, y: float, out: Any) -> None:
     """Value and derivatives by x and y (in texels) of a cubic B-spline surface, in out (3,); x runs along columns."""
-    j, i = int(floor(x)), int(floor(y))
+    j, i = floor(x), floor(y)
     s, t = x - j, y - i
     bx0 = (1.0 - s) ** 3 / 6.0
     bx1 = 2.0 / 3.0 - s * s * (1.0 - 0.5 * s)
@@ -241,6 +241,12 @@ def _blur_on_face(
         ma = exposure * (E[0, 0] * (slip * x - q[0]) + E[0, 1] * (slip * y - q[1]) + E[0, 2] * (slip - q[2]))
         mb = exposure * (E[1, 0] * (slip * x - q[0]) + E[1, 1] * (slip * y - q[1]) + E[1, 2] * (slip - q[2]))
         motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
+
+
+@njit(cache=True, nogil=True)
+def _reach_px(K: Any, depth: float, motion: Any) -> float:
+    """Pixels by which motion during the exposure carries a face's border to either side."""
+    return 0.5 * sqrt(12.0 * (motion[0] + motion[2])) * sqrt(K[0, 0] * K[1, 1]) / depth
 
 
 @njit(cache=True, nogil=True)
@@ -428,6 +434,7 @@ def look_at_face(
     _blur_on_face(K, Rcw, E, origin, offset, vel, omega, exposure, own[0], own[1])
     _smear(S, centre, offset, E, origin)
     px, planes = np.zeros((count, 2)), np.zeros((count, 3))
+    margin += _reach_px(K, origin[2], own[1])
     if not _outline(K, dist, E, origin, corners, count, margin, px, planes):
         return 0.0
     height, width = image.shape
@@ -456,7 +463,7 @@ def look_at_face(
                     break
             if not inside:
                 continue
-            ju, iv = int(floor(u)) - x0, int(floor(v)) - y0
+            ju, iv = floor(u) - x0, floor(v) - y0
             if ju < 1 or iv < 1 or ju + 2 >= width or iv + 2 >= height:
                 continue
             s, t = u - x0 - ju, v - y0 - iv
@@ -469,7 +476,7 @@ def look_at_face(
                 row = iv - 1 + r
                 p0, p1, p2, p3 = image[row, ju - 1], image[row, ju], image[row, ju + 1], image[row, ju + 2]
                 value += cy * (kx[0] * p0 + kx[1] * p1 + kx2 * p2 + kx[3] * p3)
-                top = max(top, max(max(p0, p1), max(p2, p3)))
+                top = max(top, p0, p1, p2, p3)
             if top >= saturation:
                 continue
             grey[m] = value
@@ -485,7 +492,9 @@ def look_at_face(
         return 0.0
     c = np.zeros(GAINS)
     _relative(steep, m)
-    scale = _robust_gains(m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 4, steep, w, res, c)
+    scale = _robust_gains(
+        m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 4, steep, w, res, c
+    )
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0
     used = 0.0
@@ -589,16 +598,17 @@ def mark_equations(
             continue
         if _face_in_camera(Rcw, tcw, pos, R, axes[f], offsets[f], E, origin) < GRAZING:
             continue
-        if not _outline(K, dist, E, origin, corners[f], counts[f], margin, px, planes):
+        _blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, exposure, own[0], own[1])
+        border = margin + _reach_px(K, origin[2], own[1])
+        if not _outline(K, dist, E, origin, corners[f], counts[f], border, px, planes):
             continue
         top, bottom = px[0, 1], px[0, 1]
         for i in range(counts[f]):
             top, bottom = min(top, px[i, 1]), max(bottom, px[i, 1])
-        first, last = max(int(ceil(top + margin)), y0), min(int(floor(bottom - margin)), y0 + height - 1)
+        first, last = max(ceil(top + border), y0), min(floor(bottom - border), y0 + height - 1)
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        _blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, exposure, own[0], own[1])
         number = _extra_blur(own[0], own[1], blur_px, base[f], texel, spread)
         if places:
             more = _extra_blur(own[0], own[1], BLUR_STEP * blur_px, base[f], texel, wider)
@@ -618,7 +628,7 @@ def mark_equations(
                     high = min(high, -rest / planes[k, 0])
                 elif rest < 0.0:
                     high = low - 1.0
-            for u in range(int(ceil(low)), int(floor(high)) + 1):
+            for u in range(ceil(low), floor(high) + 1):
                 value = image[v - y0, u - x0]
                 if value >= saturation:
                     continue
@@ -673,8 +683,8 @@ def mark_equations(
             if wi <= 0.0:
                 continue
             for k in range(GAINS):
-                for l in range(k + 1):
-                    S[k, l] += wi * basis[i, k] * basis[i, l]
+                for h in range(k + 1):
+                    S[k, h] += wi * basis[i, k] * basis[i, h]
             if steep[i] < FLAT:
                 continue
             contrast = c[0] + c[4] * basis[i, 2] + c[5] * basis[i, 3]
@@ -701,33 +711,33 @@ def mark_equations(
             for k in range(N):
                 jk = wi * J[k]
                 gg[k] += jk * res[i]
-                for l in range(k + 1):
-                    HH[k, l] += jk * J[l]
-                for l in range(GAINS):
-                    C[k, l] += jk * basis[i, l]
+                for h in range(k + 1):
+                    HH[k, h] += jk * J[h]
+                for h in range(GAINS):
+                    C[k, h] += jk * basis[i, h]
         for k in range(PLAIN, GAINS):
             S[k, k] += 1.0 / (GRADIENT * c[0]) ** 2
         if not _solve(S, GAINS, C[0], elim):
             continue
         for k in range(N):
             _back(S, GAINS, C[k], elim)
-            for l in range(k, N):
+            for h in range(k, N):
                 s = 0.0
                 for q in range(GAINS):
-                    s += C[l, q] * elim[q]
-                HH[l, k] -= s
+                    s += C[h, q] * elim[q]
+                HH[h, k] -= s
         for k in range(N):
-            for l in range(k):
-                HH[l, k] = HH[k, l]
+            for h in range(k):
+                HH[h, k] = HH[k, h]
         _turn_to_world(Rcw, HH, gg)
         for k in range(6):
             g[k] += gg[k]
-            for l in range(6):
-                H[k, l] += HH[k, l]
+            for h in range(6):
+                H[k, h] += HH[k, h]
         if places:
             for k in range(WARPS + SHARED):
-                for l in range(N):
-                    place[f, k, l] = HH[6 + k, l]
+                for h in range(N):
+                    place[f, k, h] = HH[6 + k, h]
                 place[f, k, N] = gg[6 + k]
 
 
@@ -737,9 +747,9 @@ def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
     N = len(g)
     T = np.zeros((N, N))
     for k in range(3):
-        for l in range(3):
-            T[k, l] = Rcw[l, k]
-            T[3 + k, 3 + l] = Rcw[l, k]
+        for h in range(3):
+            T[k, h] = Rcw[h, k]
+            T[3 + k, 3 + h] = Rcw[h, k]
     for k in range(6, N):
         T[k, k] = 1.0
     M = np.zeros((N, N))

@@ -3,87 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, FPS, REACH_M, Image, Spot, photograph, pips, studio
+from footage_of_throws import FPS, Image
+from marked_throws import FRAMES, ROOM, VIEW, edges_track, filmed, learned, learned_marks, marked_film, tossed
 from numpy.typing import NDArray
 
-from diethrow.model.motion import Flight, State, Throw
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.tracking.marks import Marks, frames_to_learn_from, learn_marks, refine_by_marks, undistorted_rays
+from diethrow.model.motion import Impact, Throw
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
+from diethrow.tracking.marks import frames_to_learn_from, refine_by_marks, undistorted_rays
 from diethrow.tracking.pose import Pose
-from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
-
-CUBE = replace(DICE["cube"], marks="pips")
-ROOM = replace(studio(), noise_grey=3.0, exposure_s=2e-4)
-VIEW = ROOM.view(CUBE)
-FRAMES = 90
-SIGMA = np.array([1e-5] * 3 + [2e-3] * 3)
-"""Noise of the edges' poses here, position [m] and rotation [rad]."""
-TOWARDS = (np.array([0.0, 0.0, 0.02]) - ROOM.camera.centre_m) / np.linalg.norm([0.0, 0.0, 0.02] - ROOM.camera.centre_m)
-COMMON = np.concatenate([2e-3 * TOWARDS + 5e-5 * ROOM.camera.rotation[0], np.radians([0.3, -0.2, 0.3])])
-"""An error that all poses from edges share: half a per cent of the distance, 0.05 mm sideways, and half a degree."""
-
-
-def tossed() -> Flight:
-    """A cube that rises and falls in the picture and turns by half a turn."""
-    start = State(
-        0.0, np.array([-0.004, 0.0, 0.012]), np.array([0.8, 0.3, 0.1, 0.5]) / np.linalg.norm([0.8, 0.3, 0.1, 0.5]),
-        np.array([0.12, 0.0, 0.32]), np.array([30.0, 25.0, -34.0]),
-    )  # fmt: skip
-    return Flight(start, FRAMES / FPS)
-
-
-def filmed(spots: tuple[Spot, ...], seed: int = 3) -> list[Image]:
-    rng = np.random.default_rng(seed)
-    return [np.rint(photograph(ROOM, CUBE, tossed().at(k / FPS), rng, spots)) for k in range(FRAMES)]
-
-
-@cache
-def marked_film() -> list[Image]:
-    return filmed(pips(CUBE))
-
-
-def edges_track(flight: Flight, common: Array) -> Track:
-    """Poses as edges would give them: the truth, a common error, and noise."""
-    rng = np.random.default_rng(11)
-    times = np.arange(FRAMES) / FPS
-    p, q = flight.poses(times)
-    error = common + SIGMA * rng.standard_normal((FRAMES, 6))
-    covariance = np.tile(np.diag(SIGMA**2), (FRAMES, 1, 1))
-    return Track(
-        np.arange(FRAMES), times, p - error[:, :3], quat_multiply(quat_from_rotvec(-error[:, 3:]), q), covariance,
-        np.full(FRAMES, TRACKED),
-    )  # fmt: skip
-
-
-def moved_flight(flight: Flight, common: Array) -> Flight:
-    """The flight that runs through poses with a common error, at their middle."""
-    middle = flight.at(0.5 * flight.end_s)
-    start = replace(
-        middle,
-        position_m=middle.position_m - common[:3],
-        quaternion=quat_multiply(quat_from_rotvec(-common[3:]), middle.quaternion),
-    )
-    return Flight(start, flight.end_s)
-
-
-def learned(film: list[Image], common: Array) -> tuple[Marks | None, Track, Throw]:
-    track = edges_track(tossed(), common)
-    throw = Throw((moved_flight(tossed(), common),), ())
-    rows = frames_to_learn_from(track, throw)
-    return learn_marks(VIEW, ((int(k), film[k]) for k in rows), track, throw, saturation_grey=255.0), track, throw
-
-
-@cache
-def learned_marks() -> tuple[Marks, Track]:
-    marks, track, _ = learned(marked_film(), COMMON)
-    assert marks is not None
-    return marks, track
 
 
 def single_frames(film: list[Image], which: range) -> tuple[Array, Array]:
@@ -92,7 +24,7 @@ def single_frames(film: list[Image], which: range) -> tuple[Array, Array]:
     errors, informations = [], []
     for k in which:
         edges = Pose(
-            track.position_m[k], State(0.0, *np.zeros((1, 3)), track.quaternion[k], *np.zeros((2, 3))).rotation,
+            track.position_m[k], matrix_from_quat(track.quaternion[k]),
             np.linalg.inv(track.covariance[k]), 0.0, 1.0, 100.0, 0.0,
         )  # fmt: skip
         pose = refine_by_marks(VIEW, marks, film[k], edges, marks.flights[0].at(k / FPS))
@@ -177,22 +109,20 @@ def test_plain_faces_teach_nothing() -> None:
 
 def test_without_a_marked_face_in_view_the_edges_stand_with_wider_sigmas() -> None:
     marks, track = learned_marks()
-    pose = Pose(track.position_m[5], tossed().at(5 / FPS).rotation, np.linalg.inv(track.covariance[5]), 0.0, 1.0, 9.0, 0.0)
+    pose = Pose(
+        track.position_m[5], tossed().at(5 / FPS).rotation, np.linalg.inv(track.covariance[5]), 0.0, 1.0, 9.0, 0.0
+    )
     back = refine_by_marks(VIEW, replace(marks, noise_grey=np.zeros(6)), marked_film()[5], pose)
     assert back.position_m == pytest.approx(pose.position_m)
-    assert np.linalg.eigvalsh(pose.information - back.information).min() > -1e-6 * np.linalg.eigvalsh(pose.information).max()
+    assert (
+        np.linalg.eigvalsh(pose.information - back.information).min()
+        > -1e-6 * np.linalg.eigvalsh(pose.information).max()
+    )
 
 
 def test_frames_at_a_bounce_teach_nothing() -> None:
-    track = edges_track(tossed(), np.zeros(6))
-    flight = tossed()
-    from replay_records import some_impact
-
-    throw = Throw((flight, flight), (some_impact(30.4 / FPS),))
-    rows = frames_to_learn_from(track, throw)
+    nan = np.nan
+    bounce = Impact(30.4 / FPS, "vertex", (0,), np.zeros(2), np.zeros(3), nan, nan, nan, nan, 1, 1)
+    rows = frames_to_learn_from(edges_track(tossed(), np.zeros(6)), Throw((tossed(), tossed()), (bounce,)))
     assert not {30, 31} & set(rows.tolist())
     assert {29, 32} <= set(rows.tolist())
-
-
-def test_the_die_is_as_large_as_the_others() -> None:
-    assert CUBE.solid.circumradius == pytest.approx(REACH_M)
