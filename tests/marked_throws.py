@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.tracking.marks import Marks, frames_to_learn_from, learn_marks
+from diethrow.tracking.marks import frames_to_learn_from, learn_marks
+from diethrow.tracking.marks_textures import Marks
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -31,18 +32,19 @@ def tossed() -> Flight:
     """A cube that rises and falls in the picture and turns by half a turn."""
     start = State(
         0.0, np.array([-0.004, 0.0, 0.012]), np.array([0.8, 0.3, 0.1, 0.5]) / np.linalg.norm([0.8, 0.3, 0.1, 0.5]),
-        np.array([0.12, 0.0, 0.32]), np.array([30.0, 25.0, -34.0]),
+        np.array([0.12, 0.0, 0.32]), np.array([36.0, 30.0, -40.0]),
     )  # fmt: skip
     return Flight(start, FRAMES / FPS)
 
 
-def filmed(spots: tuple[Spot, ...], seed: int = 3) -> list[Image]:
-    rng = np.random.default_rng(seed)
-    return [np.rint(photograph(ROOM, CUBE, tossed().at(k / FPS), rng, spots)) for k in range(FRAMES)]
+def filmed(spots: tuple[Spot, ...], which: range = range(FRAMES)) -> dict[int, Image]:
+    """Frames by number."""
+    rng = np.random.default_rng(3)
+    return {k: np.rint(photograph(ROOM, CUBE, tossed().at(k / FPS), rng, spots)) for k in which}
 
 
 @cache
-def marked_film() -> list[Image]:
+def marked_film() -> dict[int, Image]:
     return filmed(pips(CUBE))
 
 
@@ -70,11 +72,15 @@ def moved_flight(flight: Flight, common: Array) -> Flight:
     return Flight(start, flight.end_s)
 
 
-def learned(film: list[Image], common: Array) -> tuple[Marks | None, Track, Throw]:
+def learned(film: dict[int, Image], common: Array) -> tuple[Marks | None, Track, Throw]:
     track = edges_track(tossed(), common)
     throw = Throw((moved_flight(tossed(), common),), ())
     rows = frames_to_learn_from(track, throw)
-    return learn_marks(VIEW, ((int(k), film[k]) for k in rows), track, throw, saturation_grey=255.0), track, throw
+    return (
+        learn_marks(VIEW, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, saturation_grey=255.0),
+        track,
+        throw,
+    )
 
 
 @cache

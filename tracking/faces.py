@@ -8,9 +8,9 @@ so that faces which the film never showed are known as well.
 
 *Numbers.* The shape of the marks, brought to a common centre and size, is compared with numbers drawn in common fonts, turned
 to any angle, by normalised correlation. Numbers on one die are all different: the best assignment of all faces together is
-taken, and only those of its numbers are claimed that no other number comes near. 6 and 9 are one shape; a bar or dot beside
-the figure is part of the drawn ones, and without it they are claimed only where the other is read elsewhere. Where every pair of opposite faces that was read
-has the same sum, one more than the number of faces, unread faces follow from their opposites.
+taken, and only those of its numbers are claimed that no other number comes near. 6 and 9 are one shape: where both occur
+they are drawn with the dot or bar that tells them apart, and without it neither stands out. Where every pair of opposite
+faces that was read has the same sum, one more than the number of faces, unread faces follow from their opposites.
 
 What is not clear is not claimed: the die then keeps its symmetric numbering, and `verdict` says why.
 """
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..model.solids import Die, Solid, numbered_solid, symmetry_rotations
-from .marks import FaceGrid, Marks
+from .marks_textures import FaceGrid, Marks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -41,8 +41,10 @@ ASTRAY = 0.06
 """How far, over the edge, a pip may lie from where half a turn takes another one."""
 RIGHT, DOUBTFUL = 0.97, 0.5
 """Chance that a count is right where the pattern is one of pips, and where it is not."""
-LEFT_HANDED = 0.05
-"""Chance, before looking, that a die is left-handed."""
+LEFT_HANDED = 0.01
+"""Chance, before looking, that a die said to be a Western one is left-handed after all."""
+FAINTEST = 0.1
+"""Least share of the paint's light that a mark takes away or adds."""
 SURE = 0.95
 """Chance from which a numbering is claimed."""
 PATCH = 32
@@ -160,7 +162,7 @@ def _spots(marks: Marks, face: int) -> Mask | None:
     away = np.where(known, texture - np.median(texture[known]), 0.0)
     darkest, lightest = np.percentile(away[known], [1.0, 99.0])
     away, depth = (-away, -darkest) if -darkest > lightest else (away, lightest)
-    if marks.noise_grey[face] == 0.0:
+    if marks.noise_grey[face] == 0.0 or depth < FAINTEST:
         return np.zeros_like(known)
     return np.asarray((away > 0.5 * depth) & known)
 
@@ -347,7 +349,8 @@ def _closest(drawn: Array, degrees: float, seen: NDArray[np.float32]) -> float:
 
 @cache
 def _drawn_numbers(count: int) -> tuple[tuple[int, Array, NDArray[np.float32]], ...]:
-    """Numbers 1 to `count` in all fonts, each as drawn and (TURNS, PATCH²) at all angles; 6 and 9 with bar and dot where both occur."""
+    """Numbers 1 to `count` in all fonts, each as drawn and (TURNS, PATCH²) at all angles; 6 and 9 with bar and dot where
+    both occur."""
     from matplotlib.font_manager import FontProperties
     from matplotlib.textpath import TextPath
 

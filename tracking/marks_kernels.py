@@ -338,9 +338,9 @@ def _robust_gains(
     c: Any,
 ) -> float:
     """Fit grey = basis · c by biweight least squares, columns `first` to `last` of basis (n, GAINS) alone; fills weights w,
-    residuals res and c, and returns the scale [grey], between `floor_grey` and `ceiling_grey`; -1 where there is no fit. The scale
-    is that of the pixels that are `steep`: where the texture changes, small errors of place and blur add to the noise, and those
-    are the pixels that the pose rests on."""
+    residuals res and c, and returns the scale [grey], between `floor_grey` and `ceiling_grey`; -1 where there is no
+    fit. The scale is that of the pixels that are `steep`: where the texture changes, small errors of place and blur add to
+    the noise, and those are the pixels that the pose rests on."""
     A, y, x = np.zeros((GAINS, GAINS)), np.zeros(GAINS), np.zeros(GAINS)
     K = last - first
     size = np.empty(n)
@@ -420,9 +420,10 @@ def look_at_face(
     """What one frame shows of a face's texture, on its grid.
 
     `values` (n, n) become the texture as this frame shows it, `weights` (n, n) their inverse variance, 0 where the frame
-    does not show it, and `own` (2, 3) their blur (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981). Where the texture is `known`, only what
-    `use` names is looked at, the light (contrast and plane) is fitted with it and what does not look like it is left out; else the plane alone is, and the values are
-    grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
+    does not show it, and `own` (2, 3) their blur (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981),
+    whose kernel adds no variance of its own. Where the texture is `known`, only what `use` names is looked at, the light is
+    fitted with the texture, and what does not look like it is left out; else a plane of light alone is fitted, and the
+    values are grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
     """
     n = values.shape[0]
     weights[:] = 0.0
@@ -554,10 +555,11 @@ def mark_equations(
     """Fill H (6, 6) and g (6,) of the pose increment from the marks of every face in view.
 
     `image` is a float32 window whose pixel [0, 0] lies at (x0, y0); `rays` (height, width, 2) are those of the whole
-    picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where no pixel looks, 1 where
-    few do because the texture is flat, 2 where all do. `place`
-    (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1) becomes, for the warps of each face's texture and the lens blur [px], the
-    rows of their normal matrix: by pose (6), by themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise [grey].
+    picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where no pixel looks, 1 where few do because the texture
+    is flat, 2 where all do. `place` (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1) becomes, for the warps of each face's
+    texture and the lens blur [px], the rows of their normal matrix: by pose (6), by themselves, and the right side; with
+    `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise
+    [grey].
     """
     H[:] = 0.0
     g[:] = 0.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from diethrow.model.solids import Die, Solid, lowest_face, numbered_solid, symmetry_rotations
 from diethrow.tracking.faces import FaceNumbers, count_pips, read_faces, with_numbers
-from diethrow.tracking.marks import FaceGrid, Marks, face_axes
+from diethrow.tracking.marks_textures import FaceGrid, Marks, face_axes
 
 Array = NDArray[np.float64]
 
