@@ -187,7 +187,7 @@ def _numbering(counts: list[PipCount | None], solid: Solid) -> FaceNumbers:
         if seen is None or not 1 <= seen.count <= 6:
             continue
         sure = RIGHT if seen.is_pattern else DOUBTFUL
-        read += seen.is_pattern
+        read += int(seen.is_pattern)
         chance *= np.where(numberings[:, f] == seen.count, sure, (1.0 - sure) / 5.0)
     likelihood = float(chance.sum())
     best = int(np.argmax(chance))
@@ -231,10 +231,10 @@ def _read_numbers(solid: Solid, marks: Marks) -> FaceNumbers:
         alike[f] = _likeness(patch, count)
     faces, chosen = linear_sum_assignment(-alike)
     numbers: list[int | None] = [None] * count
-    for f, k in zip(faces, chosen, strict=True):
+    for f, k in zip(faces.tolist(), chosen.tolist(), strict=True):
         others = np.delete(alike[f], k)
         if alike[f, k] >= ALIKE and alike[f, k] - others.max() >= CLEARER:
-            numbers[int(f)] = int(k) + 1
+            numbers[f] = k + 1
     read = sum(n is not None for n in numbers)
     if read == 0:
         return _symmetric(count, "no number stands out clearly enough from the others")
@@ -258,8 +258,8 @@ def _with_opposites(solid: Solid, numbers: list[int | None]) -> tuple[list[int |
     if not sums or any(s != count + 1 for s in sums):
         return numbers, ""
     out = list(numbers)
-    for f, o in enumerate(opposite):
-        other = numbers[int(o)]
+    for f, o in enumerate(opposite.tolist()):
+        other = numbers[o]
         if out[f] is None and other is not None:
             out[f] = count + 1 - other
     if len({n for n in out if n is not None}) < sum(n is not None for n in out):
@@ -364,7 +364,7 @@ def _drawn_numbers(count: int) -> tuple[tuple[int, Array, NDArray[np.float32]], 
                 path = TextPath(
                     (0.0, 0.0), word.replace("_", ""), 100.0, prop=FontProperties(family=font, weight="bold")
                 )
-                patch = _patch(_ink(path.to_polygons(), bar=word.endswith("_")))
+                patch = _patch(_ink([np.asarray(p, float) for p in path.to_polygons()], bar=word.endswith("_")))
                 assert patch is not None
                 out.append((number, patch, _turned(patch)))
     return tuple(out)

@@ -293,7 +293,7 @@ def _marked(even: Array, odd: Array) -> NDArray[np.uint8]:
     # Splines reach over two texels: nothing is looked at so near to what is unknown.
     inner = cv2.erode(known, np.ones((5, 5), np.uint8), borderValue=0)
     slopes = [
-        np.stack(np.gradient(_filled(half))) if known.any() else np.zeros((2, *half.shape)) for half in (even, odd)
+        np.array(np.gradient(_filled(half))) if known.any() else np.zeros((2, *half.shape)) for half in (even, odd)
     ]
     box = (SIGNAL_TEXELS, SIGNAL_TEXELS)
     signal = cv2.blur((slopes[0] * slopes[1]).sum(0) * inner, box)
