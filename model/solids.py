@@ -11,6 +11,7 @@ seven and 1, 2, 3 turn counter-clockwise round their common corner (the Western,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
@@ -301,6 +302,16 @@ def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
     offsets = np.array([float((vertices[list(f)] @ n).mean()) for f, n in zip(faces, normals, strict=True)])
     edges, edge_faces = _edges(faces)
     return Solid(name, vertices, faces, normals, offsets, edges, edge_faces)
+
+
+def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
+    """The same solid with its faces in the order of the numbers that they carry: `numbers` (faces,) of the faces as they are,
+    1, 2, … each once. Vertices stay as they are. Raises ValueError for anything else."""
+    if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
+        raise ValueError(
+            f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once, one a face"
+        )
+    return _renumbered(solid, [int(k) for k in np.argsort(numbers)])
 
 
 def unit_inertia(solid: Solid) -> Array:

@@ -42,6 +42,42 @@ DICE = {shape: die_of(shape) for shape in SHAPES}
 
 
 @dataclass(frozen=True, eq=False)
+class Spot:
+    """A mark on a face: a convex patch of another reflectance."""
+
+    face: int
+    outline_m: Array
+    """(n, 3) body axes, in the plane of the face."""
+    reflectance: float
+    """Over that of the face's paint."""
+
+
+PIPS: dict[int, list[tuple[float, float]]] = {
+    1: [(0, 0)],
+    2: [(-1, -1), (1, 1)],
+    3: [(-1, -1), (0, 0), (1, 1)],
+    4: [(-1, -1), (-1, 1), (1, -1), (1, 1)],
+    5: [(-1, -1), (-1, 1), (0, 0), (1, -1), (1, 1)],
+    6: [(-1, -1), (-1, 0), (-1, 1), (1, -1), (1, 0), (1, 1)],
+}
+
+
+def pips(cube: Die, reflectance: float = 0.15) -> tuple[Spot, ...]:
+    """The pips of a cube whose face k carries k + 1: radius 0.09 edges, a quarter of an edge from the middle."""
+    edge = cube.solid.edge_m
+    angles = 2.0 * np.pi * np.arange(24) / 24
+    circle = 0.09 * edge * np.stack([np.cos(angles), np.sin(angles)], 1)
+    spots = []
+    for f, face in enumerate(cube.solid.faces):
+        corners = cube.solid.vertices[list(face)]
+        along, across = (corners[1] - corners[0]) / edge, (corners[3] - corners[0]) / edge
+        for place in PIPS[f + 1]:
+            flat = circle + 0.25 * edge * np.array(place)
+            spots.append(Spot(f, corners.mean(0) + flat @ np.array([along, across]), reflectance))
+    return tuple(spots)
+
+
+@dataclass(frozen=True, eq=False)
 class Studio:
     """Camera, empty table and what the sensor does."""
 
@@ -77,14 +113,16 @@ def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, 
     return Studio(camera, np.asarray(75.0 + 7.0 * texture / texture.std(), np.float32))
 
 
-def photograph(room: Studio, die: Die, state: State | None, rng: np.random.Generator | None = None) -> Image:
+def photograph(
+    room: Studio, die: Die, state: State | None, rng: np.random.Generator | None = None, spots: tuple[Spot, ...] = ()
+) -> Image:
     """One frame (height, width) of the die in motion at mid-exposure `state`, or of the empty table; not rounded."""
     picture = room.table.astype(float)
     if state is not None:
         moments = (np.arange(MOMENTS) + 0.5) / MOMENTS - 0.5 if room.exposure_s else np.zeros(1)
         flight = Flight(state, np.inf)
         instants = [flight.at(state.time_s + float(m) * room.exposure_s) for m in moments]
-        picture = np.mean([_still(room, die, instant) for instant in instants], axis=0)
+        picture = np.mean([_still(room, die, instant, spots) for instant in instants], axis=0)
     if rng is not None and room.noise_grey:
         picture = picture + rng.normal(scale=room.noise_grey, size=picture.shape)
     return np.asarray(picture, np.float32)
@@ -108,7 +146,7 @@ def greys(die: Die, rotation: Array) -> Array:
     return np.asarray((115.0 + 90.0 * lit) * paint)
 
 
-def _still(room: Studio, die: Die, state: State) -> Array:
+def _still(room: Studio, die: Die, state: State, spots: tuple[Spot, ...]) -> Array:
     """The picture of a die that does not move: blur(faces) + table · (1 - blur(coverage))."""
     camera, rotation = room.camera, state.rotation
     corners = die.solid.vertices @ rotation.T + state.position_m
@@ -120,7 +158,13 @@ def _still(room: Studio, die: Die, state: State) -> Array:
         table = table * (1.0 - room.shadow * _drawn(room, [outline], np.ones(1), 2.0)[1])
     faces = [f for f in range(len(die.solid.faces)) if _faces_camera(die.solid, f, rotation, state, camera)]
     outlines = [_outline(camera, corners[list(die.solid.faces[f])]) for f in faces]
-    light, cover = _drawn(room, outlines, greys(die, rotation)[faces], np.sqrt(max(room.blur_px**2 - 1.0 / 12.0, 0.01)))
+    light = greys(die, rotation)
+    # A mark takes light from a face that is there already: it adds no coverage.
+    marks = [spot for spot in spots if spot.face in faces]
+    outlines += [_outline(camera, spot.outline_m @ rotation.T + state.position_m) for spot in marks]
+    values = [*light[faces], *((spot.reflectance - 1.0) * light[spot.face] for spot in marks)]
+    covers = np.repeat([1.0, 0.0], [len(faces), len(marks)])
+    light, cover = _drawn(room, outlines, np.array(values), np.sqrt(max(room.blur_px**2 - 1.0 / 12.0, 0.01)), covers)
     return np.asarray(light + table * (1.0 - cover))
 
 
@@ -136,8 +180,12 @@ def _outline(camera: Camera, corners: Array) -> Array:
     return camera.project(between.transpose(1, 0, 2).reshape(-1, 3))
 
 
-def _drawn(room: Studio, outlines: list[Array], values: Array, blur_px: float) -> tuple[Array, Array]:
-    """Convex outlines filled with their values, and their coverage, both blurred, pixels averaged over their area."""
+def _drawn(
+    room: Studio, outlines: list[Array], values: Array, blur_px: float, covers: Array | None = None
+) -> tuple[Array, Array]:
+    """Convex outlines filled with their values, and their coverage (1 unless `covers` says otherwise), both blurred,
+    pixels averaged over their area."""
+    covers = np.ones(len(outlines)) if covers is None else covers
     height, width = room.table.shape
     light, cover = np.zeros((height, width)), np.zeros((height, width))
     everything = np.concatenate(outlines)
@@ -148,11 +196,11 @@ def _drawn(room: Studio, outlines: list[Array], values: Array, blur_px: float) -
     # Where the window is cut by the picture's border the fine grid goes on, so that the blur knows what lies outside.
     x, y = (np.arange((low[a] - 4) * FINER, (high[a] + 4) * FINER) / FINER - 0.5 + 0.5 / FINER for a in (0, 1))
     fine = np.zeros((2, len(y), len(x)))
-    for outline, value in zip(outlines, values, strict=True):
+    for outline, value, covered in zip(outlines, values, covers, strict=True):
         (x0, y0), (x1, y1) = (outline.min(0) - (x[0], y[0])) * FINER - 2, (outline.max(0) - (x[0], y[0])) * FINER + 3
         rows, columns = slice(max(int(y0), 0), max(int(y1), 0)), slice(max(int(x0), 0), max(int(x1), 0))
         share = _coverage(outline, x[columns], y[rows])
-        fine[:, rows, columns] += share * np.array([value, 1.0])[:, None, None]
+        fine[:, rows, columns] += share * np.array([value, covered])[:, None, None]
     for image, target in zip(fine, (light, cover), strict=True):
         soft = cv2.GaussianBlur(image, (0, 0), blur_px * FINER)
         coarse = soft.reshape(len(y) // FINER, FINER, len(x) // FINER, FINER).mean((1, 3))

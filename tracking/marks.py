@@ -1,0 +1,190 @@
+"""The die's own marks as features of its pose: pips, numbers, grain, whatever its faces show.
+
+A rounded or shaded edge lies where no model of a sharp edge expects it, and it does so alike on every frame, so that no
+averaging helps. What is printed on a flat face has no such error: the plane of the face is known to a part in a thousand
+from the die's size, whatever its edges look like. The appearance of each face is learned from the clip itself.
+
+1. *Learning* (`marks_textures`). From the flights of a first track, chosen frames are brought onto a grid of face
+   coordinates; the grey of frame k on face f is modelled as
+
+       I = (c + c_a a + c_b b) T_f(a, b) + p + p_a a + p_b b
+
+   with T_f the texture (about one on bare paint) and six numbers of light for each face and frame, fitted robustly
+   (Tukey's biweight), so that glare, shadow and whatever hides the die drop out. T_f is the mean of what the frames show,
+   each weighted by its contrast, its noise and the squared cosine of its view.
+2. *Signal.* Even and odd frames give two textures whose noise is independent. Marks are where the product of their slopes
+   exceeds what noise leaves in the mean by SIGNAL; a plain face has none and costs nothing from there on.
+3. *Adjustment* (`marks_adjustment`). The textures were placed by the poses that they are meant to improve, so that an
+   error which all poses share is learned along with them. It shows as soon as the die turns: a texture placed wrongly on
+   its face does not follow the turn of a rigid body about its centre. Flights that meet at their bounces, for every face
+   the ways in which its texture may be warped, and the lens blur are adjusted together (bundle adjustment, Gauss-Newton),
+   edges entering as weak observations; then the textures are learned again from the adjusted flights. Size, and with it
+   distance, comes from the known distance of the faces from the centre about which the die turns, and from gravity.
+4. *Refinement.* A frame's residual is taken on its own pixels, never on resampled ones, so that their noise stays
+   independent; the light is eliminated by a Schur complement (variable projection). Marks and edges are added up, the
+   edges with the common error that the adjusted flights have shown them to have.
+
+A face seen aslant is blurred more along its short side, which makes a round mark seem longer there than it is; at a blur of
+half a pixel this alone turned dice by 0.2 degrees. Each frame is therefore compared with the texture at the frame's own
+blur, motion during the exposure included.
+
+What is left after all this is mostly common to all frames of a clip: where the textures sit on the body. It is part of the
+covariance of `Marks.flights` and stands by itself in `shared_covariance`; the information of a refined single frame is
+about that frame's own pixels alone.
+
+Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import State, Throw
+from ..model.rotations import quat_from_matrix
+from .joined import transition
+from .marks_adjustment import adjusted, contour_covariance, links_between, turn_between
+from .marks_kernels import TUKEY, refine_on_marks
+from .marks_textures import (
+    FEWEST_LOOKS,
+    Look,
+    Marks,
+    blank_marks,
+    blurs,
+    face_grid,
+    on_faces,
+    seen_by,
+    with_learned_textures,
+)
+from .marks_textures import FaceGrid as FaceGrid
+from .pose import Pose, View, outline_box
+from .track import Track
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+LOOKS = 120
+"""Frames learned from at the most: the texture's noise is then a tenth of one frame's, and the cost does not grow with
+the clip."""
+SHORT_FLIGHT = 10
+"""Frames of a flight below which all are looked at."""
+CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY, TUKEY, TUKEY)
+"""Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
+moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
+SETTLED_SIGMAS = 0.3
+"""A round that moves no flight by more than this many of its sigmas is the last."""
+NEAR_BOUNCE = 1.0
+"""Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
+STEPS = 4
+"""Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
+
+
+def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
+    """Rows of the track, about LOOKS, spread evenly over the frames that surely lie on a flight; short flights are not
+    thinned out."""
+    spacing = float(np.median(np.diff(track.time_s))) if len(track) > 1 else 0.0
+    bounces = np.array([impact.time_s for impact in throw.impacts])
+    good = np.flatnonzero(track.tracked)
+    if len(bounces):
+        away = np.abs(track.time_s[good, None] - bounces).min(1)
+        good = good[away > NEAR_BOUNCE * spacing]
+    flight = np.array([throw.flight_at(float(t)) for t in track.time_s[good]])
+    chosen = []
+    for k in np.unique(flight):
+        mine = good[flight == k]
+        share = int(np.ceil(LOOKS * len(mine) / len(good)))
+        chosen.append(
+            mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), max(share, SHORT_FLIGHT))).round().astype(int))]
+        )
+    return np.concatenate(chosen) if chosen else good
+
+
+def learn_marks(
+    view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw, *, saturation_grey: float = np.inf
+) -> Marks | None:
+    """What the faces of the die look like, or None where no face shows anything that places it.
+
+    `images` are pairs of a row of `track` and its whole frame (height, width) float32, best those of
+    `frames_to_learn_from`; only a window of each is kept. `track` holds poses of single frames from edges, `throw` the
+    flights measured through them. Pixels at `saturation_grey` and above are left out.
+    """
+    looks = _looks(view, images, track, throw)
+    if len(looks) < 2 * FEWEST_LOOKS:
+        return None
+    grid = face_grid(view, looks, throw)
+    links = links_between(looks, throw)
+    few = _thinned(looks)
+    marks = with_learned_textures(view, few, throw.flights, blank_marks(view, grid, saturation_grey, throw), CUTS[0])
+    for cut in CUTS:
+        if not len(marks.marked_faces):
+            return None
+        chosen = looks if cut == TUKEY else few
+        marks, moved_sigmas = adjusted(view, chosen, links, marks, cut)
+        marks = with_learned_textures(view, chosen, marks.flights, marks, cut)
+        if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
+            break
+    return marks if len(marks.marked_faces) else None
+
+
+def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: State | None = None) -> Pose:
+    """The pose that marks and edges of one frame bear out together.
+
+    `pose` is that of the edges; `start` the state that the flight gives for this frame, from which the steps begin where
+    it is known. Where no marked face is seen, the edges' pose comes back, its covariance widened by their systematic errors.
+    """
+    edges = edge_information(view, marks, pose)
+    still = np.zeros(3)
+    if start is None:
+        start = State(0.0, pose.position_m, quat_from_matrix(pose.rotation), still, still)
+    rotation = start.rotation
+    away = np.concatenate([pose.position_m - start.position_m, turn_between(rotation, pose.rotation)])
+    p, R, H = refine_on_marks(
+        image, 0, 0, *seen_by(view, marks), np.asarray(start.position_m, float), rotation,
+        *blurs(view, marks, start.velocity_m_s, start.omega_rad_s), *on_faces(view, marks, TUKEY), marks.factor,
+        edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
+    )  # fmt: skip
+    if not H.any():
+        return replace(pose, information=edges)
+    return replace(pose, position_m=p, rotation=R, information=H + edges)
+
+
+def edge_information(view: View, marks: Marks, pose: Pose) -> Array:
+    """(6, 6) of a pose from edges, what they get wrong in common taken into account."""
+    common = contour_covariance(view, pose.position_m, marks.contour_m)
+    # (Σ + S)⁻¹ by way of the information, which may be singular where Σ does not exist.
+    return np.asarray(pose.information @ np.linalg.inv(np.eye(6) + common @ pose.information))
+
+
+def shared_covariance(marks: Marks, flight: int, time_s: float) -> Array:
+    """(6, 6) of the pose at an instant that all frames share: what the uncertain places of the textures do to every one of
+    them. It belongs on top of whatever a fit of many frames says, because it does not shrink with their number."""
+    M = transition(marks.flights[flight], time_s)[:6]
+    return np.asarray(M @ marks.shared[flight] @ M.T)
+
+
+def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[Look]:
+    """Windows round the die on the frames of flights that have enough of them."""
+    looks = []
+    for row, image in images:
+        time_s = float(track.time_s[row])
+        flight = throw.flight_at(time_s)
+        state = throw.flights[flight].at(time_s)
+        box = outline_box(view, state.position_m, state.rotation, 6.0)
+        if box is None or not track.tracked[row]:
+            continue
+        x0, y0, x1, y1 = box
+        window = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
+        looks.append(
+            Look(time_s, flight, x0, y0, window, track.position_m[row], track.quaternion[row], track.covariance[row])
+        )
+    counts = np.bincount([look.flight for look in looks], minlength=len(throw.flights))
+    return [look for look in looks if counts[look.flight] >= 2]
+
+
+def _thinned(looks: list[Look]) -> list[Look]:
+    """Every second look, and all of short flights: enough to come near, in half the time."""
+    counts = np.bincount([look.flight for look in looks])
+    return [look for i, look in enumerate(looks) if i % 2 == 0 or counts[look.flight] <= SHORT_FLIGHT]

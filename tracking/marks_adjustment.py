@@ -1,0 +1,205 @@
+"""Bundle adjustment: flights and the places of textures on a die's faces, fitted together (see `marks`).
+
+Unknowns are twelve numbers a flight, WARPS for each marked face, the lens blur, and the instant of each bounce. The
+normal equations of single frames come from the pixels; a texture's warps stand for all that learning it again from other
+poses could do to it, so that a step goes to where poses and textures agree, and not only to where the poses agree with
+textures that they have placed themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import Flight, Throw
+from ..model.rotations import matrix_from_quat, rotation_between
+from .joined import moved, transitions
+from .marks_kernels import SHARED, WARPS, mark_equations
+from .marks_textures import Look, Marks, Poses, blurs, on_faces, poses_of, seen_by
+from .pose import View
+
+Array = NDArray[np.float64]
+
+PRIOR_WARP = 0.02
+"""Standard deviation of a texture's warps, where the die's edge is the unit of length: several times what the worst edges
+misplace it."""
+PRIOR_BLUR, PRIOR_LENS_PX = 1.0, 0.3
+"""Standard deviations of a texture's blur [texel², as variance] and of the lens blur [px]."""
+BLUR_RANGE_PX = (0.3, 4.0)
+"""A pixel alone has 0.29; beyond the other there would be no marks."""
+LINK_M, LINK_RAD = 1e-5, 5e-4
+"""How well flights meet at a bounce: a contact lasts some 0.05 ms, in which a die leaves the corner between its two motions by a
+quarter of that time its speed."""
+PRIOR_INSTANT_S = 2e-3
+CHI2_MEDIAN = 5.348
+"""Median of chi-square with six degrees of freedom."""
+
+
+def links_between(looks: list[Look], throw: Throw) -> list[tuple[int, float]]:
+    """Flight and instant of every bounce that joins two flights which are both looked at."""
+    used = {look.flight for look in looks}
+    return [
+        (k, impact.time_s)
+        for k, impact in enumerate(throw.impacts)
+        if impact.contact != "unresolved" and k in used and k + 1 in used
+    ]
+
+
+def adjusted(
+    view: View, looks: list[Look], links: list[tuple[int, float]], marks: Marks, cut: float
+) -> tuple[Marks, float]:
+    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and the largest
+    move, in sigmas.
+
+    Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, and the instant of each
+    bounce, at which position and orientation go on without a jump.
+    """
+    used = np.unique([look.flight for look in looks])
+    column = {int(k): 12 * i for i, k in enumerate(used)}
+    place_of = {int(f): 12 * len(used) + WARPS * i for i, f in enumerate(marks.marked_faces)}
+    blur_at = 12 * len(used) + WARPS * len(place_of)
+    in_flight = np.bincount([look.flight for look in looks])
+    poses = poses_of(looks, marks.flights)
+    equations = [_equations(view, marks, look, poses, i, cut) for i, look in enumerate(looks)]
+    edges = _edges_minus_flights(looks, poses)
+    squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
+    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
+    A = np.diag(_priors(view, len(used), len(place_of), len(links)))
+    y = np.zeros(len(A))
+    for look, (H, g, place, _), M, away in zip(looks, equations, poses.by_start, edges, strict=True):
+        # What edges get wrong they get wrong alike on all frames of a flight: together they count as one.
+        common = look.edge_covariance + contour_covariance(view, look.edge_position_m, marks.contour_m)
+        E = np.linalg.inv(common) / in_flight[look.flight]
+        c = slice(column[look.flight], column[look.flight] + 12)
+        A[c, c] += M.T @ (H / factor + E) @ M
+        y[c] += M.T @ (g / factor + E @ away)
+        for f, at in place_of.items():
+            if not place[f].any():
+                continue
+            s = np.r_[at : at + WARPS, blur_at]
+            cross = M.T @ place[f][:, :6].T / factor
+            A[c, s] += cross
+            A[s, c] += cross.T
+            A[np.ix_(s, s)] += place[f][:, 6:-1] / factor
+            y[s] += place[f][:, -1] / factor
+    for i, (k, time_s) in enumerate(links):
+        J, gap = _link_equations(marks.flights[k], marks.flights[k + 1], time_s)
+        s = np.r_[column[k] : column[k] + 12, column[k + 1] : column[k + 1] + 12, blur_at + SHARED + i]
+        A[np.ix_(s, s)] += J.T @ J
+        y[s] += J.T @ gap
+    C = _inverse(A)
+    step = C @ y
+    # What would be left if the places of the textures were known: the rest of C is common to all frames.
+    sure = np.r_[0 : 12 * len(used), blur_at + SHARED : len(A)]
+    own = _inverse(A[np.ix_(sure, sure)])
+    flights, shared = list(marks.flights), list(marks.shared)
+    for k, at in column.items():
+        c = slice(at, at + 12)
+        flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
+        shared[k] = C[c, c] - own[c, c]
+    moves = [np.abs(step[c : c + 12]) / np.sqrt(np.diag(C)[c : c + 12]) for c in column.values()]
+    blur = marks.blur_px * float(np.clip(1.0 + step[blur_at] / marks.blur_px, 0.7, 1.4))
+    noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
+    usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
+    new = replace(
+        marks, flights=tuple(flights), shared=tuple(shared), factor=factor,
+        blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
+    )  # fmt: skip
+    return replace(new, contour_m=_contour_error(view, looks, new)), float(np.max(moves))
+
+
+def _priors(view: View, flights: int, faces: int, links: int) -> Array:
+    """Diagonal of the prior's information, in the order of the unknowns."""
+    edge = view.die.solid.edge_m
+    warp = PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])
+    places = np.tile(1.0 / np.append(warp, PRIOR_BLUR) ** 2, faces)
+    return np.concatenate(
+        [np.zeros(12 * flights), places, [1.0 / PRIOR_LENS_PX**2], np.full(links, 1.0 / PRIOR_INSTANT_S**2)]
+    )
+
+
+def _link_equations(before: Flight, after: Flight, time_s: float) -> tuple[Array, Array]:
+    """Rows (6, 25) and right side (6,), in sigmas, of: both flights meet at time_s + δt."""
+    a, b = before.at(time_s), after.at(time_s)
+    gap = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
+    drift = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
+    instant = np.array([time_s])
+    J = np.hstack([transitions(before, instant)[0, :6], -transitions(after, instant)[0, :6], -drift[:, None]])
+    sigma = np.array([LINK_M] * 3 + [LINK_RAD] * 3)
+    return J / sigma[:, None], gap / sigma
+
+
+def _inverse(A: Array) -> Array:
+    """Inverse of a normal matrix whose unknowns have different units."""
+    unit = 1.0 / np.sqrt(np.diag(A))
+    scaled = A * np.outer(unit, unit)
+    # Far below any direction that was observed, and enough for one that only rounding tells from none.
+    scaled[np.diag_indices_from(scaled)] += 1e-12
+    return np.asarray(np.linalg.inv(scaled) * np.outer(unit, unit))
+
+
+def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array:
+    """(6, 6) of the pose from edges that all lie `contour_m` off, in world axes: sideways by as much, in
+    distance by the share of the die's size that it is, and turned by it over half the die's size."""
+    toward = position_m - view.camera.centre_m
+    distance = float(np.linalg.norm(toward))
+    ray = toward / distance
+    size = 2.0 * view.reach_m
+    out = np.zeros((6, 6))
+    out[:3, :3] = contour_m**2 * (np.eye(3) + ((2.0 * distance / size) ** 2 - 1.0) * np.outer(ray, ray))
+    out[3:, 3:] = (2.0 * contour_m / size) ** 2 * np.eye(3)
+    return out
+
+
+def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
+    """The length [m] that makes the edges' distance from the flights what `contour_covariance` expects."""
+    squared = []
+    for look, away in zip(looks, _edges_minus_flights(looks, poses_of(looks, marks.flights)), strict=True):
+        unit = contour_covariance(view, look.edge_position_m, 1.0)
+        squared.append(float(away @ np.linalg.solve(unit, away)))
+    return float(np.sqrt(np.median(squared) / CHI2_MEDIAN))
+
+
+def _equations(
+    view: View, marks: Marks, look: Look, poses: Poses, i: int, cut: float
+) -> tuple[Array, Array, Array, Array]:
+    """Normal equations of look `i` at the pose of its flight."""
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    place = np.zeros((len(marks.looks), WARPS + SHARED, 7 + WARPS + SHARED))
+    stats = np.zeros((len(marks.looks), 3))
+    mark_equations(
+        look.image, look.x0, look.y0, *seen_by(view, marks), poses.position_m[i], poses.rotation[i],
+        *blurs(view, marks, poses.velocity_m_s[i], poses.omega_rad_s[i]), *on_faces(view, marks, cut), True, H, g,
+        place, stats,
+    )  # fmt: skip
+    return H, g, place, stats
+
+
+def _edges_minus_flights(looks: list[Look], poses: Poses) -> Array:
+    """(looks, 6) from the flights' poses to those of the edges."""
+    moved_m = np.array([look.edge_position_m for look in looks]) - poses.position_m
+    edges = matrix_from_quat(np.array([look.edge_quaternion for look in looks]))
+    return np.concatenate([moved_m, turn_between(poses.rotation, edges)], axis=1)
+
+
+def turn_between(start: Array, end: Array) -> Array:
+    """Rotation vectors (..., 3), world axes, that take orientations (..., 3, 3) to others less than half a turn away."""
+    D = end @ np.swapaxes(start, -1, -2)
+    axis = 0.5 * np.stack([D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]], -1)
+    sine = np.linalg.norm(axis, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, 0.5 * (np.trace(D, axis1=-2, axis2=-1)[..., None] - 1.0))
+    return np.asarray(axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))
+
+
+def _whitened_square(H: Array, g: Array) -> float | None:
+    """gᵀ H⁻¹ g: how far, in squared sigmas, the marks of one frame alone want to move its pose; None where they leave a
+    direction open."""
+    unit = np.sqrt(np.diag(H))
+    if not (unit > 0).all():
+        return None
+    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
+    if values[0] < 1e-6 * values[-1]:
+        return None
+    return float((((g / unit) @ vectors) ** 2 / values).sum())
