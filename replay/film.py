@@ -28,10 +28,10 @@ from ..model.motion import Throw
 from ..model.rotations import matrix_from_quat
 from ..model.solids import Die
 from ..tracking.camera import Camera
-from .film_set import UPSIDE_DOWN, Look, scene_of
+from .film_set import UPSIDE_DOWN, Look, scene_of, sensor_axes
 from .lens import FINER, optics_of
 from .surfaces import is_mirror
-from .windows import Box, blend, box_about, merged, part_of
+from .windows import Box, blend, box_about, merged, part_of, rounded_up
 
 Array = NDArray[np.float64]
 
@@ -49,6 +49,8 @@ FAR_AWAY = np.array([0.0, -50.0, 50.0])
 """Where the die is out of the way [m]."""
 SHADE_SAMPLES, SHADE_BLUR_PX = 4, 1.5
 """Light paths for each pixel that is only shaded, and the blur of the shade: lamps of finite size cast no sharper one."""
+WINDOW_STEP_PX = 32
+"""Windows come in multiples of this: Mitsuba's compiled variants spend 0.3 s on every size that is new to them."""
 BRIGHTEST_SHADE = 1.5
 """A die lights the table up by less than this; what is brighter is a single unlikely path."""
 
@@ -161,9 +163,7 @@ class Studio:
     def _render(self, box: Box, samples: int, *, seed: int) -> Array:
         """The light of a window (left, top, right, bottom) of the real picture."""
         fine = self._optics.rendered_box(box)
-        self._handles["sensor.film.crop_offset"] = [fine[0], fine[1]]
-        self._handles["sensor.film.crop_size"] = [fine[2] - fine[0], fine[3] - fine[1]]
-        self._handles.update()
+        self._aim(fine)
         samples = max(1, samples // (FINER**2 if self._optics.places is not None else 1))
         at_once = max(1, CHUNK_PX_SAMPLES // ((fine[2] - fine[0]) * (fine[3] - fine[1])))
         passes = int(np.ceil(samples / at_once))
@@ -172,6 +172,19 @@ class Studio:
             rendered = self._mi.render(self._scene, spp=int(np.ceil(samples / passes)), seed=(seed * 64 + k) % 2**32)
             total += np.asarray(rendered, float)[..., 0] / passes
         return self._gain * self._optics.brought_home(total, box, fine)
+
+    def _aim(self, fine: Box) -> None:
+        """Show this box of the ideal picture alone.
+
+        As a camera of its own with another principal point, not as a crop of the whole picture: where a crop lies is a
+        constant of Mitsuba's compiled code, which would be compiled again for every frame (0.3 s).
+        """
+        size = [fine[2] - fine[0], fine[3] - fine[1]]
+        for name in ("size", "crop_size"):
+            self._handles[f"sensor.film.{name}"] = size
+        for name, value in sensor_axes(self._optics, fine).items():
+            self._handles[f"sensor.{name}"] = value
+        self._handles.update()
 
     def _windows(self, positions_m: Array, quaternions: Array) -> tuple[list[Box], list[Box]]:
         """Boxes of the picture about the die and, on a mirror, its image; and about what the die shades."""
@@ -182,7 +195,10 @@ class Studio:
         shaded = [self._shaded(corners, positions_m)]
         boxes = [[box_about(self.camera.project(points), self.camera) for points in group] for group in (near, shaded)]
         seen_near, seen_shaded = ([box for box in group if box is not None] for group in boxes)
-        return merged(seen_near), seen_shaded
+        return (
+            [rounded_up(box, self.camera, WINDOW_STEP_PX) for box in merged(seen_near)],
+            [rounded_up(box, self.camera, 2 * WINDOW_STEP_PX) for box in seen_shaded],
+        )
 
     def _shaded(self, corners_m: Array, positions_m: Array) -> Array:
         """Points round what the die shades on the table: the lamp's shadow, and the ground that it covers closely."""

@@ -19,6 +19,7 @@ from ..tracking.camera import Camera
 from .lens import Optics
 from .skin import Mesh, die_mesh, face_paint
 from .surfaces import WIDTH_M, is_mirror, table_paint
+from .windows import Box
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -111,23 +112,31 @@ def _rod(begin: Point, end: Point, radius: float) -> dict[str, Any]:
 
 
 def _sensor(mi: Any, optics: Optics) -> dict[str, Any]:
-    width, height = optics.width_px, optics.height_px
-    return {
+    axes = sensor_axes(optics, (0, 0, optics.width_px, optics.height_px))
+    axes["fov"] = axes.pop("x_fov")
+    return axes | {
         "type": "perspective",
-        "fov": float(np.degrees(2.0 * np.arctan(width / 2.0 / optics.focal_px))),
         "fov_axis": "x",
-        # Mitsuba's offsets are parts of the picture, to the left and up, from its middle; its pixel centres are at 0.5.
-        "principal_point_offset_x": 0.5 - (optics.middle_px[0] + 0.5) / width,
-        "principal_point_offset_y": 0.5 - (optics.middle_px[1] + 0.5) / height,
         "to_world": mi.ScalarTransform4f(optics.pose),
         "film": {
             "type": "hdrfilm",
-            "width": width,
-            "height": height,
+            "width": optics.width_px,
+            "height": optics.height_px,
             "pixel_format": "luminance",
             "rfilter": {"type": "gaussian", "stddev": optics.filter_px},
         },
         "sampler": {"type": "multijitter"},
+    }
+
+
+def sensor_axes(optics: Optics, box: Box) -> dict[str, Any]:
+    """Field of view [deg] and principal point of the ideal camera that shows a box of the ideal picture."""
+    left, top, right, bottom = box
+    return {
+        "x_fov": float(np.degrees(2.0 * np.arctan((right - left) / 2.0 / optics.focal_px))),
+        # Mitsuba's offsets are parts of the picture, to the left and up, from its middle; its pixel centres are at 0.5.
+        "principal_point_offset_x": 0.5 - (optics.middle_px[0] - left + 0.5) / (right - left),
+        "principal_point_offset_y": 0.5 - (optics.middle_px[1] - top + 0.5) / (bottom - top),
     }
 
 

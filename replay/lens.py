@@ -51,12 +51,10 @@ class Optics:
         if self.places is None:
             return box
         rows, columns = self.places[:, *_fine(box, _room(self.blur_px), self.places.shape)]
-        return (
-            max(int(columns.min()) - 4, 0),
-            max(int(rows.min()) - 4, 0),
-            min(int(columns.max()) + 6, self.width_px),
-            min(int(rows.max()) + 6, self.height_px),
-        )
+        # Multiples, because a renderer may compile anew for every size; the ideal picture has no border.
+        left, top = int(columns.min()) - 4, int(rows.min()) - 4
+        width, height = (-(-(int(c.max()) + 6 - low) // 32) * 32 for c, low in ((columns, left), (rows, top)))
+        return left, top, left + width, top + height
 
     def brought_home(self, ideal: Array, box: Box, fine: Box) -> Array:
         """The real picture in a box, from the ideal one in its box."""

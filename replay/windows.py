@@ -44,6 +44,16 @@ def _overlap(boxes: list[Box]) -> bool:
     )
 
 
+def rounded_up(box: Box, camera: Camera, step_px: int) -> Box:
+    """The box widened to a multiple of `step_px` each way, as far as the picture goes."""
+    sides = []
+    for low, high, most in ((box[0], box[2], camera.width_px), (box[1], box[3], camera.height_px)):
+        size = min(-(-(high - low) // step_px) * step_px, most)
+        begin = min(max(low - (size - (high - low)) // 2, 0), most - size)
+        sides.append((begin, begin + size))
+    return sides[0][0], sides[1][0], sides[0][1], sides[1][1]
+
+
 def part_of(box: Box) -> tuple[slice, slice]:
     return slice(box[1], box[3]), slice(box[0], box[2])
 

@@ -17,6 +17,7 @@ from diethrow.replay.lens import optics_of, undistorted
 from diethrow.replay.sensor import Sensor, expose, fixed_pattern, rounded
 from diethrow.replay.skin import PIPS, TILE_PX, die_mesh, face_frame, face_paint
 from diethrow.replay.surfaces import SURFACES, table_paint
+from diethrow.replay.windows import blend, rounded_up
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.pose import make_view, refine_pose
 
@@ -186,6 +187,25 @@ def test_a_bent_picture_keeps_its_light() -> None:
     assert optics.brought_home(ideal, box, fine).sum() == pytest.approx(50 * 50 + 1.0, abs=2e-3)
 
 
+@pytest.mark.parametrize("box", [(0, 0, 5, 9), (90, 91, 96, 96), (3, 40, 90, 50), (0, 0, 96, 96), (31, 32, 63, 64)])
+def test_a_wider_window_holds_the_narrow_one_and_stays_in_the_picture(box: tuple[int, int, int, int]) -> None:
+    left, top, right, bottom = rounded_up(box, camera(), 32)
+    assert 0 <= left <= box[0] < box[2] <= right <= 96
+    assert 0 <= top <= box[1] < box[3] <= bottom <= 96
+    assert (right - left) % 32 == (bottom - top) % 32 == 0
+
+
+def test_blending_a_picture_over_itself_changes_nothing_and_over_another_leaves_no_seam() -> None:
+    picture = np.random.default_rng(1).uniform(size=(60, 70))
+    same = picture.copy()
+    blend(same, picture[5:50, 0:40].copy(), (0, 5, 40, 50))
+    assert same == pytest.approx(picture, abs=1e-15)
+    flat = np.zeros((60, 70))
+    blend(flat, np.ones((45, 40)), (0, 5, 40, 50))
+    assert flat[27, :30].min() == 1.0  # a border of the picture itself is no seam
+    assert np.abs(np.diff(flat, axis=1)).max() < 0.13  # one step of eight
+
+
 # --- pictures ---
 
 
@@ -225,27 +245,28 @@ def test_the_die_is_seen_where_the_camera_projects_it(distortion: float) -> None
 @with_mitsuba
 def test_a_still_die_has_no_motion_blur_and_a_moving_one_the_mean_of_its_instants() -> None:
     die = make_die("cube", 0.016, 0.005, marks="pips")
-    room = studio(die, samples=64)
+    room = studio(die, samples=32)
     moving = flight((0.0, 0.0, 0.03), (2.0, 0.0, 0.0))
     times = np.array([0.0])
     blurred = next(film_light(room, moving, times, 1e-3))
     instants = [next(film_light(room, flight((0.002 * s, 0.0, 0.03)), times, 1e-6)) for s in np.linspace(-0.5, 0.5, 9)]
-    # The path tracer's noise at 64 samples is 2 % of the range; a die displaced by a pixel changes its edges by 30 %.
-    assert np.abs(blurred - np.mean(instants, 0)).mean() < 0.01
+    # The path tracer's noise at 32 samples is 3 % of the range; a die displaced by a pixel changes its edges by 30 %.
+    assert np.abs(blurred - np.mean(instants, 0)).mean() < 0.015
     assert np.abs(blurred - instants[4]).max() > 0.15
 
 
 @with_mitsuba
 def test_a_mirror_shows_the_die_upside_down() -> None:
-    """Light changes where the mirrored corners are projected, and less than at the die itself."""
+    """The light changes where the mirrored die is projected, and not beside it."""
     die = make_die("cube", 0.012, 0.005)
-    room = studio(die, surface="mirror", samples=8)
+    room = studio(die, surface="mirror", samples=16)
     throw = flight((0.0, 0.0, 0.012))
     change = np.abs(next(film_light(room, throw, np.array([0.0]), 1e-6)) - room.empty())
     image = room.camera.project(np.array([0.0, 0.0, -0.012])).round().astype(int)
-    aside = image + np.array([25, 0])
-    assert change[image[1] - 2 : image[1] + 3, image[0] - 2 : image[0] + 3].mean() > 0.1
-    assert change[aside[1] - 2 : aside[1] + 3, aside[0] - 2 : aside[0] + 3].mean() < 0.05
+    at_image, aside = (change[y - 4 : y + 5, x - 4 : x + 5].mean() for x, y in (image, image + np.array([25, 0])))
+    # The image's shaded faces are a few grey levels of the room's, the path tracer's noise is a hundredth of the range.
+    assert at_image > 0.04
+    assert at_image > 3.0 * aside
 
 
 @with_mitsuba
