@@ -76,6 +76,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
         typical = np.median(lean[use, :, 1:], axis=0) * sigma[1:]
         floor = typical @ typical.T
+    if track.shared is not None and np.isfinite(track.shared[use]).any():
+        # Poses that rest on marks do not share the errors of edges but those of the places of the marks.
+        floor = np.nanmedian(track.shared[use], axis=0)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     ahead = slice(0, flying)

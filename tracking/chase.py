@@ -54,13 +54,15 @@ class Seen:
     stats: Array
     cost: Array
     """How badly each picture is explained."""
+    lean: Array
+    """(n, 6) what a pixel of contour error does to each pose: see `Track`."""
 
     @staticmethod
     def empty(n: int) -> Seen:
         """Nothing seen on n frames."""
         return Seen(
             np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
-            np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf),
+            np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf), np.full((n, 6), np.nan),
         )  # fmt: skip
 
     @property
@@ -80,7 +82,7 @@ class Seen:
 
     def take(self, rows: NDArray[np.int64], other: Seen) -> None:
         """Take some rows over."""
-        for name in ("known", "position_m", "rotation", "motion", "H", "stats", "cost"):
+        for name in ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean"):
             getattr(self, name)[rows] = getattr(other, name)[rows]
 
 

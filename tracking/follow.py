@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -31,6 +31,8 @@ from .chase import Chase, Seen
 from .clip import Clip
 from .edges import settle
 from .hints import HandStart, excluded_rows
+from .marks import edge_information, frames_to_learn_from, learn_marks, refine_by_marks, shared_covariance
+from .marks_textures import Marks
 from .pose import (
     Pose,
     View,
@@ -39,12 +41,14 @@ from .pose import (
     covariances,
     labelled_like,
     make_view,
+    pose_from,
     share_in_view,
     shares_in_view,
     with_reflections,
 )
 from .quality import STANDARD, Quality
 from .reel import Frames, Reel
+from .rest import flown, frames_in_flight
 from .segment import background_noise
 from .start import die_blobs, find_start
 from .start_by_hand import start_by_hand
@@ -78,6 +82,15 @@ class NoDieError(ValueError):
     """No die was found in the clip."""
 
 
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What following a die through a clip gives."""
+
+    track: Track
+    marks: Marks | None
+    """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
+
+
 def follow(
     clip: Clip | Sequence[Clip],
     camera: Camera | Sequence[Camera],
@@ -91,7 +104,27 @@ def follow(
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> Track:
-    """Track a die through a clip: a pose with covariance for every frame on which it can be known.
+    """Track a die through a clip: a pose with covariance for every frame on which it can be known. As `look_through`."""
+    return look_through(
+        clip, camera, die, background=background, exposure_s=exposure_s, mirror=mirror, start=start, excluded=excluded,
+        quality=quality, progress=progress,
+    ).track  # fmt: skip
+
+
+def look_through(
+    clip: Clip | Sequence[Clip],
+    camera: Camera | Sequence[Camera],
+    die: Die,
+    *,
+    background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
+    exposure_s: float | None = None,
+    mirror: bool = False,
+    start: HandStart | None = None,
+    excluded: Sequence[tuple[int, int]] = (),
+    quality: Quality = STANDARD,
+    progress: Progress | None = None,
+) -> Followed:
+    """Follow a die through a clip, and learn what its faces show where the quality asks for it.
 
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
@@ -99,11 +132,13 @@ def follow(
     used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera,
     background and clip differ in size, and NoDieError where no die was found.
     """
-    clips = [clip] if not isinstance(clip, Sequence) else list(clip)
+    clips = list(clip) if isinstance(clip, Sequence) else [clip]
+    # Marks are learned from one camera; with several the edges of all must do.
+    with_marks = quality.marks and len(clips) == 1
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     reel = Reel(clips)
     view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
-    report = _Reporter(progress, (2 if quality.second_pass else 1) * len(reel))
+    report = _Reporter(progress, (1 + quality.second_pass + with_marks) * len(reel))
     unused = np.zeros(len(reel), bool)
     unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
     view, seen = _first_pass(view, reel, report, start, unused)
@@ -116,7 +151,11 @@ def follow(
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         seen = _second_pass(view, reel, seen, throw, unused, report)
-    return calibrated(_track(reel, view, seen, throw), die, view.camera)
+    marks, shared = None, None
+    if with_marks:
+        seen, marks, shared = _third_pass(view, reel, seen, report)
+    track = replace(_track(reel, view, seen, throw), shared=shared)
+    return Followed(calibrated(track, die, view.camera), marks)
 
 
 def _view_of(
@@ -400,6 +439,61 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
     return out
 
 
+# --- the third pass: what is printed on the faces ---------------------------------------------------------------------
+
+
+def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[Seen, Marks | None, Array | None]:
+    """Every frame refined once more on the marks of the die's faces, where it has any, with what all frames then err
+    alike (n, 6, 6)."""
+    whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
+    track = _as_track(view, reel, seen, whole)
+    try:
+        throw = measure_throw(track, view.die, view.camera)
+    except NoFlightError:
+        return seen, None, None
+    track, throw = frames_in_flight(track, throw), flown(throw)
+    rows = frames_to_learn_from(track, throw)
+    full_scale = float(2 ** reel.clips[0].bit_depth - 1)
+    images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
+    marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
+    if marks is None:
+        return seen, None, None
+    adjusted = Throw(marks.flights, throw.impacts)
+    out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
+    out.take(np.arange(len(reel)), seen)
+    with ThreadPoolExecutor(THREADS) as pool:
+        for first, frames in reel.blocks():
+            jobs = {
+                k: pool.submit(_marked, view, marks, frames[k - first], adjusted, reel.times_s[k], seen, k)
+                for k in range(first, first + len(frames))
+                if seen.known[k]
+            }
+            for k, job in jobs.items():
+                pose, shared[k] = job.result()
+                out.position_m[k], out.rotation[k], out.lean[k] = pose.position_m, pose.rotation, pose.contour_lean
+                out.H[k, :6, :6] = pose.information
+            report.at_least(2 * len(reel) + first + len(frames))
+    return out, marks, shared
+
+
+def _marked(
+    view: View, marks: Marks, picture: Frames, adjusted: Throw, time_s: float, seen: Seen, k: int
+) -> tuple[Pose, Array]:
+    """One frame refined on marks and edges, from where its flight leads unless that is over, and what it shares with all
+    others."""
+    flight = adjusted.flight_at(time_s)
+    flying = time_s <= adjusted.flights[-1].end_s
+    edges = pose_from(
+        seen.position_m[k], seen.rotation[k], seen.H[k], seen.stats[k], float(seen.cost[k]), view.lens
+    )  # fmt: skip
+    start = adjusted.at(time_s) if flying else None
+    pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), edges, start)
+    # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
+    part = edge_information(view, marks, edges) @ edges.contour_lean
+    lean = np.linalg.lstsq(pose.information, part, rcond=None)[0]
+    return replace(pose, contour_lean=lean), shared_covariance(marks, flight, time_s)
+
+
 # --- the table of poses -----------------------------------------------------------------------------------------------
 
 
@@ -417,6 +511,7 @@ def _as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Tr
     frames = reel.first_frame + np.arange(n)
     lean = np.full((n, 6), np.nan)
     lean[known] = contour_leans(seen.H[known], view.lens)
+    lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
     return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 

@@ -56,6 +56,11 @@ class View:
         return np.asarray(self.backgrounds[0, : self.camera.height_px, : self.camera.width_px])
 
     @property
+    def inner(self) -> Array:
+        """(n, 3) [m] vertices of the sharp body round which the ball of the corners' radius rolls."""
+        return np.asarray(self.shape.vertices)
+
+    @property
     def reach_m(self) -> float:
         """Farthest point of the die from its centre."""
         return self.die.solid.circumradius

@@ -32,6 +32,9 @@ class Track:
     lean: Array | None = None
     """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour that is taken a pixel too far out all round;
     NaN where it is not known, None where no frame has it."""
+    shared: Array | None = None
+    """(n, 6, 6) covariance of what all frames err alike because the marks on the faces lie where they were learned; part of
+    no frame's own. None where no marks were used."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:
