@@ -25,7 +25,7 @@ from ..model.rotations import (
 )
 from ..model.solids import Die
 from .background import estimate_background
-from .bounces import NoFlightError, calibrated, measure_throw
+from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
@@ -448,10 +448,13 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        throw = measure_throw(track, view.die, view.camera)
+        found = measure(track, view.die, view.camera)
     except NoFlightError:
         return seen, None, None
-    track, throw = frames_in_flight(track, throw), flown(throw)
+    # The poses of the edges without what they all err alike, as sure as they scatter.
+    covariance = calibrated(track, view.die, view.camera).covariance
+    edges = replace(found.frames, covariance=covariance)
+    track, throw = frames_in_flight(edges, found.throw), flown(found.throw)
     rows = frames_to_learn_from(track, throw)
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)
     images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
@@ -464,9 +467,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     with ThreadPoolExecutor(THREADS) as pool:
         for first, frames in reel.blocks():
             jobs = {
-                k: pool.submit(_marked, view, marks, frames[k - first], adjusted, reel.times_s[k], seen, k)
+                k: pool.submit(_marked, view, marks, frames[k - first], adjusted, edges, seen, k)
                 for k in range(first, first + len(frames))
-                if seen.known[k]
+                if edges.tracked[k]
             }
             for k, job in jobs.items():
                 pose, shared[k] = job.result()
@@ -477,21 +480,21 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
 
 
 def _marked(
-    view: View, marks: Marks, picture: Frames, adjusted: Throw, time_s: float, seen: Seen, k: int
+    view: View, marks: Marks, picture: Frames, adjusted: Throw, edges: Track, seen: Seen, k: int
 ) -> tuple[Pose, Array]:
     """One frame refined on marks and edges, from where its flight leads unless that is over, and what it shares with all
     others."""
-    flight = adjusted.flight_at(time_s)
-    flying = time_s <= adjusted.flights[-1].end_s
-    edges = pose_from(
-        seen.position_m[k], seen.rotation[k], seen.H[k], seen.stats[k], float(seen.cost[k]), view.lens
-    )  # fmt: skip
-    start = adjusted.at(time_s) if flying else None
-    pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), edges, start)
+    time_s = float(edges.time_s[k])
+    by_edges = replace(
+        pose_from(edges.position_m[k], matrix_from_quat(edges.quaternion[k]), seen.H[k], seen.stats[k], 0.0, view.lens),
+        information=np.linalg.inv(edges.covariance[k]),
+    )
+    start = adjusted.at(time_s) if time_s <= adjusted.flights[-1].end_s else None
+    pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), by_edges, start)
     # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
-    part = edge_information(view, marks, edges) @ edges.contour_lean
+    part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
     lean = np.linalg.lstsq(pose.information, part, rcond=None)[0]
-    return replace(pose, contour_lean=lean), shared_covariance(marks, flight, time_s)
+    return replace(pose, contour_lean=lean), shared_covariance(marks, adjusted.flight_at(time_s), time_s)
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

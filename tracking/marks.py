@@ -45,7 +45,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import State, Throw
 from ..model.rotations import quat_from_matrix
-from .joined import transition
+from .flights import transition
 from .marks_adjustment import adjusted, contour_covariance, links_between, turn_between
 from .marks_kernels import TUKEY, refine_on_marks
 from .marks_textures import (

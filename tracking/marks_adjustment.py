@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from .joined import moved, transitions
+from .flights import moved, transitions
 from .marks_kernels import SHARED, WARPS, mark_equations
 from .marks_textures import Look, Marks, Poses, blurs, on_faces, poses_of, seen_by
 from .pose import View

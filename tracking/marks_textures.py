@@ -19,7 +19,7 @@ from ..model.motion import GRAVITY_M_S2, Flight, Throw
 from ..model.rotations import matrix_from_quat
 from ..model.solids import Solid
 from .camera import Camera
-from .joined import transitions
+from .flights import transitions
 from .marks_kernels import GRAZING, MARGIN_BLURS, look_at_face
 from .pose import View
 
