@@ -24,6 +24,7 @@ from .records import (
     read_track,
     simulated_track,
     write_bounces,
+    write_faces,
     write_fit,
     write_simulated,
     write_track,
@@ -38,7 +39,8 @@ from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
 from .tracking.clip import Clip, open_clip
-from .tracking.follow import follow
+from .tracking.faces import FaceNumbers, read_faces, with_numbers
+from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
 from .tracking.quality import STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
@@ -59,6 +61,10 @@ class Tracking:
 
     clips: tuple[Clip, ...]
     """One a camera."""
+    die: Die
+    """The scene's, with its faces in the order of the numbers on them where those could be read."""
+    faces: FaceNumbers
+    """What could be read on the faces."""
     frames: Track
     """The pose of each frame alone."""
     straight: Track
@@ -68,10 +74,17 @@ class Tracking:
     """The same frames, with the exact motion of the flights where it holds."""
 
     @property
+    def face_numbers(self) -> tuple[int | None, ...]:
+        """The number on each face of `die`; None where it could not be read."""
+        count = len(self.faces.numbers)
+        return tuple(range(1, count + 1)) if self.faces.complete else self.faces.numbers
+
+    @property
     def notices(self) -> tuple[str, ...]:
         """What a careful reader should know of the footage and of the motion in it, one sentence each."""
         return (
             *(n for clip in self.clips for n in clip.notices),
+            *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *fall_notices(measure_fall(self.frames, self.measured)),
         )
 
@@ -112,13 +125,13 @@ def analyze(
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         tracking = track_scene(scene, progress, watch, quality)
-        fit = _fit(tracking.straight, tracking.measured, scene, progress, watch)
+        fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = _write_model(folder, fit, tracking.frames)
         record = Record(
             title=scene.path.resolve().parent.name,
-            die=scene.die,
+            die=tracking.die,
             track=tracking.smoothed,
             measured=tracking.measured,
             fps=_rate_hz(tracking.frames),
@@ -168,7 +181,7 @@ def fit_track(
     inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
-        fit = _fit(frames, measured, scene, progress, watch)
+        fit = _fit(frames, measured, scene.die, progress, watch)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = _write_model(folder, fit, frames)
@@ -219,14 +232,16 @@ def track_scene(
     try:
         with watch.stage("track"):
             progress("Following the die", 0, len(clips[0]))
-            frames = _follow(scene, clips, backgrounds, quality, progress)
-        straight, measured, smoothed = _bounces(frames, scene.path, scene.die, views[0].camera, progress, watch)
+            followed = _follow(scene, clips, backgrounds, quality, progress)
+        faces = read_faces(scene.die, followed.marks)
+        die, frames = with_numbers(scene.die, faces), followed.track
+        straight, measured, smoothed = _bounces(frames, scene.path, die, views[0].camera, progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(tuple(clips), frames, straight, measured, smoothed)
+    return Tracking(tuple(clips), die, faces, frames, straight, measured, smoothed)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -256,6 +271,7 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     write_track(folder / "track.csv", tracking.smoothed)
     write_track(folder / "track_frames.csv", tracking.straight)
     write_bounces(folder / "bounces.csv", tracking.measured.impacts)
+    write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
 
 
 def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
@@ -273,9 +289,9 @@ def _follow(
     backgrounds: Sequence[NDArray[np.float32] | None],
     quality: Quality,
     progress: Progress,
-) -> Track:
+) -> Followed:
     try:
-        return follow(
+        return look_through(
             clips,
             [view.camera for view in scene.views()],
             scene.die,
@@ -320,10 +336,10 @@ def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
         )
 
 
-def _fit(frames: Track, measured: Throw, scene: Scene, progress: Progress, watch: Stopwatch) -> Fit:
+def _fit(frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch) -> Fit:
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames_in_flight(frames, measured), measured, scene.die)
+        return fit_throw(frames_in_flight(frames, measured), measured, die)
 
 
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:

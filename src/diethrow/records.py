@@ -6,8 +6,9 @@ is an empty cell in a table, `null` in JSON and NaN in an array.
 | file | holds |
 | --- | --- |
 | `vertices.csv` | the body frame: one corner of the sharp polyhedron a row |
+| `faces.csv` | one face a row: the index that the other tables use, the number printed on it (empty where it was not read), its corners |
 | `track.csv`, `track_covariance.npy` | the poses, smoothed within each flight |
-| `track_frames.csv`, `track_frames_covariance.npy` | the poses of each frame alone: independent errors, for a fit |
+| `track_frames.csv`, `track_frames_covariance.npy` | the poses of each frame alone, without the error that they all share: for a fit |
 | `bounces.csv` | one impact a row |
 | `fit.json` | parameters, initial conditions, effects, messages |
 | `simulated.csv` | the model's poses, columns as `track.csv` without `status` |
@@ -33,6 +34,7 @@ from .tracking.track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
 
+FACE_COLUMNS = ("face", "number", "vertices")
 POSE_COLUMNS = ("frame", "t_s", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz")
 SIGMA_COLUMNS = ("sigma_x_m", "sigma_y_m", "sigma_z_m", "sigma_rx_rad", "sigma_ry_rad", "sigma_rz_rad")
 SIMULATED_COLUMNS = (*POSE_COLUMNS, *SIGMA_COLUMNS)
@@ -67,6 +69,14 @@ LONGEST_CELL = 1000
 def write_vertices(path: Path, solid: Solid) -> None:
     """The corners of the sharp polyhedron, body frame [m]."""
     _write_table(path, VERTEX_COLUMNS, ((k, *row) for k, row in enumerate(solid.vertices.tolist())))
+
+
+def write_faces(path: Path, solid: Solid, numbers: Sequence[int | None]) -> None:
+    """The faces, by the indices that the other tables use: what number each carries, and its corners."""
+    rows = (
+        (k, number, " ".join(map(str, face))) for k, (number, face) in enumerate(zip(numbers, solid.faces, strict=True))
+    )
+    _write_table(path, FACE_COLUMNS, rows)
 
 
 def read_vertices(path: Path) -> Array:

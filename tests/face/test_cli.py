@@ -233,7 +233,7 @@ def test_ctrl_c_ends_with_status_130(
             raise SystemError("returned a result with an exception set") from inner
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diethrow.analyze.follow", stopped)
+    monkeypatch.setattr("diethrow.analyze.look_through", stopped)
     before = sorted(tmp_path.rglob("*"))
     status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert (status, said) == (130, "diethrow: stopped; no output was left behind\n")
