@@ -493,7 +493,7 @@ def _marked(
     pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), by_edges, start)
     # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
     part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
-    lean = np.linalg.lstsq(pose.information, part, rcond=None)[0]
+    lean = np.asarray(np.linalg.lstsq(pose.information, part, rcond=None)[0], np.float64)
     return replace(pose, contour_lean=lean), shared_covariance(marks, adjusted.flight_at(time_s), time_s)
 
 

@@ -6,9 +6,9 @@ is an empty cell in a table, `null` in JSON and NaN in an array.
 | file | holds |
 | --- | --- |
 | `vertices.csv` | the body frame: one corner of the sharp polyhedron a row |
-| `faces.csv` | one face a row: the index that the other tables use, the number printed on it (empty where it was not read), its corners |
+| `faces.csv` | one face a row: its index, the number printed on it (empty where not read), its corners |
 | `track.csv`, `track_covariance.npy` | the poses, smoothed within each flight |
-| `track_frames.csv`, `track_frames_covariance.npy` | the poses of each frame alone, without the error that they all share: for a fit |
+| `track_frames.csv`, `track_frames_covariance.npy` | the poses of each frame alone, less what all err alike: for a fit |
 | `bounces.csv` | one impact a row |
 | `fit.json` | parameters, initial conditions, effects, messages |
 | `simulated.csv` | the model's poses, columns as `track.csv` without `status` |
