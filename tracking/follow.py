@@ -30,6 +30,7 @@ from .camera import Camera
 from .chase import Chase, Seen
 from .clip import Clip
 from .edges import settle
+from .flights import transition
 from .hints import HandStart, excluded_rows
 from .marks import edge_information, frames_to_learn_from, learn_marks, refine_by_marks, shared_covariance
 from .marks_textures import Marks
@@ -74,6 +75,13 @@ LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
+CHI2_MEDIAN = 5.348
+"""Median of chi-square with six degrees of freedom."""
+CONTRADICTED = 30.0
+"""Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
+WORTHWHILE = 8.0
+"""Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
+faces do, where they were learned matters more than what they add."""
 THREADS = 2
 """Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
@@ -147,7 +155,10 @@ def look_through(
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
     if quality.second_pass:
-        view = with_reflections(view)
+        if die.corner_radius_m == 0.0:
+            # Bevels in a mirror are lit from below and seen at a glance: a reflection of rounded edges turned the poses by
+            # a tenth of a degree, and helps those of sharp ones.
+            view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         seen = _second_pass(view, reel, seen, throw, unused, report)
@@ -451,9 +462,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
         found = measure(track, view.die, view.camera)
     except NoFlightError:
         return seen, None, None
-    # The poses of the edges without what they all err alike, as sure as they scatter.
-    covariance = calibrated(track, view.die, view.camera).covariance
-    edges = replace(found.frames, covariance=covariance)
+    edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
     track, throw = frames_in_flight(edges, found.throw), flown(found.throw)
     rows = frames_to_learn_from(track, throw)
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)
@@ -462,6 +471,8 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     if marks is None:
         return seen, None, None
     adjusted = Throw(marks.flights, throw.impacts)
+    if _contradiction(throw, adjusted) > CONTRADICTED or _gain(throw, adjusted) < WORTHWHILE:
+        return seen, marks, None
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
     with ThreadPoolExecutor(THREADS) as pool:
@@ -477,6 +488,48 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
                 out.H[k, :6, :6] = pose.information
             report.at_least(2 * len(reel) + first + len(frames))
     return out, marks, shared
+
+
+def _contradiction(by_edges: Throw, by_marks: Throw) -> float:
+    """Median squared distance of the flights by edges and by marks half-way through each, in the sigmas of both.
+
+    Two ways to see one motion must agree. Where they do not, the marks were learned in the wrong places: many small faces,
+    each seen for a short time, can shift against each other without the pictures telling.
+    """
+    squared = []
+    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+        if ours.covariance is None or theirs.covariance is None or not np.isfinite(ours.end_s):
+            continue
+        t = 0.5 * (ours.start.time_s + ours.end_s)
+        a, b = ours.at(t), theirs.at(t)
+        miss = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
+        M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
+        C = M @ ours.covariance @ M.T + N @ theirs.covariance @ N.T
+        squared.append(float(miss @ np.linalg.solve(C, miss)))
+    return float(np.median(squared)) if squared else 0.0
+
+
+def _gain(by_edges: Throw, by_marks: Throw) -> float:
+    """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
+    the determinants of the covariances."""
+    gains = []
+    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+        if ours.covariance is not None and theirs.covariance is not None and np.isfinite(ours.end_s):
+            t = 0.5 * (ours.start.time_s + ours.end_s)
+            M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
+            edges, marks = M @ ours.covariance @ M.T, N @ theirs.covariance @ N.T
+            gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))
+    return float(np.median(gains)) if gains else -np.inf
+
+
+def _as_sure_as_they_scatter(track: Track, throw: Throw) -> Track:
+    """The track with its covariances scaled, by one number, to how far single poses usually lie from their flights. What
+    neighbouring frames err alike is left out: the marks estimate for themselves what the edges err in common."""
+    use = np.flatnonzero(track.tracked & (track.time_s <= throw.flights[-1].end_s))
+    p, q = throw.poses(track.time_s[use])
+    miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
+    squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
+    return replace(track, covariance=track.covariance * max(1.0, float(np.median(squared)) / CHI2_MEDIAN))
 
 
 def _marked(
