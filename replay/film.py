@@ -51,7 +51,7 @@ SHADE_SAMPLES, SHADE_BLUR_PX = 4, 1.5
 """Light paths for each pixel that is only shaded, and the blur of the shade: lamps of finite size cast no sharper one."""
 WINDOW_STEP_PX = 32
 """Windows come in multiples of this: Mitsuba's compiled variants spend 0.3 s on every size that is new to them."""
-BRIGHTEST_SHADE = 1.5
+BRIGHTEST_SHADE = 1.15
 """A die lights the table up by less than this; what is brighter is a single unlikely path."""
 
 
