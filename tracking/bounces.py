@@ -42,7 +42,10 @@ class Measured:
 
     throw: Throw
     frames: Track
-    """The single frames with the error that they share taken out: what a model is fitted to."""
+    """The single frames with the error that they share taken out."""
+    independent: Track
+    """The same with covariances as wide as a fit needs that takes the frames for independent of each other: a mean over a
+    flight is then as sure as it is. What a model is fitted to."""
     joined: Joined
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
@@ -90,7 +93,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
-    return Measured(Throw(flights, impacts), straight, joined, use[:flying], floor)
+    throw = Throw(flights, impacts)
+    return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor)
 
 
 def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
@@ -104,6 +108,20 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
     root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor
+    return replace(track, covariance=covariance)
+
+
+def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Track:
+    """The track with slow errors counted as they count in a mean over many frames, and with those that all frames of a
+    flight share multiplied by the number of its frames."""
+    use = np.flatnonzero(track.tracked)
+    root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
+    spacing_s = float(np.median(np.diff(track.time_s[use])))
+    flight = np.array([throw.flight_at(float(t)) for t in track.time_s[use]])
+    count = np.bincount(flight)[flight]
+    covariance = track.covariance.copy()
+    slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
+    covariance[use] = slow + count[:, None, None] * floor
     return replace(track, covariance=covariance)
 
 

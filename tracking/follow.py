@@ -165,6 +165,7 @@ def look_through(
     marks, shared = None, None
     if with_marks:
         seen, marks, shared = _third_pass(view, reel, seen, report)
+        report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
     return Followed(calibrated(track, die, view.camera), marks)
 

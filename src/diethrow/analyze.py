@@ -68,7 +68,7 @@ class Tracking:
     frames: Track
     """The pose of each frame alone."""
     straight: Track
-    """The same with the error that all frames share taken out."""
+    """The same with the error that all frames share taken out, and covariances for a fit that takes them for independent."""
     measured: Throw
     smoothed: Track
     """The same frames, with the exact motion of the flights where it holds."""
@@ -318,7 +318,7 @@ def _bounces(
             found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return found.frames, flown(found.throw), smooth(frames, found.throw)
+        return found.independent, flown(found.throw), smooth(frames, found.throw)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:

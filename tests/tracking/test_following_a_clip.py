@@ -85,8 +85,9 @@ def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
     assert across_m.max() < 5e-5
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
     # The median of chi-square with six numbers is 5.35; over 64 frames it scatters by 0.5, and the shadow of this die
-    # and the rounding to whole grey levels are not in the model.
-    assert 3.0 < np.median(nees) < 9.0
+    # and the rounding to whole grey levels are not in the model. Below it: what all frames of a clip could err alike is
+    # part of every covariance, and this clip's contour is where the model has it.
+    assert 1.5 < np.median(nees) < 9.0
 
 
 def test_twelve_bits_tell_the_same_story_as_eight() -> None:

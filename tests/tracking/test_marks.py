@@ -14,9 +14,16 @@ from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.tracking.marks import frames_to_learn_from, refine_by_marks, shared_covariance
 from diethrow.tracking.marks_textures import undistorted_rays
-from diethrow.tracking.pose import Pose
+from diethrow.tracking.pose import Pose, pose_from
 
 Array = NDArray[np.float64]
+
+
+def pose_by_edges(position_m: Array, rotation: Array, covariance: Array) -> Pose:
+    """A pose as the refinement on edges leaves it; of the equations behind it only the information counts here."""
+    equations = np.zeros((8, 8))
+    equations[:6, :6] = np.linalg.inv(covariance)
+    return pose_from(position_m, rotation, equations, np.zeros(8), 0.0, VIEW.lens)
 
 
 def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
@@ -24,10 +31,7 @@ def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
     marks, track = learned_marks()
     errors, squares = [], []
     for k in which:
-        edges = Pose(
-            track.position_m[k], matrix_from_quat(track.quaternion[k]),
-            np.linalg.inv(track.covariance[k]), 0.0, 1.0, 100.0, 0.0,
-        )  # fmt: skip
+        edges = pose_by_edges(track.position_m[k], matrix_from_quat(track.quaternion[k]), track.covariance[k])
         pose = refine_by_marks(VIEW, marks, film[k], edges, marks.flights[0].at(k / FPS))
         true = tossed().at(k / FPS)
         turned = rotation_between(quat_from_matrix(pose.rotation), true.quaternion)
@@ -111,9 +115,7 @@ def test_plain_faces_teach_nothing() -> None:
 
 def test_without_a_marked_face_in_view_the_edges_stand_with_wider_sigmas() -> None:
     marks, track = learned_marks()
-    pose = Pose(
-        track.position_m[5], tossed().at(5 / FPS).rotation, np.linalg.inv(track.covariance[5]), 0.0, 1.0, 9.0, 0.0
-    )
+    pose = pose_by_edges(track.position_m[5], tossed().at(5 / FPS).rotation, track.covariance[5])
     back = refine_by_marks(VIEW, replace(marks, noise_grey=np.zeros(6)), marked_film()[5], pose)
     assert back.position_m == pytest.approx(pose.position_m)
     assert (
