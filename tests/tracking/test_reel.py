@@ -1,0 +1,88 @@
+"""Laws of the reel: every frame of every camera, once, in order, whatever the way it is asked for."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from replay_records import ArrayClip
+
+from diethrow.tracking.footage import Frame
+from diethrow.tracking.reel import Reel
+
+COUNT = 150
+
+
+def clip_of(seed: int, count: int = COUNT, shape: tuple[int, int] = (12, 16)) -> ArrayClip:
+    frames = np.random.default_rng(seed).integers(0, 256, (count, *shape), dtype=np.uint8)
+    return ArrayClip(frames, np.arange(count) / 1000.0, 8)
+
+
+class Broken(ArrayClip):
+    """A clip whose file ends early."""
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        for k, frame in enumerate(super().frames(start, stop), start):
+            if k == 100:
+                raise OSError("the file ends at frame 100")
+            yield frame
+
+
+def readers_alive() -> int:
+    return sum(thread.name.startswith("Thread-") and thread.is_alive() for thread in threading.enumerate())
+
+
+def test_blocks_hold_every_frame_once_and_in_order() -> None:
+    clip = clip_of(1)
+    blocks = list(Reel([clip]).blocks())
+    assert len(blocks) > 1
+    np.testing.assert_array_equal([first for first, _ in blocks], np.cumsum([0, *(len(f) for _, f in blocks[:-1])]))
+    np.testing.assert_array_equal(np.concatenate([f for _, f in blocks])[:, 0], np.array(list(clip.frames())))
+
+
+def test_backwards_the_last_block_comes_first() -> None:
+    reel = Reel([clip_of(2)])
+    back = list(reel.blocks_backwards(100))
+    assert back[0][0] + len(back[0][1]) == 100
+    forwards = np.concatenate([f for _, f in reel.blocks(0, 100)])
+    np.testing.assert_array_equal(np.concatenate([f for _, f in back[::-1]]), forwards)
+
+
+def test_single_frames_may_be_asked_for_in_any_order() -> None:
+    clip = clip_of(3)
+    reel, wanted = Reel([clip]), np.array(list(clip.frames()))
+    for k in np.random.default_rng(4).integers(0, COUNT, 60):
+        np.testing.assert_array_equal(reel.frame(int(k))[0], wanted[k])
+
+
+def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
+    large, small = clip_of(5), clip_of(6, shape=(8, 10))
+    _, frames = next(iter(Reel([large, small]).blocks()))
+    assert frames.shape[1:] == (2, 12, 16)
+    np.testing.assert_array_equal(frames[7, 1, :8, :10], small.frame(7))
+    assert not frames[7, 1, 8:].any()
+
+
+def test_clips_of_different_lengths_are_refused() -> None:
+    with pytest.raises(ValueError, match="150, 149 frames: synchronised clips have as many"):
+        Reel([clip_of(1), clip_of(1, COUNT - 1)])
+
+
+def test_what_breaks_while_reading_ahead_reaches_whoever_reads() -> None:
+    whole = clip_of(7)
+    broken = Broken(np.array(list(whole.frames())), whole.times_s, 8)
+    blocks = Reel([broken]).blocks()
+    first, frames = next(blocks)
+    assert first + len(frames) <= 100
+    with pytest.raises(OSError, match="ends at frame 100"):
+        list(blocks)
+
+
+def test_a_reader_that_is_left_stops() -> None:
+    before = readers_alive()
+    blocks = Reel([clip_of(8, 2000)]).blocks()
+    next(blocks)
+    blocks.close()  # type: ignore[attr-defined]
+    assert readers_alive() == before

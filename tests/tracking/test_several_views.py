@@ -1,0 +1,123 @@
+"""Laws of several views of one die: more cameras and a mirror tell more, and say how much more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, Studio, film, photograph, studio
+from numpy.typing import NDArray
+from random_throws import random_quaternion
+
+from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
+from diethrow.tracking.camera import Camera
+from diethrow.tracking.follow import follow
+from diethrow.tracking.pose import MIRRORED, Pose, View, make_view, refine_pose, stacked, with_reflections
+from diethrow.tracking.quality import FAST, STANDARD
+
+Array = NDArray[np.float64]
+Image = NDArray[np.float32]
+
+CUBE = DICE["cube"]
+ROOM = replace(studio(), noise_grey=3.0)
+CASES = 24
+
+
+def from_the_side(room: Studio) -> Studio:
+    """The same table seen after a quarter turn of the camera about the vertical."""
+    turn = matrix_from_quat(quat_from_rotvec(np.array([0.0, 0.0, np.pi / 2])))
+    camera = room.camera
+    return replace(room, camera=replace(camera, rotation=camera.rotation @ turn))
+
+
+def in_a_mirror(room: Studio, state: State, rng: np.random.Generator) -> Image:
+    """A frame on a table that reflects: the mirrored die drawn first, the die over it, and the noise last."""
+    mirrored = replace(room.camera, rotation=room.camera.rotation @ MIRRORED)
+    below = photograph(replace(room, camera=mirrored, noise_grey=0.0), CUBE, state)
+    picture = photograph(replace(room, table=below, noise_grey=0.0), CUBE, state)
+    return np.asarray(picture + rng.normal(scale=room.noise_grey, size=picture.shape), np.float32)
+
+
+def state_at(rng: np.random.Generator, height_m: float) -> State:
+    return State(0.0, np.array([0.0, 0.0, height_m]), random_quaternion(rng), np.zeros(3), np.zeros(3))
+
+
+def found(view: View, image: Image, state: State) -> Pose:
+    start = matrix_from_quat(quat_from_rotvec([0.02, -0.02, 0.02])) @ state.rotation
+    return refine_pose(view, image, state.position_m + np.array([4e-4, -4e-4, 8e-4]), start, coarse=3)
+
+
+def judged(view: View, states: list[State], images: list[Image]) -> tuple[Array, Array]:
+    """NEES, and the sigma of the position in its least known direction [m], of frames with a covariance."""
+    nees, worst = [], []
+    for state, image in zip(states, images, strict=True):
+        pose = found(view, image, state)
+        covariance = pose.covariance
+        if covariance is None:
+            continue
+        turned = rotvec_from_quat(quat_from_matrix(state.rotation @ pose.rotation.T))
+        errors = np.concatenate([state.position_m - pose.position_m, turned])
+        nees.append(errors @ np.linalg.solve(covariance, errors))
+        worst.append(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
+    return np.array(nees), np.array(worst)
+
+
+def view_of(cameras: list[Camera], tables: list[Image], *, mirror: bool = False) -> View:
+    return make_view(cameras, CUBE, tables, ROOM.noise_grey, None, ROOM.blur_px, mirror=mirror)
+
+
+def test_a_second_camera_gives_the_depth_that_the_first_lacks() -> None:
+    rng, side = np.random.default_rng(1), from_the_side(ROOM)
+    states = [state_at(rng, 0.018) for _ in range(CASES)]
+    images = [[photograph(room, CUBE, state, rng) for room in (ROOM, side)] for state in states]
+    alone = judged(view_of([ROOM.camera], [ROOM.table]), states, [pair[0] for pair in images])
+    both = view_of([ROOM.camera, side.camera], [ROOM.table, side.table])
+    together = judged(both, states, [stacked(pair) for pair in images])
+    # Depth is ten to thirty times worse known than what lies across the picture; the other camera sees it from the side.
+    assert np.median(together[1]) < 0.2 * np.median(alone[1])
+    # The median of chi-square with six numbers is 5.35, and scatters by 0.8 over 24 frames.
+    assert 3.0 < np.median(together[0]) < 8.5
+
+
+def test_a_reflection_is_a_second_view_and_does_not_disturb_the_first() -> None:
+    rng = np.random.default_rng(2)
+    states = [state_at(rng, 0.022) for _ in range(CASES)]
+    images = [in_a_mirror(ROOM, state, rng) for state in states]
+    watched = view_of([ROOM.camera], [ROOM.table], mirror=True)
+    alone, together = judged(watched, states, images), judged(with_reflections(watched), states, images)
+    assert 3.0 < np.median(alone[0]) < 8.5
+    assert 3.0 < np.median(together[0]) < 8.5
+    # The mirrored camera looks up from below at 70 degrees to the other.
+    assert np.median(together[1]) < 0.4 * np.median(alone[1])
+
+
+@pytest.fixture(scope="module")
+def crossing() -> Throw:
+    """A cube that crosses the pictures of both cameras and touches nothing."""
+    start = State(0.0, np.array([0.0, 0.0, 0.012]), random_quaternion(np.random.default_rng(5)),
+                  np.array([0.1, 0.1, 0.25]), np.array([9.0, 25.0, 3.0]))  # fmt: skip
+    return Throw((Flight(start, 40 / 1500.0),), ())
+
+
+def test_two_synchronised_clips_make_one_track(crossing: Throw) -> None:
+    room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
+    clips = [film(r, CUBE, crossing, 40, seed=k) for k, r in enumerate((room, side))]
+    track = follow(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
+    assert track.tracked.all()
+    off = np.linalg.norm(track.position_m - crossing.poses(track.time_s)[0], axis=1)
+    # Across each picture a frame is good to 3 µm, and one camera's depth is the other's across.
+    assert np.median(off) < 2e-5
+
+
+def test_a_fast_track_is_a_rougher_one_of_the_same_throw(crossing: Throw) -> None:
+    clip = film(replace(ROOM, noise_grey=2.0), CUBE, crossing, 40, seed=3)
+    fast, standard = (
+        follow(clip, ROOM.camera, CUBE, background=ROOM.table, quality=quality) for quality in (FAST, STANDARD)
+    )
+    across = ROOM.camera.rotation[:2]
+    for track, allowed_m in ((fast, 2e-5), (standard, 1e-5)):
+        assert track.tracked.all()
+        off = (track.position_m - crossing.poses(track.time_s)[0]) @ across.T
+        assert np.median(np.linalg.norm(off, axis=1)) < allowed_m
