@@ -125,6 +125,7 @@ CASES = {
         21,
         "pips",
         chi=0.3,
+        mu=0.3,
         frames=360,
         height_m=0.03,
         note="chatters, rolls over edges and comes to rest",
@@ -154,9 +155,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 as_photron(folder, shot)
         print(f"{name}: {shot.frames} frames, {len(shot.throw.bounces)} bounces", flush=True)
     lines = [f"{name}: {case.note}" for name, case in CASES.items() if (chosen.out / name).exists()]
-    (chosen.out / "README.txt").write_text(
-        "Rendered clips with their truth (benchmarks/make_clips.py).\n\n" + "\n".join(lines) + "\n"
-    )
+    head = "Rendered clips with their truth (benchmarks/make_clips.py). Where there is friction: Newton's restitution."
+    (chosen.out / "README.txt").write_text("\n".join([head, "", *lines, ""]))
     return 0
 
 

@@ -337,8 +337,8 @@ def efficiency_row(name: str, die: Die, quality: str, draws: int) -> list[str]:
     room = Studio(room.camera, room.table, noise_grey=NOISE_GREY)
     rng = np.random.default_rng(1)
     ratios, spreads = [], []
-    for _ in range(POSES):
-        state = random_state(rng)
+    for pose in range(POSES):
+        state = random_state(np.random.default_rng([2, pose]))  # the same for every die, quality and number of draws
         bound = bound_of(room, die, state)
         covariance = covariance_of(room, die, state, quality, draws, rng)
         ratios.append(np.trace(np.linalg.solve(bound, covariance)) / 6.0)
