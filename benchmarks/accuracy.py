@@ -218,7 +218,7 @@ def pose_rows(track: Track, truth: Truth, true_row: NDArray[np.int64], turn: Arr
     rows = true_row[both]
     moved = truth.position_m[rows] - track.position_m[both]
     turned = turn_errors(matrix_from_quat(track.quaternion[both]) @ turn, truth.rotation[rows])
-    in_camera = moved @ scene.only_view().camera.rotation.T
+    in_camera = moved @ scene.views()[0].camera.rotation.T
     across, along = np.linalg.norm(in_camera[:, :2], axis=1), np.abs(in_camera[:, 2])
     angle_deg = np.degrees(np.linalg.norm(turned, axis=1))
     errors = np.concatenate([moved, turned], 1)

@@ -27,7 +27,6 @@ the noise have the covariance C; printed is sqrt(tr(B⁻¹C)/6), 1 for an effici
 from __future__ import annotations
 
 import argparse
-import inspect
 import multiprocessing
 import resource
 import sys
@@ -35,7 +34,6 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -58,7 +56,7 @@ from accuracy import (
 from footage_of_throws import DICE, Studio, greys, photograph, studio
 from numpy.typing import NDArray
 
-from diethrow.analyze import Tracking, open_footage, write_tracking
+from diethrow.analyze import Tracking, open_footage, track_scene, write_tracking
 from diethrow.model.motion import Impact, State
 from diethrow.model.rotations import (
     matrix_from_quat,
@@ -69,12 +67,9 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.solids import Die
 from diethrow.scene import Scene, read_scene
-from diethrow.tracking.background import load_background
-from diethrow.tracking.bounces import measure_throw
 from diethrow.tracking.clip import Clip, Frame
-from diethrow.tracking.follow import follow
 from diethrow.tracking.pose import make_view, refine_pose
-from diethrow.tracking.smooth import smooth
+from diethrow.tracking.quality import QUALITIES
 
 Array = NDArray[np.float64]
 
@@ -122,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("clips", nargs="*", type=Path, metavar="CLIP_FOLDER")
     parser.add_argument("--truth", type=Path, help="the folder of the truth, if it is not the clip's own")
-    parser.add_argument("--qualities", nargs="+", choices=qualities(), default=list(qualities()))
+    parser.add_argument("--qualities", nargs="+", choices=QUALITIES, default=list(QUALITIES))
     parser.add_argument("--picture", type=Path, help="where to draw the trade between the qualities")
     parser.add_argument("--draws", type=int, default=200, help="of the noise, against the bound; 0 for no such table")
     chosen = parser.parse_intermixed_args(arguments)
@@ -144,26 +139,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 1 if failures else 0
 
 
-def qualities() -> tuple[str, ...]:
-    """The tracker's qualities, fastest first."""
-    if find_spec("diethrow.tracking.quality") is None:
-        return ("standard",)
-    from diethrow.tracking.quality import QUALITIES
-
-    return tuple(QUALITIES)
-
-
-def tracker_options(surface: str, quality: str) -> dict[str, Any]:
-    """What the tracker is told of the table, and how fine it is to be."""
-    known = inspect.signature(follow).parameters
-    options: dict[str, Any] = {"mirror": "mirror" in surface.lower()} if "mirror" in known else {}
-    if "quality" in known:
-        from diethrow.tracking.quality import QUALITIES
-
-        options["quality"] = QUALITIES[quality]
-    return options
-
-
 # --- one clip ---------------------------------------------------------------------------------------------------------
 
 
@@ -183,7 +158,7 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     whole_s = time.perf_counter() - began
     # Before the clip is decoded into memory, which no tracking does.
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    view = scene.only_view()
+    view = scene.views()[0]
     clip = open_footage(scene, view)
     decoded = DecodedClip(np.stack(list(clip.frames())), np.asarray(clip.times_s), clip.bit_depth, clip.first_frame)
     began, used = time.perf_counter(), time.process_time()
@@ -196,14 +171,7 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
 
 def tracked(scene: Scene, quality: str, clip: Clip | None) -> Tracking:
     """The whole of tracking, from the scene's file or from decoded frames."""
-    view = scene.only_view()
-    clip = clip or open_footage(scene, view)
-    background = load_background(view.background_path, clip) if view.background_path else None
-    options = tracker_options(scene.table.surface, quality)
-    exposure_s = scene.clip.exposure_s
-    frames = follow(clip, view.camera, scene.die, background=background, exposure_s=exposure_s, **options)
-    throw = measure_throw(frames, scene.die)
-    return Tracking(clip, frames, throw, smooth(frames, throw))
+    return track_scene(scene, quality=QUALITIES[quality], clips=None if clip is None else [clip])
 
 
 def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
@@ -214,7 +182,7 @@ def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
     both = truth.visible[row] & track.tracked
     moved = truth.position_m[row[both]] - track.position_m[both]
     turned = turn_errors(matrix_from_quat(track.quaternion[both]) @ turn, truth.rotation[row[both]])
-    in_camera = moved @ scene.only_view().camera.rotation.T
+    in_camera = moved @ scene.views()[0].camera.rotation.T
     across, along = np.linalg.norm(in_camera[:, :2], axis=1), np.abs(in_camera[:, 2])
     angle = np.degrees(np.linalg.norm(turned, axis=1))
     nees = squared_sigmas(np.concatenate([moved, turned], 1), track.covariance[both])
@@ -291,7 +259,7 @@ def draw_trade(path: Path, results: Sequence[dict[str, Any]]) -> None:
     figure = Figure(figsize=(7.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
-    markers = dict(zip(qualities(), "o^s", strict=False))
+    markers = dict(zip(QUALITIES, "o^s", strict=False))
     for k, clip in enumerate(dict.fromkeys(r["clip"] for r in results)):
         mine = [r for r in results if r["clip"] == clip]
         x, y = [r["decoded"][0] for r in mine], [r["rotation"][0] for r in mine]
@@ -384,7 +352,7 @@ def shifted(state: State, step: Array) -> State:
 
 def covariance_of(room: Studio, die: Die, state: State, quality: str, draws: int, rng: np.random.Generator) -> Array:
     """(6, 6) of the tracker's errors about their mean, over draws of the noise, from starts a little off."""
-    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, **refine_options(quality))
+    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, quality=QUALITIES[quality])
     plain = photograph(room, die, state)
     found = np.empty((draws, 6))
     for k in range(draws):
@@ -394,15 +362,6 @@ def covariance_of(room: Studio, die: Die, state: State, quality: str, draws: int
         turn = rotation_between(state.quaternion, quat_from_matrix(pose.rotation))
         found[k] = np.concatenate([pose.position_m - state.position_m, turn])
     return np.asarray(np.cov(found.T))
-
-
-def refine_options(quality: str) -> dict[str, Any]:
-    """What a view is told beyond the scene."""
-    return (
-        {"quality": tracker_options("", quality)["quality"]}
-        if "quality" in inspect.signature(make_view).parameters
-        else {}
-    )
 
 
 def components(room: Studio, covariance: Array) -> tuple[float, float, float]:

@@ -218,16 +218,21 @@ def check_scene(scene: Scene) -> None:
 
 
 def track_scene(
-    scene: Scene, progress: Progress = silent, watch: Stopwatch | None = None, quality: Quality = STANDARD
+    scene: Scene,
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+    quality: Quality = STANDARD,
+    clips: Sequence[Clip] | None = None,
 ) -> Tracking:
     """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
 
-    Raises SceneError for footage that does not fit the scene, RunError where no die is found.
+    `clips`, one a camera, stand for the footage that the scene names. Raises SceneError for footage that does not fit the
+    scene, RunError where no die is found.
     """
     watch = watch or Stopwatch()
     views = scene.views()
     with watch.stage("open"):
-        clips = [open_footage(scene, view) for view in views]
+        clips = [open_footage(scene, view) for view in views] if clips is None else clips
         backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
     try:
         with watch.stage("track"):

@@ -30,7 +30,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("name", SAMPLES)
 def test_the_film_changes_where_the_truth_projects_the_die(name: str) -> None:
     scene = read_scene(ROOT / "data_samples" / name / "scene.toml")
-    clip = open_footage(scene, scene.only_view())
+    clip = open_footage(scene, scene.views()[0])
     background = load_background(ROOT / "data_samples" / name / "background.png", clip)
     truth = columns(ROOT / "tests" / "data" / name / "truth.csv")
     assert len(clip) == len(truth["frame"])
