@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..model.motion import Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ..model.solids import Die
-from .edges import Desk, chase, coast, correct, new_desk
+from .edges import DEARER, Desk, chase, coast, correct, new_desk
 from .pose import Pose, View, labelled_like, refine_pose, share_in_view
 from .start import find_start
 
@@ -35,6 +35,10 @@ BELIEVED = 2.5
 """By how much a pose may cost more than usual and still be believed where nothing explains the picture better."""
 PLAINLY = 0.05
 """A rival that costs no more than this above the usual ends the search for a better one."""
+PLAIN_SUPPORT = 0.8
+"""Share of the contour with a clear step that shows a die beyond doubt: a rod before it takes more away."""
+BOUNCE_REACH = 0.35
+"""Height of the lowest corner, in units of the die's reach, below which a bounce may have come between two frames."""
 SEARCH_EVERY = 6
 """Frames without a pose until a fresh start is looked for."""
 
@@ -172,7 +176,7 @@ class Chase:
             self.misses += 1
             return None
         best = self._best(image, expected, time_s, P)
-        if best is None or not self._believable(best[0]):
+        if best is None or not self._believable(best[0]) or not self._explained(best[0], expected, P):
             self.misses += 1
             if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
                 return None
@@ -212,6 +216,22 @@ class Chase:
         sure = covariance is not None and float(np.sqrt(np.trace(covariance[3:, 3:]))) < np.radians(6.0)
         return sure and pose.support > (0.45 if whole else 0.6) and pose.cost < float(self.clock[1]) + BELIEVED
 
+    def _explained(self, pose: Pose, expected: State, P: Array) -> bool:
+        """Whether something explains where the pose lies: the motion so far, a table near enough to bounce off, or a picture
+        that shows the die there beyond doubt. A die half hidden shows poses that are none of these."""
+        reach = self.view.reach_m
+        off = float(np.linalg.norm(pose.position_m - expected.position_m))
+        turned = float(np.arccos(np.clip(0.5 * (np.trace(pose.rotation @ expected.rotation.T) - 1.0), -1.0, 1.0)))
+        far_m = max(NEW_REACH * reach, 3.0 * float(np.sqrt(np.diag(P)[:3].max())))
+        far_rad = max(NEW_RAD, 3.0 * float(np.sqrt(np.diag(P)[3:6].max())))
+        if off < far_m and turned < far_rad:
+            return True
+        lowest = float((expected.rotation @ self.view.die.solid.vertices.T)[2].min() + expected.position_m[2])
+        whole = pose.support > PLAIN_SUPPORT
+        if lowest < BOUNCE_REACH * reach:
+            return whole or pose.cost < float(self.clock[1]) + PLAINLY
+        return whole and pose.cost < float(self.clock[1]) + DEARER
+
     def _rivals(self, expected: State, time_s: float) -> Iterator[tuple[State, int]]:
         """Other starts: bounces on the low corners, the last pose, and turns about it."""
         last = _state(float(self.clock[0]), self.motion, self.rotation)
@@ -226,7 +246,11 @@ class Chase:
 
     def _found_again(self, image: NDArray[np.float32], time_s: float, R: Array, frame_s: float) -> Pose | None:
         """A fresh start after frames without a pose."""
-        found = [pose for _, pose in find_start(self.view, image) if self._believable(pose)]
+        found = [
+            pose
+            for _, pose in find_start(self.view, image)
+            if self._believable(pose) and pose.support > PLAIN_SUPPORT and pose.cost < float(self.clock[1]) + DEARER
+        ]
         if not found:
             return None
         pose = replace(found[0], rotation=labelled_like(self.view, found[0].rotation, R))
