@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from pathlib import Path
 
 import cv2
@@ -105,4 +106,9 @@ def test_a_film_serves_as_a_picture_by_its_first_frame(pictures: list[Path], tmp
     film = write_cine(tmp_path / "table.cine", np.stack([board, 0 * board]), stored_bits=8)
     assert invoke(*pictures[:-1], "--table", film, *OPTIONS, "--out", tmp_path / "film")[0] == 0
     assert invoke(*pictures[:-1], "--table", pictures[-1], *OPTIONS, "--out", tmp_path / "picture")[0] == 0
-    assert (tmp_path / "film" / "camera.toml").read_text() == (tmp_path / "picture" / "camera.toml").read_text()
+    from_film, from_picture = (
+        tomllib.loads((tmp_path / name / "camera.toml").read_text())["camera"] for name in ("film", "picture")
+    )
+    # The optimiser's threads add up in any order: from run to run it ends within 1e-10 of the same place.
+    for key in ("matrix", "distortion", "rotation", "translation_m"):
+        np.testing.assert_allclose(from_film[key], from_picture[key], rtol=1e-6, atol=1e-8)
