@@ -5,8 +5,8 @@ T upper triangular and Tᵀ T the information of an earlier fit, the steps are t
 are alike, by Levenberg and Marquardt's method (Nocedal & Wright, Numerical Optimization, 2006, Sec. 10.3): the damping
 is zero until a step fails. J T⁻¹ is reduced to a triangle by reflections, never squared.
 
-Bounds hold for single x. A step that would cross some of them is solved again with those unknowns put on their bounds.
-The descent ends when a step promises to lower the cost by less than `ENOUGH`, a ten-thousandth of a sigma.
+Bounds hold for single x. A step that would cross one is solved again with that unknown put on its bound, and so on.
+The descent ends when a step promises to lower the cost by less than `ENOUGH`, a three-thousandth of a sigma.
 """
 
 from __future__ import annotations
@@ -20,8 +20,11 @@ from .robust import condensed, in_units_of, solved, triangle
 
 Array = NDArray[np.float64]
 
-ENOUGH = 1e-8
+ENOUGH = 1e-7
 """Fall of the cost Σ r², in units of a residual's variance."""
+
+_CRAWL = 1e-3
+"""The same for damped steps: along a valley that curls, where the cost falls by less it is not worth the way."""
 
 _FIRST_DAMPING = 1e-2
 _MOST_DAMPING = 1e8
@@ -40,7 +43,7 @@ def descend(
     cost, damping = _cost(residuals), 0.0
     for _ in range(steps):
         step, gain = _step(residuals, jacobian, root, low - x, high - x, damping)
-        if gain < ENOUGH:
+        if 0.0 <= gain < (_CRAWL if damping > 0.0 else ENOUGH):
             break
         trial = evaluate(x + step)
         lower = _cost(trial[0])
@@ -69,11 +72,13 @@ def _step(
     while free.any():
         rest = few[:, -1] + few[:, :-1][:, ~free] @ step[~free]
         step[free] = _free_step(rest, few[:, :-1][:, free], triangle(root[:, free]), damping)
-        beyond = free & ((step < low) | (step > high))
-        if not beyond.any():
+        inside = np.clip(step, low, high)
+        beyond = np.flatnonzero(free & (step != inside))
+        if not len(beyond):
             break
-        step[beyond] = np.clip(step[beyond], low[beyond], high[beyond])
-        free &= ~beyond
+        # The bound that is crossed first on the way; with that unknown on it the others may stay inside.
+        first = beyond[np.argmin(np.abs(inside[beyond]) / np.abs(step[beyond]))]
+        step[first], free[first] = inside[first], False
     after = few[:, -1] + few[:, :-1] @ step
     return step, float(few[:, -1] @ few[:, -1] - after @ after)
 

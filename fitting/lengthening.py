@@ -32,6 +32,9 @@ _TELLING = 8
 _HOPELESS = 20.0
 """Times the allowed mean square at which a sequence is given up before all frames of a flight are in."""
 
+_OPEN = 0.03
+"""Sigma of a coefficient above which its value may still be far from the one that the next bounce asks for."""
+
 _BEAM = 3
 
 _WINDOWS = (4, 12, 40)
@@ -42,7 +45,9 @@ def through_the_bounces(beam: list[Shot], measured: Throw, free: FreeFlights) ->
     """Lengthen shots flight by flight while the model explains them: the best shots, the best first."""
     for target in range(beam[0].reached + 1, len(measured.flights)):
         few = free.sightings.count(target)
-        longer = _lengthened(beam, target, measured, free) if few >= FEWEST_FRAMES else []
+        longer: list[Shot] = []
+        if few >= FEWEST_FRAMES:
+            longer = _lengthened(beam, target, measured, free) or _lengthened(_variants(beam), target, measured, free)
         if longer:
             beam = longer
         elif few >= _TELLING:
@@ -62,15 +67,21 @@ def next_flight(free: FreeFlights, reached: int) -> int | None:
     return next((k for k in later if free.sightings.count(k) >= FEWEST_FRAMES), None)
 
 
-def best_attempt(shot: Shot, measured: Throw, free: FreeFlights) -> Shot | None:
-    """The shot nearest to the frames up to the next flight that has any, explained or not."""
+def best_attempt(shot: Shot, measured: Throw, free: FreeFlights, *, patient: bool = True) -> Shot | None:
+    """The shot nearest to the frames up to the next flight that has any, explained or not; unless `patient`, None where
+    a few of them are hopelessly far."""
     target = next_flight(free, shot.reached)
-    if target is None:
-        return None
-    impacts = measured.impacts[shot.reached : target]
-    sequences = [*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]]
-    reached = [_reach(shot, sequence, target, free, patient=True) for sequence in sequences]
-    return min((shot for shot in reached if shot is not None), key=lambda s: s.mean_square, default=None)
+    while target is not None:
+        impacts = measured.impacts[shot.reached : target]
+        sequences = [*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]]
+        tried = [_reach(shot, sequence, target, free, patient=patient) for sequence in sequences]
+        reached = [other for other in tried if other is not None]
+        if reached:
+            return min(reached, key=lambda s: s.mean_square)
+        if free.sightings.count(target) >= _TELLING:
+            return None
+        target = next_flight(free, target)  # a few frames between two impacts may all turn out to touch one
+    return None
 
 
 def loss_scale(free: FreeFlights) -> float:
@@ -94,6 +105,19 @@ def is_explained(shot: Shot, free: FreeFlights) -> bool:
 def keeps_its_sequence(shot: Shot) -> bool:
     """Whether the fitted throw, left to itself, touches with the vertices that were prescribed."""
     return own_sequence(shot.physics, shot.state, float(shot.sightings.time_s[-1])) == shot.vertices
+
+
+def _variants(beam: list[Shot]) -> list[Shot]:
+    """The best shot with other values of what its frames have left open, such as friction at a contact that stuck."""
+    shot = beam[0]
+    others = [other for effect in shot.physics.effects for other in shot.physics.with_some_of(effect)]
+    open_to = np.linalg.norm(np.linalg.inv(shot.root)[12:], axis=1)
+    left_open = {name for name, sigma in zip(shot.physics.free, open_to, strict=True) if sigma > _OPEN}
+    return [
+        replace(shot, physics=other)
+        for other in others
+        if {name for name in other.values if other.values[name] != shot.physics.values[name]} <= left_open
+    ]
 
 
 def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlights) -> list[Shot]:

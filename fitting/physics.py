@@ -57,6 +57,12 @@ _BOUNDS = {
     "length_scale": (0.8, 1.25),
 }
 
+_SOME: dict[str, tuple[dict[str, float], ...]] = {
+    "friction": ({"mu": 0.1}, {"mu": 0.4}),
+    "fading restitution": ({"chi_fade_s_per_m": 1.0},),
+}
+"""Values of an effect, from small to large among those that scenes have, from which a fit may find its way."""
+
 _SLOW_FADE_S_PER_M = 1e-6
 """Where the law needs a finite speed scale although nothing fades yet."""
 
@@ -104,6 +110,15 @@ class Physics:
     def with_effect(self, effect: str) -> Physics:
         """The same with one effect more, still at the values where it does nothing."""
         return self.with_values(**{name: self.off(name) for name in EFFECTS[effect]})
+
+    def without_effect(self, effect: str) -> Physics:
+        """The same with one effect less."""
+        return replace(self, values={n: value for n, value in self.values.items() if n not in EFFECTS[effect]})
+
+    def with_some_of(self, effect: str) -> list[Physics]:
+        """The same with a little and with much of one effect, for fits that find no way from none of it."""
+        wider = self.with_effect(effect)
+        return [wider.with_values(**values) for values in _SOME.get(effect, ())]
 
     def holding(self, name: str, value: float) -> Physics:
         """The same with one parameter held at a value."""
@@ -184,9 +199,9 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
     by_name = dict(zip(names, np.moveaxis(way.jacobian[:, :, 12:], 2, 0), strict=True))
     if "chi_fade_s_per_m" in by_name:
         # The law is written in the speed scale, the inverse of the fade.
-        by_name["chi_fade_s_per_m"] = -by_name["chi_fade_s_per_m"] / max(
-            physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M
-        ) ** 2
+        by_name["chi_fade_s_per_m"] = (
+            -by_name["chi_fade_s_per_m"] / max(physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M) ** 2
+        )
     if "clock_scale" in physics.free:
         by_name["clock_scale"] = times_s[:, None] * _rates(way.throw, clock * times_s)
     if "length_scale" in physics.free:

@@ -22,9 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
-from .lengthening import loss_scale
+from .lengthening import best_attempt, is_explained, loss_scale
 from .physics import EFFECTS, Physics, course
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
@@ -63,6 +64,11 @@ class Trial:
         return self.shot is not None and self.gain > self.price and self.foretold > 0.0
 
     @property
+    def worth(self) -> float:
+        """Gain beyond the price."""
+        return self.gain - self.price
+
+    @property
     def in_words(self) -> Effect:
         """As an entry of the result."""
         if self.pays:
@@ -81,9 +87,55 @@ class Trial:
 
 
 def try_effects(shot: Shot, free: FreeFlights) -> list[Trial]:
-    """Every effect that is not in use, tried on the frames of a shot."""
-    names = [effect for effect in candidates_for(shot.physics) if effect not in shot.physics.effects]
-    return [_try(shot, effect, len(names), free) for effect in names]
+    """Every effect that is not in use, tried on the frames that a shot explains."""
+    return [_try(shot, effect, free) for effect in unused_effects(shot.physics)]
+
+
+def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> list[Trial]:
+    """Every effect that is not in use, tried on the flight after the last that a shot explains.
+
+    The shot's own fit to those frames is too far off for derivatives to tell anything, or for a descent to lead back
+    from it; so each effect starts from where the shot was good, with little and with much of it.
+    """
+    attempt = best_attempt(shot, measured, free)
+    if attempt is None or not attempt.vertices:
+        return try_effects(shot, free) if shot.vertices else []
+    trials: list[Trial] = []
+    for effect in unused_effects(shot.physics):
+        # Once one effect explains the flight, another has to do the same, which a few frames tell.
+        explained = any(trial.shot is not None and is_explained(trial.shot, free) for trial in trials)
+        trials.append(_try_on(shot, attempt, effect, measured, free, patient=not explained))
+    return trials
+
+
+def no_longer_pays(shot: Shot, free: FreeFlights) -> str | None:
+    """An effect in use without which the shot would explain its frames as well; None if all are needed.
+
+    The first that was taken in may have stood for one that came later.
+    """
+    k2 = loss_scale(free)
+    for effect in shot.physics.effects:
+        plainer = shoot(shot.sightings, with_physics(shot, shot.physics.without_effect(effect), k2), shot.vertices, k2)
+        if not _compared(plainer, shot, effect, k2).pays:
+            return effect
+    return None
+
+
+def unused_effects(physics: Physics) -> list[str]:
+    """The effects that this die on this table could show and the model does not have."""
+    return [effect for effect in candidates_for(physics) if effect not in physics.effects]
+
+
+def _try_on(shot: Shot, attempt: Shot, effect: str, measured: Throw, free: FreeFlights, *, patient: bool) -> Trial:
+    """One effect on the frames of an attempt that failed without it."""
+    k2 = loss_scale(free)
+    starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
+    reached = [best_attempt(with_physics(shot, physics, k2), measured, free, patient=patient) for physics in starts]
+    found = [other for other in reached if other is not None and other.reached == attempt.reached]
+    if not found:
+        return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
+    fitted = min(found, key=lambda s: s.mean_square)
+    return _compared(attempt, shoot(attempt.sightings, fitted, fitted.vertices, k2), effect, k2)
 
 
 def candidates_for(physics: Physics) -> tuple[str, ...]:
@@ -100,21 +152,29 @@ def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
     )
 
 
-def _try(shot: Shot, effect: str, count: int, free: FreeFlights) -> Trial:
-    """One effect on the frames of a shot."""
+def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
+    """One effect on the frames that a shot explains."""
     k2 = loss_scale(free)
-    n = shot.residuals.size
-    price = len(EFFECTS[effect]) * (0.5 * np.log(n) + np.log(count))
     wider = with_physics(shot, shot.physics.with_effect(effect), k2)
     hoped = _foreseen_gain(wider, k2)
-    if hoped < _HOPEFUL * price:
-        return Trial(effect, None, hoped, price, 0.0)
-    fitted = shoot(shot.sightings, wider, shot.vertices, k2)
-    scale = _scale(fitted)
-    gain = 0.5 * (shot.cost(k2) - fitted.cost(k2)) / scale
+    if hoped < _HOPEFUL * _price(shot, effect):
+        return Trial(effect, None, hoped, _price(shot, effect), 0.0)
+    return _compared(shot, shoot(shot.sightings, wider, shot.vertices, k2), effect, k2)
+
+
+def _compared(shot: Shot, wider: Shot, effect: str, k2: float) -> Trial:
+    """What an effect gains on the frames that both shots are fitted to."""
+    scale = _scale(wider)
+    gain = 0.5 * (shot.cost(k2) - wider.cost(k2)) / scale
     # Blocks that either fit needs to stand at all are left out of the comparison.
-    foretold = 0.5 * float(np.nansum(left_out_costs(shot, k2) - left_out_costs(fitted, k2))) / scale
-    return Trial(effect, fitted, gain, price, foretold)
+    foretold = 0.5 * float(np.nansum(left_out_costs(shot, k2) - left_out_costs(wider, k2))) / scale
+    return Trial(effect, wider, gain, _price(shot, effect), foretold)
+
+
+def _price(shot: Shot, effect: str) -> float:
+    """What an effect must gain on the frames of a shot."""
+    count = len(unused_effects(shot.physics))
+    return len(EFFECTS[effect]) * float(0.5 * np.log(shot.residuals.size) + np.log(count))
 
 
 def _linear(shot: Shot) -> tuple[Array, Array]:
@@ -164,7 +224,11 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
 def _orthonormal(jacobian: Array, root: Array) -> Array:
     """Orthonormal columns (6 n, m) that span those of a derivative (n, 6, m)."""
     scaled = in_units_of(root, jacobian.reshape(-1, jacobian.shape[2]))
-    return np.asarray(in_units_of(triangle(scaled), scaled))
+    own = triangle(scaled)
+    # What moves nothing, such as friction where every contact sticks, has a column of zeros and keeps it.
+    still = np.diag(own) < 1e-12 * np.diag(own).max()
+    own[still, still] = 1.0
+    return np.asarray(in_units_of(own, scaled))
 
 
 def _blocks(shot: Shot) -> list[NDArray[np.int64]]:

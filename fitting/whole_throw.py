@@ -25,7 +25,7 @@ from .landing import continued, landing_odds, resting_face
 from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces
 from .physics import Physics
 from .results import Effect, Fit, Parameter
-from .selection import Trial, try_effects, with_physics
+from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss, with_physics
 from .shots import Shot, mean_squares, opening, shoot
 from .sightings import sight
 from .words import bounce_words, frame_words, inflation_words, missed_words
@@ -89,26 +89,48 @@ def _fit(track: Track, measured: Throw, physics: Physics) -> Fit:
 def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Trial]]:
     """The best shots with as many effects as pay, and the trials of the others."""
     shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    trials = _trials(work, shots[0])
     for _ in range(_MOST_EFFECTS):
+        longer = _best_with_one_more(work, shots, trials)
+        if longer is None:
+            break
+        shots = _without_what_no_longer_pays(work, longer)
         trials = _trials(work, shots[0])
-        paying = [trial for trial in trials if trial.pays]
-        if not paying:
-            return shots, trials
-        best = max(paying, key=lambda trial: trial.gain - trial.price)
-        assert best.shot is not None
-        longer = through_the_bounces(_openings(work, best.shot.physics), work.measured, work.free)
-        if longer[0].reached < shots[0].reached:
-            # What is better on these frames leads nowhere from the start: keep the plainer model.
-            return shots, [trial for trial in trials if not trial.pays]
-        shots = longer
-    return shots, _trials(work, shots[0])
+    return shots, trials
+
+
+def _without_what_no_longer_pays(work: _Work, shots: list[Shot]) -> list[Shot]:
+    """The shots without an effect that a later one has made needless."""
+    needless = no_longer_pays(shots[0], work.free) if len(shots[0].physics.effects) > 1 else None
+    if needless is None:
+        return shots
+    plainer = through_the_bounces(_openings(work, shots[0].physics.without_effect(needless)), work.measured, work.free)
+    return plainer if plainer[0].reached >= shots[0].reached else shots
+
+
+def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> list[Shot] | None:
+    """The shots with the one effect, of those that pay, that leads through most bounces; None if none does.
+
+    At one bounce a tilt of the table can pass for friction; at the next it no longer can. Where two lead equally far the
+    one that gains more is taken.
+    """
+    best, found = (shots[0].reached - 1, 0.0), None
+    for trial in trials:
+        if not trial.pays:
+            continue
+        assert trial.shot is not None
+        longer = through_the_bounces(_openings(work, trial.shot.physics), work.measured, work.free)
+        if longer[0].reached >= shots[0].reached and (longer[0].reached, trial.worth) > best:
+            best, found = (longer[0].reached, trial.worth), longer
+    return found
 
 
 def _trials(work: _Work, shot: Shot) -> list[Trial]:
-    """Every effect that is not in use, tried on the frames explained so far and on the flight that is not."""
-    attempt = best_attempt(shot, work.measured, work.free)
-    asked = shot if attempt is None else attempt
-    return try_effects(asked, work.free) if asked.vertices else []
+    """Every effect that is not in use, tried on the frames explained so far and, where there is one, on the flight that
+    is not."""
+    if can_go_on(work.free, shot.reached):
+        return try_effects_at_a_loss(shot, work.measured, work.free)
+    return try_effects(shot, work.free) if shot.vertices else []
 
 
 def _openings(work: _Work, physics: Physics) -> list[Shot]:
