@@ -51,6 +51,7 @@ def run_tangent(
     parameters: Sequence[str],
     law: kernels.Law,
     plane: kernels.Plane,
+    air: kernels.Vacuum | kernels.Air,
     start: Array,
     start_time: float,
     times: Array,
@@ -65,6 +66,11 @@ def run_tangent(
         raise ValueError(
             f"impact law {law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
             "use SmoothImpact, or a die with one moment of inertia and no parameter of its centre of mass"
+        )
+    if isinstance(air, kernels.Air):
+        raise ValueError(
+            f"drag_per_m on a {die.solid.name} that is no spherical top: wanted no drag; leave it out, or use a die with "
+            "one moment of inertia and no parameter of its centre of mass"
         )
     top, turn = _top(die)
     axes = matrix_from_quat(turn)
