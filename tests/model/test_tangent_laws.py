@@ -246,9 +246,10 @@ def test_air_that_does_not_brake_changes_nothing():
     ("mu", "contact"),
     [
         pytest.param(0.05, (1.0, 0.4, -0.8), id="slides through"),
-        pytest.param(0.3, (0.12, 0.1, -0.8), id="stops and sets out again"),
+        pytest.param(0.3, (-0.12, 0.1, -0.8), id="stops and sets out again"),
         pytest.param(0.9, (0.3, 0.1, -1.0), id="sticks"),
-        pytest.param(0.2, (-0.3, 0.05, -1.0), id="turns"),
+        pytest.param(0.2, (-0.3, 0.05, -1.0), id="reverses"),
+        pytest.param(0.3, (0.12, 0.1, -0.8), id="turns"),
         pytest.param(0.0, (0.3, 0.1, -1.0), id="no friction yet"),
     ],
 )
@@ -274,7 +275,7 @@ def test_the_gradient_of_an_impulse_is_that_of_larger_differences_on_every_cours
             slope = (8 * near - far) / 12.0
         # Fourth order at steps of a thousandth, second order at 1e-5: some 1e-9 each.
         expected = slope / step[k]
-        np.testing.assert_allclose(gradient[:, k], expected, atol=1e-7 * np.abs(expected).max())
+        np.testing.assert_allclose(gradient[:, k], expected, atol=1e-7 * np.abs(expected).max() + 1e-13)
 
 
 def test_parameters_that_do_not_act_have_columns_of_zeros():
