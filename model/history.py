@@ -5,6 +5,7 @@ The kernels work in the table's axes and count heights from the radius of rounde
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,20 +105,23 @@ def throw_from_top(motion: TopThrow, release: State, table: Table) -> Throw:
     flights = tuple(
         Tumble(start=start, end_s=end, motion=motion, table=table) for start, end in zip(starts, ends, strict=True)
     )
-    faces = [_lowest_half_way(die, flight) for flight in flights] if events else []
+    return Throw(flights, top_impacts(die, table, motion.log, flights))
+
+
+def top_impacts(die: Die, table: Table, log: Array, flights: Sequence[Flight]) -> tuple[Impact, ...]:
+    """The logged events between the flights of a die that is no spherical top; states of the log as in `TopThrow`."""
+    faces = [_lowest_half_way(die, flight) for flight in flights] if len(log) else []
     impacts = []
-    for k, (time, row) in enumerate(events):
-        before = body_state(die, unpacked_state(row[2:15], time))
-        before = in_axes(before, turned) if table.tilt_rad else before
-        impacts.append(_top_impact(motion, table, row, before, starts[k + 1], (faces[k], faces[k + 1])))
-    return Throw(flights, tuple(impacts))
+    for k, row in enumerate(log):
+        before = body_state(die, unpacked_state(row[2:15], float(row[0])))
+        before = in_axes(before, table.world_from_table) if table.tilt_rad else before
+        impacts.append(_top_impact(die, table, row, before, flights[k + 1].start, (faces[k], faces[k + 1])))
+    return tuple(impacts)
 
 
-def _top_impact(
-    motion: TopThrow, table: Table, row: Array, before: State, after: State, faces: tuple[int, int]
-) -> Impact:
+def _top_impact(die: Die, table: Table, row: Array, before: State, after: State, faces: tuple[int, int]) -> Impact:
     """One logged event of a die that is no spherical top."""
-    die, strikes = motion.die, row[1] >= 0
+    strikes = row[1] >= 0
     vertices = [int(row[1])] if strikes else []
     arm = after.rotation @ touching_vertices(die)[vertices[0]] if strikes else np.full(3, np.nan)
     up = matrix_from_quat(table.world_from_table)[:, 2]

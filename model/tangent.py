@@ -21,12 +21,12 @@ The impulse S is a function of the arm, the contact velocity, χ, μ, the inerti
 
     δS = ∂S/∂r δr + ∂S/∂c δc + ∂S/∂χ δχ + …,    δv = δS/m,    δω = (δr × S + r × δS)/J - δJ/J² r × S.
 
-The gradient of S has a closed form where nothing rubs. With friction it is taken by differences of the fourth order of
-this one impact, an analytic function of its arguments with the same course of slip, to some 1e-11 of itself. It jumps,
-or the impulse itself does, where that course changes: where the slip just stops as the impact ends (and in Stronge's
-and Poisson's restitution, as compression ends), where a slip that has stopped is just about to slide again
-(|T⁻¹b| = μ), and where a contact comes down with no slip at all but friction too weak to hold it. Within `kernels.SHIFT`
-of such a border the two sides are mixed.
+The gradient of S has a closed form where nothing rubs. With friction it is taken by differences of this one impact, to
+some 1e-10 of itself: an analytic function of its arguments as long as the slip takes the same course. It jumps, or the
+impulse itself does, where that course changes: where the slip just stops as the impact ends (and in Stronge's and
+Poisson's restitution, as compression ends), where a slip that has stopped is just about to slide again (|T⁻¹b| = μ),
+and where a contact comes down with no slip at all but friction too weak to hold it. Within `kernels.SHIFT` of such a
+border the two sides are mixed.
 
 **Parameters** by name; those that the law, the die or the table does not have, or that do not act, have columns of
 zeros.
@@ -34,11 +34,19 @@ zeros.
 - `chi` (of the slowest impacts, where it fades with speed), `mu`, `speed_scale_m_s`: of the law. At χ = 0 and μ = 0 the
   derivative is that from above.
 - `corner_radius_m`: flat faces stay, the touching points are those of the inner polyhedron (`bodies`).
-- `inertia_kg_m2`.
+- `inertia_kg_m2`, of a die with the same moment of inertia about every axis.
+- `centre_of_mass_x_m`, `_y_m`, `_z_m`: from the centroid, along the body axes; the tensor about it stays. The start stays
+  that of the centroid. Such a throw, and that of any die that is no spherical top, is followed by the kernel of
+  `tangent_tops`, for smooth impacts only.
 - `tilt_x_rad`, `tilt_y_rad`: a further small turn of the table about the world's x and y axes through the origin.
   Gravity stays, and the start stays where it is in the world.
 - `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: of a table that oscillates. The amplitude acts, with its
   derivative from above, also on one that has a frequency and no amplitude yet.
+
+- `drag_per_m`: k in v' = g - k |v| v, in 1/m, half of ρ c A/m, about 0.03 for a light cube of 16 mm. The value itself is
+  an argument. Only where it is asked for does a flight leave its closed form; the centre is then integrated by the
+  method of order 8 of Dormand and Prince, together with its variational equations. A perturbation of the parabola would
+  need several orders at k v t = 0.1. Not for tops.
 
 For a fit, prescribe the vertices. Then each flight lasts until that very vertex comes down, even if meanwhile another
 dips below the table a little, and the poses are a smooth function of the start as long as none of the impacts vanishes.
@@ -55,15 +63,16 @@ from functools import cached_property, lru_cache, partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import kernels
+from . import kernels, tangent_tops
 from .bodies import body_of
 from .history import in_axes, throw_from_log
 from .impacts import ImpactLaw, SmoothImpact
-from .motion import State, Throw
+from .motion import Flight, State, Throw
 from .rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from .simulate import Ending, checked_release
 from .solids import Die, inner_vertices
 from .tables import LEVEL, Table
+from .tangent_tops import SHIFTS, cross_matrix
 from .touch import packed_state
 
 Array = NDArray[np.float64]
@@ -79,6 +88,10 @@ PARAMETERS = (
     "table_amplitude_m",
     "table_frequency_hz",
     "table_phase_rad",
+    "drag_per_m",
+    "centre_of_mass_x_m",
+    "centre_of_mass_y_m",
+    "centre_of_mass_z_m",
 )
 """Names of what a throw can be differentiated by, besides its start."""
 
@@ -124,6 +137,7 @@ def propagate(
     vertices: Sequence[int] | None = None,
     table: Table = LEVEL,
     parameters: Sequence[str] = ("chi",),
+    drag_per_m: float = 0.0,
 ) -> Propagation:
     """The poses of a throw at `times_s` (n,) [s], and their derivatives by its start and by the `parameters`.
 
@@ -142,10 +156,13 @@ def propagate(
     if times.ndim != 1 or not np.isfinite(times).all():
         raise ValueError(f"times_s of shape {times.shape}: wanted finite times (n,) in seconds")
     order = np.argsort(times, kind="stable")
-    code, poses, jacobian, log, impact_jacobian = kernels.run_tangent(
-        _body(die),
+    is_top = not die.is_spherical_top or any(name in SHIFTS for name in parameters)
+    air = _air(drag_per_m, parameters)
+    run = partial(tangent_tops.run_tangent, die, parameters) if is_top else partial(kernels.run_tangent, _body(die))
+    code, poses, jacobian, log, impact_jacobian = run(
         _law_for(law, parameters),
         table.plane,
+        air,
         packed,
         float(start.time_s),
         times[order],
@@ -160,8 +177,11 @@ def propagate(
         last = log[-1, 0] if len(log) else start.time_s
         raise ValueError(f"times_s up to {times.max():.6g}: {ending.value} The last impact was at {last:.6g} s.")
     back = np.argsort(order, kind="stable")
-    end_s = max([start.time_s, *times[-1:], *log[-1:, 0]])
-    make_throw = partial(throw_from_log, die, packed, float(start.time_s), log, end_s, table=table)
+    end_s = float(max([start.time_s, *times[-1:], *log[-1:, 0]]))
+    if is_top:
+        make_throw = partial(tangent_tops.throw_from_flights, die, start, table, log, end_s)
+    else:
+        make_throw = partial(_throw_in_air, die, packed, float(start.time_s), log, end_s, table, drag_per_m)
     positions, quaternions, jacobian = _in_world(die, table, parameters, poses[back], jacobian[back])
     return Propagation(positions, quaternions, jacobian, log[:, 0].copy(), impact_jacobian, make_throw)
 
@@ -198,6 +218,48 @@ def _law_for(law: ImpactLaw, parameters: Sequence[str]) -> kernels.Law:
     return kernels.law_of(law.code, law.parameters)
 
 
+def _air(drag_per_m: float, parameters: Sequence[str]) -> kernels.Vacuum | kernels.Air:
+    """What a flight goes through: air only where there is any, or where its effect is asked for."""
+    if not (np.isfinite(drag_per_m) and drag_per_m >= 0.0):
+        raise ValueError(f"drag_per_m = {drag_per_m}: wanted 0 or more, half of ρ c A/m in 1/m")
+    if drag_per_m == 0.0 and "drag_per_m" not in parameters:
+        return kernels.Vacuum(0.0)
+    return kernels.Air(float(drag_per_m), np.array([1.0 if name == "drag_per_m" else 0.0 for name in parameters]))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DraggedFlight(Flight):
+    """Flight of a spherical top against quadratic drag; before and after it, where the same motion would lead."""
+
+    drag_per_m: float
+
+    def at(self, time_s: float) -> State:
+        """The state at any instant."""
+        flow = self._flows(np.array([time_s]))[0]
+        quaternion = super().poses(np.array([time_s]))[1][0]
+        return State(time_s, flow[:3], quaternion, flow[3:6], self.start.omega_rad_s)
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        times = np.atleast_1d(np.asarray(times_s, float))
+        return self._flows(times)[:, :3], super().poses(times)[1]
+
+    def _flows(self, times: Array) -> Array:
+        """Positions and velocities (n, 6) at times (n,) [s]."""
+        return kernels.flows(self.drag_per_m, packed_state(self.start), times - self.start.time_s)
+
+
+def _throw_in_air(
+    die: Die, packed: Array, begin_s: float, log: Array, end_s: float, table: Table, drag_per_m: float
+) -> Throw:
+    """`throw_from_log`, with flights against drag where there is any."""
+    throw = throw_from_log(die, packed, begin_s, log, end_s, table=table)
+    if drag_per_m == 0.0:
+        return throw
+    flights = tuple(DraggedFlight(start=f.start, end_s=f.end_s, drag_per_m=drag_per_m) for f in throw.flights)
+    return Throw(flights, throw.impacts)
+
+
 def _rubs(law: ImpactLaw) -> bool:
     return law.code in (kernels.COULOMB, kernels.COULOMB_BY_SPEED)
 
@@ -216,9 +278,10 @@ def _seed(die: Die, packed: Array, table: Table, parameters: Sequence[str]) -> A
         elif name in _TILTS:
             # The table turns by e, so the die turns by -e about the origin in the axes of the table.
             e = _turn(table).T @ _TILTS[name]
-            place = packed[:3] + np.array([0.0, 0.0, die.corner_radius_m])
-            seed[:3, column], seed[3:6, column] = -np.cross(e, place), -e
-            seed[6:9, column], seed[9:12, column] = -np.cross(e, packed[7:10]), -np.cross(e, packed[10:13])
+            turned = -cross_matrix(e)
+            seed[:3, column] = turned @ (packed[:3] + np.array([0.0, 0.0, die.corner_radius_m]))
+            seed[3:6, column] = -e
+            seed[6:9, column], seed[9:12, column] = turned @ packed[7:10], turned @ packed[10:13]
     return seed
 
 
@@ -228,7 +291,7 @@ _TILTS = {"tilt_x_rad": np.array([1.0, 0.0, 0.0]), "tilt_y_rad": np.array([0.0, 
 
 def _turn(table: Table) -> Array:
     """(3, 3) from the table's axes to the world's."""
-    return matrix_from_quat(table.world_from_table)
+    return matrix_from_quat(table.world_from_table) if table.tilt_rad else np.eye(3)
 
 
 def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) -> kernels.Sources:
@@ -242,7 +305,7 @@ def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) 
         chi=own("chi"),
         mu=own("mu", _rubs(law)),
         speed_scale=own("speed_scale_m_s", _fades(law)),
-        inertia=own("inertia_kg_m2"),
+        inertia=own("inertia_kg_m2", _is_isotropic(die)),
         rounding=own("corner_radius_m"),
         vertices=np.zeros((m, *die.solid.vertices.shape)),
         gravity=np.zeros((m, 3)),
@@ -259,10 +322,19 @@ def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) 
             # The corners of the inner polyhedron move along straight lines, so that any step is right.
             step = die.corner_radius_m or 0.01 * die.solid.inradius
             sources.vertices[p] = (inner_vertices(die.solid, step) - die.solid.vertices) / step
+        elif name in SHIFTS:
+            sources.vertices[p] = -SHIFTS[name]
         elif name in _TILTS:
             plane = table.plane
-            sources.gravity[p] = -np.cross(_turn(table).T @ _TILTS[name], [plane.gx, plane.gy, -plane.g])
+            turned = -cross_matrix(_turn(table).T @ _TILTS[name])
+            sources.gravity[p] = turned @ np.array([plane.gx, plane.gy, -plane.g])
     return sources
+
+
+def _is_isotropic(die: Die) -> bool:
+    """Whether one number says how the mass is spread, wherever its centre is."""
+    tensor = die.inertia_tensor_kg_m2
+    return tensor is None or bool(np.abs(tensor - tensor[0, 0] * np.eye(3)).max() <= 1e-12 * tensor[0, 0])
 
 
 def _in_world(
@@ -278,6 +350,6 @@ def _in_world(
         if name == "corner_radius_m":
             jacobian[:, :3, column] += _turn(table)[:, 2]
         elif name in _TILTS:
-            jacobian[:, :3, column] += np.cross(_TILTS[name], positions)
+            jacobian[:, :3, column] += positions @ cross_matrix(_TILTS[name]).T
             jacobian[:, 3:, column] += _TILTS[name]
     return positions, quaternions, jacobian
