@@ -22,6 +22,7 @@ def body_of(die: Die) -> kernels.Body:
     return kernels.Body(
         vertices,
         die.solid.normals,
+        plumb_normals(die.solid, die.corner_radius_m),
         edge_barriers_m(die.solid, vertices),
         die.mass_kg,
         die.inertia_kg_m2,
@@ -35,6 +36,19 @@ def touching_vertices(die: Die) -> Array:
     """The points (n, 3) [m, body axes] whose heights decide what touches: of the inner polyhedron where corners are
     rounded."""
     return inner_vertices(die.solid, die.corner_radius_m) if die.corner_radius_m else die.solid.vertices
+
+
+def plumb_normals(solid: Solid, radius_m: float) -> Array:
+    """Normals (faces, 3) over the distances of the planes that touch the table, the nearest one's taken for 1.
+
+    A die stands over the face that the plumb line from its centre goes through, the one for which this points down
+    most. On a solid whose faces are not all equally far from the centre another one can look down more. Where they are,
+    rounding is kept from telling them apart.
+    """
+    offsets = solid.offsets - radius_m
+    if np.ptp(solid.offsets) <= 1e-12 * solid.inradius:
+        return solid.normals
+    return solid.normals * (offsets.min() / offsets)[:, None]
 
 
 def edge_barriers_m(solid: Solid, vertices: Array) -> Array:

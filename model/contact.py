@@ -24,9 +24,10 @@ Differential Equations I, 1993, II.5), with steps of a fixed turn, since the mot
 **With friction** the vertices that touch stick or slide, each within its own Coulomb cone, and what a face or an edge
 does is not unique but for its velocities. There the motion is followed by steps of half the old and half the new
 velocities, the new ones from `kernels.friction_step` (Moreau; Jean 1999; Stewart & Trinkle, Int. J. Numer. Meth. Eng.
-39, 2673, 1996): sticking is exact, no energy is created, and the error falls with the step, of which
-`Precision.turn_rad` sets the tenfold. A die that has lost what energy could turn it over has landed; one whose three
-corners hold stands still.
+39, 2673, 1996): sticking is exact, the impulses create no energy, and the error falls with the step, of which
+`Precision.turn_rad` sets the tenfold. (Keeping turned vertices at the table's height adds to the energy, some 1e-6 of it
+in a throw.) A die that has lost what energy could turn it over has landed; one whose three corners hold stands still,
+and on a table that moves it has landed if they would hold it at the table's lowest acceleration, too.
 
 **How it ends.** A force falls through zero and its vertex is let go, or another vertex touches: an impact where it
 comes down faster than s √(g R), otherwise one more vertex to hold. Both instants are found to rounding by steps of the

@@ -34,6 +34,9 @@ class Body(NamedTuple):
     """(n, 3) [m] from the centre, body axes."""
     normals: Array
     """(faces, 3) outward."""
+    feet: Array
+    """(faces, 3) normals over the distances of their planes: the plumb line from the centre goes through the face for
+    which this points down most; `bodies.plumb_normals`."""
     barriers: Array
     """(faces,) [m]: what the centre must climb to leave each face, `bodies.edge_barriers_m`."""
     mass: float
@@ -940,7 +943,7 @@ def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
         energy += 0.5 * body.inertia / body.mass * state[12] * state[12]
     if energy >= plane.g * body.radius:
         return -1  # no edge is farther from the centre than a corner
-    face = lowest_row(body.normals, state)
+    face = lowest_row(body.feet, state)
     return face if energy < plane.g * body.barriers[face] else -1
 
 
@@ -1525,6 +1528,24 @@ def rub_step(
 
 
 @njit(cache=True)
+def rides_for_ever(
+    body: Body, mu: float, plane: Plane, state: Array, time: float, dt: float, active: NDArray[np.bool_]
+) -> bool:
+    """Whether a die that moves as its table does will always do so. It is pressed least where the table accelerates down
+    most; if it neither slips nor tips there within a step of dt [s], it does so nowhere."""
+    if state[9] != table_velocity(plane, time) or state[7:9].any() or state[10:13].any():
+        return False
+    least = plane.g - plane.amplitude * plane.rate * plane.rate
+    if least <= 0.0:
+        return False
+    still, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
+    still[9] = 0.0
+    at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
+    pressing = rub_step(body, mu, at_rest, still, time, dt, active, room[0], room[1], room[2], after)
+    return pressing >= 3 and not after[7:13].any()
+
+
+@njit(cache=True)
 def rough_rub(
     body: Body,
     law: Law,
@@ -1563,6 +1584,9 @@ def rough_rub(
             if for_ever:
                 return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots, known
             return TIME_REACHED, limit, -1, knots, known
+        if for_ever and not fixed and pressing >= 3 and rides_for_ever(body, mu, plane, after, time + dt, dt, active):
+            state[:] = after
+            return RESTED, time + dt - begin, -1, knots, known
         hit = lowest_free(body, plane, after, time + dt, active)
         if hit >= 0:
             low, high = 0.0, dt
@@ -1936,9 +1960,12 @@ def run_throw(
     i, j, still = -1, -1, 0
     open_end = duration == inf
     patience = inf
-    if fixed and open_end and law.parameters[0] < 1.0:
+    if open_end and not fixed:
+        patience = PATIENCE * sqrt(body.radius / plane.g)
+    elif open_end and law.parameters[0] < 1.0:
         patience = PATIENCE * max(1.0, 0.1 / (1.0 - law.parameters[0])) * sqrt(body.radius / plane.g)
-    lively = start_time  # when the die last had the energy to stand up and more
+    # When the die last had the energy to stand up and more; on a table that moves, when it last bounced.
+    lively = start_time
     while True:
         face = decided_face(body, law, plane, state) if fixed else -1
         if fixed and energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius:
@@ -1966,7 +1993,7 @@ def run_throw(
             reorder = velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)
         else:
             if (stop_when_decided and face >= 0) or (open_end and j == -2 and rest_on_face(plane, time, inf) == inf):
-                face = lowest_row(body.normals, state)
+                face = lowest_row(body.feet, state)
                 return RESTED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
             if rough:
                 ending, dt, hit, knots, known = rub(
@@ -1992,7 +2019,7 @@ def run_throw(
                     knots[known, 0], knots[known, 1], knots[known, 2:15] = events - 1, time + dt, state
                     known += 1
                 if ending == RESTED:
-                    face = lowest_row(body.normals, state)
+                    face = lowest_row(body.feet, state)
                 elif ending != FLIES and fixed:
                     face = decided_face(body, law, plane, state)
             elif j == -2:
@@ -2036,7 +2063,8 @@ def run_throw(
         if stop_when_decided and fixed and not rough and hit >= 0 and spins_for_ever(body, plane, state, hit):
             ending = SPINNING
         elif time > lively + patience:
-            if energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius:
+            strikes = hit >= 0 and not reorder
+            if energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius or (strikes and not fixed):
                 lively = time
             else:
                 ending = SPUN_LONG
@@ -2081,6 +2109,7 @@ def run_throw(
             bounce(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
             i, j = -1, -1
             impacts += 1
+            lively = lively if fixed else time
         if keep:
             # The pose is continuous but for what holding a vertex takes away, within which it touched.
             before[:7] = state[:7]

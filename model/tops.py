@@ -39,6 +39,7 @@ too: nothing changes any more, however fast it spins.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import asin, ceil, cos, inf, nan, pi, sin, sqrt
 from typing import NamedTuple
 
@@ -144,15 +145,23 @@ class TopThrow:
 
     def packed_states(self, times_s: ArrayLike) -> Array:
         """States (n, 13) of the centre of mass at times (n,) [s]."""
-        times = np.asarray(times_s, float)
+        top, turn, knots = self._prepared
+        states = states_between(top, self.plane, self.log[:, 21:23], knots, np.asarray(times_s, float))
+        states[:, 2] += self.die.corner_radius_m
+        states[:, 3:7] = quat_multiply(states[:, 3:7], turn * [1.0, -1.0, -1.0, -1.0])
+        return states
+
+    @cached_property
+    def _prepared(self) -> tuple[Top, Array, Array]:
+        """The die in its principal axes, the quaternion from those to its own, and the knots as the kernels have them.
+
+        Kept, because a long throw is asked for one state a flight: a thousand flights took 40 s without.
+        """
         top, turn = top_from_die(self.die)
         knots = self.knots.copy()
         knots[:, 4] -= self.die.corner_radius_m
         knots[:, 5:9] = quat_multiply(knots[:, 5:9], turn)
-        states = states_between(top, self.plane, self.log[:, 21:23], knots, times)
-        states[:, 2] += self.die.corner_radius_m
-        states[:, 3:7] = quat_multiply(states[:, 3:7], turn * [1.0, -1.0, -1.0, -1.0])
-        return states
+        return top, turn, knots
 
 
 def throw_top(

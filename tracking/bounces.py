@@ -81,7 +81,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
         floor = typical @ typical.T
     if track.shared is not None and np.isfinite(track.shared[use]).any():
         # Poses that rest on marks do not share the errors of edges but those of the places of the marks.
-        floor = np.nanmedian(track.shared[use], axis=0)
+        floor = _middle_one(track.shared[use])
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     ahead = slice(0, flying)
@@ -129,6 +129,17 @@ def _sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sigh
     """Some rows of a track as the fits want them."""
     poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
     return Sightings.from_poses(*poses, slack=slack)
+
+
+def _middle_one(covariances: Array) -> Array:
+    """The covariance (6, 6) of middling size among those (n, 6, 6) that are known.
+
+    The median number by number would be no covariance: it can have negative eigenvalues.
+    """
+    known = covariances[np.isfinite(covariances).all((1, 2))]
+    variances = np.diagonal(known, axis1=1, axis2=2)
+    size = (variances / np.median(variances, axis=0)).sum(1)
+    return np.asarray(known[np.argsort(size)[len(known) // 2]])
 
 
 def _with_floor(flight: Flight, floor: Array) -> Flight:

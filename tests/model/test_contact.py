@@ -9,10 +9,13 @@ from scipy.integrate import quad, solve_ivp
 
 from diethrow.model import bodies, kernels
 from diethrow.model.contact import Held
-from diethrow.model.impacts import SmoothImpact
+from diethrow.model.history import in_axes
+from diethrow.model.impacts import CoulombImpact, SmoothImpact
 from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.simulate import EXACT, Ending, Precision, Until, throw_die
+from diethrow.model.solids import Die, convex_solid, die_from_solid
+from diethrow.model.tables import Table
 
 G = GRAVITY_M_S2
 UP = np.array([0.0, 0.0, 1.0])
@@ -377,3 +380,70 @@ def test_what_the_switch_leaves_out_of_the_motion_is_as_short_as_the_switch_is_s
         assert len({held.vertices for held in firsts}) == 1
         assert 0 <= fast - usual < 10 * 1e-8 * scale / (1 - chi)
         assert 0 <= fast - slow < 10 * 1e-6 * scale / (1 - chi)
+
+
+def cuboctahedron() -> Die:
+    """Eight triangles farther from the centre than six squares, and yet one moment of inertia about every axis."""
+    corners = [np.roll([0.0, a, b], k) for a in (-0.01, 0.01) for b in (-0.01, 0.01) for k in range(3)]
+    return die_from_solid(convex_solid(np.array(corners), "cuboctahedron"), 0.016)
+
+
+@pytest.mark.parametrize("toward", [-1.0, 1.0])
+@pytest.mark.parametrize("lean_rad", [0.03, 0.1])
+@pytest.mark.parametrize("law", [SmoothImpact(0.3), CoulombImpact(0.3, 0.5)], ids=str)
+def test_a_die_with_unlike_faces_lands_on_the_one_below_its_centre_even_where_another_looks_down_more(
+    toward, lean_rad, law
+):
+    """On the edge of a square and a triangle, leaning by up to 8° towards the square, the triangle still looks down
+    more: its normal is 19° from the plumb line of the edge, the square's 35°."""
+    die = cuboctahedron()
+    release = on_edge(die, toward * lean_rad, 0.0)
+    down = -(die.solid.normals @ release.rotation[2])
+    under = int(np.argmax(down / die.solid.offsets)) + 1
+    is_square = len(die.solid.faces[under - 1]) == 4
+    assert (under != int(np.argmax(down)) + 1) == is_square
+    result = throw_die(die, release, law)
+    end = throw_die(die, release, law, until=Until(time_s=3.0)).end
+    assert (result.ending, result.landed_face) == (Ending.RESTED, under)
+    assert int(np.argmin(die.solid.normals @ end.rotation[2])) + 1 == under
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.1])
+@pytest.mark.parametrize("chi", [0.0, 0.5])
+def test_a_die_that_friction_holds_on_a_gently_shaking_table_has_come_to_rest(tilt_rad, chi):
+    """0.16 g level, where only the table's weakness ends the throw; 0.1 g on a slope that friction holds ten times."""
+    die, table = DICE["cube"], Table(tilt_rad=tilt_rad, amplitude_m=1e-4, frequency_hz=20.0)
+    release = random_release(np.random.default_rng(7), die, spin_rad_s=20.0, clearance_m=0.03)
+    law = CoulombImpact(chi, 1.0)
+    result = throw_die(die, release, law, table=table)
+    assert result.ending is Ending.RESTED
+    later = throw_die(die, release, law, table=table, until=Until(time_s=result.end.time_s + 0.3)).end
+    np.testing.assert_allclose(later.position_m[:2], result.end.position_m[:2], atol=1e-6 * die.solid.circumradius)
+    assert int(np.argmin(die.solid.normals @ later.rotation[2])) + 1 == result.landed_face
+
+
+def test_friction_that_a_shaking_slope_overcomes_now_and_then_holds_no_die():
+    """tan 0.2 = 0.203 needs more than μ = 0.22 of what is pressed while the table falls at 0.5 g."""
+    die, rate = DICE["cube"], 2 * np.pi * 20.0
+    table = Table(tilt_rad=0.2, amplitude_m=0.5 * G * np.cos(0.2) / rate**2, frequency_hz=20.0)
+    down = die.solid.normals[0]
+    release = State(0.0, np.array([0.0, 0.0, 0.0]), turned_down(down), np.zeros(3), np.zeros(3))
+    lying = in_axes(replace(release, position_m=die.solid.inradius * UP), table.world_from_table)
+    moving = table.amplitude_m * rate * (matrix_from_quat(table.world_from_table) @ UP)
+    release = replace(lying, velocity_m_s=moving)
+    end = throw_die(die, release, CoulombImpact(0.0, 0.22), table=table, until=Until(time_s=1.0))
+    assert end.ending is Ending.TIME_REACHED
+    assert end.end.position_m[0] - release.position_m[0] > 1e-3
+    held = throw_die(die, release, CoulombImpact(0.0, 1.0), table=table)
+    assert (held.ending, held.landed_face) == (Ending.RESTED, 1)
+
+
+def test_a_top_on_a_gently_shaking_table_is_given_up_as_one():
+    """Nothing strikes any more and nothing slows it: such a throw went on without end."""
+    die = DICE["cube"]
+    table = Table(amplitude_m=1e-4, frequency_hz=5.0, phase_rad=0.5 * np.pi)
+    release = on_vertex(die, 0, 0.05, [0.0, 0.0, 500.0])
+    release = replace(release, position_m=release.position_m + table.amplitude_m * UP)
+    result = throw_die(die, release, SmoothImpact(0.3), table=table)
+    assert (result.ending, result.landed_face) == (Ending.SPUN_LONG, None)
+    assert result.end.time_s >= kernels.PATIENCE * np.sqrt(die.solid.circumradius / G)
