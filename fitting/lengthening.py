@@ -35,6 +35,9 @@ _HOPELESS = 20.0
 _OPEN = 0.03
 """Sigma of a coefficient above which its value may still be far from the one that the next bounce asks for."""
 
+CLEARLY = 4.0
+"""Fall of the cost, in units of a residual's variance, at which one kind of restitution is preferred to another."""
+
 _BEAM = 3
 
 _WINDOWS = (4, 12, 40)
@@ -108,16 +111,29 @@ def keeps_its_sequence(shot: Shot) -> bool:
 
 
 def _variants(beam: list[Shot]) -> list[Shot]:
-    """The best shot with other values of what its frames have left open, such as friction at a contact that stuck."""
+    """The best shot with other values of what its frames have left open, such as friction at a contact that stuck, or
+    another kind of restitution, which all mean the same until a slip stops."""
     shot = beam[0]
-    others = [other for effect in shot.physics.effects for other in shot.physics.with_some_of(effect)]
-    open_to = np.linalg.norm(np.linalg.inv(shot.root)[12:], axis=1)
-    left_open = {name for name, sigma in zip(shot.physics.free, open_to, strict=True) if sigma > _OPEN}
-    return [
-        replace(shot, physics=other)
-        for other in others
-        if {name for name in other.values if other.values[name] != shot.physics.values[name]} <= left_open
+    sigmas = np.linalg.norm(np.linalg.inv(shot.root)[12:], axis=1)
+    left_open = {name for name, sigma in zip(shot.physics.free, sigmas, strict=True) if sigma > _OPEN}
+    other_values = [
+        other
+        for effect in shot.physics.effects
+        for other in shot.physics.with_some_of(effect)
+        if all(name in left_open or other.values[name] == shot.physics.values[name] for name in other.values)
     ]
+    return [replace(shot, physics=other) for other in (*shot.physics.with_other_restitutions(), *other_values)]
+
+
+def best_restitution(shot: Shot, free: FreeFlights) -> Shot:
+    """The shot with the kind of restitution that fits best; the one it has where that makes no difference."""
+    k2 = loss_scale(free)
+    others = [
+        shoot(shot.sightings, replace(shot, physics=p), shot.vertices, k2)
+        for p in shot.physics.with_other_restitutions()
+    ]
+    best = min(others, key=lambda s: s.cost(k2), default=shot)
+    return best if best.cost(k2) < shot.cost(k2) - CLEARLY * max(1.0, shot.mean_square) else shot
 
 
 def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlights) -> list[Shot]:

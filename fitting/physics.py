@@ -24,11 +24,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
+from ..model.impacts import CoulombImpact, ImpactLaw, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.motion import GRAVITY_M_S2, State, Throw
 from ..model.simulate import ThrowResult, Until, throw_die
 from ..model.solids import Die
-from ..model.tables import LEVEL, Table
+from ..model.tables import Table
 from ..model.tangent import Propagation, propagate
 
 Array = NDArray[np.float64]
@@ -39,10 +39,13 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "rounded corners": ("corner_radius_m",),
     "inertia": ("inertia_kg_m2",),
     "tilted table": ("tilt_x_rad", "tilt_y_rad"),
+    "air drag": ("drag_per_m",),
     "clock": ("clock_scale",),
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
+
+RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
 
 _OFF = {"clock_scale": 1.0, "length_scale": 1.0}
 
@@ -56,6 +59,10 @@ _BOUNDS = {
     "clock_scale": (0.8, 1.25),
     "length_scale": (0.8, 1.25),
 }
+
+LEAST_OF_CALIBRATION = {"clock_scale": 1e-3, "length_scale": 1e-3, "tilt_x_rad": 2e-3, "tilt_y_rad": 2e-3}
+"""Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
+of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
 
 _SOME: dict[str, tuple[dict[str, float], ...]] = {
     "friction": ({"mu": 0.1}, {"mu": 0.4}),
@@ -77,6 +84,9 @@ class Physics:
     """By name; `chi` first, then those of the effects in use."""
     held: frozenset[str] = field(default=frozenset())
     """Parameters in use that a fit leaves alone."""
+    restitution: Restitution = "stronge"
+    """What χ means where something rubs; see `model.impacts.CoulombImpact`. All mean the same as long as no slip stops
+    or turns within an impact."""
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -87,6 +97,12 @@ class Physics:
     def effects(self) -> tuple[str, ...]:
         """Effects whose parameters are in use."""
         return tuple(effect for effect, names in EFFECTS.items() if names[0] in self.values)
+
+    def is_noticeable(self, effect: str) -> bool:
+        """Whether an effect in use is larger than what calibration leaves open."""
+        return any(
+            abs(self.values[name] - self.off(name)) > LEAST_OF_CALIBRATION.get(name, 0.0) for name in EFFECTS[effect]
+        )
 
     def bounds(self, name: str) -> tuple[float, float]:
         """What the law allows."""
@@ -118,7 +134,14 @@ class Physics:
     def with_some_of(self, effect: str) -> list[Physics]:
         """The same with a little and with much of one effect, for fits that find no way from none of it."""
         wider = self.with_effect(effect)
-        return [wider.with_values(**values) for values in _SOME.get(effect, ())]
+        some = [wider.with_values(**values) for values in _SOME.get(effect, ())]
+        return [*some, *(other for physics in some for other in physics.with_other_restitutions())]
+
+    def with_other_restitutions(self) -> list[Physics]:
+        """The same with the other kinds of restitution; none where nothing rubs and all mean the same."""
+        if "mu" not in self.values:
+            return []
+        return [replace(self, restitution=kind) for kind in RESTITUTIONS if kind != self.restitution]
 
     def holding(self, name: str, value: float) -> Physics:
         """The same with one parameter held at a value."""
@@ -133,7 +156,7 @@ class Physics:
     def law(self) -> ImpactLaw:
         """The law of impact."""
         chi = self.values["chi"]
-        law = CoulombImpact(chi, self.values["mu"]) if "mu" in self.values else SmoothImpact(chi)
+        law = CoulombImpact(chi, self.values["mu"], self.restitution) if "mu" in self.values else SmoothImpact(chi)
         fade = self.values.get("chi_fade_s_per_m")
         return law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
 
@@ -194,6 +217,7 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
         vertices=vertices,
         table=physics.plane,
         parameters=passed,
+        drag_per_m=physics.values.get("drag_per_m", 0.0),
     )
     columns = list(np.moveaxis(way.jacobian[:, :, :12], 2, 0))
     by_name = dict(zip(names, np.moveaxis(way.jacobian[:, :, 12:], 2, 0), strict=True))

@@ -8,7 +8,8 @@ s² τ, the variance of the residuals and the frames over which they are alike (
 - the gain exceeds k (½ log n + log q), k its parameters, n the numbers seen, q the effects on trial: half the extended
   Bayesian information criterion (Chen & Chen, Biometrika 95, 759, 2008), whose second term pays for the choice among
   many; one effect in two hundred is then chosen by chance, and
-- it predicts better: frames left out in blocks of neighbours are foretold more closely with it than without.
+- it predicts better: frames left out in blocks of neighbours are foretold more closely with it than without, and
+- it is larger than what the calibration of a camera leaves open in any scene (`physics.LEAST_OF_CALIBRATION`).
 
 The one that gains most is taken, the bounces are gone through again, and the others are asked anew. What a fit would
 gain is first told from derivatives at the present fit, without a new one (Rao's score test); only effects that could
@@ -25,8 +26,8 @@ from numpy.typing import NDArray
 from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
-from .lengthening import best_attempt, is_explained, loss_scale
-from .physics import EFFECTS, Physics, course
+from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale
+from .physics import EFFECTS, RESTITUTIONS, Physics, course
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
 from .shots import Shot, root_of, shoot
@@ -61,7 +62,9 @@ class Trial:
     @property
     def pays(self) -> bool:
         """Whether the effect is to be taken in."""
-        return self.shot is not None and self.gain > self.price and self.foretold > 0.0
+        if self.shot is None or self.gain <= self.price or self.foretold <= 0.0:
+            return False
+        return self.shot.physics.is_noticeable(self.effect)
 
     @property
     def worth(self) -> float:
@@ -78,11 +81,15 @@ class Trial:
                 f"It gains {self.gain:.1f} units of log-likelihood, and would have to gain {self.price:.1f} to pay for "
                 f"its {_count(len(EFFECTS[self.effect]))}."
             )
-        else:
+        elif self.foretold <= 0.0:
             why = (
                 f"It gains {self.gain:.1f} units of log-likelihood on the frames it is fitted to, but foretells frames "
                 "left out no better."
             )
+        else:
+            assert self.shot is not None
+            found = ", ".join(f"{name} {self.shot.physics.values[name]:.6g}" for name in EFFECTS[self.effect])
+            why = f"It gains {self.gain:.1f} units of log-likelihood, but is no more ({found}) than calibration leaves open."
         return Effect(self.effect, self.gain, why)
 
 
@@ -134,8 +141,15 @@ def _try_on(shot: Shot, attempt: Shot, effect: str, measured: Throw, free: FreeF
     found = [other for other in reached if other is not None and other.reached == attempt.reached]
     if not found:
         return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
-    fitted = min(found, key=lambda s: s.mean_square)
-    return _compared(attempt, shoot(attempt.sightings, fitted, fitted.vertices, k2), effect, k2)
+    refitted = [shoot(attempt.sightings, other, other.vertices, k2) for other in _nearest_of_each_kind(found)]
+    enough = min(other.cost(k2) + CLEARLY * max(1.0, other.mean_square) for other in refitted)
+    return _compared(attempt, next(other for other in refitted if other.cost(k2) <= enough), effect, k2)
+
+
+def _nearest_of_each_kind(shots: list[Shot]) -> list[Shot]:
+    """The best shot with each kind of restitution, in the order in which the kinds are preferred."""
+    kinds = [kind for kind in RESTITUTIONS if any(shot.physics.restitution == kind for shot in shots)]
+    return [min((s for s in shots if s.physics.restitution == kind), key=lambda s: s.mean_square) for kind in kinds]
 
 
 def candidates_for(physics: Physics) -> tuple[str, ...]:
