@@ -29,6 +29,8 @@ FEWEST_FRAMES = 2
 _OUTLIER = 45.0
 """|r|² of a frame, in units of its flight's variance, beyond which it does not show this die: 5e-8 of good ones."""
 
+_MOST_TRIMS = 6
+
 _BAD_START = 25.0
 """Variance of a free flight above which another start is tried: the motion measured there may be another flight's."""
 
@@ -180,17 +182,33 @@ def _straight_start(sightings: Sightings, time_s: float) -> State:
 
 
 def _consistent(sightings: Sightings, guess: Flight) -> NDArray[np.bool_]:
-    """Which frames (n,) of one flight agree with the flight that the others make."""
+    """Which frames (n,) of one flight agree with the flight that the others make.
+
+    The worst are taken away first and the flight is fitted again: many that err alike, as while the die comes into view,
+    bend it so much that the less wrong ones among them do not stand out.
+    """
     n = len(sightings)
+    kept = np.ones(n, bool)
     if n < 5:  # with fewer, an outlier bends the flight more than it stands out from it
-        return np.ones(n, bool)
-    fit = fit_flight(sightings, guess)
-    assert fit is not None
-    errors = pose_errors(sightings, *fit.flight.poses(sightings.time_s))
-    s = (whitened(sightings, errors) ** 2).sum(1)
-    kept = s <= _OUTLIER * max(1.0, float(np.median(s)) / MEDIAN_FRAME)
-    # Where more than a fifth disagree it is not the frames that are wrong.
-    return kept if kept.sum() >= 0.8 * n else np.ones(n, bool)
+        return kept
+    for _ in range(_MOST_TRIMS):
+        fit = fit_flight(sightings.where(kept), guess)
+        assert fit is not None
+        errors = pose_errors(sightings, *fit.flight.poses(sightings.time_s))
+        s = (whitened(sightings, errors) ** 2).sum(1)
+        agree = s <= _OUTLIER * max(1.0, float(np.median(s[kept])) / MEDIAN_FRAME)
+        if (agree == kept).all() or agree.sum() < 5:
+            break
+        kept = agree
+    return kept if _is_credible(kept) else np.ones(n, bool)
+
+
+def _is_credible(kept: NDArray[np.bool_]) -> bool:
+    """Whether the frames that were not kept are wrong, rather than the flight: no more than a fifth of them, or, up to a
+    half, all of them at one end, where a die comes into view or leaves it."""
+    share = float(kept.mean())
+    ends = np.flatnonzero(np.diff(kept.astype(int)))
+    return share >= 0.8 or (share >= 0.5 and len(ends) == 1)
 
 
 def _flight_noise(sightings: Sightings, measured: Throw) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from throws import (
 
 from diethrow.fitting.results import Fit
 from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.motion import Impact, State, Throw
+from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.solids import Die, make_die
 from diethrow.tracking.track import ABSENT, LOST, Track
@@ -252,18 +252,6 @@ def test_rounded_corners_are_part_of_the_throw() -> None:
     assert np.linalg.norm(error) < 5e-5
 
 
-def test_friction_is_not_mistaken_for_a_smooth_impact() -> None:
-    """An impulse that leans by μ = 0.2 shows as misfit, and χ is then the ratio of the normal velocities."""
-    _, track, measured = rubbed_throw(CUBE, chi=0.6, mu=0.2)
-    fit = fit_throw(track, measured, CUBE)
-    assert fit.bounces_fitted == 0
-    assert fit.residual_rms is not None
-    assert fit.residual_rms > 5.0
-    _, low, high = chi_of(fit)
-    assert low <= 0.6 <= high
-    assert any("not smooth" in words for words in fit.messages)
-
-
 def test_columns_of_different_length_are_refused() -> None:
     _, track, measured = cube_throw()
     with pytest.raises(ValueError, match="track columns of shapes"):
@@ -292,26 +280,3 @@ def clapping_throw() -> tuple[Throw, Track, Throw]:
         if clapped and (throw.flights[-1].end_s - throw.impacts[-1].time_s) * 1500.0 > 10.0:
             return throw, seen(throw, rng), roughly_measured(throw, rng)
     raise AssertionError("no such throw")
-
-
-def rubbed_throw(die: Die, chi: float, mu: float) -> tuple[Throw, Track, Throw]:
-    """One impact whose impulse leans against the sliding by μ; χ the ratio of normal velocities by construction."""
-    rng = np.random.default_rng(8)
-    throw = true_throw(die, random_release(die, rng), chi, impacts=1)
-    impact, before = throw.impacts[0], throw.flights[0].at(throw.impacts[0].time_s)
-    arm = before.rotation @ die.solid.vertices[impact.vertices[0]]
-    sliding = before.velocity_m_s + np.cross(before.omega_rad_s, arm)
-    lean = np.array([*(-mu * sliding[:2] / np.linalg.norm(sliding[:2])), 1.0])
-    # u' - u = S · (m⁻¹ lean + (arm × lean) × arm / J)_z for an impulse S along `lean`.
-    response = lean / die.mass_kg + np.cross(np.cross(arm, lean), arm) / die.inertia_kg_m2
-    impulse = -(1.0 + chi) * sliding[2] / response[2] * lean
-    after = State(
-        before.time_s,
-        before.position_m,
-        before.quaternion,
-        before.velocity_m_s + impulse / die.mass_kg,
-        before.omega_rad_s + np.cross(arm, impulse) / die.inertia_kg_m2,
-    )
-    last = replace(throw.flights[1], start=after, end_s=before.time_s + 25 / 1500.0)
-    rubbed = Throw((throw.flights[0], last), throw.impacts)
-    return rubbed, seen(rubbed, rng), roughly_measured(rubbed, rng)

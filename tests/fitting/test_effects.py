@@ -1,0 +1,117 @@
+"""Laws of the choice of effects: what a throw shows is found, with its value; what it does not show is left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from throws import FPS, random_release, roughly_measured, seen, true_throw
+
+from diethrow.fitting.physics import EFFECTS, Physics
+from diethrow.fitting.results import Fit
+from diethrow.fitting.whole_throw import fit_throw
+from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
+from diethrow.model.motion import State, Throw
+from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import Die, make_die
+from diethrow.model.tables import LEVEL, Table
+from diethrow.tracking.track import Track
+
+CUBE = make_die("cube", 0.016, 0.0048)
+
+
+def thrown(
+    law: ImpactLaw, seed: int, *, die: Die = CUBE, table: Table = LEVEL, release: State | None = None, impacts: int = 3
+) -> tuple[Track, Throw]:
+    """Track and measured throw of a die with any law on any table."""
+    rng = np.random.default_rng(seed)
+    start = random_release(die, rng) if release is None else release
+    whole = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
+    last = whole.flights[-1]
+    end_s = min(last.end_s, last.start.time_s + 60 / FPS)
+    throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
+    return seen(throw, rng), roughly_measured(throw, rng)
+
+
+def assert_inside(fit: Fit, name: str, truth: float, within: float) -> None:
+    """A parameter lies near the truth, and its interval, twice as wide, holds it: one in ten thousand does not."""
+    found = fit.parameters[name]
+    assert found.value == pytest.approx(truth, abs=within)
+    assert found.low is not None
+    assert found.high is not None
+    slack = 0.5 * (found.high - found.low)
+    assert found.low - slack <= truth <= found.high + slack
+
+
+@pytest.mark.parametrize("seed", [4, 7, 14])
+def test_friction_is_found_with_its_coefficient(seed: int) -> None:
+    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.2), seed), CUBE)
+    assert fit.chosen == ("friction",)
+    assert fit.bounces_fitted == 3
+    assert_inside(fit, "chi", 0.6, 2e-3)
+    assert_inside(fit, "mu", 0.2, 5e-3)
+
+
+def test_a_contact_that_sticks_leaves_friction_open_until_one_slides() -> None:
+    """At the first bounce of this throw the slip stops, which any larger coefficient would do as well."""
+    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.2), 8), CUBE)
+    assert fit.bounces_fitted == 3
+    assert_inside(fit, "chi", 0.6, 2e-3)
+    assert_inside(fit, "mu", 0.2, 0.02)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_smooth_throw_needs_nothing_more(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
+    fit = fit_throw(seen(throw, rng), roughly_measured(throw, rng), CUBE)
+    assert fit.chosen == ("smooth impact",)
+    assert {effect.name for effect in fit.considered} == set(EFFECTS)
+    assert all(effect.why_not for effect in fit.considered)
+    assert set(fit.parameters) == {"chi"}
+
+
+def test_a_tilted_table_is_found() -> None:
+    table = Table(tilt_rad=0.03, downhill_rad=0.7)
+    fit = fit_throw(*thrown(SmoothImpact(0.5), 3, table=table), CUBE)
+    assert "tilted table" in fit.chosen
+    # The normal leans to (y, -x) of the turn.
+    lean = fit.parameters["tilt_y_rad"].value, -fit.parameters["tilt_x_rad"].value
+    assert lean == pytest.approx((0.03 * np.cos(0.7), 0.03 * np.sin(0.7)), abs=2e-3)
+
+
+def test_restitution_that_fades_with_speed_is_found() -> None:
+    fit = fit_throw(*thrown(RestitutionBySpeed(SmoothImpact(0.8), 0.5), 6), CUBE)
+    assert "fading restitution" in fit.chosen
+    assert_inside(fit, "chi", 0.8, 0.05)
+    assert_inside(fit, "chi_fade_s_per_m", 2.0, 1.0)
+
+
+def test_another_inertia_is_found() -> None:
+    heavy = replace(CUBE, inertia_kg_m2=1.1 * CUBE.inertia_kg_m2)
+    fit = fit_throw(*thrown(SmoothImpact(0.5), 5, die=heavy), CUBE)
+    assert "inertia" in fit.chosen
+    assert_inside(fit, "inertia_kg_m2", heavy.inertia_kg_m2, 0.02 * CUBE.inertia_kg_m2)
+
+
+def test_the_kind_of_restitution_is_told_where_slip_stops() -> None:
+    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.3, "newton"), 1), CUBE)
+    assert_inside(fit, "chi", 0.6, 3e-3)
+    assert_inside(fit, "mu", 0.3, 0.02)
+
+
+def test_parameters_stay_within_what_the_law_allows() -> None:
+    physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction")
+    moved = physics.moved(np.array([0.7, -0.1]))
+    assert moved.values == {"chi": 1.0, "mu": 0.0}
+    assert physics.holding("mu", 0.2).free == ("chi",)
+    assert physics.without_effect("friction").free == ("chi",)
+
+
+def test_an_effect_that_is_off_is_in_no_law() -> None:
+    plain = Physics(CUBE, LEVEL, {"chi": 0.5})
+    assert plain.law == SmoothImpact(0.5)
+    assert plain.body is CUBE
+    assert plain.plane is LEVEL
+    assert plain.effects == ()
