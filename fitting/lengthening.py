@@ -19,6 +19,7 @@ import numpy as np
 
 from ..model.motion import Throw
 from .flights import FEWEST_FRAMES, FreeFlights
+from .physics import RESTITUTIONS
 from .robust import CLEAN_FRAME
 from .sequences import candidates, measured_sequence, own_sequence, simulated_sequences
 from .shots import Shot, clear_of_impacts, mean_squares, shoot
@@ -125,15 +126,16 @@ def _variants(beam: list[Shot]) -> list[Shot]:
     return [replace(shot, physics=other) for other in (*shot.physics.with_other_restitutions(), *other_values)]
 
 
-def best_restitution(shot: Shot, free: FreeFlights) -> Shot:
-    """The shot with the kind of restitution that fits best; the one it has where that makes no difference."""
+def with_preferred_restitution(shot: Shot, free: FreeFlights) -> Shot:
+    """The shot with the first kind of restitution, in the order of preference, that no other clearly beats."""
+    if not shot.physics.with_other_restitutions():
+        return shot
     k2 = loss_scale(free)
-    others = [
-        shoot(shot.sightings, replace(shot, physics=p), shot.vertices, k2)
-        for p in shot.physics.with_other_restitutions()
-    ]
-    best = min(others, key=lambda s: s.cost(k2), default=shot)
-    return best if best.cost(k2) < shot.cost(k2) - CLEARLY * max(1.0, shot.mean_square) else shot
+    kinds = [replace(shot, physics=replace(shot.physics, restitution=kind)) for kind in RESTITUTIONS]
+    tried = [shoot(shot.sightings, kind, shot.vertices, k2) for kind in kinds]
+    best = min(tried, key=lambda s: s.cost(k2))
+    enough = best.cost(k2) + CLEARLY * max(1.0, best.mean_square)
+    return next(other for other in tried if other.cost(k2) <= enough)
 
 
 def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlights) -> list[Shot]:

@@ -22,7 +22,7 @@ from .flights import FreeFlights, fit_flights
 from .impulses import Bounce, common_restitution, measure_bounces
 from .intervals import profile_interval, variance_inflation
 from .landing import continued, landing_odds, resting_face
-from .lengthening import best_attempt, best_restitution, can_go_on, loss_scale, through_the_bounces
+from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, with_preferred_restitution
 from .physics import Physics
 from .results import Effect, Fit, Parameter
 from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss, with_physics
@@ -95,7 +95,7 @@ def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Trial
         if longer is None:
             break
         shots = _without_what_no_longer_pays(work, longer)
-        shots = [best_restitution(shots[0], work.free), *shots[1:]]
+        shots = [with_preferred_restitution(shots[0], work.free), *shots[1:]]
         trials = _trials(work, shots[0])
     return shots, trials
 
