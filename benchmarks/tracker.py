@@ -1,9 +1,9 @@
 """The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests python benchmarks/tracker.py CLIP_FOLDER...`
 
 A clip folder holds `scene.toml`, what it names, and its truth (see `benchmarks/accuracy.py`; `diethrow film` and
-`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once to compile, then once
-from decoded frames for the time, and once from the file to the written tables. The poses measured are those of
-`track.csv`: every frame's own, and smoothed within a flight.
+`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once from its file and once
+from decoded frames for the time. The poses measured are those of `track.csv`: every frame's own, and smoothed within a
+flight.
 
   tracked    share of the frames with a pose, among those that show the whole die
   wrong      frames off by more than 5 degrees or 1 mm across the line of sight
@@ -13,8 +13,8 @@ from decoded frames for the time, and once from the file to the written tables. 
              frames within the 95 % ellipsoid
   bounces    found of those that can be (in view, no other within two frames), + spurious ones
   vertex     found bounces that name the right corner; late: error of their instant [frames], median
-  decoded    frames a second from decoded frames, and for each second of processor time; whole: frames a second from the
-             file to the tables on disk
+  decoded    frames a second from decoded frames, and for each second of processor time. Finding the die, the flights and
+             the marks takes as long for a short clip as for a long one: `benchmarks/long_clip.py` has the rates of those
   MB         most memory that the process ever held; code and libraries take 300 of it
 
 The second table holds the medians over the clips at each quality.
@@ -35,7 +35,6 @@ import json
 import multiprocessing
 import resource
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -62,7 +61,7 @@ from accuracy import (
 from footage_of_throws import DICE, Studio, greys, photograph, studio
 from numpy.typing import NDArray
 
-from diethrow.analyze import Tracking, open_footage, track_scene, write_tracking
+from diethrow.analyze import Tracking, open_footage, track_scene
 from diethrow.model.motion import Impact, State
 from diethrow.model.rotations import (
     matrix_from_quat,
@@ -83,7 +82,7 @@ CHI2_95 = 12.592
 """95 % of chi-square with six degrees of freedom."""
 ROWS = (
     *("tracked", "wrong", "rotation", "lateral", "px", "depth", "NEES", "bounces", "vertex", "late"),
-    *("decoded", "whole", "MB"),
+    *("decoded", "MB"),
 )
 
 
@@ -173,11 +172,7 @@ def in_own_process(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]
 def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     """Track one clip and compare: numbers by name."""
     scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_at)
-    tracking = tracked(scene, quality, None)  # compiles
-    began = time.perf_counter()
-    with tempfile.TemporaryDirectory() as scratch:
-        write_tracking(Path(scratch), scene, tracked(scene, quality, None))
-    whole_s = time.perf_counter() - began
+    tracking = tracked(scene, quality, None)  # compiles, too
     # Before the clip is decoded into memory, which no tracking does.
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     view = scene.views()[0]
@@ -186,7 +181,7 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     began, used = time.perf_counter(), time.process_time()
     tracked(scene, quality, decoded)
     decoded_s, used_s = time.perf_counter() - began, time.process_time() - used
-    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "whole": len(clip) / whole_s, "MB": peak_MB}
+    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "MB": peak_MB}
     name = folder.resolve().name
     return {"clip": name, "quality": quality} | errors(scene, truth, tracking) | rates
 
