@@ -288,7 +288,7 @@ def _bit_depth(frame: av.VideoFrame) -> int:
 def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
     """(height, width) grey levels at full scale."""
     if frame.planes[0].line_size < 0:
-        return np.ascontiguousarray(_grey(_turned_over(frame), mono)[::-1])
+        return _grey(_turned_over(frame), mono)[::-1].copy()
     name = frame.format.name
     if LUMA_FIRST.match(name):
         depth = int(frame.format.components[0].bits)
