@@ -1,39 +1,44 @@
 """The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests python benchmarks/tracker.py CLIP_FOLDER...`
 
 A clip folder holds `scene.toml`, what it names, and its truth (see `benchmarks/accuracy.py`; `diethrow film` and
-`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once to compile, then once
-from decoded frames for the time, and once from the file to the written tables. The poses measured are those of
-`track.csv`: every frame's own, and smoothed within a flight.
+`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once from its file and once
+from decoded frames for the time. The poses measured are those of `track.csv`: every frame's own, and smoothed within a
+flight.
 
   tracked    share of the frames with a pose, among those that show the whole die
   wrong      frames off by more than 5 degrees or 1 mm across the line of sight
-  rotation   geodesic angle [deg], median and 95th percentile; lateral, depth: error of the centre [mm] across and along
+  rotation   geodesic angle [deg], median and 95th percentile
+  lateral    error of the centre across the line of sight [mm], the same; px: in pixels; depth: along it [mm]
   NEES       normalised estimation error squared, median (5.35 where the covariances are honest); and the share of
              frames within the 95 % ellipsoid
   bounces    found of those that can be (in view, no other within two frames), + spurious ones
   vertex     found bounces that name the right corner; late: error of their instant [frames], median
-  decoded    frames a second from decoded frames, and for each second of processor time; whole: frames a second from the
-             file to the tables on disk
+  decoded    frames a second from decoded frames, and for each second of processor time. Finding the die, the flights and
+             the marks takes as long for a short clip as for a long one: `benchmarks/long_clip.py` has the rates of those
   MB         most memory that the process ever held; code and libraries take 300 of it
 
-The second table compares the tracker with what the pixels allow (Cramér-Rao), on pictures that match its assumptions:
-faces of one unknown grey, Gaussian edges, white noise. With J the derivative of the noiseless picture to the pose and to
-the grey of every face, the bound is the pose's block of (JᵀJ/σ²)⁻¹, from all pixels. The tracker's errors over many draws of
-the noise have the covariance C; printed is sqrt(tr(B⁻¹C)/6), 1 for an efficient estimator, and the standard deviations.
+The second table holds the medians over the clips at each quality.
 
-`--picture FILE` draws the trade between the tracker's qualities, where there are several.
+The last one compares the tracker with what the pixels allow (Cramér-Rao), on pictures that match its assumptions: faces of
+one unknown grey, Gaussian edges, white noise. With J the derivative of the noiseless picture to the pose and to the grey of
+every face, the bound is the pose's block of (JᵀJ/σ²)⁻¹, from all pixels. The tracker's errors over many draws of the noise
+have the covariance C; printed is sqrt(tr(B⁻¹C)/6), 1 for an efficient estimator, and the standard deviations.
+
+`--picture FILE` draws the trade between the tracker's qualities, where there are several. `--keep FILE` writes every result to
+a file as soon as it is there, and takes over what the file holds already: many clips can so be measured in parts.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import resource
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -56,7 +61,7 @@ from accuracy import (
 from footage_of_throws import DICE, Studio, greys, photograph, studio
 from numpy.typing import NDArray
 
-from diethrow.analyze import Tracking, open_footage, track_scene, write_tracking
+from diethrow.analyze import Tracking, open_footage, track_scene
 from diethrow.model.motion import Impact, State
 from diethrow.model.rotations import (
     matrix_from_quat,
@@ -76,8 +81,8 @@ Array = NDArray[np.float64]
 CHI2_95 = 12.592
 """95 % of chi-square with six degrees of freedom."""
 ROWS = (
-    *("tracked", "wrong", "rotation", "lateral", "depth", "NEES", "bounces", "vertex", "late"),
-    *("decoded", "whole", "MB"),
+    *("tracked", "wrong", "rotation", "lateral", "px", "depth", "NEES", "bounces", "vertex", "late"),
+    *("decoded", "MB"),
 )
 
 
@@ -119,24 +124,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--truth", type=Path, help="the folder of the truth, if it is not the clip's own")
     parser.add_argument("--qualities", nargs="+", choices=QUALITIES, default=list(QUALITIES))
     parser.add_argument("--picture", type=Path, help="where to draw the trade between the qualities")
+    parser.add_argument("--keep", type=Path, help="a file of results to begin with and to add to")
     parser.add_argument("--draws", type=int, default=200, help="of the noise, against the bound; 0 for no such table")
     chosen = parser.parse_intermixed_args(arguments)
-    results, failures = [], 0
-    for folder in chosen.clips:
-        for quality in chosen.qualities:
-            try:
-                results.append(in_own_process(folder, chosen.truth or truth_folder(folder), quality))
-            except (ValueError, OSError) as error:
-                failures += 1
-                print(f"{folder}, {quality}: {error}", file=sys.stderr)
+    results, failures = measured_clips(chosen)
     if results:
-        print_rows(["clip", "quality", *ROWS], [[r["clip"], r["quality"], *map(str, texts(r))] for r in results])
+        print_rows(["clip", "quality", *ROWS], [[r["clip"], r["quality"], *texts(r)] for r in results])
+        print()
+        print_rows(["quality", "clips", *MIDDLES], [middles(q, results) for q in chosen.qualities])
     if chosen.picture and results:
         draw_trade(chosen.picture, results)
     if chosen.draws:
         print()
         print_rows(["die", "quality", "/ bound", "rotation", "lateral", "depth"], efficiency_rows(chosen))
     return 1 if failures else 0
+
+
+def measured_clips(chosen: argparse.Namespace) -> tuple[list[dict[str, Any]], int]:
+    """Results of every clip at every quality, those at hand taken over, and how many clips failed."""
+    kept = chosen.keep.read_text().splitlines() if chosen.keep is not None and chosen.keep.exists() else []
+    results: list[dict[str, Any]] = [json.loads(line) for line in kept]
+    have, failures = {(r["clip"], r["quality"]) for r in results}, 0
+    for folder, quality in product(chosen.clips, chosen.qualities):
+        if (folder.resolve().name, quality) in have:
+            continue
+        try:
+            results.append(in_own_process(folder, chosen.truth or truth_folder(folder), quality))
+        except (ValueError, OSError) as error:
+            failures += 1
+            print(f"{folder}, {quality}: {error}", file=sys.stderr)
+            continue
+        if chosen.keep is not None:
+            with chosen.keep.open("a") as file:
+                file.write(json.dumps(results[-1]) + "\n")
+    return results, failures
 
 
 # --- one clip ---------------------------------------------------------------------------------------------------------
@@ -151,11 +172,7 @@ def in_own_process(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]
 def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     """Track one clip and compare: numbers by name."""
     scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_at)
-    tracking = tracked(scene, quality, None)  # compiles
-    began = time.perf_counter()
-    with tempfile.TemporaryDirectory() as scratch:
-        write_tracking(Path(scratch), scene, tracked(scene, quality, None))
-    whole_s = time.perf_counter() - began
+    tracking = tracked(scene, quality, None)  # compiles, too
     # Before the clip is decoded into memory, which no tracking does.
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     view = scene.views()[0]
@@ -164,7 +181,7 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     began, used = time.perf_counter(), time.process_time()
     tracked(scene, quality, decoded)
     decoded_s, used_s = time.perf_counter() - began, time.process_time() - used
-    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "whole": len(clip) / whole_s, "MB": peak_MB}
+    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "MB": peak_MB}
     name = folder.resolve().name
     return {"clip": name, "quality": quality} | errors(scene, truth, tracking) | rates
 
@@ -182,8 +199,10 @@ def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
     both = truth.visible[row] & track.tracked
     moved = truth.position_m[row[both]] - track.position_m[both]
     turned = turn_errors(matrix_from_quat(track.quaternion[both]) @ turn, truth.rotation[row[both]])
-    in_camera = moved @ scene.views()[0].camera.rotation.T
+    camera = scene.views()[0].camera
+    in_camera = moved @ camera.rotation.T
     across, along = np.linalg.norm(in_camera[:, :2], axis=1), np.abs(in_camera[:, 2])
+    px_per_m = camera.matrix[0, 0] / np.linalg.norm(track.position_m[both] - camera.centre_m, axis=1)
     angle = np.degrees(np.linalg.norm(turned, axis=1))
     nees = squared_sigmas(np.concatenate([moved, turned], 1), track.covariance[both])
     return {
@@ -191,6 +210,7 @@ def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
         "wrong": int(((angle > WRONG_DEG) | (across > WRONG_M)).sum()),
         "rotation": spread_of(angle),
         "lateral": spread_of(1e3 * across),
+        "px": spread_of(across * px_per_m),
         "depth": spread_of(1e3 * along),
         "NEES": (float(np.median(nees)), float((nees < CHI2_95).mean())),
     } | bounce_errors(tracking.measured.impacts, truth, truth_corners(turn, scene, truth))
@@ -225,7 +245,7 @@ def bounce_errors(impacts: Sequence[Impact], truth: Truth, true_corner: NDArray[
 
 def texts(result: dict[str, Any]) -> Iterator[str]:
     """The cells of a row."""
-    digits = {"rotation": 3, "lateral": 4, "depth": 3}
+    digits = {"rotation": 3, "lateral": 4, "px": 3, "depth": 3}
     for name in ROWS:
         value = result[name]
         if name in digits:
@@ -242,6 +262,28 @@ def texts(result: dict[str, Any]) -> Iterator[str]:
             yield f"{value[0]}/{value[1]}"
         else:
             yield f"{value:.3f}" if name == "late" else f"{value:.0f}"
+
+
+MIDDLES = ("tracked", "rotation", "lateral", "px", "depth", "NEES", "decoded", "CPU ms")
+
+
+def middles(quality: str, results: Sequence[dict[str, Any]]) -> list[str]:
+    """The row of a quality: medians over the clips; of the share of frames tracked, the least."""
+    mine = [r for r in results if r["quality"] == quality]
+    if not mine:
+        return [quality, "0", *([""] * len(MIDDLES))]
+    pairs = {
+        name: np.median([r[name] for r in mine], axis=0) for name in ("rotation", "lateral", "px", "depth", "NEES")
+    }
+    return [
+        quality,
+        str(len(mine)),
+        f"{100 * min(r['tracked'] for r in mine):.1f} %",
+        *(f"{a:.4f} / {b:.4f}" for a, b in (pairs[name] for name in ("rotation", "lateral", "px", "depth"))),
+        f"{pairs['NEES'][0]:.1f}, {100 * pairs['NEES'][1]:.0f} %",
+        f"{np.median([r['decoded'][0] for r in mine]):.0f}",
+        f"{1e3 / np.median([r['decoded'][1] for r in mine]):.2f}",
+    ]
 
 
 def print_rows(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

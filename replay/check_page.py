@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 
 import numpy as np
@@ -28,12 +29,18 @@ SHOWN = 3
 
 
 def check_page(
-    title: str, findings: tuple[Finding, ...], sight: Sight | None, clip: Clip, camera: Camera, die: Die
+    title: str, findings: tuple[Finding, ...], sights: Sequence[tuple[Sight | None, Clip, Camera]], die: Die
 ) -> str:
-    """The whole page as HTML."""
+    """The whole page as HTML, with what each camera sees."""
     parts = [f"<h1>{escape(title)}</h1>", _summary(findings), _findings(findings)]
-    if sight is not None and sight.track.tracked.any():
-        parts += ["<h2>The frames that were tried</h2>", _film(sight, clip, camera, die), _heights(sight, die)]
+    for k, (sight, clip, camera) in enumerate(sights):
+        if sight is not None and sight.track.tracked.any():
+            whose = f" with camera {k + 1}" if len(sights) > 1 else ""
+            parts += [
+                f"<h2>The frames that were tried{whose}</h2>",
+                _film(sight, clip, camera, die),
+                _heights(sight, die),
+            ]
     return whole_page(title, parts, OWN_STYLE)
 
 

@@ -35,6 +35,7 @@ def write_video(
     options: dict[str, str] | None = None,
     times: Sequence[int] | None = None,
     color_range: int | None = None,
+    extradata: bytes | None = None,
 ) -> Path:
     """A film of grey frames by PyAV; `times` are presentation times in ticks of 1/fps."""
     with av.open(str(path), "w") as container:
@@ -42,6 +43,8 @@ def write_video(
         stream.height, stream.width, stream.pix_fmt = frames.shape[1], frames.shape[2], pixels
         if color_range is not None:
             stream.codec_context.color_range = color_range
+        if extradata is not None:
+            stream.codec_context.extradata = extradata
         for k, pixels_of_frame in enumerate(frames):
             frame = video_frame(pixels_of_frame, "gray" if frames.dtype == np.uint8 else pixels)
             if times is not None:

@@ -34,6 +34,7 @@ from .flights import transition
 from .hints import HandStart, excluded_rows
 from .marks import edge_information, frames_to_learn_from, learn_marks, refine_by_marks, shared_covariance
 from .marks_textures import Marks
+from .offsets import Offsets, eyes_at, find_offsets
 from .pose import (
     Pose,
     View,
@@ -97,6 +98,8 @@ class Followed:
     track: Track
     marks: Marks | None
     """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
+    offsets: Offsets
+    """Of the cameras' clocks; looked for with a second pass alone."""
 
 
 def follow(
@@ -154,6 +157,7 @@ def look_through(
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
+    offsets = Offsets.none(len(clips))
     if quality.second_pass:
         if die.corner_radius_m == 0.0:
             # Bevels in a mirror are lit from below and seen at a glance: a reflection of rounded edges turned the poses by
@@ -161,13 +165,15 @@ def look_through(
             view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
-        seen = _second_pass(view, reel, seen, throw, unused, report)
+        if throw is not None:
+            offsets = find_offsets(view, reel.frame, reel.times_s, throw)
+        seen = _second_pass(view, reel, seen, throw, unused, report, offsets)
     marks, shared = None, None
     if with_marks:
         seen, marks, shared = _third_pass(view, reel, seen, report)
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
-    return Followed(calibrated(track, die, view.camera), marks)
+    return Followed(calibrated(track, die, view.camera), marks, offsets)
 
 
 def _view_of(
@@ -360,7 +366,9 @@ def _lens_blur(view: View, reel: Reel, seen: Seen, known: Mask) -> float:
     return view.blur_px
 
 
-def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter) -> Seen:
+def _second_pass(
+    view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter, offsets: Offsets
+) -> Seen:
     """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
     seen = Seen.empty(len(reel))
     flown = _motions(throw, reel.times_s) if throw is not None else None
@@ -368,13 +376,13 @@ def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, unuse
         for start, frames in reel.blocks():
             rows = slice(start, start + len(frames))
             if flown is None:
-                _settle_block(view, pool, frames, first, rows, seen, first.known[rows])
+                _settle_block(view, pool, frames, first, rows, seen, first.known[rows], offsets)
             else:
-                _settle_block(view, pool, frames, flown, rows, seen, ~unused[rows])
+                _settle_block(view, pool, frames, flown, rows, seen, ~unused[rows], offsets)
                 apart = first.known[rows] & _apart(view, flown, first, rows)
                 if apart.any():
                     other = Seen.empty(len(reel))
-                    _settle_block(view, pool, frames, first, rows, other, apart)
+                    _settle_block(view, pool, frames, first, rows, other, apart, offsets)
                     better = other.known & (~seen.known | (other.cost < seen.cost))
                     seen.take(np.flatnonzero(better), other)
             report.at_least(len(reel) + start + len(frames))
@@ -385,7 +393,14 @@ def _second_pass(view: View, reel: Reel, first: Seen, throw: Throw | None, unuse
 
 
 def _settle_block(
-    view: View, pool: ThreadPoolExecutor, frames: Frames, start: Seen, rows: slice, out: Seen, use: Mask
+    view: View,
+    pool: ThreadPoolExecutor,
+    frames: Frames,
+    start: Seen,
+    rows: slice,
+    out: Seen,
+    use: Mask,
+    offsets: Offsets,
 ) -> None:
     """Refine the frames of one block in threads, and keep what the pixels bear out."""
     position = np.where(use[:, None], start.position_m[rows], np.nan)
@@ -396,10 +411,13 @@ def _settle_block(
     lens = view.lens
 
     def part(a: int, b: int) -> None:
-        settle(
-            frames[a:b], view.backgrounds, view.eyes, view.shape, lens, position[a:b], rotation[a:b], motion[a:b], 1,
-            H[a:b], stats[a:b], cost[a:b],
-        )  # fmt: skip
+        # Late cameras stand elsewhere for every frame.
+        for i, j in pairwise(range(a, b + 1)) if offsets.any else ((a, b),):
+            eyes = eyes_at(view.eyes, offsets.seconds, position[i], motion[i]) if offsets.any else view.eyes
+            settle(
+                frames[i:j], view.backgrounds, eyes, view.shape, lens, position[i:j], rotation[i:j], motion[i:j], 1,
+                H[i:j], stats[i:j], cost[i:j],
+            )  # fmt: skip
 
     for job in [pool.submit(part, int(a), int(b)) for a, b in pairwise(cuts) if b > a]:
         job.result()

@@ -19,12 +19,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
 import av
+import av.filter
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -285,6 +287,8 @@ def _bit_depth(frame: av.VideoFrame) -> int:
 
 def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
     """(height, width) grey levels at full scale."""
+    if frame.planes[0].line_size < 0:
+        return _grey(_turned_over(frame), mono)[::-1].copy()
     name = frame.format.name
     if LUMA_FIRST.match(name):
         depth = int(frame.format.components[0].bits)
@@ -308,6 +312,26 @@ def _plane(frame: av.VideoFrame, depth: int, big_endian: bool) -> Frame:
     lines = np.frombuffer(plane, dtype).reshape(-1, plane.line_size // dtype.itemsize)
     whole = lines[: frame.height, : frame.width]
     return whole.astype(np.uint8) if depth <= 8 else whole.astype(np.uint16)
+
+
+def _turned_over(frame: av.VideoFrame) -> av.VideoFrame:
+    """The frame with its lines in the other order.
+
+    Lines stored from the bottom up have a negative size, and the plane begins at the last of them: what PyAV would read
+    from there on lies behind the picture. FFmpeg's own flip only moves the beginning and turns the sign.
+    """
+    graph = av.filter.Graph()
+    graph.link_nodes(
+        graph.add_buffer(
+            width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1)
+        ),
+        graph.add("vflip"),
+        graph.add("buffersink"),
+    ).configure()
+    graph.push(frame)
+    turned = graph.pull()
+    assert isinstance(turned, av.VideoFrame)
+    return turned
 
 
 @lru_cache

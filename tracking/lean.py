@@ -31,9 +31,11 @@ SIZE_PX = 0.05
 """One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
 SIZE_SHARE = 0.1
 """And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
-ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
+ASIDE_PX, ASIDE_SHARE = 0.01, 0.1
 """One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
-opposite contours err by some hundredths of a pixel each, and there are several of them."""
+opposite contours of a sharp die err by some hundredths of a pixel each, and there are several of them. A bevel of radius r
+is seen some 1.4 r wide, and what shade it has between its two faces' is the light's affair: where on it an edge seems
+to be varies by 0.2 to 0.4 r, and three to nine edges, of which the contours know better, make up a pose."""
 TURN_SHARE = 0.75
 """The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
 SHARED = 6

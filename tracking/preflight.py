@@ -146,7 +146,7 @@ def preflight(
     rows = np.unique(np.linspace(0, len(clip) - 1, min(SAMPLED, len(clip))).astype(int))
     sample = [_grey(clip.frame(int(k))) for k in rows]
     noise = background_noise(sample, empty)
-    backdrop = _backdrop(sample, empty, noise, estimated, clip.bit_depth)
+    backdrop = _backdrop(sample, empty, estimated, clip.bit_depth)
     sight, trouble, notices = None, "", clip.notices
     first = _first_sight(clip, make_view(camera, die, empty, noise, exposure_s, 0.7), start)
     if first is None:
@@ -185,8 +185,10 @@ def _timing(clip: Clip, notices: tuple[str, ...]) -> Timing:
     )
 
 
-def _backdrop(sample: list[Image], background: Image, noise: float, estimated: bool, bit_depth: int) -> Backdrop:
+def _backdrop(sample: list[Image], background: Image, estimated: bool, bit_depth: int) -> Backdrop:
     offsets = [float(np.median(image - background)) for image in sample]
+    # Other light than the background's is no noise: a tracker takes it for some, and sees less.
+    noise = background_noise([image - off for image, off in zip(sample, offsets, strict=True)], background)
     brightest = max(float(np.percentile(image[::2, ::2], 99.9)) for image in sample)
     worst = max(offsets, key=abs)
     return Backdrop(estimated, noise, worst, _always_off(sample, background, noise), brightest / (2**bit_depth - 1))

@@ -42,6 +42,7 @@ from .tracking.clip import Clip, open_clip
 from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
+from .tracking.offsets import Offsets
 from .tracking.quality import STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
@@ -72,6 +73,8 @@ class Tracking:
     measured: Throw
     smoothed: Track
     """The same frames, with the exact motion of the flights where it holds."""
+    offsets: Offsets
+    """Of the clocks of several cameras."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -84,6 +87,7 @@ class Tracking:
         """What a careful reader should know of the footage and of the motion in it, one sentence each."""
         return (
             *(n for clip in self.clips for n in clip.notices),
+            *self.offsets.notices(1.0 / _rate_hz(self.frames)),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *fall_notices(measure_fall(self.frames, self.measured)),
         )
@@ -246,7 +250,7 @@ def track_scene(
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(tuple(clips), die, faces, frames, straight, measured, smoothed)
+    return Tracking(tuple(clips), die, faces, frames, straight, measured, smoothed, followed.offsets)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:

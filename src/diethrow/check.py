@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,8 @@ from .scene import Scene, View
 from .settings import SceneError
 from .tracking.background import load_background
 from .tracking.clip import Clip, open_clip
-from .tracking.preflight import Preflight, preflight
+from .tracking.hints import HandStart
+from .tracking.preflight import Preflight, Sight, preflight
 from .tracking.verdicts import Finding, Verdict, judge
 
 
@@ -26,7 +27,9 @@ class Check:
     """What `check_clip` found."""
 
     findings: tuple[Finding, ...]
-    measured: Preflight
+    """Of several cameras each finding names its own: `pixels, camera 2`."""
+    measured: tuple[Preflight, ...]
+    """One a camera."""
 
     @property
     def bad(self) -> bool:
@@ -35,7 +38,7 @@ class Check:
 
 
 def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, command: tuple[str, ...] = ()) -> Check:
-    """Look at the clip of a scene; with `out`, check.json and check.html are written to that folder.
+    """Look at the clips of a scene, one a camera; with `out`, check.json and check.html are written to that folder.
 
     Raises SceneError for footage that does not fit the scene, and OutputExistsError for a folder that exists.
     """
@@ -44,10 +47,13 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
         return _check(scene, Stopwatch())[0]
     watch = Stopwatch()
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        check, clip = _check(scene, watch)
+        check, clips = _check(scene, watch)
         write_json(folder / "check.json", _record(check))
-        camera, title = scene.views()[0].camera, scene.path.resolve().parent.name
-        page = check_page(title, check.findings, check.measured.sight, clip, camera, scene.die)
+        sights = [
+            (measured.sight, clip, view.camera)
+            for measured, clip, view in zip(check.measured, clips, scene.views(), strict=True)
+        ]
+        page = check_page(scene.path.resolve().parent.name, check.findings, sights, scene.die)
         (folder / "check.html").write_text(page, encoding="utf-8")
         write_provenance(
             folder / "provenance.json",
@@ -59,32 +65,42 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
     return check
 
 
-def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, Clip]:
-    view = scene.views()[0]
-    with watch.stage("open"):
-        clip = open_footage(scene, view)
-        background = _background(view, clip, scene)
+def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
+    views = scene.views()
+    findings: list[Finding] = []
+    measured, clips = [], []
+    for k, view in enumerate(views):
+        with watch.stage("open"):
+            clips.append(open_footage(scene, view))
+        with watch.stage("check"):
+            # A start by hand was clicked in the first camera's picture.
+            measured.append(_measured(scene, view, clips[-1], scene.start if k == 0 else None))
+        told = judge(measured[-1], scene.die, scene.clip.exposure_s)
+        findings += told if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in told]
+    return Check(tuple(findings), tuple(measured)), clips
+
+
+def _measured(scene: Scene, view: View, clip: Clip, start: HandStart | None) -> Preflight:
+    """What the clip of one camera offers."""
+    background = _background(view, clip, scene)
 
     def open_part(first: int, stop: int) -> Clip:
         assert view.path is not None, "views() demands paths"
         return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
 
-    exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")
     try:
-        with watch.stage("check"):
-            measured = preflight(
-                clip,
-                view.camera,
-                scene.die,
-                open_part,
-                background=background,
-                exposure_s=exposure_s,
-                start=scene.start,
-                excluded=scene.clip.excluded,
-            )
+        return preflight(
+            clip,
+            view.camera,
+            scene.die,
+            open_part,
+            background=background,
+            exposure_s=scene.clip.exposure_s or clip.metadata().get("exposure_s"),
+            start=start,
+            excluded=scene.clip.excluded,
+        )
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error
-    return Check(judge(measured, scene.die, scene.clip.exposure_s), measured), clip
 
 
 def _background(view: View, clip: Clip, scene: Scene) -> NDArray[np.float32] | None:
@@ -97,11 +113,10 @@ def _background(view: View, clip: Clip, scene: Scene) -> NDArray[np.float32] | N
 
 
 def _record(check: Check) -> dict[str, object]:
-    sight = check.measured.sight
-    tried = None if sight is None else [int(sight.track.frame[0]), int(sight.track.frame[-1]) + 1]
+    tried = [_frames_tried(measured.sight) for measured in check.measured]
     return {
         "verdict": max((finding.verdict for finding in check.findings), key=list(Verdict).index).value,
-        "frames_tried": tried,
+        "frames_tried": tried[0] if len(tried) == 1 else tried,
         "findings": [
             {
                 "name": finding.name,
@@ -113,3 +128,7 @@ def _record(check: Check) -> dict[str, object]:
             for finding in check.findings
         ],
     }
+
+
+def _frames_tried(sight: Sight | None) -> list[int] | None:
+    return None if sight is None else [int(sight.track.frame[0]), int(sight.track.frame[-1]) + 1]

@@ -67,6 +67,27 @@ def test_a_sound_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_
     assert invoke(scene, "--out", out)[0] == 2
 
 
+def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
+    text = scene.read_text().replace("background", "#background").replace("path =", "#path =")
+    table = text[text.index("[camera]") : text.index("[table]")]
+    own = f'path = "{scene.parent / "clip.tif"}"\nbackground = "{scene.parent / "background.png"}"\n'
+    other = tmp_path / "scene.toml"
+    twice = table.replace("[camera]", "[[camera]]") + own
+    # The same clip twice, the second time with a background in other light.
+    other.write_text(text.replace(table, twice + twice.replace('background.png"', 'nothing.png"')))
+    cv2.imwrite(str(scene.parent / "nothing.png"), np.rint(ROOM.table + 60).astype(np.uint8))
+    out = tmp_path / "check"
+    status, said, _ = invoke(other, "--out", out)
+    assert status == 1
+    record = json.loads((out / "check.json").read_text())
+    verdicts = {each["name"]: each["verdict"] for each in record["findings"]}
+    assert verdicts["background, camera 1"] == "good"
+    assert verdicts["background, camera 2"] == "bad"
+    assert "camera 2" in said
+    assert len(record["frames_tried"]) == 2
+    assert "with camera 1" in (out / "check.html").read_text()
+
+
 def test_something_bad_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
     text = scene.read_text().replace('"clip.tif"', f'"{scene.parent / "clip.tif"}"')
     bright = tmp_path / "bright.png"

@@ -20,6 +20,7 @@ from diethrow.tracking.flights import (
     fit_flight,
     left_jacobians,
     moved,
+    scaled_inverse,
     transition,
 )
 from diethrow.tracking.joined import Joined, Link, fit_joined
@@ -206,3 +207,25 @@ def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
     np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(joined.sigma_time_s[0])
     assert joined.time_columns[0] == -1
+
+
+def test_an_inverse_by_the_factor_is_the_pseudo_inverse_and_what_is_open_stays_finite() -> None:
+    rng = np.random.default_rng(6)
+    rows = rng.normal(size=(60, 12)) * np.geomspace(1e-5, 1e5, 12)
+    matrix = rows.T @ rows
+    settled = scaled_inverse(matrix)
+    # The factor loses as many digits as the scaled matrix has in its condition, below a hundred here.
+    np.testing.assert_allclose(settled @ matrix, np.eye(12), atol=1e-5)
+    np.testing.assert_array_equal(settled, settled.T)
+    rows[:, 3] = rows[:, 4] * 1e-3  # two parameters that no frame tells apart
+    opened = scaled_inverse(rows.T @ rows)
+    assert np.isfinite(opened).all()
+    # What the data do tell of the others is as without the open pair.
+    np.testing.assert_allclose(
+        np.delete(np.diag(opened), [3, 4]), np.delete(np.diag(scaled_inverse_without(rows, 3)), 3)
+    )
+
+
+def scaled_inverse_without(rows: Array, column: int) -> Array:
+    fewer = np.delete(rows, column, axis=1)
+    return scaled_inverse(fewer.T @ fewer)

@@ -10,10 +10,13 @@ from footage_of_throws import DICE, Studio, film, photograph, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
+from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
+from diethrow.model.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.follow import follow
+from diethrow.tracking.follow import follow, look_through
+from diethrow.tracking.offsets import eyes_at
 from diethrow.tracking.pose import MIRRORED, Pose, View, make_view, refine_pose, stacked, with_reflections
 from diethrow.tracking.quality import FAST, STANDARD
 
@@ -121,3 +124,61 @@ def test_a_fast_track_is_a_rougher_one_of_the_same_throw(crossing: Throw) -> Non
         assert track.tracked.all()
         off = (track.position_m - crossing.poses(track.time_s)[0]) @ across.T
         assert np.median(np.linalg.norm(off, axis=1)) < allowed_m
+
+
+def bouncing_cube() -> Throw:
+    """A cube that falls, bounces and rises within both pictures."""
+    release = State(0.0, np.array([0.0, 0.0, 0.022]), random_quaternion(np.random.default_rng(8)),
+                    np.array([0.08, 0.05, -0.45]), np.array([12.0, -25.0, 9.0]))  # fmt: skip
+    return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=50 / 1500.0)).throw
+
+
+def later(throw: Throw, late_s: float) -> Throw:
+    """The same throw for a clock that is late: its time zero comes so much later."""
+    flights = tuple(
+        replace(f, start=replace(f.start, time_s=f.start.time_s - late_s), end_s=f.end_s - late_s)
+        for f in throw.flights
+    )
+    return Throw(flights, tuple(replace(i, time_s=i.time_s - late_s) for i in throw.impacts))
+
+
+def test_a_camera_whose_clock_is_late_is_found_out_and_does_no_harm() -> None:
+    throw, late_s = bouncing_cube(), 0.3 / 1500.0
+    room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
+    clips = [film(room, CUBE, throw, 48, seed=1), film(side, CUBE, later(throw, late_s), 48, seed=2)]
+    found = look_through(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
+    offsets, track = found.offsets, found.track
+    assert abs(offsets.seconds[1] - late_s) < 4.0 * offsets.sigma_s[1] < 0.1 / 1500.0
+    assert "camera 2" in offsets.notices(1 / 1500.0)[0]
+    assert "later" in offsets.notices(1 / 1500.0)[0]
+    away = np.abs(track.time_s[:, None] - [i.time_s for i in throw.impacts]).min(1) > 1.5 / 1500.0
+    off = np.linalg.norm(track.position_m - throw.poses(track.time_s)[0], axis=1)[away & track.tracked]
+    # At 0.4 m/s a third of a frame is 0.1 mm; as two synchronised clips above.
+    assert np.median(off) < 2e-5
+
+
+def test_synchronised_cameras_show_no_offset() -> None:
+    throw = bouncing_cube()
+    room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
+    clips = [film(r, CUBE, throw, 48, seed=k) for k, r in enumerate((room, side))]
+    offsets = look_through(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table]).offsets
+    assert not offsets.any
+    assert offsets.notices(1 / 1500.0) == ()
+    assert offsets.sigma_s[1] < 0.05 / 1500.0
+
+
+def test_a_late_camera_is_a_synchronised_one_in_another_place() -> None:
+    rng = np.random.default_rng(4)
+    state = replace(state_at(rng, 0.02), velocity_m_s=rng.normal(size=3), omega_rad_s=30.0 * rng.normal(size=3))
+    eyes = view_of([ROOM.camera, from_the_side(ROOM).camera], [ROOM.table] * 2, mirror=True).eyes
+    late_s = np.array([0.0, 2e-4])
+    moved = eyes_at(eyes, late_s, state.position_m, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
+    for e in range(len(eyes.camera)):
+        then = Flight(state, np.inf).at(late_s[eyes.camera[e]])
+        truly = (
+            eyes.rotation[e] @ (CUBE.solid.vertices @ then.rotation.T + then.position_m).T
+            + eyes.translation[e][:, None]
+        )
+        now = CUBE.solid.vertices @ state.rotation.T + state.position_m
+        # Gravity over the offset is left out: g δ²/2 is 0.2 µm.
+        np.testing.assert_allclose(moved.rotation[e] @ now.T + moved.translation[e][:, None], truly, atol=3e-7)
