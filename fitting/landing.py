@@ -11,11 +11,9 @@ from collections import Counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model import kernels
-from ..model.bodies import body_of
 from ..model.motion import State, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from ..model.simulate import Until, checked_release
+from ..model.simulate import Until
 from ..model.solids import Die, lowest_face
 from ..tracking.track import Track
 from .flights import moved_state
@@ -64,7 +62,7 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
     """
     last = throw.flights[-1].start
     until_s = physics.values.get("clock_scale", 1.0) * end_s
-    if until_s <= last.time_s or _start_on_table(physics, last) is None:
+    if until_s <= last.time_s or physics.release(last) is None:
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw
     return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
@@ -110,29 +108,7 @@ def _landing(physics: Physics, start: State, vertices: tuple[int, ...], until_s:
     """The face of one throw, through the fitted impacts and then by itself; None where it is not decided."""
     clock = physics.values.get("clock_scale", 1.0)
     last = course(physics, start, np.array([until_s / clock]), vertices).throw.flights[-1].start
-    packed = _start_on_table(physics, last)
-    if packed is None:
+    release = physics.release(last)
+    if release is None:
         return None
-    _, _, face, *_ = kernels.run_throw(
-        body_of(physics.body),
-        kernels.law_of(physics.law.code, physics.law.parameters),
-        physics.plane.plane,
-        kernels.FINE,
-        packed,
-        float(last.time_s),
-        np.inf,
-        np.iinfo(np.int64).max,
-        True,
-        _MOST_IMPACTS,
-        False,
-    )
-    return int(face) + 1 if face >= 0 else None
-
-
-def _start_on_table(physics: Physics, state: State) -> Array | None:
-    """The state as the event loop starts from it (13,); None where a vertex lies below the table."""
-    # The reach of the numbers of a fitted impact: a vertex that has just touched may be this much under.
-    try:
-        return checked_release(physics.body, state, physics.plane)
-    except ValueError:
-        return None
+    return physics.run(release, float(last.time_s), impacts=_MOST_IMPACTS, keep=False).landed_face

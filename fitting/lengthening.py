@@ -71,14 +71,13 @@ def next_flight(free: FreeFlights, reached: int) -> int | None:
     return next((k for k in later if free.sightings.count(k) >= FEWEST_FRAMES), None)
 
 
-def best_attempt(shot: Shot, measured: Throw, free: FreeFlights, *, patient: bool = True) -> Shot | None:
-    """The shot nearest to the frames up to the next flight that has any, explained or not; unless `patient`, None where
-    a few of them are hopelessly far."""
+def best_attempt(shot: Shot, measured: Throw, free: FreeFlights) -> Shot | None:
+    """The shot nearest to the frames up to the next flight that has any, explained or not."""
     target = next_flight(free, shot.reached)
     while target is not None:
         impacts = measured.impacts[shot.reached : target]
         sequences = [*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]]
-        tried = [_reach(shot, sequence, target, free, patient=patient) for sequence in sequences]
+        tried = [reach(shot, sequence, target, free, patient=True) for sequence in sequences]
         reached = [other for other in tried if other is not None]
         if reached:
             return min(reached, key=lambda s: s.mean_square)
@@ -148,7 +147,7 @@ def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlight
             for sequence in group:
                 if sequence not in tried:
                     tried.add(sequence)
-                    longer = _reach(shot, sequence, target, free)
+                    longer = reach(shot, sequence, target, free)
                     if longer is not None and is_explained(longer, free):
                         found.append((not keeps_its_sequence(longer), longer.mean_square, longer))
             if telling and any(not forced for forced, _, _ in found):
@@ -158,7 +157,7 @@ def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlight
     return list(reversed(distinct.values()))[:_BEAM]
 
 
-def _reach(
+def reach(
     shot: Shot, sequence: tuple[int, ...], target: int, free: FreeFlights, *, patient: bool = False
 ) -> Shot | None:
     """The shot fitted on through more impacts to the end of flight `target`; None if one of them never happens.

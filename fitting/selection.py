@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
-from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale
+from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale, reach
 from .physics import EFFECTS, RESTITUTIONS, Physics, course
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
@@ -111,7 +111,7 @@ def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> lis
     for effect in unused_effects(shot.physics):
         # Once one effect explains the flight, another has to do the same, which a few frames tell.
         explained = any(trial.shot is not None and is_explained(trial.shot, free) for trial in trials)
-        trials.append(_try_on(shot, attempt, effect, measured, free, patient=not explained))
+        trials.append(_try_on(shot, attempt, effect, free, patient=not explained))
     return trials
 
 
@@ -133,12 +133,13 @@ def unused_effects(physics: Physics) -> list[str]:
     return [effect for effect in candidates_for(physics) if effect not in physics.effects]
 
 
-def _try_on(shot: Shot, attempt: Shot, effect: str, measured: Throw, free: FreeFlights, *, patient: bool) -> Trial:
+def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patient: bool) -> Trial:
     """One effect on the frames of an attempt that failed without it."""
     k2 = loss_scale(free)
     starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
-    reached = [best_attempt(with_physics(shot, physics, k2), measured, free, patient=patient) for physics in starts]
-    found = [other for other in reached if other is not None and other.reached == attempt.reached]
+    onward = attempt.vertices[len(shot.vertices) :]
+    tried = [reach(with_physics(shot, p, k2), onward, attempt.reached, free, patient=patient) for p in starts]
+    found = [other for other in tried if other is not None]
     if not found:
         return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
     refitted = [shoot(attempt.sightings, other, other.vertices, k2) for other in _nearest_of_each_kind(found)]

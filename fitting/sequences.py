@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from ..model.motion import Impact, State
-from ..model.simulate import Until
 from .flights import FreeFlights, moved_state
 from .physics import Physics
 from .shots import Shot
@@ -20,6 +19,9 @@ Array = NDArray[np.float64]
 Vertices = tuple[int, ...]
 
 _DRAWS = 32
+
+_MOST_IMPACTS = 10_000
+"""Of a draw until a frame; one that chatters ends in held contact long before."""
 
 
 def candidates(shot: Shot, impacts: Sequence[Impact], target: int, free: FreeFlights) -> Iterator[list[Vertices]]:
@@ -66,14 +68,10 @@ def simulated_sequences(shot: Shot, target: int, free: FreeFlights) -> list[Vert
 def own_sequence(physics: Physics, start: State, until_s: float) -> Vertices:
     """The vertices with which a throw left to itself strikes until a time on the track's clock, up to where it stops
     bouncing; none for a start below the table, from which there is no throw."""
-    until = Until(time_s=physics.values.get("clock_scale", 1.0) * until_s)
-    try:
-        throw = physics.throw(start, until).throw
-    except ValueError:
+    release = physics.release(start)
+    if release is None:
         return ()
-    struck = []
-    for impact in throw.impacts:
-        if impact.contact == "held":
-            break
-        struck.append(impact.vertices[0])
-    return tuple(struck)
+    end_s = physics.values.get("clock_scale", 1.0) * until_s
+    struck = physics.run(release, float(start.time_s), end_s=end_s, impacts=_MOST_IMPACTS, keep=True).struck
+    held = np.flatnonzero(struck < 0)
+    return tuple(int(vertex) for vertex in struck[: held[0] if len(held) else None])

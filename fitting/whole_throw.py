@@ -116,13 +116,13 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
     one that gains more is taken.
     """
     best, found = (shots[0].reached - 1, 0.0), None
-    for trial in trials:
-        if not trial.pays:
-            continue
+    for trial in sorted((t for t in trials if t.pays), key=lambda t: t.worth, reverse=True):
         assert trial.shot is not None
         longer = through_the_bounces(_openings(work, trial.shot.physics), work.measured, work.free)
         if longer[0].reached >= shots[0].reached and (longer[0].reached, trial.worth) > best:
             best, found = (longer[0].reached, trial.worth), longer
+        if not can_go_on(work.free, best[0]):
+            break  # nothing can lead farther, and what follows gains less
     return found
 
 
