@@ -86,6 +86,9 @@ class Precision(NamedTuple):
     """Slowest bounce that is still simulated, in units of √(g R); see `contact`."""
     turn: float
     """[rad] by which a die in held contact turns in one step of the integration."""
+    sweep: float = 1e-12
+    """Change of a contact velocity in a sweep over contacts with friction, as a part of the velocities at hand, after
+    which no other sweep is made."""
 
 
 SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED = 0, 1, 2, 3
@@ -137,9 +140,6 @@ _MOST_SWEEPS = 1000
 
 _FULL_SWEEPS, _LONG_SWEEPS = 100, 500
 """After so many sweeps without an end, each goes 0.7, then 0.4 of its way."""
-
-_SWEEP_CHANGE = 1e-12
-"""Change of a contact velocity in a sweep, as a part of the velocities at hand, after which no other sweep is made."""
 
 _NEAR_RUBBED, _RUBBED_PART = 1e-6, 0.1
 """With friction, held contact is followed by a method of low order: part of the circumradius within which its vertices
@@ -1380,6 +1380,7 @@ def friction_step(
     push: Array,
     table_velocity: float,
     impulses: Array,
+    sweep: float = 1e-12,
 ) -> int:
     """One time step of held contact of a spherical top: `velocity` (6,) [m/s, rad/s], centre and spin, in place.
 
@@ -1389,7 +1390,7 @@ def friction_step(
     small one. `impulses` (n, 3) [N s]: a guess, zero or those of the step before; the result afterwards.
     `table_velocity` [m/s] is the table's own, along z. No velocity of a vertex at the end is below it by more than
     rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `_MOST_SWEEPS` where they
-    were cut off before no contact velocity changed by more than `_SWEEP_CHANGE` of push and velocities.
+    were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
     """
     n = arms.shape[0]
     velocity[:3] += push
@@ -1400,7 +1401,7 @@ def friction_step(
     for i in range(n):
         _kick(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
     sweeps, changed = 0, inf
-    while changed > _SWEEP_CHANGE * size and sweeps < _MOST_SWEEPS:
+    while changed > sweep * size and sweeps < _MOST_SWEEPS:
         changed = 0.0
         # Corners that answer each other in a circle stop doing so when each goes only part of its way.
         part = 1.0 if sweeps < _FULL_SWEEPS else (0.7 if sweeps < _LONG_SWEEPS else 0.4)
@@ -1485,6 +1486,7 @@ def rub_step(
     guess: Array,
     impulses: Array,
     after: Array,
+    sweep: float,
 ) -> int:
     """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
 
@@ -1503,7 +1505,8 @@ def rub_step(
     velocity[:3], velocity[3:] = after[7:10], after[10:13]
     push[0], push[1], push[2] = plane.gx * dt, plane.gy * dt, -plane.g * dt
     impulses[:n] = guess[:n] * dt
-    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, table_velocity(plane, time + dt), impulses[:n])
+    v_table = table_velocity(plane, time + dt)
+    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
     after[7:10], after[10:13] = velocity[:3], velocity[3:]
     turn_and_move(after, 0.5 * dt)
     pressing = 0
@@ -1552,7 +1555,7 @@ def rough_rub(
             return RESTED, time - begin, -1, knots, known
         rate = spin_of(state) + sqrt((plane.g + shake) / body.radius) + (0.0 if fixed else plane.rate)
         dt = min(_RUBBED_PART * precision.turn / rate, begin + limit - time)
-        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after)
+        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep)
         if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
             # Nothing moves, and nothing will.
             if for_ever:
@@ -1565,13 +1568,15 @@ def rough_rub(
                 middle = 0.5 * (low + high)
                 if high - low <= 1e-12 * dt:
                     break
-                rub_step(body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after)
+                rub_step(
+                    body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after, precision.sweep
+                )
                 found = lowest_free(body, plane, after, time + middle, active)
                 if found >= 0:
                     high, hit = middle, found
                 else:
                     low = middle
-            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after)
+            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
             state[:] = after
             return FLIES, time + high - begin, hit, knots, known
         state[:] = after
@@ -2110,6 +2115,67 @@ def land_many(
             body, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
+
+
+@njit(cache=True, nogil=True)
+def poses_of_throw(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    start: Array,
+    start_time: float,
+    times: Array,
+    impact_cap: int,
+    poses: Array,
+) -> tuple[int, int]:
+    """Position and quaternion of a throw at `times` (n,) [s], in order and none before the start, into `poses` (n, 7).
+
+    As `run_throw` and `history` would have them, without the objects in between: heights are those of the centre. NaN
+    from the instant at which the impacts are too many. Returns how the throw ended and the number of its impacts.
+    """
+    last = times[times.shape[0] - 1]
+    ending, impacts, _, end, _, log, knots = run_throw(
+        body, law, plane, precision, start, start_time, last - start_time, 9223372036854775807, False, impact_cap, True
+    )
+    rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
+    event, knot = -1, 0
+    for k in range(times.shape[0]):
+        time = times[k]
+        if ending == IMPACT_CAP and time > end:
+            poses[k] = nan
+            continue
+        while event + 1 < log.shape[0] and log[event + 1, 0] <= time:
+            event += 1
+        begin, i, j = start_time, -1, -1
+        state[:] = start
+        if event >= 0:
+            begin, i, j = log[event, 0], int(log[event, 21]), int(log[event, 22])
+            state[:7], state[7:13] = log[event, 2:9], log[event, 15:21]
+        while knot < knots.shape[0] and knots[knot, 0] < event:
+            knot += 1
+        while knot + 1 < knots.shape[0] and knots[knot + 1, 0] == event and knots[knot + 1, 1] <= time:
+            knot += 1
+        if knot < knots.shape[0] and knots[knot, 0] == event and knots[knot, 1] <= time:
+            begin = knots[knot, 1]
+            state[:] = knots[knot, 2:15]
+        if j == -1 and i < 0:
+            advance(state, spin_of(state), time - begin, plane)
+        elif j == -3:
+            # Half of each step goes with the old velocities, half with the new ones; after the last nothing is known.
+            ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
+            if not ends and time - begin > 0.5 * (knots[knot + 1, 1] - begin):
+                begin = knots[knot + 1, 1]
+                state[:] = knots[knot + 1, 2:15]
+            turn_and_move(state, time - begin)
+        elif j == -2:
+            carry_face(state, plane, begin, time - begin)
+        elif time > begin:
+            held_step(body, plane, state, begin, time - begin, i, j, rates, after)
+            state[:] = after
+        poses[k] = state[:7]
+        poses[k, 2] += body.rounding
+    return ending, impacts
 
 
 # --- derivatives -------------------------------------------------------------------------------------------------
