@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from throws import blurred_in_time, initial_errors, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.shooting import fit_throw
+from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.solids import make_die
 
 DICE = (

@@ -8,4 +8,4 @@ from .impulses import apparent_restitution as apparent_restitution
 from .results import Effect as Effect
 from .results import Fit as Fit
 from .results import Parameter as Parameter
-from .shooting import fit_throw as fit_throw
+from .whole_throw import fit_throw as fit_throw

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from ..model.motion import GRAVITY_M_S2, Flight, State, Throw
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from .robust import CLEAN_FRAME, MEDIAN_FRAME, condensed, huber, robust_variance
+from .descent import descend
+from .robust import CLEAN_FRAME, MEDIAN_FRAME, huber, robust_variance
 from .sightings import Sightings, cross_matrices, pose_errors, whitened, whitened_jacobian, with_noise
 
 Array = NDArray[np.float64]
@@ -145,26 +145,17 @@ def _nearest(sightings: Sightings, start: State, k2: float) -> tuple[State, Arra
     span = max(float(np.ptp(sightings.time_s)), 1e-9)
     scale = np.repeat([1e-3, 1e-2, 1e-3 / span, 1e-2 / span], 3)
 
-    def model(u: Array) -> tuple[Array, Array]:
-        state = moved_state(start, u * scale)
+    def evaluate(x: Array) -> tuple[Array, Array]:
+        state = moved_state(start, x)
         errors = pose_errors(sightings, *Flight(state, state.time_s).poses(sightings.time_s))
         jacobian = flight_jacobian(state, sightings.time_s)
         # The change is counted from the start, the derivative from where it has led.
-        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobian(u[3:6] * scale[3:6])
-        return whitened(sightings, errors), whitened_jacobian(sightings, errors, jacobian)
+        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobian(x[3:6])
+        residuals, jacobian = huber(whitened(sightings, errors), whitened_jacobian(sightings, errors, jacobian), k2)
+        return residuals.ravel(), jacobian.reshape(-1, 12)
 
-    def scaled(u: Array) -> Array:
-        residuals, jacobian = huber(*model(u), k2)
-        return condensed(residuals.ravel(), jacobian.reshape(-1, 12) * scale)
-
-    def residual(u: Array) -> Array:
-        return scaled(u)[:, 12]
-
-    def derivative(u: Array) -> Array:
-        return scaled(u)[:, :12]
-
-    solution = least_squares(residual, np.zeros(12), jac=derivative, max_nfev=30, xtol=1e-10)
-    state = moved_state(start, solution.x * scale)
+    free = np.full(12, np.inf)
+    state = moved_state(start, descend(evaluate, np.diag(1.0 / scale), -free, free, steps=30))
     errors = pose_errors(sightings, *Flight(state, state.time_s).poses(sightings.time_s))
     jacobian = whitened_jacobian(sightings, errors, flight_jacobian(state, sightings.time_s))
     return state, whitened(sightings, errors), jacobian

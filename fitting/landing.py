@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 
 from ..model import kernels
 from ..model.bodies import body_of
-from ..model.impacts import SmoothImpact
 from ..model.motion import State, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from ..model.simulate import Until, throw_die
+from ..model.simulate import Until, checked_release
 from ..model.solids import Die, lowest_face
-from ..model.tangent import propagate
-from ..model.touch import packed_state
 from ..tracking.track import Track
 from .flights import moved_state
+from .physics import Physics, course
 
 Array = NDArray[np.float64]
 
@@ -59,26 +57,26 @@ def resting_face(track: Track, die: Die) -> int | None:
     return face if flat else None
 
 
-def continued(die: Die, throw: Throw, chi: float, end_s: float) -> Throw:
-    """The throw simulated on from its last flight until `end_s`, or until its bounces crowd together.
+def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
+    """The throw simulated on from its last flight until `end_s` on the track's clock.
 
     Unchanged where the last flight begins with a corner below the table, as a fit through prescribed vertices may.
     """
-    last = throw.flights[-1]
-    # The reach of the numbers of a fitted impact: a vertex that has just touched may be this much under.
-    depth = float((matrix_from_quat(last.start.quaternion) @ die.solid.vertices.T)[2].min() + last.start.position_m[2])
-    if end_s <= last.start.time_s or depth < -1e-9 * die.solid.circumradius:
+    last = throw.flights[-1].start
+    until_s = physics.values.get("clock_scale", 1.0) * end_s
+    if until_s <= last.time_s or _start_on_table(physics, last) is None:
         return throw
-    on = throw_die(die, last.start, SmoothImpact(chi), until=Until(time_s=end_s)).throw
+    on = physics.throw(last, Until(time_s=until_s)).throw
     return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
 
 
 def landing_odds(
-    die: Die, throw: Throw, chi: float, initial: State, covariance: Array, vertices: tuple[int, ...]
+    physics: Physics, throw: Throw, initial: State, covariance: Array, vertices: tuple[int, ...]
 ) -> tuple[int | None, dict[int, float] | None, tuple[str, ...]]:
     """Face on which throws drawn from the fit come to rest, the odds of every face, and what to say of them.
 
-    `covariance` (13, 13) is that of `initial` and χ, `vertices` the impacts through which the fit runs.
+    `covariance` (12 + k, 12 + k) is that of `initial` and the free parameters, `vertices` the impacts through which the
+    fit runs.
     """
     rng = np.random.default_rng(0)
     values, axes = np.linalg.eigh(covariance)
@@ -86,20 +84,21 @@ def landing_odds(
     landed: Counter[int] = Counter()
     undecided = 0
     for _ in range(DRAWS):
-        x = spread @ rng.standard_normal(13)
-        drawn_chi = float(np.clip(chi + x[12], 0.0, 1.0))
-        face = _landing(die, moved_state(initial, x[:12]), drawn_chi, vertices, throw.flights[-1].start.time_s)
+        x = spread @ rng.standard_normal(len(spread))
+        start = moved_state(initial, x[:12])
+        face = _landing(physics.moved(x[12:]), start, vertices, throw.flights[-1].start.time_s)
         if face is None:
             undecided += 1
         else:
             landed[face] += 1
+    faces = len(physics.die.solid.faces)
     if undecided > 0.1 * DRAWS:
         words = (
-            f"The landed face is not known: {undecided} of {DRAWS} throws drawn from the fit end in sliding or rocking "
-            "contact, which is not simulated, or bounce on without end."
+            f"The landed face is not known: {undecided} of {DRAWS} throws drawn from the fit begin their last flight "
+            "below the table, or never come to rest on a face."
         )
         return None, None, (words,)
-    odds = {face + 1: landed[face + 1] / landed.total() for face in range(len(die.solid.faces))}
+    odds = {face: landed[face] / landed.total() for face in range(1, faces + 1)}
     likely = max(odds, key=lambda face: odds[face])
     if odds[likely] < 1.0 or undecided:
         words = f"The landed face is not decided by the fit: the likeliest, {likely}, has odds of {odds[likely]:.2f}."
@@ -107,19 +106,20 @@ def landing_odds(
     return likely, odds, ()
 
 
-def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], until_s: float) -> int | None:
+def _landing(physics: Physics, start: State, vertices: tuple[int, ...], until_s: float) -> int | None:
     """The face of one throw, through the fitted impacts and then by itself; None where it is not decided."""
-    last = propagate(die, start, chi, [until_s], vertices=vertices).throw.flights[-1].start
-    depth = float((matrix_from_quat(last.quaternion) @ die.solid.vertices.T)[2].min() + last.position_m[2])
-    if depth < -1e-9 * die.solid.circumradius:
+    clock = physics.values.get("clock_scale", 1.0)
+    last = course(physics, start, np.array([until_s / clock]), vertices).throw.flights[-1].start
+    packed = _start_on_table(physics, last)
+    if packed is None:
         return None
     _, _, face, *_ = kernels.run_throw(
-        body_of(die),
-        kernels.law_of(kernels.SMOOTH, np.array([chi])),
-        kernels.LEVEL,
+        body_of(physics.body),
+        kernels.law_of(physics.law.code, physics.law.parameters),
+        physics.plane.plane,
         kernels.FINE,
-        packed_state(last),
-        0.0,
+        packed,
+        float(last.time_s),
         np.inf,
         np.iinfo(np.int64).max,
         True,
@@ -127,3 +127,12 @@ def _landing(die: Die, start: State, chi: float, vertices: tuple[int, ...], unti
         False,
     )
     return int(face) + 1 if face >= 0 else None
+
+
+def _start_on_table(physics: Physics, state: State) -> Array | None:
+    """The state as the event loop starts from it (13,); None where a vertex lies below the table."""
+    # The reach of the numbers of a fitted impact: a vertex that has just touched may be this much under.
+    try:
+        return checked_release(physics.body, state, physics.plane)
+    except ValueError:
+        return None

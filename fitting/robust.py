@@ -88,6 +88,33 @@ def _triangle(columns: Array) -> Array:
     return np.ascontiguousarray(columns[:, :m].T)
 
 
+@njit(cache=True)
+def in_units_of(root: Array, jacobian: Array) -> Array:
+    """J T⁻¹ (n, m) of J (n, m) and an upper triangular T (m, m): the derivative by u = T x."""
+    n, m = jacobian.shape
+    scaled = np.empty((n, m))
+    for i in range(n):
+        for j in range(m):
+            rest = jacobian[i, j]
+            for k in range(j):
+                rest -= scaled[i, k] * root[k, j]
+            scaled[i, j] = rest / root[j, j]
+    return scaled
+
+
+@njit(cache=True)
+def solved(root: Array, right: Array) -> Array:
+    """T⁻¹ b (m,) of an upper triangular T (m, m)."""
+    m = len(right)
+    x = np.zeros(m)
+    for j in range(m - 1, -1, -1):
+        rest = right[j]
+        for k in range(j + 1, m):
+            rest -= root[j, k] * x[k]
+        x[j] = rest / root[j, j]
+    return x
+
+
 def robust_variance(residuals: Array, degrees_of_freedom: float) -> float:
     """Variance of whitened residuals (n, 6), by the median frame, for a fit that left so many degrees of freedom."""
     s = (residuals**2).sum(1)

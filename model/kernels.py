@@ -313,7 +313,7 @@ def first_touch(
 
 @njit(cache=True)
 def touch_of_vertex(
-    terms: Array, height: float, velocity: float, spin: float, radius: float
+    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
     """The next touch of the one vertex in `terms` (1, 4), whatever the others do: time, found, velocity, acceleration.
 
@@ -322,34 +322,39 @@ def touch_of_vertex(
     back as the die takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
     """
     below = -1e-12 * radius
-    h = height + terms[0, 0] + terms[0, 2]
-    v = velocity + spin * terms[0, 1]
+    h = height + terms[0, 0] + terms[0, 2] - table_height(plane, clock)
+    v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
     if h < below and v < 0.0:
-        return _touch_before(terms, height, velocity, spin, radius)
-    t, _, v, acceleration = first_touch(terms, height, velocity, spin, radius, LEVEL, 0.0, 0.0, inf)
-    return t, _height(terms, height, velocity, spin, t) >= below, v, acceleration
+        return _touch_before(terms, height, velocity, spin, radius, plane, clock)
+    t, _, v, acceleration = first_touch(terms, height, velocity, spin, radius, plane, clock, 0.0, inf)
+    return t, _height(terms, height, velocity, spin, plane, clock, t) >= below, v, acceleration
 
 
 @njit(cache=True)
-def _height(terms: Array, height: float, velocity: float, spin: float, t: float) -> float:
-    """Height [m] of the one vertex of `terms` (1, 4)."""
+def _height(terms: Array, height: float, velocity: float, spin: float, plane: Plane, clock: float, t: float) -> float:
+    """Height [m] of the one vertex of `terms` (1, 4) above the table."""
     swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
-    return float(height + (velocity - 0.5 * GRAVITY_M_S2 * t) * t + swung)
+    return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
 
 
 @njit(cache=True)
 def _touch_before(
-    terms: Array, height: float, velocity: float, spin: float, radius: float
+    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
     """Backwards from a vertex below the table to the instant at which it crossed; as `touch_of_vertex`."""
-    t, g = 0.0, GRAVITY_M_S2
-    bound = max(spin * spin * terms[0, 3] - g, 1e-3 * g)  # h'' is no larger; kept above 0 for the division
+    t, g = 0.0, plane.g
+    shake = plane.amplitude * plane.rate * plane.rate
+    bound = max(spin * spin * terms[0, 3] + shake - g, 1e-3 * g)  # h'' is no larger; kept above 0 for the division
     while t > -sqrt(2.0 * radius / g):
         swung, swept = cos(spin * t), sin(spin * t)
-        h = _height(terms, height, velocity, spin, t)
-        v = velocity - g * t + spin * (terms[0, 1] * swung - terms[0, 0] * swept)
-        if h >= -_ROUNDING * (abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)):
-            return t, True, v, -g - spin * spin * (terms[0, 0] * swung + terms[0, 1] * swept)
+        h = _height(terms, height, velocity, spin, plane, clock, t)
+        v = velocity - g * t + spin * (terms[0, 1] * swung - terms[0, 0] * swept) - table_velocity(plane, clock + t)
+        size = abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)
+        if plane.amplitude != 0.0:
+            size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
+        if h >= -_ROUNDING * size:
+            acceleration = -g - spin * spin * (terms[0, 0] * swung + terms[0, 1] * swept)
+            return t, True, v, acceleration - table_acceleration(plane, clock + t)
         root = sqrt(v * v - 2.0 * bound * h)
         t -= 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound
     return t, False, 0.0, 0.0
@@ -2222,10 +2227,6 @@ class Around(NamedTuple):
     """Acceleration of the centre after the impact."""
 
 
-FALLING = Around(0.0, 0.0, -GRAVITY_M_S2, 0.0, 0.0, -GRAVITY_M_S2)
-"""A table at rest, flight before and after."""
-
-
 @njit(cache=True)
 def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_velocity: float, reach: float) -> float:
     """How much later [s] the vertex at `arm` touches for the disturbance in column j: its height stays zero there.
@@ -2252,10 +2253,9 @@ def bounce_tangent(
     state: Array,
     around: Around,
     reach: float,
-    by_chi: int,
     dtime: Array,
 ) -> None:
-    """Carry derivatives (12, columns) at the instant of a smooth impact through it, in place; column `by_chi` is χ.
+    """Carry disturbances (12, columns) at the instant of a smooth impact through it, in place.
 
     `state` is the state before. `dtime` (columns,) receives the derivative of the instant of the impact; for `reach`
     see `delay`.
@@ -2276,7 +2276,7 @@ def bounce_tangent(
         dwx, dwy = tangent[9, j] + around.turn_x * dt, tangent[10, j] + around.turn_y * dt
         dv = tangent[8, j] + closing * dt + dwx * y + wx * dy - dwy * x - wy * dx
         dsoftness = 2.0 * (x * dx + y * dy) / inertia
-        ds = -((1.0 + chi) * dv + (normal_velocity if j == by_chi else 0.0)) / softness - s * dsoftness / softness
+        ds = -(1.0 + chi) * dv / softness - s * dsoftness / softness
         dsx, dsy = (y * ds + dy * s) / inertia, -(x * ds + dx * s) / inertia
         # ... and back: between the two instants the die moved with the velocities before, not those after.
         tangent[2, j] -= s / mass * dt
@@ -2287,44 +2287,265 @@ def bounce_tangent(
         tangent[10, j] = dwy + dsy
 
 
+class Sources(NamedTuple):
+    """What each of the m parameters of a throw changes where: derivatives of what the kernels are given."""
+
+    chi: Array
+    """(m,) of the restitution (of the slowest impacts)."""
+    mu: Array
+    speed_scale: Array
+    inertia: Array
+    rounding: Array
+    vertices: Array
+    """(m, n, 3) of the body's vertices."""
+    gravity: Array
+    """(m, 3) [m/s²], axes of the table."""
+    table: Array
+    """(m, 3) of amplitude, rate and phase of the table's motion."""
+
+
+SHIFT = 2e-4
+"""Step of the differences through an impact with friction, in units of radius of gyration, contact velocity, or 1. Of
+the fourth order: truncation, some SHIFT⁴, and rounding, some 1e-15/SHIFT, are both below 1e-11."""
+
+_PLACE, _VELOCITY, _CHI, _MU, _INERTIA, _SPEED_SCALE, _INPUTS = 0, 3, 6, 7, 8, 9, 10
+"""Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
+
+
+@njit(cache=True)
+def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
+    """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
+    stand in the law's parameters from `at` on."""
+    scale, exponent = law.parameters[at], law.parameters[at + 1]
+    ratio = restitution_at_speed(1.0, max(-u, 0.0), scale, exponent)
+    slope = exponent * ratio / (scale + max(-u, 0.0))
+    return ratio, slope, -slope * u / scale
+
+
+@njit(cache=True)
+def smooth_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse_gradient` of a law without friction."""
+    x, y, _ = arm
+    u, chi = c[2], law.parameters[0]
+    ratio, by_u, by_scale = 1.0, 0.0, 0.0
+    if law.code == SMOOTH_BY_SPEED:
+        ratio, by_u, by_scale = fade(law, 1, u)
+    softness = 1.0 / mass + (x * x + y * y) / inertia
+    s = -(1.0 + chi * ratio) * u / softness
+    out[:] = 0.0
+    out[2, _PLACE], out[2, _PLACE + 1] = -2.0 * s * x / (inertia * softness), -2.0 * s * y / (inertia * softness)
+    out[2, _VELOCITY + 2] = -(1.0 + chi * ratio + chi * by_u * u) / softness
+    out[2, _CHI] = -ratio * u / softness
+    out[2, _INERTIA] = s * (x * x + y * y) / (inertia * inertia * softness)
+    out[2, _SPEED_SCALE] = -chi * by_scale * u / softness
+    return 0.0, 0.0, s
+
+
+@njit(cache=True)
+def rough_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse_gradient` of a law with friction: differences of the fourth order of this one impact.
+
+    Two rules spare a quarter of them: S is proportional to c, and does not change when r grows with √J.
+    """
+    mu, ending = law.parameters[1], int(law.parameters[2])
+    chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
+    if law.code == COULOMB_BY_SPEED:
+        ratio, by_u, by_scale = fade(law, 3, c[2])
+        chi *= ratio
+    gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+    sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
+    out[:] = 0.0
+    there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
+    for k in range(8):
+        if k == _VELOCITY + 2 or (k == _CHI and wanted[0] == 0.0) or (k == _MU and wanted[1] == 0.0):
+            continue
+        step = SHIFT * (gyration if k < _VELOCITY else (speed if k < _CHI else 1.0))
+        # Neither χ nor μ can be less than 0: forward from there, with the formula of five points.
+        forward = k >= _CHI and input_of[k] < 2.0 * step
+        for n in range(5):
+            if forward:
+                weight, at = (-25.0, 48.0, -36.0, 16.0, -3.0)[n] / (12.0 * step), n * step
+            else:
+                weight, at = (1.0, -8.0, 0.0, 8.0, -1.0)[n] / (12.0 * step), (n - 2) * step
+            if weight == 0.0:
+                continue
+            for i in range(8):
+                there[i] = input_of[i]
+            there[k] += at
+            if k < _VELOCITY:
+                matrix = contact_matrix_of_top(mass, inertia, there[0], there[1], there[2])
+            else:
+                matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+            px, py, pz = friction_impulse(matrix, there[6], there[7], ending, there[3], there[4], there[5])
+            out[0, k] += weight * px
+            out[1, k] += weight * py
+            out[2, k] += weight * pz
+    impulse_now = (sx, sy, sz)
+    for m in range(3):
+        along = c[0] * out[m, _VELOCITY] + c[1] * out[m, _VELOCITY + 1]
+        out[m, _VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, _CHI] * law.parameters[0] * by_u
+        out[m, _SPEED_SCALE] = out[m, _CHI] * law.parameters[0] * by_scale
+        out[m, _CHI] *= ratio
+        stretched = arm[0] * out[m, _PLACE] + arm[1] * out[m, _PLACE + 1] + arm[2] * out[m, _PLACE + 2]
+        out[m, _INERTIA] = -0.5 * stretched / inertia
+    return sx, sy, sz
+
+
+def impulse_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse` on a contact with velocity `c` (3,) relative to the table, and its derivatives in `out` (3, _INPUTS).
+
+    By the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` (2,) is not 0 where the column of
+    χ (needed by a law by speed as well) or μ is.
+    """
+    if isinstance(law, RoughLaw):
+        return rough_gradient(law, mass, inertia, arm, c, wanted, out)
+    return smooth_gradient(law, mass, inertia, arm, c, wanted, out)
+
+
+@overload(impulse_gradient, strict=False)
+def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wanted: Any, out: Any) -> Any:
+    """The branch of `impulse_gradient` that the type of the law asks for, chosen when it is compiled."""
+    chosen = rough_gradient if law.instance_class is RoughLaw else smooth_gradient
+    return chosen.py_func
+
+
+@njit(cache=True)
+def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float]:
+    """Derivatives of the table's height and velocity at a fixed time; `source` (3,) those of amplitude, rate, phase."""
+    phase = plane.rate * time + plane.phase
+    s, c = sin(phase), cos(phase)
+    turned = source[1] * time + source[2]
+    height = source[0] * s + plane.amplitude * c * turned
+    velocity = plane.rate * (source[0] * c - plane.amplitude * s * turned) + plane.amplitude * c * source[1]
+    return height, velocity
+
+
+@njit(cache=True)
+def impact_tangent(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    time: float,
+    vertex: int,
+    state: Array,
+    sources: Sources,
+    wanted: Array,
+    tangent: Array,
+    gradient: Array,
+    dtime: Array,
+) -> None:
+    """Carry derivatives (12, 12 + m) at the instant of an impact through it, in place; see `tangent`.
+
+    `state` is the state before. `dtime` (12 + m,) receives the derivative of the instant of the impact, `gradient`
+    (3, _INPUTS) is room.
+    """
+    x, y, level = arm_of(body.vertices[vertex], state)
+    z = level - body.rounding
+    wx, wy, wz = state[10], state[11], state[12]
+    mass, inertia = body.mass, body.inertia
+    c = np.empty(3)
+    c[0] = state[7] + wy * z - wz * y
+    c[1] = state[8] + wz * x - wx * z
+    c[2] = state[9] + wx * y - wy * x - table_velocity(plane, time)
+    lift_rate = table_acceleration(plane, time)
+    sx, sy, sz = impulse_gradient(law, mass, inertia, (x, y, z), c, wanted, gradient)
+    kx, ky, kz = (y * sz - z * sy) / inertia, (z * sx - x * sz) / inertia, (x * sy - y * sx) / inertia
+    given = np.zeros(_INPUTS)
+    for j in range(tangent.shape[1]):
+        rx, ry, rz = tangent[3, j], tangent[4, j], tangent[5, j]
+        ex, ey, ez, raised, lifted, stiffer, rounder = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        if j >= 12:
+            p = j - 12
+            ex, ey, ez = arm_of(sources.vertices[p, vertex], state)
+            raised, lifted = table_source(plane, time, sources.table[p])
+            stiffer, rounder = sources.inertia[p], sources.rounding[p]
+            given[_CHI], given[_MU], given[_INERTIA] = sources.chi[p], sources.mu[p], stiffer
+            given[_SPEED_SCALE] = sources.speed_scale[p]
+        late = -(tangent[2, j] + rx * y - ry * x + ez - raised) / c[2]
+        dtime[j] = late
+        # To the instant of the disturbed touch: the arm, then what the contact moves at ...
+        rx, ry, rz = rx + wx * late, ry + wy * late, rz + wz * late
+        dx, dy = ry * level - rz * y + ex, rz * x - rx * level + ey
+        dz = rx * y - ry * x + ez - rounder
+        vx, vy, vz = tangent[9, j], tangent[10, j], tangent[11, j]
+        given[0], given[1], given[2] = dx, dy, dz
+        given[3] = tangent[6, j] + plane.gx * late + vy * z - vz * y + wy * dz - wz * dy
+        given[4] = tangent[7, j] + plane.gy * late + vz * x - vx * z + wz * dx - wx * dz
+        given[5] = tangent[8, j] - plane.g * late + vx * y - vy * x + wx * dy - wy * dx - lifted - lift_rate * late
+        dsx, dsy, dsz = 0.0, 0.0, 0.0
+        for k in range(_INPUTS):
+            dsx += gradient[0, k] * given[k]
+            dsy += gradient[1, k] * given[k]
+            dsz += gradient[2, k] * given[k]
+        # ... and back: between the two instants the die moved with the velocities before, not those after.
+        for k in range(3):
+            tangent[3 + k, j] -= (kx, ky, kz)[k] * late
+            tangent[k, j] -= (sx, sy, sz)[k] / mass * late
+        tangent[6, j] += dsx / mass
+        tangent[7, j] += dsy / mass
+        tangent[8, j] += dsz / mass
+        tangent[9, j] += (y * dsz - z * dsy + dy * sz - dz * sy - stiffer * kx) / inertia
+        tangent[10, j] += (z * dsx - x * dsz + dz * sx - dx * sz - stiffer * ky) / inertia
+        tangent[11, j] += (x * dsy - y * dsx + dx * sy - dy * sx - stiffer * kz) / inertia
+
+
+@njit(cache=True)
+def gravity_tangent(gravity: Array, dt: float, moved: Array) -> None:
+    """Add to derivatives (12, 12 + m) what a changed gravity (m, 3) does in `dt` [s] of flight."""
+    for p in range(gravity.shape[0]):
+        for k in range(3):
+            moved[k, 12 + p] += 0.5 * gravity[p, k] * dt * dt
+            moved[6 + k, 12 + p] += gravity[p, k] * dt
+
+
 @njit(cache=True)
 def run_tangent(
-    vertices: Array,
-    mass: float,
-    inertia: float,
-    chi: float,
+    body: Body,
+    law: Law,
+    plane: Plane,
     start: Array,
     start_time: float,
     times: Array,
     sequence: NDArray[np.int64],
     free: bool,
     impact_cap: int,
+    seed: Array,
+    sources: Sources,
 ) -> tuple[int, Array, Array, Array, Array]:
-    """The event loop with derivatives, for smooth impacts. `times` (n,) ascending; `sequence` is used unless `free`.
+    """The event loop with derivatives. `times` (n,) ascending; `sequence` is used unless `free`; `seed` (12, 12 + m)
+    are the derivatives of the start, `sources` those of what else the m parameters change.
 
-    Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their derivatives (n, 6, 13), the
-    log (k, ROW) with absolute times, and the derivatives (k, 13) of the impacts' instants.
+    Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their derivatives (n, 6, 12 + m),
+    the log (k, ROW) with absolute times, and the derivatives (k, 12 + m) of the impacts' instants.
     """
-    n = times.shape[0]
-    poses, jacobian = np.empty((n, 7)), np.empty((n, 6, 13))
-    log, dtimes = np.empty((16, ROW)), np.empty((16, 13))
+    n, columns = times.shape[0], seed.shape[1]
+    poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
+    log, dtimes = np.empty((16, ROW)), np.empty((16, columns))
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
-    tangent, moved = np.zeros((12, 13)), np.empty((12, 13))
-    for k in range(12):
-        tangent[k, k] = 1.0
-    terms = np.empty((vertices.shape[0], 4))
-    law = SmoothLaw(SMOOTH, np.array([chi]))
-    radius = sqrt(np.max(np.sum(vertices * vertices, axis=1)))
-    slow = slow_contact(law, LEVEL, FINE, radius)
+    tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, _INPUTS))
+    pulled = np.any(sources.gravity)
+    wanted = np.zeros(2)
+    by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED
+    wanted[0] = 1.0 if by_speed or np.any(sources.chi) else 0.0
+    wanted[1] = 1.0 if np.any(sources.mu) else 0.0
+    terms = np.empty((body.vertices.shape[0], 4))
+    slow = slow_contact(law, plane, FINE, body.radius)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending = start_time, 0, 0, TIME_REACHED
     while True:
         spin = spin_of(state)
-        swing(vertices, state, spin, terms)
+        swing(body.vertices, state, spin, terms)
         hit, dt = -1, 0.0
         if free:
             dt, hit, velocity, acceleration = first_touch(
-                terms, state[2], state[9], spin, radius, LEVEL, time, 0.0, last - time
+                terms, state[2], state[9], spin, body.radius, plane, time, 0.0, last - time
             )
             if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):
                 hit, ending = -1, CHATTER
@@ -2332,13 +2553,17 @@ def run_tangent(
                 hit, ending = -1, IMPACT_CAP
         elif impacts < sequence.shape[0]:
             hit = sequence[impacts]
-            dt, found, velocity, _ = touch_of_vertex(terms[hit : hit + 1], state[2], state[9], spin, radius)
+            dt, found, velocity, _ = touch_of_vertex(
+                terms[hit : hit + 1], state[2], state[9], spin, body.radius, plane, time
+            )
             if not found or velocity >= 0.0:
                 hit, ending = -1, NO_TOUCH
         while done < n and (hit < 0 or times[done] < time + dt):
             pose[:] = state
-            advance(pose, spin, times[done] - time, LEVEL)
-            flight_tangent(tangent, 13, state, spin, times[done] - time, moved)
+            advance(pose, spin, times[done] - time, plane)
+            flight_tangent(tangent, columns, state, spin, times[done] - time, moved)
+            if pulled:
+                gravity_tangent(sources.gravity, times[done] - time, moved)
             poses[done] = pose[:7]
             jacobian[done] = moved[:6]
             done += 1
@@ -2346,14 +2571,15 @@ def run_tangent(
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
         if impacts == log.shape[0]:
             log, dtimes = grown(log), grown(dtimes)
-        flight_tangent(tangent, 13, state, spin, dt, moved)
+        flight_tangent(tangent, columns, state, spin, dt, moved)
+        if pulled:
+            gravity_tangent(sources.gravity, dt, moved)
         tangent, moved = moved, tangent
-        advance(state, spin, dt, LEVEL)
+        advance(state, spin, dt, plane)
         time += dt
         before[:] = state
-        arm = arm_of(vertices[hit], state)
-        bounce_tangent(tangent, 13, chi, mass, inertia, arm, state, FALLING, inf, 12, dtimes[impacts])
-        bounce(law, mass, inertia, arm, 0.0, state)
+        impact_tangent(body, law, plane, time, hit, state, sources, wanted, tangent, gradient, dtimes[impacts])
+        strike(body, law, plane, time, hit, state)
         log_event(log[impacts], time, hit, before, state, -1, -1)
         impacts += 1
 
@@ -2488,7 +2714,7 @@ def strike_tangent(
         reach = 2.0 / max(abs(falling - around.table_acceleration), plane.g)
     if law.code == SMOOTH:
         chi = law.parameters[0]
-        bounce_tangent(tangent, columns, chi, body.mass, body.inertia, arm, state, around, reach, -1, dtime)
+        bounce_tangent(tangent, columns, chi, body.mass, body.inertia, arm, state, around, reach, dtime)
         return
     normal_velocity = state[9] + state[10] * arm[1] - state[11] * arm[0] - around.table_velocity
     ahead, behind, after, there = np.empty(13), np.empty(13), state.copy(), np.empty((12, 1))

@@ -1,46 +1,92 @@
-"""A throw through its bounces, with derivatives.
+"""A throw through its bounces, with derivatives by its start and by what die, law and table are like.
 
-    propagate(die, start, chi, times_s, *, vertices=None) -> Propagation
+    propagate(die, start, law, times_s, *, vertices=None, table=LEVEL, parameters=("chi",)) -> Propagation
 
 The derivatives are those of the exact motion, not differences. In flight, over t,
 
-    δp → δp + t δv,    δ → exp(ωt) δ + t J(ωt) δω,    δv → δv,    δω → δω,
+    δp → δp + t δv + t²/2 δg,    δ → exp(ωt) δ + t J(ωt) δω,    δv → δv + t δg,    δω → δω,
 
 where δ is the rotation vector of a small turn in world axes, R_true = exp(δ) R, and J the left Jacobian of exp
 (Barfoot, State Estimation for Robotics, 2017, Eq. 7.77). The instant of a touch follows from its condition h = 0:
 
-    δt = -(δp_z + (δ × r)_z) / u,    u the vertical velocity of the vertex, r its arm.
+    δt = -(δp_z + (δ × r)_z + (R δb)_z - δs) / u,
 
-The disturbances are carried on to the disturbed instant with the velocities before the impact, through the derivative
-of the smooth impact (`impacts.SmoothImpact`), and back to the undisturbed instant with the velocities after it (the
-saltation matrix of a hybrid system: Aizerman & Gantmacher 1958; Müller 1995). Grazing touches, u → 0, have no
-derivative, and near them it is large.
+u the vertical velocity of the vertex relative to the table, r = R b its arm, s the height of the table; δb and δs, as
+δg above, are what a parameter changes by itself. The disturbances are carried on to the disturbed instant with the
+velocities before the impact, through the derivative of the impact, and back to the undisturbed instant with the
+velocities after it (the saltation matrix of a hybrid system: Aizerman & Gantmacher 1958; Müller 1995). Grazing touches,
+u → 0, have no derivative, and near them it is large.
+
+The impulse S is a function of the arm, the contact velocity, χ, μ, the inertia and the speed scale, and so
+
+    δS = ∂S/∂r δr + ∂S/∂c δc + ∂S/∂χ δχ + …,    δv = δS/m,    δω = (δr × S + r × δS)/J - δJ/J² r × S.
+
+The gradient of S has a closed form where nothing rubs. With friction it is taken by differences of the fourth order of
+this one impact, an analytic function of its arguments with the same course of slip, to some 1e-11 of itself. It jumps,
+or the impulse itself does, where that course changes: where the slip just stops as the impact ends (and in Stronge's
+and Poisson's restitution, as compression ends), where a slip that has stopped is just about to slide again
+(|T⁻¹b| = μ), and where a contact comes down with no slip at all but friction too weak to hold it. Within `kernels.SHIFT`
+of such a border the two sides are mixed.
+
+**Parameters** by name; those that the law, the die or the table does not have, or that do not act, have columns of
+zeros.
+
+- `chi` (of the slowest impacts, where it fades with speed), `mu`, `speed_scale_m_s`: of the law. At χ = 0 and μ = 0 the
+  derivative is that from above.
+- `corner_radius_m`: flat faces stay, the touching points are those of the inner polyhedron (`bodies`).
+- `inertia_kg_m2`.
+- `tilt_x_rad`, `tilt_y_rad`: a further small turn of the table about the world's x and y axes through the origin.
+  Gravity stays, and the start stays where it is in the world.
+- `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: of a table that oscillates. The amplitude acts, with its
+  derivative from above, also on one that has a frequency and no amplitude yet.
 
 For a fit, prescribe the vertices. Then each flight lasts until that very vertex comes down, even if meanwhile another
 dips below the table a little, and the poses are a smooth function of the start as long as none of the impacts vanishes.
 Left to itself, the throw takes the first touch each time and its impacts may change order from one trial to the next.
+Held contact is not followed: a throw ends for `propagate` where its bounces crowd together.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import kernels
-from .history import throw_from_log
-from .impacts import SmoothImpact
+from .bodies import body_of
+from .history import in_axes, throw_from_log
+from .impacts import ImpactLaw, SmoothImpact
 from .motion import State, Throw
+from .rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from .simulate import Ending, checked_release
-from .solids import Die
+from .solids import Die, inner_vertices
+from .tables import LEVEL, Table
 from .touch import packed_state
 
 Array = NDArray[np.float64]
 
+PARAMETERS = (
+    "chi",
+    "mu",
+    "speed_scale_m_s",
+    "corner_radius_m",
+    "inertia_kg_m2",
+    "tilt_x_rad",
+    "tilt_y_rad",
+    "table_amplitude_m",
+    "table_frequency_hz",
+    "table_phase_rad",
+)
+"""Names of what a throw can be differentiated by, besides its start."""
+
 _IMPACT_CAP = 100_000
 """Of a throw that is left to itself."""
+
+_body = lru_cache(maxsize=16)(body_of)
+"""A fit asks for the same die again and again; what its corners imply takes as long as a throw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,43 +98,62 @@ class Propagation:
     quaternions: Array
     """(n, 4) wxyz."""
     jacobian: Array
-    """(n, 6, 13). Rows: position [m] and world rotation vector [rad] of the pose at a fixed time. Columns: position,
-    world rotation vector, velocity and angular velocity of the start, then χ."""
-    throw: Throw
-    """With prescribed vertices it holds fewer impacts than vertices where one of them never touches again."""
+    """(n, 6, 12 + m). Rows: position [m] and world rotation vector [rad] of the pose at a fixed time. Columns: position,
+    world rotation vector, velocity and angular velocity of the start, then the m parameters in the order asked for."""
+    impact_times_s: Array
+    """(k,)."""
     impact_jacobian: Array
-    """(k, 13) of the instants of the impacts [s], by the same columns."""
+    """(k, 12 + m) of the instants of the impacts [s], by the same columns."""
+    make_throw: Callable[[], Throw] = field(repr=False)
+
+    @cached_property
+    def throw(self) -> Throw:
+        """The throw, made when it is first asked for: that takes ten times as long as the poses.
+
+        With prescribed vertices it holds fewer impacts than vertices where one of them never touches again.
+        """
+        return self.make_throw()
 
 
 def propagate(
-    die: Die, start: State, chi: float, times_s: ArrayLike, *, vertices: Sequence[int] | None = None
+    die: Die,
+    start: State,
+    law: ImpactLaw | float,
+    times_s: ArrayLike,
+    *,
+    vertices: Sequence[int] | None = None,
+    table: Table = LEVEL,
+    parameters: Sequence[str] = ("chi",),
 ) -> Propagation:
-    """The poses of a throw with smooth impacts at `times_s` (n,) [s], and their derivatives by its start and χ.
+    """The poses of a throw at `times_s` (n,) [s], and their derivatives by its start and by the `parameters`.
 
-    Times may stand in any order, and before the start, where the first flight is extended. `vertices` prescribes which
-    vertex touches at each impact: after the last of them the flight goes on, through the table if asked; and where one
-    never touches again, all impacts from there on are left out. Without `vertices` the first touch counts every time,
-    as in `simulate.throw_die`. Raises ValueError for a start or a χ that no die has, for a vertex that does not exist,
-    and, without `vertices`, for a start below the table and for times after the bounces have crowded together.
+    A number as `law` is the χ of smooth impacts. Times may stand in any order, and before the start, where the first
+    flight is extended. `vertices` prescribes which vertex touches at each impact: after the last of them the flight
+    goes on, through the table if asked; and where one never touches again, all impacts from there on are left out.
+    Without `vertices` the first touch counts every time, as in `simulate.throw_die`. Raises ValueError for a start, a
+    law or a parameter that no throw has, for a vertex that does not exist, and, without `vertices`, for a start below
+    the table and for times after the bounces have crowded together.
     """
-    SmoothImpact(chi)  # refuses a χ outside [0, 1]
-    packed = checked_release(die, start) if vertices is None else packed_state(start)
+    law = SmoothImpact(law) if isinstance(law, float | int) else law
+    _check_names(parameters)
+    packed = _packed(die, start, table) if vertices is not None else checked_release(die, start, table)
     sequence = _checked_vertices(die, vertices)
     times = np.atleast_1d(np.asarray(times_s, float))
     if times.ndim != 1 or not np.isfinite(times).all():
         raise ValueError(f"times_s of shape {times.shape}: wanted finite times (n,) in seconds")
     order = np.argsort(times, kind="stable")
     code, poses, jacobian, log, impact_jacobian = kernels.run_tangent(
-        die.solid.vertices,
-        die.mass_kg,
-        die.inertia_kg_m2,
-        float(chi),
+        _body(die),
+        _law_for(law, parameters),
+        table.plane,
         packed,
         float(start.time_s),
         times[order],
         sequence,
         vertices is None,
         _IMPACT_CAP,
+        _seed(die, packed, table, parameters),
+        _sources(die, law, table, parameters),
     )
     if code in (kernels.CHATTER, kernels.IMPACT_CAP):
         ending = Ending.CHATTER if code == kernels.CHATTER else Ending.IMPACT_CAP
@@ -96,9 +161,16 @@ def propagate(
         raise ValueError(f"times_s up to {times.max():.6g}: {ending.value} The last impact was at {last:.6g} s.")
     back = np.argsort(order, kind="stable")
     end_s = max([start.time_s, *times[-1:], *log[-1:, 0]])
-    throw = throw_from_log(die, packed, float(start.time_s), log, end_s)
-    poses, jacobian = poses[back], jacobian[back]
-    return Propagation(poses[:, :3], poses[:, 3:], jacobian, throw, impact_jacobian)
+    make_throw = partial(throw_from_log, die, packed, float(start.time_s), log, end_s, table=table)
+    positions, quaternions, jacobian = _in_world(die, table, parameters, poses[back], jacobian[back])
+    return Propagation(positions, quaternions, jacobian, log[:, 0].copy(), impact_jacobian, make_throw)
+
+
+def _check_names(parameters: Sequence[str]) -> None:
+    """Raise ValueError unless each parameter is known and stands there once."""
+    for name in parameters:
+        if name not in PARAMETERS or list(parameters).count(name) > 1:
+            raise ValueError(f"parameters = {list(parameters)}: wanted each once, of {', '.join(PARAMETERS)}")
 
 
 def _checked_vertices(die: Die, vertices: Sequence[int] | None) -> NDArray[np.int64]:
@@ -108,3 +180,104 @@ def _checked_vertices(die: Die, vertices: Sequence[int] | None) -> NDArray[np.in
     if ((sequence < 0) | (sequence >= count)).any():
         raise ValueError(f"vertices = {sequence.tolist()}: wanted indices from 0 to {count - 1}")
     return sequence
+
+
+def _packed(die: Die, start: State, table: Table) -> Array:
+    """The start as the kernels have it (13,), wherever it lies: in the table's axes, less the radius of the corners."""
+    packed = packed_state(start)
+    if table.tilt_rad:
+        packed = packed_state(in_axes(start, quat_conjugate(table.world_from_table)))
+    packed[2] -= die.corner_radius_m
+    return packed
+
+
+def _law_for(law: ImpactLaw, parameters: Sequence[str]) -> kernels.Law:
+    """The law as the kernels have it: one with friction of nothing keeps it where it is to be differentiated by."""
+    if "mu" in parameters and _rubs(law):
+        return kernels.RoughLaw(law.code, law.parameters)
+    return kernels.law_of(law.code, law.parameters)
+
+
+def _rubs(law: ImpactLaw) -> bool:
+    return law.code in (kernels.COULOMB, kernels.COULOMB_BY_SPEED)
+
+
+def _fades(law: ImpactLaw) -> bool:
+    return law.code in (kernels.SMOOTH_BY_SPEED, kernels.COULOMB_BY_SPEED)
+
+
+def _seed(die: Die, packed: Array, table: Table, parameters: Sequence[str]) -> Array:
+    """Derivatives (12, 12 + m) of the packed start, by the start in world axes and by the parameters."""
+    seed = np.zeros((12, 12 + len(parameters)))
+    seed[:, :12] = np.kron(np.eye(4), _turn(table).T) if table.tilt_rad else np.eye(12)
+    for column, name in enumerate(parameters, 12):
+        if name == "corner_radius_m":
+            seed[2, column] = -1.0
+        elif name in _TILTS:
+            # The table turns by e, so the die turns by -e about the origin in the axes of the table.
+            e = _turn(table).T @ _TILTS[name]
+            place = packed[:3] + np.array([0.0, 0.0, die.corner_radius_m])
+            seed[:3, column], seed[3:6, column] = -np.cross(e, place), -e
+            seed[6:9, column], seed[9:12, column] = -np.cross(e, packed[7:10]), -np.cross(e, packed[10:13])
+    return seed
+
+
+_TILTS = {"tilt_x_rad": np.array([1.0, 0.0, 0.0]), "tilt_y_rad": np.array([0.0, 1.0, 0.0])}
+"""World axes about which the table is turned."""
+
+
+def _turn(table: Table) -> Array:
+    """(3, 3) from the table's axes to the world's."""
+    return matrix_from_quat(table.world_from_table)
+
+
+def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) -> kernels.Sources:
+    """What each parameter changes in what the kernels are given."""
+    m = len(parameters)
+
+    def own(name: str, acts: bool = True) -> Array:
+        return np.array([1.0 if acts and given == name else 0.0 for given in parameters])
+
+    sources = kernels.Sources(
+        chi=own("chi"),
+        mu=own("mu", _rubs(law)),
+        speed_scale=own("speed_scale_m_s", _fades(law)),
+        inertia=own("inertia_kg_m2"),
+        rounding=own("corner_radius_m"),
+        vertices=np.zeros((m, *die.solid.vertices.shape)),
+        gravity=np.zeros((m, 3)),
+        table=np.column_stack(
+            [
+                own("table_amplitude_m", table.frequency_hz > 0.0),
+                2.0 * np.pi * own("table_frequency_hz"),
+                own("table_phase_rad"),
+            ]
+        ),
+    )
+    for p, name in enumerate(parameters):
+        if name == "corner_radius_m":
+            # The corners of the inner polyhedron move along straight lines, so that any step is right.
+            step = die.corner_radius_m or 0.01 * die.solid.inradius
+            sources.vertices[p] = (inner_vertices(die.solid, step) - die.solid.vertices) / step
+        elif name in _TILTS:
+            plane = table.plane
+            sources.gravity[p] = -np.cross(_turn(table).T @ _TILTS[name], [plane.gx, plane.gy, -plane.g])
+    return sources
+
+
+def _in_world(
+    die: Die, table: Table, parameters: Sequence[str], poses: Array, jacobian: Array
+) -> tuple[Array, Array, Array]:
+    """Positions (n, 3), quaternions (n, 4) and derivatives (n, 6, 12 + m) of the poses, from the table's axes."""
+    positions, quaternions = poses[:, :3] + np.array([0.0, 0.0, die.corner_radius_m]), poses[:, 3:]
+    if table.tilt_rad:
+        turn = _turn(table)
+        positions, quaternions = positions @ turn.T, quat_multiply(table.world_from_table, quaternions)
+        jacobian = np.concatenate([turn @ jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
+    for column, name in enumerate(parameters, 12):
+        if name == "corner_radius_m":
+            jacobian[:, :3, column] += _turn(table)[:, 2]
+        elif name in _TILTS:
+            jacobian[:, :3, column] += np.cross(_TILTS[name], positions)
+            jacobian[:, 3:, column] += _TILTS[name]
+    return positions, quaternions, jacobian

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fitting.results import Fit
-from .fitting.shooting import fit_throw
+from .fitting.whole_throw import fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder

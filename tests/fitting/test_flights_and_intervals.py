@@ -9,7 +9,7 @@ import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.flights import fit_flights, flight_jacobian, left_jacobian, moved_state
-from diethrow.fitting.intervals import chi_interval, correlation_length
+from diethrow.fitting.intervals import correlation_length, profile_interval
 from diethrow.fitting.landing import resting_face
 from diethrow.fitting.robust import condensed, huber, triangle
 from diethrow.fitting.sightings import sight, whiteners
@@ -108,7 +108,7 @@ def test_independent_residuals_count_fully_and_repeated_ones_once() -> None:
 
 @pytest.mark.parametrize(("chi", "sigma"), [(0.5, 0.01), (0.99, 0.02), (1.0, 0.02), (0.01, 0.02), (0.0, 0.05)])
 def test_intervals_of_chi_stay_between_its_bounds(chi: float, sigma: float) -> None:
-    low, high = chi_interval(chi, sigma, lambda x: ((x - chi) / sigma) ** 2)
+    low, high = profile_interval(chi, sigma, (0.0, 1.0), lambda x: ((x - chi) / sigma) ** 2)
     assert 0.0 <= low <= chi <= high <= 1.0
     # Where χ² is a parabola, profile and covariance agree but for the bounds.
     assert low == pytest.approx(max(0.0, chi - 1.96 * sigma), abs=1e-4)

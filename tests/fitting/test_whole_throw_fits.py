@@ -16,7 +16,7 @@ from throws import (
 )
 
 from diethrow.fitting.results import Fit
-from diethrow.fitting.shooting import fit_throw
+from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.motion import Impact, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.solids import Die, make_die

@@ -1,0 +1,209 @@
+"""What a throw obeys: die, table, and the numbers of the laws in use, each of them free or held.
+
+The plainest model is the paper's: a smooth impact with one χ. Everything else is an effect with numbers of its own, and
+an effect that is not in use has none: it costs no parameter, no time and no line in the result.
+
+| effect | parameters | off at |
+| --- | --- | --- |
+| friction | `mu`, Coulomb, along the normal impulse (`model.impacts.CoulombImpact`) | 0 |
+| fading restitution | `chi_fade_s_per_m` = 1/u_s of `model.impacts.RestitutionBySpeed` | 0 |
+| rounded corners | `corner_radius_m` | 0 |
+| inertia | `inertia_kg_m2` | that of the homogeneous die |
+| tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
+| air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
+| clock | `clock_scale`: true seconds in a second of the track | 1 |
+| length scale | `length_scale`: metres of the track in a true metre | 1 |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
+from ..model.motion import GRAVITY_M_S2, State, Throw
+from ..model.simulate import ThrowResult, Until, throw_die
+from ..model.solids import Die
+from ..model.tables import LEVEL, Table
+from ..model.tangent import Propagation, propagate
+
+Array = NDArray[np.float64]
+
+EFFECTS: dict[str, tuple[str, ...]] = {
+    "friction": ("mu",),
+    "fading restitution": ("chi_fade_s_per_m",),
+    "rounded corners": ("corner_radius_m",),
+    "inertia": ("inertia_kg_m2",),
+    "tilted table": ("tilt_x_rad", "tilt_y_rad"),
+    "clock": ("clock_scale",),
+    "length scale": ("length_scale",),
+}
+"""The parameters of every effect that a fit may free."""
+
+_OFF = {"clock_scale": 1.0, "length_scale": 1.0}
+
+_BOUNDS = {
+    "chi": (0.0, 1.0),
+    "mu": (0.0, 3.0),
+    "chi_fade_s_per_m": (0.0, 100.0),
+    "tilt_x_rad": (-0.3, 0.3),
+    "tilt_y_rad": (-0.3, 0.3),
+    "drag_per_m": (0.0, 10.0),
+    "clock_scale": (0.8, 1.25),
+    "length_scale": (0.8, 1.25),
+}
+
+_SLOW_FADE_S_PER_M = 1e-6
+"""Where the law needs a finite speed scale although nothing fades yet."""
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """The die, the table, and the parameters in use."""
+
+    die: Die
+    table: Table
+    values: Mapping[str, float]
+    """By name; `chi` first, then those of the effects in use."""
+    held: frozenset[str] = field(default=frozenset())
+    """Parameters in use that a fit leaves alone."""
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit moves, in the order of its unknowns."""
+        return tuple(name for name in self.values if name not in self.held)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects whose parameters are in use."""
+        return tuple(effect for effect, names in EFFECTS.items() if names[0] in self.values)
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """What the law allows."""
+        if name == "corner_radius_m":
+            return 0.0, 0.9 * self.die.solid.inradius
+        if name == "inertia_kg_m2":
+            return 0.2 * self.die.inertia_kg_m2, 3.0 * self.die.inertia_kg_m2
+        return _BOUNDS[name]
+
+    def off(self, name: str) -> float:
+        """The value at which a parameter does nothing."""
+        if name == "corner_radius_m":
+            return self.die.corner_radius_m
+        return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _OFF.get(name, 0.0)
+
+    def with_values(self, **values: float) -> Physics:
+        """The same with other values, each kept within its bounds."""
+        kept = {name: float(np.clip(value, *self.bounds(name))) for name, value in values.items()}
+        return replace(self, values={**self.values, **kept})
+
+    def with_effect(self, effect: str) -> Physics:
+        """The same with one effect more, still at the values where it does nothing."""
+        return self.with_values(**{name: self.off(name) for name in EFFECTS[effect]})
+
+    def holding(self, name: str, value: float) -> Physics:
+        """The same with one parameter held at a value."""
+        return replace(self.with_values(**{name: value}), held=self.held | {name})
+
+    def moved(self, change: Array) -> Physics:
+        """The same with the free parameters displaced by (k,)."""
+        names = self.free
+        return self.with_values(**{name: self.values[name] + float(d) for name, d in zip(names, change, strict=True)})
+
+    @cached_property
+    def law(self) -> ImpactLaw:
+        """The law of impact."""
+        chi = self.values["chi"]
+        law = CoulombImpact(chi, self.values["mu"]) if "mu" in self.values else SmoothImpact(chi)
+        fade = self.values.get("chi_fade_s_per_m")
+        return law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
+
+    @cached_property
+    def body(self) -> Die:
+        """The die with the fitted radius and inertia."""
+        die = self.die
+        if "corner_radius_m" in self.values:
+            die = replace(die, corner_radius_m=self.values["corner_radius_m"])
+        return replace(die, inertia_kg_m2=self.values["inertia_kg_m2"]) if "inertia_kg_m2" in self.values else die
+
+    @cached_property
+    def plane(self) -> Table:
+        """The table with the fitted tilt."""
+        if "tilt_x_rad" not in self.values:
+            return self.table
+        x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
+        # A turn about x by a leans the normal towards -y; about y by b towards x.
+        return replace(self.table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+
+    def throw(self, start: State, until: Until) -> ThrowResult:
+        """The throw that the die makes by itself. Raises ValueError for a start below the table."""
+        return throw_die(self.body, start, self.law, until=until, table=self.plane)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Poses of a throw at the times of frames, as the track has them, with derivatives."""
+
+    positions_m: Array
+    """(n, 3)."""
+    quaternions: Array
+    """(n, 4) wxyz."""
+    jacobian: Array
+    """(n, 6, 12 + k) by the start (position, rotation vector, velocity, angular velocity) and the free parameters."""
+    way: Propagation
+    """On the true clock and in true metres."""
+
+    @property
+    def throw(self) -> Throw:
+        """On the true clock and in true metres."""
+        return self.way.throw
+
+
+def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, ...]) -> Course:
+    """The throw through prescribed vertices as frames at `times_s` (n,) on the track's clock see it.
+
+    `start` is true: its time is that of the track times the clock scale.
+    """
+    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
+    names = tuple(name for name in physics.free if name not in _OFF)
+    passed = tuple("speed_scale_m_s" if name == "chi_fade_s_per_m" else name for name in names)
+    way = propagate(
+        physics.body,
+        start,
+        physics.law,
+        clock * times_s,
+        vertices=vertices,
+        table=physics.plane,
+        parameters=passed,
+    )
+    columns = list(np.moveaxis(way.jacobian[:, :, :12], 2, 0))
+    by_name = dict(zip(names, np.moveaxis(way.jacobian[:, :, 12:], 2, 0), strict=True))
+    if "chi_fade_s_per_m" in by_name:
+        # The law is written in the speed scale, the inverse of the fade.
+        by_name["chi_fade_s_per_m"] = -by_name["chi_fade_s_per_m"] / max(
+            physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M
+        ) ** 2
+    if "clock_scale" in physics.free:
+        by_name["clock_scale"] = times_s[:, None] * _rates(way.throw, clock * times_s)
+    if "length_scale" in physics.free:
+        by_name["length_scale"] = np.hstack([way.positions_m / length, np.zeros((len(times_s), 3))])
+    jacobian = np.stack([*columns, *(by_name[name] for name in physics.free)], axis=2)
+    if length != 1.0:
+        jacobian[:, :3] *= length
+    return Course(length * way.positions_m, way.quaternions, jacobian, way)
+
+
+def _rates(throw: Throw, times_s: Array) -> Array:
+    """Velocity and angular velocity (n, 6) along a throw."""
+    rates = np.empty((len(times_s), 6))
+    which = np.searchsorted([impact.time_s for impact in throw.impacts], times_s, side="right")
+    for k in np.unique(which):
+        mine, start = which == k, throw.flights[k].start
+        rates[mine, :3] = start.velocity_m_s
+        rates[mine, 2] -= GRAVITY_M_S2 * (times_s[mine] - start.time_s)
+        rates[mine, 3:] = start.omega_rad_s
+    return rates

@@ -1,0 +1,180 @@
+"""Which effects a throw shows: one at a time, each paid for by evidence.
+
+The plainest model comes first. Every effect that is not in use is then asked what it would gain on the frames at hand
+(those of the bounces explained so far and, where the model stops, of the flight that it cannot explain), by the fall of
+half the cost in a fit with its parameters freed. The costs are in units of what remains unexplained with the effect:
+s² τ, the variance of the residuals and the frames over which they are alike (`intervals`). An effect is chosen if
+
+- the gain exceeds k (½ log n + log q), k its parameters, n the numbers seen, q the effects on trial: half the extended
+  Bayesian information criterion (Chen & Chen, Biometrika 95, 759, 2008), whose second term pays for the choice among
+  many; one effect in two hundred is then chosen by chance, and
+- it predicts better: frames left out in blocks of neighbours are foretold more closely with it than without.
+
+The one that gains most is taken, the bounces are gone through again, and the others are asked anew. What a fit would
+gain is first told from derivatives at the present fit, without a new one (Rao's score test); only effects that could
+pay are then fitted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .flights import FreeFlights
+from .intervals import variance_inflation
+from .lengthening import loss_scale
+from .physics import EFFECTS, Physics, course
+from .results import Effect
+from .robust import condensed, huber, in_units_of, triangle
+from .shots import Shot, root_of, shoot
+from .sightings import pose_errors, whitened, whitened_jacobian
+
+Array = NDArray[np.float64]
+
+_BLOCK = 6
+"""Frames that are left out together: errors of neighbours are alike."""
+
+_FIXED = 1e-3
+"""Smallest eigenvalue of 1 - H_bb at which a block can still be foretold from the others."""
+
+_HOPEFUL = 0.3
+"""Part of the price at which an effect is fitted: a gain foretold by derivatives may be short of the real one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One effect tried on the frames of a shot."""
+
+    effect: str
+    shot: Shot | None
+    """With the effect; None where derivatives already said that it does not pay."""
+    gain: float
+    """Units of log-likelihood."""
+    price: float
+    """What it must gain."""
+    foretold: float
+    """By how many units of log-likelihood it foretells frames left out better; 0 where it was not fitted."""
+
+    @property
+    def pays(self) -> bool:
+        """Whether the effect is to be taken in."""
+        return self.shot is not None and self.gain > self.price and self.foretold > 0.0
+
+    @property
+    def in_words(self) -> Effect:
+        """As an entry of the result."""
+        if self.pays:
+            return Effect(self.effect, self.gain, None)
+        if self.gain <= self.price:
+            why = (
+                f"It gains {self.gain:.1f} units of log-likelihood, and would have to gain {self.price:.1f} to pay for "
+                f"its {_count(len(EFFECTS[self.effect]))}."
+            )
+        else:
+            why = (
+                f"It gains {self.gain:.1f} units of log-likelihood on the frames it is fitted to, but foretells frames "
+                "left out no better."
+            )
+        return Effect(self.effect, self.gain, why)
+
+
+def try_effects(shot: Shot, free: FreeFlights) -> list[Trial]:
+    """Every effect that is not in use, tried on the frames of a shot."""
+    names = [effect for effect in candidates_for(shot.physics) if effect not in shot.physics.effects]
+    return [_try(shot, effect, len(names), free) for effect in names]
+
+
+def candidates_for(physics: Physics) -> tuple[str, ...]:
+    """The effects that this die on this table could show."""
+    return tuple(EFFECTS)
+
+
+def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
+    """The same throw with other parameters free, and the information that its frames have on them."""
+    residuals, jacobian = _linear(replace(shot, physics=physics))
+    scaled = huber(residuals, jacobian, k2)[1]
+    return replace(
+        shot, physics=physics, residuals=residuals, root=root_of(scaled.reshape(-1, scaled.shape[2]), physics)
+    )
+
+
+def _try(shot: Shot, effect: str, count: int, free: FreeFlights) -> Trial:
+    """One effect on the frames of a shot."""
+    k2 = loss_scale(free)
+    n = shot.residuals.size
+    price = len(EFFECTS[effect]) * (0.5 * np.log(n) + np.log(count))
+    wider = with_physics(shot, shot.physics.with_effect(effect), k2)
+    hoped = _foreseen_gain(wider, k2)
+    if hoped < _HOPEFUL * price:
+        return Trial(effect, None, hoped, price, 0.0)
+    fitted = shoot(shot.sightings, wider, shot.vertices, k2)
+    scale = _scale(fitted)
+    gain = 0.5 * (shot.cost(k2) - fitted.cost(k2)) / scale
+    # Blocks that either fit needs to stand at all are left out of the comparison.
+    foretold = 0.5 * float(np.nansum(left_out_costs(shot, k2) - left_out_costs(fitted, k2))) / scale
+    return Trial(effect, fitted, gain, price, foretold)
+
+
+def _linear(shot: Shot) -> tuple[Array, Array]:
+    """Whitened residuals (n, 6) of a shot and their derivative (n, 6, 12 + k)."""
+    way = course(shot.physics, shot.state, shot.sightings.time_s, shot.vertices)
+    errors = pose_errors(shot.sightings, way.positions_m, way.quaternions)
+    return whitened(shot.sightings, errors), whitened_jacobian(shot.sightings, errors, way.jacobian)
+
+
+def _foreseen_gain(wider: Shot, k2: float) -> float:
+    """By how much half the cost would fall if the residuals were linear in all unknowns, in units of what is left."""
+    residuals, jacobian = huber(*_linear(wider), k2)
+    few = condensed(residuals.ravel(), in_units_of(wider.root, jacobian.reshape(-1, jacobian.shape[2])))
+    left = float(few[-1, -1] ** 2)
+    fall = float((residuals**2).sum()) - left
+    return 0.5 * fall / max(1.0, left / max(residuals.size - len(wider.root), 1))
+
+
+def _scale(shot: Shot) -> float:
+    """s² τ of what a shot leaves."""
+    freedom = shot.residuals.size - len(shot.root)
+    variance, tau = variance_inflation(shot.residuals, freedom, shot.sightings.flight)
+    return variance * tau
+
+
+def left_out_costs(shot: Shot, k2: float) -> Array:
+    """ρ summed over each block of frames, foretold by a fit without them; NaN for a block that alone fixes a direction.
+
+    With H the hat matrix of a linear fit, the residuals of a block left out are (1 - H_bb)⁻¹ r_b (Cook & Weisberg,
+    Residuals and Influence in Regression, 1982, Sec. 3.2).
+    """
+    residuals, jacobian = _linear(shot)
+    q = _orthonormal(jacobian, shot.root).reshape(len(residuals), 6, -1)
+    costs = []
+    for rows in _blocks(shot):
+        own = q[rows].reshape(-1, q.shape[2])
+        loose = np.eye(len(own)) - own @ own.T
+        if np.linalg.eigvalsh(loose)[0] < _FIXED:
+            costs.append(np.nan)
+            continue
+        apart = np.linalg.solve(loose, residuals[rows].ravel()).reshape(-1, 6)
+        kept, _ = huber(apart, np.empty((len(apart), 6, 0)), k2)
+        costs.append(float((kept**2).sum()))
+    return np.array(costs)
+
+
+def _orthonormal(jacobian: Array, root: Array) -> Array:
+    """Orthonormal columns (6 n, m) that span those of a derivative (n, 6, m)."""
+    scaled = in_units_of(root, jacobian.reshape(-1, jacobian.shape[2]))
+    return np.asarray(in_units_of(triangle(scaled), scaled))
+
+
+def _blocks(shot: Shot) -> list[NDArray[np.int64]]:
+    """Rows of neighbouring frames of one flight, a few at a time."""
+    blocks: list[NDArray[np.int64]] = []
+    for k in np.unique(shot.sightings.flight):
+        rows = np.flatnonzero(shot.sightings.flight == k)
+        blocks.extend(np.array_split(rows, max(1, round(len(rows) / _BLOCK))))
+    return blocks
+
+
+def _count(parameters: int) -> str:
+    return "one parameter" if parameters == 1 else f"{parameters} parameters"

@@ -1,0 +1,269 @@
+"""The whole throw at once: χ, the twelve initial conditions, and the effects that the throw shows.
+
+A weighted least squares over the poses of all frames (`sightings`), through as many bounces as the model explains
+(`lengthening`), with no more physics than pays (`selection`). What a track does not carry is None in the result, with a
+sentence that says why.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from ..model.motion import Throw
+from ..model.solids import Die
+from ..model.tables import LEVEL, Table
+from ..tracking.track import Track
+from .flights import FreeFlights, fit_flights
+from .impulses import Bounce, common_restitution, measure_bounces
+from .intervals import profile_interval, variance_inflation
+from .landing import continued, landing_odds, resting_face
+from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces
+from .physics import Physics
+from .results import Effect, Fit, Parameter
+from .selection import Trial, try_effects, with_physics
+from .shots import Shot, mean_squares, opening, shoot
+from .sightings import sight
+from .words import bounce_words, frame_words, inflation_words, missed_words
+
+Array = NDArray[np.float64]
+
+LEVEL_OF_INTERVALS = 0.95
+
+_MOST_EFFECTS = 4
+"""Effects taken in, one after the other; more than any scene was seen to show."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """What a fit has before it looks at any bounce."""
+
+    track: Track
+    measured: Throw
+    free: FreeFlights
+    bounces: tuple[Bounce | None, ...]
+    first: int
+    """The first flight that two frames show."""
+
+
+def fit_throw(track: Track, measured: Throw, die: Die, table: Table = LEVEL) -> Fit:
+    """χ and the initial conditions of a tracked throw, with intervals, from all bounces that the model explains.
+
+    `track` holds the poses of single frames (not smoothed: their errors must be independent), `measured` the flights
+    and impacts found in them. What the data do not carry is None in the result, with a message.
+    Raises ValueError for a track whose columns do not fit together.
+    """
+    fit = _fit(track, measured, Physics(die, table, {"chi": 0.5}))
+    rested = resting_face(track, die)
+    return fit if rested is None else replace(fit, landed_face=rested)
+
+
+def _fit(track: Track, measured: Throw, physics: Physics) -> Fit:
+    free = fit_flights(sight(track, measured), measured)
+    messages = frame_words(free)
+    first = next((k for k, flight in enumerate(free.flights) if flight is not None), None)
+    if first is None:
+        return _nothing(messages, "no flight has two frames with a pose: neither the start nor chi can be determined.")
+    if first > 0:
+        messages.append(f"The fit begins after bounce {first}: the frames before it do not make a flight.")
+    work = _Work(track, measured, free, measure_bounces(physics.die, free, measured.impacts), first)
+    if len(measured.flights) == first + 1:
+        messages.append("chi cannot be determined: the track shows no bounce after the first flight.")
+        return _unbounded(work, opening(free, first, physics), messages)
+    if not can_go_on(free, first):
+        messages.append("chi cannot be determined: no flight after the first bounce has two frames clear of impacts.")
+        return _unbounded(work, opening(free, first, physics), messages)
+    shots, trials = _with_effects(work, physics)
+    if not shots[0].vertices and shots[0].reached > first:
+        messages.append("chi cannot be determined: the frames make one flight, through every bounce that was measured.")
+        return _unbounded(work, shots[0], messages)
+    if shots[0].reached == first:
+        return _unexplained(work, shots[0], trials, messages)
+    return _explained(work, shots, trials, messages)
+
+
+def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Trial]]:
+    """The best shots with as many effects as pay, and the trials of the others."""
+    shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    for _ in range(_MOST_EFFECTS):
+        trials = _trials(work, shots[0])
+        paying = [trial for trial in trials if trial.pays]
+        if not paying:
+            return shots, trials
+        best = max(paying, key=lambda trial: trial.gain - trial.price)
+        assert best.shot is not None
+        longer = through_the_bounces(_openings(work, best.shot.physics), work.measured, work.free)
+        if longer[0].reached < shots[0].reached:
+            # What is better on these frames leads nowhere from the start: keep the plainer model.
+            return shots, [trial for trial in trials if not trial.pays]
+        shots = longer
+    return shots, _trials(work, shots[0])
+
+
+def _trials(work: _Work, shot: Shot) -> list[Trial]:
+    """Every effect that is not in use, tried on the frames explained so far and on the flight that is not."""
+    attempt = best_attempt(shot, work.measured, work.free)
+    asked = shot if attempt is None else attempt
+    return try_effects(asked, work.free) if asked.vertices else []
+
+
+def _openings(work: _Work, physics: Physics) -> list[Shot]:
+    """The first flight alone, with several χ to begin with where no bounce says which."""
+    bounce = work.bounces[work.first] if work.first < len(work.bounces) else None
+    if physics.effects:
+        starts = [physics.values["chi"]]
+    elif bounce is not None and 0.02 < bounce.chi < 0.98:
+        starts = [bounce.chi]
+    else:
+        starts = [0.55, 0.85, 0.25]
+    return [opening(work.free, work.first, physics.with_values(chi=chi)) for chi in starts]
+
+
+def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: list[str]) -> Fit:
+    """The result of a fit through one bounce or more."""
+    shot = shots[0]
+    total, explained = len(work.measured.impacts) - work.first, shot.reached - work.first
+    messages += bounce_words(shots, work.free, total, explained)
+    variance, tau = _inflation(shot)
+    messages += inflation_words(variance, tau)
+    parameters = _parameters(shot, work.free, variance * tau, messages)
+    covariance = _covariance(shot.root) * variance * tau
+    throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
+    face, odds, landing_words = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
+    return Fit(
+        parameters=parameters,
+        initial=shot.state,
+        initial_covariance=covariance[:12, :12],
+        chosen=_chosen(shot.physics),
+        considered=_left_out(trials),
+        bounces_fitted=explained,
+        residual_rms=float(np.sqrt(shot.mean_square)),
+        landed_face=face,
+        face_odds=odds,
+        messages=(*messages, *landing_words),
+        throw=throw,
+    )
+
+
+def _unexplained(work: _Work, start: Shot, trials: list[Trial], messages: list[str]) -> Fit:
+    """The result where no throw runs through the first bounce: the first flight, and χ from the bounces one by one."""
+    attempt = best_attempt(start, work.measured, work.free)
+    rms = None if attempt is None else float(np.sqrt(attempt.mean_square))
+    worst = None if attempt is None else np.sqrt(max(mean_squares(attempt).values()))
+    later = work.bounces[start.reached :]
+    messages.append(missed_words(len(work.measured.impacts) - start.reached, worst, later))
+    fit = replace(_unbounded(work, start, messages), considered=_left_out(trials), residual_rms=rms)
+    common = common_restitution(later, level=LEVEL_OF_INTERVALS)
+    if common is None:
+        messages.append("chi cannot be determined: no bounce has two flights that fix its normal velocities.")
+        return replace(fit, messages=tuple(messages))
+    chi = _bounded(*common, bounds=(0.0, 1.0))
+    if chi.value is None:
+        messages.append(
+            "chi cannot be determined: the ratios of normal velocities at the bounces contradict each other."
+        )
+        return replace(fit, messages=tuple(messages))
+    count = sum(b is not None for b in later)
+    messages.append(
+        f"chi is the ratio of normal velocities at {count} bounce{'s' if count > 1 else ''}, which needs no law of "
+        "impact; its interval includes their scatter."
+    )
+    physics = start.physics.with_values(chi=chi.value)
+    throw = continued(physics, start.throw, float(work.track.time_s[-1]))
+    return replace(fit, parameters={"chi": chi}, messages=tuple(messages), throw=throw)
+
+
+def _unbounded(work: _Work, start: Shot, messages: Sequence[str]) -> Fit:
+    """The result without any bounce: the first flight; χ stays unknown."""
+    freedom = max(6 * len(start.sightings) - 12, 1)
+    variance, tau = variance_inflation(start.residuals, freedom, start.sightings.flight)
+    first = work.free.flights[start.reached]
+    assert first is not None
+    assert first.flight.covariance is not None
+    return Fit(
+        parameters={"chi": Parameter(None, None, None, None, True, False)},
+        initial=start.state,
+        initial_covariance=first.flight.covariance * variance * tau,
+        chosen=_chosen(start.physics),
+        considered=(),
+        bounces_fitted=0,
+        residual_rms=float(np.sqrt(start.mean_square)),
+        landed_face=None,
+        face_odds=None,
+        messages=tuple(messages),
+        throw=start.throw,
+    )
+
+
+def _nothing(messages: list[str], why: str) -> Fit:
+    """The result where not even one flight is known."""
+    unknown = Parameter(None, None, None, None, True, False)
+    words = (*messages, why[:1].upper() + why[1:])
+    return Fit({"chi": unknown}, None, None, (), (), 0, None, None, None, words, None)
+
+
+def _chosen(physics: Physics) -> tuple[str, ...]:
+    """The effects in the model, those that the scene states among them."""
+    law = () if "friction" in physics.effects else ("smooth impact",)
+    rounded = ("rounded corners",) if physics.body.corner_radius_m > 0.0 else ()
+    moving = ("oscillating table",) if physics.table.moves else ()
+    return (*law, *rounded, *moving, *(name for name in physics.effects if name != "corner radius"))
+
+
+def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
+    """The effects that did not pay."""
+    return tuple(trial.in_words for trial in trials if not trial.pays)
+
+
+def _inflation(shot: Shot) -> tuple[float, float]:
+    """By how much the covariance is scaled for what the residuals show: s² and τ."""
+    freedom = shot.residuals.size - len(shot.root)
+    return variance_inflation(shot.residuals, freedom, shot.sightings.flight)
+
+
+def _covariance(root: Array) -> Array:
+    """(Tᵀ T)⁻¹."""
+    inverse = solve_triangular(root, np.eye(len(root)))
+    return np.asarray(inverse @ inverse.T)
+
+
+def _parameters(shot: Shot, free: FreeFlights, scale: float, messages: list[str]) -> dict[str, Parameter]:
+    """Every free parameter with its interval; None, and a message, where the data leave all of its range open."""
+    found = {}
+    covariance = _covariance(shot.root) * scale
+    for k, name in enumerate(shot.physics.free, start=12):
+        sigma = float(np.sqrt(covariance[k, k]))
+        found[name] = _parameter(shot, name, sigma, scale, free)
+        if found[name].value is None:
+            low, high = shot.physics.bounds(name)
+            messages.append(
+                f"{name} cannot be determined: every value from {low:g} to {high:g} agrees with the frames."
+            )
+    return found
+
+
+def _parameter(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlights) -> Parameter:
+    """One parameter and its interval from the profile of the likelihood."""
+    k2 = loss_scale(free)
+    least = shot.cost(k2)
+
+    def excess(value: float) -> float:
+        held = with_physics(shot, shot.physics.holding(name, value), k2)
+        return (shoot(shot.sightings, held, shot.vertices, k2).cost(k2) - least) / scale
+
+    value, bounds = shot.physics.values[name], shot.physics.bounds(name)
+    low, high = profile_interval(value, sigma, bounds, excess, level=LEVEL_OF_INTERVALS)
+    return _bounded(value, low, high, bounds=bounds, near=0.01 * sigma)
+
+
+def _bounded(value: float, low: float, high: float, *, bounds: tuple[float, float], near: float = 0.0) -> Parameter:
+    """A parameter kept within its bounds; one beyond a bound, or within `near` of it, stands on it."""
+    if low <= bounds[0] and high >= bounds[1]:
+        return Parameter(None, None, None, None, True, False)
+    value = bounds[0] if value <= bounds[0] + near else bounds[1] if value >= bounds[1] - near else value
+    low, high = float(np.clip(low, bounds[0], value)), float(np.clip(high, value, bounds[1]))
+    return Parameter(value, low, high, LEVEL_OF_INTERVALS, True, value in bounds)
