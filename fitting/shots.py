@@ -90,7 +90,9 @@ def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: floa
     )
 
 
-def _seen_from(sightings: Sightings, start: Shot, x: Array, vertices: tuple[int, ...]) -> tuple[Array, Array, Propagation]:
+def _seen_from(
+    sightings: Sightings, start: Shot, x: Array, vertices: tuple[int, ...]
+) -> tuple[Array, Array, Propagation]:
     """Whitened residuals (n, 6), their derivative (n, 6, 12 + k) at the displaced start, and the throw."""
     way = course(start.physics.moved(x[12:]), moved_state(start.state, x[:12]), sightings.time_s, vertices)
     errors = pose_errors(sightings, way.positions_m, way.quaternions)

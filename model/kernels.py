@@ -91,8 +91,9 @@ class Precision(NamedTuple):
     which no other sweep is made."""
 
 
-SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED = 0, 1, 2, 3
-"""Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent)."""
+SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING = 0, 1, 2, 3, 4
+"""Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent), and
+of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent of μ)."""
 
 NEWTON, POISSON, STRONGE = 0, 1, 2
 """What ends an impact with friction."""
@@ -157,11 +158,11 @@ _A, _B, _C = np.ascontiguousarray(DOP853.A[:12, :12]), DOP853.B.copy(), DOP853.C
 
 def law_of(code: int, parameters: Array) -> Law:
     """A law by its code and parameters; friction of nothing is none, where a law by speed has none either."""
-    if code in (COULOMB, COULOMB_BY_SPEED) and parameters[1] > 0.0:
+    if code in (COULOMB, COULOMB_BY_SPEED, COULOMB_FADING) and parameters[1] > 0.0:
         return RoughLaw(code, parameters)
     if code == COULOMB:
         return SmoothLaw(SMOOTH, parameters[:1].copy())
-    if code == COULOMB_BY_SPEED:
+    if code in (COULOMB_BY_SPEED, COULOMB_FADING):
         return SmoothLaw(SMOOTH_BY_SPEED, parameters[[0, 3, 4]])
     return SmoothLaw(code, parameters)
 
@@ -418,9 +419,9 @@ def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: f
 
 
 @njit(cache=True)
-def restitution_at_speed(chi0: float, speed: float, speed_scale: float, exponent: float) -> float:
-    """χ of an impact at `speed` ≥ 0 [m/s]: χ₀ (1 + speed/scale)^-exponent."""
-    return float(chi0 * (1.0 + speed / speed_scale) ** -exponent)
+def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
+    """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
+    return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
 
 
 @njit(cache=True)
@@ -864,7 +865,7 @@ def smooth_impulse(
     u = state[9] + state[10] * y - state[11] * x - v_table
     chi = law.parameters[0]
     if law.code == SMOOTH_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
     return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
 
 
@@ -876,11 +877,14 @@ def rough_impulse(
     x, y, z = arm
     u = state[9] + state[10] * y - state[11] * x - v_table
     chi = law.parameters[0]
-    if law.code == COULOMB_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    mu = law.parameters[1]
+    if law.code != COULOMB:
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    if law.code == COULOMB_FADING:
+        mu = faded_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
     cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
     matrix = contact_matrix_of_top(mass, inertia, x, y, z)
-    return friction_impulse(matrix, chi, law.parameters[1], int(law.parameters[2]), cx, cy, u)
+    return friction_impulse(matrix, chi, mu, int(law.parameters[2]), cx, cy, u)
 
 
 def impulse(
@@ -2317,7 +2321,7 @@ def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
     stand in the law's parameters from `at` on."""
     scale, exponent = law.parameters[at], law.parameters[at + 1]
-    ratio = restitution_at_speed(1.0, max(-u, 0.0), scale, exponent)
+    ratio = faded_at_speed(1.0, max(-u, 0.0), scale, exponent)
     slope = exponent * ratio / (scale + max(-u, 0.0))
     return ratio, slope, -slope * u / scale
 
