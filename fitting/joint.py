@@ -405,7 +405,6 @@ def _with_effects(
         refused.pop(best, None)
         point = trials[best][0]
         left = [effect for effect in left if effect != best]
-        chosen[-1] = replace(chosen[-1], why_not=None)
     return point, chosen, [refused[effect] for effect in left if effect in refused]
 
 
@@ -550,8 +549,9 @@ def _messages(
     position = float(np.mean([t.position_error_m for t in throws]))
     turned = float(np.degrees(np.mean([t.rotation_error_rad for t in throws])))
     words = [
-        f"Parameters are those that foretell whole throws best: fitted to the other throws, they miss by {100 * position / edge:.3g} % "
-        f"of the edge and {turned:.3g} degrees, in the mean over throws and over the frames after the first bounce.",
+        f"Parameters are those that foretell whole throws best: fitted to the other throws, they miss by "
+        f"{100 * position / edge:.3g} % of the edge and {turned:.3g} degrees, in the mean over throws and over the frames "
+        "after the first bounce.",
         "Effects in the model: " + (", ".join(effect.name for effect in chosen) or "none beyond the paper's law") + ".",
     ]
     if scatter is not None:

@@ -191,7 +191,7 @@ def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
         change = np.zeros(12)
         change[3:6], change[9:] = step[:3], step[3:]
         state = moved_state(state, change)
-        if np.abs(step[:3]).max() < 1e-10:
+        if np.abs(step[:3]).max() < 1e-8:
             break
     return (state, *_errors(state, times, positions, quaternions))
 

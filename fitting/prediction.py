@@ -207,13 +207,12 @@ def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Ge
     """The physics with every free parameter drawn from its interval, taken for that of a normal number."""
     values = {}
     for name, parameter in parameters.items():
-        if name not in physics.values or not parameter.free or None in (parameter.low, parameter.high, parameter.level):
+        value, low, high, level = parameter.value, parameter.low, parameter.high, parameter.level
+        if name not in physics.values or not parameter.free or value is None or low is None or high is None:
             continue
-        assert parameter.value is not None and parameter.low is not None
-        assert parameter.high is not None and parameter.level is not None
         side = rng.standard_normal()
-        reach = parameter.high - parameter.value if side > 0.0 else parameter.value - parameter.low
-        values[name] = parameter.value + side * reach / float(norm.ppf(0.5 + parameter.level / 2.0))
+        reach = high - value if side > 0.0 else value - low
+        values[name] = value + side * reach / float(norm.ppf(0.5 + (level or 0.95) / 2.0))
     return physics.with_values(**values)
 
 
