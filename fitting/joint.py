@@ -39,6 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
+from ..model.motion import State
 from ..model.rotations import rotation_between
 from ..model.solids import Die
 from ..model.tables import LEVEL, Table
@@ -46,7 +47,7 @@ from ..tracking.track import Track
 from .flights import moved_state
 from .outset import FEWEST, Outset, first_bounce_row, flight_length, outset_before, usable_rows
 from .physics import Physics
-from .prediction import simulated_poses
+from .prediction import simulated_throws
 from .results import Effect, Parameter
 
 Array = NDArray[np.float64]
@@ -175,14 +176,13 @@ def fit_jointly(
     with ThreadPoolExecutor(threads) as pool:
         spread = _spread(entries, _FOR_EFFECTS)
         told = _Told(progress, 3 * len(effects) + 2)
-        some = _Crowd(tuple(spread), die, pool, _slack(spread, Physics(die, table, {"chi": 0.5}), pool))
-        best = _descended(some, _first(some, Physics(die, table, {"chi": 0.5})))
+        plainest = Physics(die, table, {"chi": 0.5})
+        some = _with_slack(spread, plainest, pool)
+        best = _descended(some, _first(some, plainest))
         told.step()
         best, chosen, refused = _with_effects(some, best, effects, told)
-        everyone = some
-        if len(spread) < len(entries):
-            everyone = _Crowd(tuple(entries), die, pool, _slack(entries, best.physics, pool))
-            best = _descended(everyone, best.physics)
+        everyone = _with_slack(entries, best.physics, pool)
+        best = _descended(everyone, best.physics)
         told.end()
         return _result(everyone, best, chosen, refused)
 
@@ -205,9 +205,19 @@ class _Crowd:
         """The radius of gyration by which a turn counts."""
         return float(np.sqrt(self.die.inertia_kg_m2 / self.die.mass_kg))
 
-    def misses(self, physics: Sequence[Physics]) -> list[Array]:
-        """(n, 6) [m] of every throw: seen less simulated, turns times the radius of gyration; each by its own physics."""
-        return list(self.pool.map(lambda e, p: _misses(e, p, self.arm_m), self.entries, physics))
+    def misses(self, physics: Sequence[Physics], starts: Sequence[State] | None = None) -> list[Array]:
+        """(n, 6) [m] of every throw: seen less simulated, turns times the radius of gyration; each by its own physics,
+        from the states of the outsets unless others are given."""
+        states = [entry.outset.state for entry in self.entries] if starts is None else starts
+        found: list[Array] = [np.empty((0, 6))] * len(self.entries)
+        for one in {id(p): p for p in physics}.values():
+            mine = [k for k, p in enumerate(physics) if p is one]
+            entries = [self.entries[k] for k in mine]
+            together = _misses(entries, one, [states[k] for k in mine], self.arm_m, self.pool)
+            lengths = np.cumsum([len(entry.rows) for entry in entries])[:-1]
+            for k, part in zip(mine, np.split(together, lengths), strict=True):
+                found[k] = part
+        return found
 
     def costs(self, misses: Sequence[Array]) -> Array:
         """(throws,) [m]."""
@@ -239,10 +249,14 @@ class _Point:
         return self.physics.moved(self.steps * _solved(matrix, right, damping))
 
 
-def _misses(entry: Entry, physics: Physics, arm_m: float) -> Array:
-    positions, quaternions = simulated_poses(physics, entry.outset.state, entry.times_s)
-    turned = rotation_between(quaternions, entry.track.quaternion[entry.rows])
-    misses = np.hstack([entry.track.position_m[entry.rows] - positions, arm_m * turned])
+def _misses(
+    entries: Sequence[Entry], physics: Physics, states: Sequence[State], arm_m: float, pool: ThreadPoolExecutor
+) -> Array:
+    """(Σ n, 6) of several throws, one below the other."""
+    positions, quaternions = simulated_throws(physics, states, [entry.times_s for entry in entries], pool)
+    seen = np.concatenate([entry.track.position_m[entry.rows] for entry in entries])
+    turned = rotation_between(quaternions, np.concatenate([entry.track.quaternion[entry.rows] for entry in entries]))
+    misses = np.hstack([seen - positions, arm_m * turned])
     # A throw that bounces on without end is given up: as far off as a die can be that lies where it should.
     return np.where(np.isfinite(misses), misses, np.pi * arm_m)
 
@@ -251,31 +265,29 @@ def _cost(misses: Array, slack: Array) -> float:
     return float(np.mean(np.sqrt((misses**2).sum(1) + slack**2) - slack))
 
 
-def _slack(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExecutor) -> tuple[Array, ...]:
-    """(n,) [m] of each throw: how far the errors of its start let its frames stray, and the errors of the frames."""
-    arm = float(np.sqrt(physics.die.inertia_kg_m2 / physics.die.mass_kg))
+def _with_slack(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExecutor) -> _Crowd:
+    """The crowd, each frame with how far the errors of the start let it stray, and with its own error."""
+    bare = _Crowd(tuple(entries), physics.die, pool, ())
+    everyone = [physics] * len(entries)
+    plain = bare.misses(everyone)
+    squares = [np.zeros(len(entry.rows)) for entry in entries]
+    for starts in _drawn_starts(entries):
+        for k, strayed in enumerate(bare.misses(everyone, starts)):
+            squares[k] += ((strayed - plain[k]) ** 2).sum(1) / _START_DRAWS
+    noise = [3.0 * (e.outset.sigma_m**2 + (bare.arm_m * e.outset.sigma_rad) ** 2) for e in entries]
+    return replace(bare, slack=tuple(np.sqrt(s + n) for s, n in zip(squares, noise, strict=True)))
 
-    def one(entry: Entry) -> Array:
-        plain = _misses(entry, physics, arm)
-        strayed = [_misses(drawn, physics, arm) - plain for drawn in _drawn_starts(entry)]
-        noise = 3.0 * (entry.outset.sigma_m**2 + (arm * entry.outset.sigma_rad) ** 2)
-        return np.asarray(np.sqrt(np.mean([(s**2).sum(1) for s in strayed], axis=0) + noise))
 
-    return tuple(pool.map(one, entries))
-
-
-def _drawn_starts(entry: Entry) -> list[Entry]:
-    """The same throw from starts that its frames allow as well."""
+def _drawn_starts(entries: Sequence[Entry]) -> list[list[State]]:
+    """Starts that the frames of each throw allow as well, `_START_DRAWS` times."""
     rng = np.random.default_rng(0)
-    values, axes = np.linalg.eigh(entry.outset.covariance)
-    spread = axes * np.sqrt(np.clip(values, 0.0, None))
-    return [
-        replace(
-            entry,
-            outset=replace(entry.outset, state=moved_state(entry.outset.state, spread @ rng.standard_normal(12))),
-        )
-        for _ in range(_START_DRAWS)
-    ]
+    draws: list[list[State]] = [[] for _ in range(_START_DRAWS)]
+    for entry in entries:
+        values, axes = np.linalg.eigh(entry.outset.covariance)
+        spread = axes * np.sqrt(np.clip(values, 0.0, None))
+        for drawn in draws:
+            drawn.append(moved_state(entry.outset.state, spread @ rng.standard_normal(12)))
+    return draws
 
 
 # --- descent ---
@@ -385,6 +397,9 @@ def _with_effects(
     left = list(effects)
     refused: dict[str, Effect] = {}
     while left:
+        # What errors of the start do depends on the law: tell it anew.
+        crowd = _with_slack(crowd.entries, point.physics, crowd.pool)
+        point = _seen(crowd, point.physics)
         before = _left_out_costs(crowd, point)
         trials = {}
         for effect in left:
@@ -518,12 +533,9 @@ def _parameters(point: _Point) -> dict[str, Parameter]:
 def _scatter(crowd: _Crowd, point: _Point) -> tuple[Array, float | None]:
     """χ that each throw alone asks for (NaN where no frame tells), and its scatter beyond errors of the starts."""
     which = point.physics.free.index("chi")
-    starts = [_drawn_starts(entry) for entry in crowd.entries]
-    strayed = [
-        list(crowd.pool.map(lambda s, k=k: _misses(s[k], point.physics, crowd.arm_m), starts))
-        for k in range(_START_DRAWS)
-    ]
-    own, noise = np.full(len(starts), np.nan), np.full(len(starts), np.nan)
+    count = len(crowd.entries)
+    strayed = [crowd.misses([point.physics] * count, starts) for starts in _drawn_starts(crowd.entries)]
+    own, noise = np.full(count, np.nan), np.full(count, np.nan)
     for k, entry in enumerate(crowd.entries):
         slope = point.slopes[k][: entry.early, :, which]
         weight = 1.0 / (crowd.slack[k][: entry.early] ** 2)[:, None]

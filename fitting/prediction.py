@@ -10,6 +10,8 @@ law that does not hold.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -83,25 +85,47 @@ def simulated_poses(
     All on the track's clock and in its metres. A corner that begins below the table, as errors of frames may put it
     there, is lifted onto it. Raises ValueError for times before the state's.
     """
-    if len(times_s) == 0:
-        return np.empty((0, 3)), np.empty((0, 4))
-    if times_s[0] < state.time_s - 1e-12:
-        raise ValueError(f"times_s from {times_s[0]:g}: wanted none before the state's, {state.time_s:g} s")
+    return simulated_throws(physics, [state], [np.asarray(times_s, float)], precision=precision)
+
+
+def simulated_throws(
+    physics: Physics,
+    states: Sequence[State],
+    times_s: Sequence[Array],
+    pool: ThreadPoolExecutor | None = None,
+    precision: kernels.Precision = QUICK,
+) -> tuple[Array, Array]:
+    """`simulated_poses` of many throws, one below the other: (Σ n, 3) and (Σ n, 4). The pool's threads share them out."""
+    for state, times in zip(states, times_s, strict=True):
+        if len(times) and times[0] < state.time_s - 1e-12:
+            raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {state.time_s:g} s")
     clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
-    start = lifted(physics, in_true_units(physics, state))
-    times = clock * np.asarray(times_s, float)
-    if physics.plane.tilt_rad or not physics.body.is_spherical_top:
-        end = Until(time_s=max(float(times[-1]), start.time_s))
-        positions, quaternions = physics.throw(start, end).throw.poses(times)
-        return length * positions, quaternions
-    packed = packed_state(start)
-    packed[2] -= physics.body.corner_radius_m
+    starts = [lifted(physics, in_true_units(physics, state)) for state in states]
+    firsts = np.concatenate([[0], np.cumsum([len(times) for times in times_s])]).astype(np.int64)
+    times = clock * np.concatenate([np.empty(0), *times_s])
     poses = np.empty((len(times), 7))
+    if physics.plane.tilt_rad or not physics.body.is_spherical_top:
+        for start, low, high in zip(starts, firsts, firsts[1:], strict=False):
+            if high > low:
+                throw = physics.throw(start, Until(time_s=float(times[high - 1]))).throw
+                poses[low:high] = np.hstack(throw.poses(times[low:high]))
+        return length * poses[:, :3], poses[:, 3:]
+    packed = np.array([packed_state(start) for start in starts])
+    packed[:, 2] -= physics.body.corner_radius_m
+    begins = np.array([start.time_s for start in starts])
     law = kernels.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
-    kernels.poses_of_throw(
-        _body(physics.body), law, physics.plane.plane, precision, packed, start.time_s, times, cap, poses
-    )
+    fixed = (_body(physics.body), law, physics.plane.plane, precision)
+
+    def part(low: int, high: int) -> None:
+        kernels.poses_of_throws(*fixed, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
+
+    if pool is None:
+        part(0, len(starts))
+    else:
+        # Small parts, since throws differ in how long they take; not one each, or handing over takes as long.
+        cuts = np.unique(np.linspace(0, len(starts), 17).astype(int))
+        list(pool.map(part, cuts[:-1], cuts[1:]))
     return length * poses[:, :3], poses[:, 3:]
 
 
@@ -126,7 +150,8 @@ def in_true_units(physics: Physics, state: State) -> State:
 def lifted(physics: Physics, state: State) -> State:
     """The state with no corner below the table."""
     up = matrix_from_quat(physics.plane.world_from_table)[:, 2]
-    height = touching_vertices(physics.body) @ matrix_from_quat(state.quaternion).T @ up
+    corners = _body(physics.body).vertices if physics.body.is_spherical_top else touching_vertices(physics.body)
+    height = corners @ matrix_from_quat(state.quaternion).T @ up
     of_table = kernels.table_height(physics.plane.plane, state.time_s)
     lowest = float(height.min() + up @ state.position_m - physics.body.corner_radius_m - of_table)
     return state if lowest >= 0.0 else replace(state, position_m=state.position_m - lowest * up)

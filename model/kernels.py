@@ -2187,6 +2187,26 @@ def poses_of_throw(
     return ending, impacts
 
 
+@njit(cache=True, nogil=True)
+def poses_of_throws(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    starts: Array,
+    start_times: Array,
+    times: Array,
+    firsts: Indices,
+    impact_cap: int,
+    poses: Array,
+) -> None:
+    """`poses_of_throw` for each of `starts` (m, 13): throw k at `times[firsts[k] : firsts[k + 1]]`, into those rows."""
+    for k in range(starts.shape[0]):
+        rows = slice(firsts[k], firsts[k + 1])
+        if firsts[k + 1] > firsts[k]:
+            poses_of_throw(body, law, plane, precision, starts[k], start_times[k], times[rows], impact_cap, poses[rows])
+
+
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 
