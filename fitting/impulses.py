@@ -9,6 +9,11 @@ A ratio of two measured numbers has no standard error where the lower one may be
 (J. R. Stat. Soc. B 16, 175, 1954): all χ for which u' + χ u does not differ from zero at the level asked for. It may
 be unbounded, and is then reported as NaN.
 
+The impulse is S = m Δv, whatever made it, and with it come the tangential impulse over the normal one, |S_t|/S_z, which
+no Coulomb friction lets exceed μ and sliding makes equal to it, and the energy lost, E - E'. The ratio's interval is
+Fieller's along the measured direction of S_t, no lower than 0; that of the energy is by linear propagation, since it is a
+smooth function of both states.
+
 What the smooth impact (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8) adds to this is that the impulse is
 vertical: v_x, v_y and ω_z stay, and J Δω = m Δv_z (r × ẑ). These five numbers, in sigmas, say whether it holds.
 
@@ -32,6 +37,9 @@ from .flights import FreeFlights, flight_jacobian, moved_state
 
 Array = NDArray[np.float64]
 
+_SMOOTH, _CHANGE, _LOST = slice(2, 7), [2, 3, 7], 8
+"""Of `_impact_numbers`: what a smooth impact sets to zero, the change of velocity, and the energy lost."""
+
 
 @dataclass(frozen=True, eq=False)
 class Bounce:
@@ -51,6 +59,15 @@ class Bounce:
     normal_velocity_after_m_s: float
     impulse_N_s: Array
     """(3,) on the die, world axes: m Δv."""
+    impulse_covariance: Array
+    """(3, 3) [N² s²]."""
+    impulse_ratio: float
+    """Tangential impulse over normal impulse; NaN where the normal one is not upwards."""
+    impulse_ratio_low: float
+    impulse_ratio_high: float
+    energy_lost_J: float
+    energy_lost_low_J: float
+    energy_lost_high_J: float
     energy_before_J: float
     energy_after_J: float
     smooth_sigmas: float
@@ -72,6 +89,10 @@ def apparent_restitution(
     u, u_after = float(values[0]), float(values[1])
     low, high = fieller(u, u_after, covariance[:2, :2], level)
     gradient = np.array([u_after / u**2, -1.0 / u])
+    z = float(norm.ppf(0.5 + level / 2.0))
+    impulse, of_impulse = die.mass_kg * values[_CHANGE], die.mass_kg**2 * covariance[np.ix_(_CHANGE, _CHANGE)]
+    ratio, ratio_low, ratio_high = _impulse_ratio(impulse, of_impulse, level)
+    lost, lost_sigma = float(values[_LOST]), float(np.sqrt(covariance[_LOST, _LOST]))
     state, next_state = before.at(touch_s), after.at(touch_s)
     return Bounce(
         time_s=touch_s,
@@ -82,10 +103,17 @@ def apparent_restitution(
         chi_sigma=float(np.sqrt(gradient @ covariance[:2, :2] @ gradient)),
         normal_velocity_before_m_s=u,
         normal_velocity_after_m_s=u_after,
-        impulse_N_s=die.mass_kg * (next_state.velocity_m_s - state.velocity_m_s),
+        impulse_N_s=impulse,
+        impulse_covariance=of_impulse,
+        impulse_ratio=ratio,
+        impulse_ratio_low=ratio_low,
+        impulse_ratio_high=ratio_high,
+        energy_lost_J=lost,
+        energy_lost_low_J=lost - z * lost_sigma,
+        energy_lost_high_J=lost + z * lost_sigma,
         energy_before_J=energy_J(die, state),
         energy_after_J=energy_J(die, next_state),
-        smooth_sigmas=_root_mean_square(values[2:], covariance[2:, 2:]),
+        smooth_sigmas=_root_mean_square(values[_SMOOTH], covariance[_SMOOTH, _SMOOTH]),
     )
 
 
@@ -120,6 +148,17 @@ def fieller(u: float, u_after: float, covariance: Array, level: float) -> tuple[
         return np.nan, np.nan
     root = np.sqrt(discriminant)
     return float((-b - root) / a), float((-b + root) / a)
+
+
+def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[float, float, float]:
+    """|S_t|/S_z and its bounds; NaN where the impulse does not point up."""
+    tangential, upward = float(np.hypot(impulse[0], impulse[1])), float(impulse[2])
+    if not upward > 0.0:
+        return np.nan, np.nan, np.nan
+    along = np.array([impulse[0], impulse[1], 0.0]) / tangential if tangential > 0.0 else np.array([1.0, 0.0, 0.0])
+    turn = np.stack([np.array([0.0, 0.0, 1.0]), -along])
+    low, high = fieller(upward, -tangential, turn @ covariance @ turn.T, level)
+    return tangential / upward, max(0.0, low) if np.isfinite(low) else low, high
 
 
 def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95) -> tuple[float, float, float] | None:
@@ -189,7 +228,7 @@ def _touch_time(die: Die, before: Flight, near_s: float, vertex: int) -> float:
 
 
 def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vertex: int) -> Array:
-    """(7,): u, u', and the five numbers that a smooth impact sets to zero.
+    """(9,): u, u', the five numbers that a smooth impact sets to zero, the rise of v_z, and the energy lost [J].
 
     The instant shifts to where the (varied) flight before touches; one Newton step is exact to the first order.
     """
@@ -211,20 +250,22 @@ def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vert
             dw[0] - lever * arm[1],
             dw[1] + lever * arm[0],
             dw[2],
+            dv[2],
+            energy_J(die, state) - energy_J(die, replace(later, position_m=state.position_m)),
         ]
     )
 
 
 def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: int) -> Array:
-    """Covariance (7, 7) of `_impact_numbers`, by central differences over both states; NaN without covariances."""
+    """Covariance (9, 9) of `_impact_numbers`, by central differences over both states; NaN without covariances."""
     if before.covariance is None or after.covariance is None:
-        return np.full((7, 7), np.nan)
-    total = np.zeros((7, 7))
+        return np.full((9, 9), np.nan)
+    total = np.zeros((9, 9))
     at_touch = [_carried(flight, time_s) for flight in (before, after)]
     for which, flight in enumerate(at_touch):
         assert flight.covariance is not None
         steps = np.repeat([1e-7, 1e-6, 1e-4, 1e-2], 3)
-        gradient = np.empty((7, 12))
+        gradient = np.empty((9, 12))
         for k, step in enumerate(steps):
             change = np.zeros(12)
             change[k] = step

@@ -7,6 +7,7 @@ an effect that is not in use has none: it costs no parameter, no time and no lin
 | --- | --- | --- |
 | friction | `mu`, Coulomb, along the normal impulse (`model.impacts.CoulombImpact`) | 0 |
 | fading restitution | `chi_fade_s_per_m` = 1/u_s of `model.impacts.RestitutionBySpeed` | 0 |
+| fading friction | `mu_fade_s_per_m` = 1/u_s of `model.impacts.FrictionBySpeed`; joint fits alone | 0 |
 | rounded corners | `corner_radius_m` | 0 |
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
 | tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
@@ -26,7 +27,14 @@ from numpy.typing import NDArray
 
 from ..model import kernels
 from ..model.bodies import body_of
-from ..model.impacts import CoulombImpact, ImpactLaw, Restitution, RestitutionBySpeed, SmoothImpact
+from ..model.impacts import (
+    CoulombImpact,
+    FrictionBySpeed,
+    ImpactLaw,
+    Restitution,
+    RestitutionBySpeed,
+    SmoothImpact,
+)
 from ..model.motion import GRAVITY_M_S2, State, Throw
 from ..model.simulate import ThrowResult, Until, checked_release, throw_die
 from ..model.solids import Die
@@ -55,6 +63,7 @@ _BOUNDS = {
     "chi": (0.0, 1.0),
     "mu": (0.0, 3.0),
     "chi_fade_s_per_m": (0.0, 100.0),
+    "mu_fade_s_per_m": (0.0, 100.0),
     "tilt_x_rad": (-0.3, 0.3),
     "tilt_y_rad": (-0.3, 0.3),
     "drag_per_m": (0.0, 10.0),
@@ -170,7 +179,11 @@ class Physics:
         chi = self.values["chi"]
         law = CoulombImpact(chi, self.values["mu"], self.restitution) if "mu" in self.values else SmoothImpact(chi)
         fade = self.values.get("chi_fade_s_per_m")
-        return law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
+        faded = law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
+        if "mu_fade_s_per_m" not in self.values or isinstance(law, SmoothImpact):
+            return faded
+        assert not isinstance(faded, SmoothImpact)
+        return FrictionBySpeed(faded, 1.0 / max(self.values["mu_fade_s_per_m"], _SLOW_FADE_S_PER_M))
 
     @cached_property
     def body(self) -> Die:

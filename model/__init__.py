@@ -5,6 +5,7 @@ result = throw_die(die, release, SmoothImpact(chi=0.5))
 """
 
 from .impacts import CoulombImpact as CoulombImpact
+from .impacts import FrictionBySpeed as FrictionBySpeed
 from .impacts import ImpactLaw as ImpactLaw
 from .impacts import RestitutionBySpeed as RestitutionBySpeed
 from .impacts import SmoothImpact as SmoothImpact

@@ -5,7 +5,7 @@ An impact is instantaneous: the die keeps its place and an impulse S acts at the
 and a line in the list that the law tests run on.
 
 Which of them: `SmoothImpact` is the paper's, and the fastest. `CoulombImpact` rubs, at two to four microseconds an
-impact. `RestitutionBySpeed` lets the restitution of either fade as impacts get harder.
+impact. `RestitutionBySpeed` lets the restitution of either fade as impacts get harder, `FrictionBySpeed` the friction.
 
 **Impact** (Routh 1905; Darboux 1880; Keller, J. Appl. Mech. 53, 1, 1986). The impact takes no time, and the normal
 impulse p is its clock. The contact velocity c = (s ŝ, w), slip s along the unit vector ŝ and normal velocity w, obeys
@@ -64,7 +64,7 @@ class ImpactLaw(Protocol):
     def code(self) -> int:
         """The branch of the kernel that computes it.
 
-        SMOOTH 0, COULOMB 1, SMOOTH_BY_SPEED 2, COULOMB_BY_SPEED 3.
+        SMOOTH 0, COULOMB 1, SMOOTH_BY_SPEED 2, COULOMB_BY_SPEED 3, COULOMB_FADING 4.
         """
         ...
 
@@ -73,7 +73,8 @@ class ImpactLaw(Protocol):
         """(k,) numbers of the law, the coefficient of restitution (of the slowest impacts) first.
 
         SMOOTH (χ), COULOMB (χ, μ, ending), SMOOTH_BY_SPEED (χ₀, scale, exponent), COULOMB_BY_SPEED (χ₀, μ, ending,
-        scale, exponent); the ending is 0 for Newton's, 1 for Poisson's, 2 for Stronge's restitution, the scale in m/s.
+        scale, exponent), COULOMB_FADING (the same with μ₀, then scale and exponent of μ); the ending is 0 for Newton's,
+        1 for Poisson's, 2 for Stronge's restitution, the scales in m/s.
         """
         ...
 
@@ -186,7 +187,54 @@ class RestitutionBySpeed:
 
     def chi_at(self, speed_m_s: float) -> float:
         """χ of an impact at that speed [m/s]."""
-        return float(kernels.restitution_at_speed(self.law.chi, speed_m_s, self.speed_scale_m_s, self.exponent))
+        return float(kernels.faded_at_speed(self.law.chi, speed_m_s, self.speed_scale_m_s, self.exponent))
+
+
+@dataclass(frozen=True)
+class FrictionBySpeed:
+    """A law whose friction fades with the normal speed u of the impact: μ(u) = μ₀ (1 + |u|/u_s)^-exponent.
+
+    Where soft bodies touch elastically the friction goes with the area, which grows as the load to the power 2/3, so
+    that μ falls as its power -1/3 (Bowden & Tabor, The Friction and Lubrication of Solids, 1950, ch. 5 for plastics); and
+    the peak load of a Hertzian impact grows as u^6/5 (Johnson, Contact Mechanics, 1985, section 11.4): μ ~ u^-2/5. In
+    held contact, where nothing strikes, it is μ₀. Other exponents describe, they do not explain.
+    """
+
+    law: CoulombImpact | RestitutionBySpeed
+    """Its mu is μ₀, that of the slowest impacts."""
+    speed_scale_m_s: float
+    """u_s, above 0: where friction begins to fade."""
+    exponent: float = 0.4
+    """0 or more."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rough, CoulombImpact):
+            raise ValueError(f"law = {self.law}: wanted a law with a CoulombImpact in it")
+        if not (np.isfinite(self.speed_scale_m_s) and self.speed_scale_m_s > 0.0):
+            raise ValueError(f"speed_scale_m_s = {self.speed_scale_m_s}: wanted a finite speed above 0")
+        if not (np.isfinite(self.exponent) and self.exponent >= 0.0):
+            raise ValueError(f"exponent = {self.exponent}: wanted 0 or more; 0.4 is that of soft plastics")
+
+    @property
+    def rough(self) -> CoulombImpact | SmoothImpact:
+        """The law of the slowest impacts."""
+        return self.law.law if isinstance(self.law, RestitutionBySpeed) else self.law
+
+    @property
+    def code(self) -> int:
+        """COULOMB_FADING."""
+        return kernels.COULOMB_FADING
+
+    @property
+    def parameters(self) -> Array:
+        """(7,) χ₀, μ₀, ending, scale [m/s] and exponent of χ, scale and exponent of μ."""
+        faded = [] if isinstance(self.law, RestitutionBySpeed) else [1.0, 0.0]
+        return np.array([*self.law.parameters, *faded, self.speed_scale_m_s, self.exponent])
+
+    def mu_at(self, speed_m_s: float) -> float:
+        """μ of an impact at that speed [m/s]."""
+        mu0 = float(self.parameters[1])
+        return float(kernels.faded_at_speed(mu0, speed_m_s, self.speed_scale_m_s, self.exponent))
 
 
 def _check_chi(chi: float) -> None:

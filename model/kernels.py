@@ -89,10 +89,14 @@ class Precision(NamedTuple):
     """Slowest bounce that is still simulated, in units of √(g R); see `contact`."""
     turn: float
     """[rad] by which a die in held contact turns in one step of the integration."""
+    sweep: float = 1e-12
+    """Change of a contact velocity in a sweep over contacts with friction, as a part of the velocities at hand, after
+    which no other sweep is made."""
 
 
-SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED = 0, 1, 2, 3
-"""Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent)."""
+SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING = 0, 1, 2, 3, 4
+"""Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent), and
+of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent of μ)."""
 
 NEWTON, POISSON, STRONGE = 0, 1, 2
 """What ends an impact with friction."""
@@ -141,9 +145,6 @@ _MOST_SWEEPS = 1000
 _FULL_SWEEPS, _LONG_SWEEPS = 100, 500
 """After so many sweeps without an end, each goes 0.7, then 0.4 of its way."""
 
-_SWEEP_CHANGE = 1e-12
-"""Change of a contact velocity in a sweep, as a part of the velocities at hand, after which no other sweep is made."""
-
 _NEAR_RUBBED, _RUBBED_PART = 1e-6, 0.1
 """With friction, held contact is followed by a method of low order: part of the circumradius within which its vertices
 count as standing on the table, and part of `Precision.turn` that it takes as a step."""
@@ -160,11 +161,11 @@ _A, _B, _C = np.ascontiguousarray(DOP853.A[:12, :12]), DOP853.B.copy(), DOP853.C
 
 def law_of(code: int, parameters: Array) -> Law:
     """A law by its code and parameters; friction of nothing is none, where a law by speed has none either."""
-    if code in (COULOMB, COULOMB_BY_SPEED) and parameters[1] > 0.0:
+    if code in (COULOMB, COULOMB_BY_SPEED, COULOMB_FADING) and parameters[1] > 0.0:
         return RoughLaw(code, parameters)
     if code == COULOMB:
         return SmoothLaw(SMOOTH, parameters[:1].copy())
-    if code == COULOMB_BY_SPEED:
+    if code in (COULOMB_BY_SPEED, COULOMB_FADING):
         return SmoothLaw(SMOOTH_BY_SPEED, parameters[[0, 3, 4]])
     return SmoothLaw(code, parameters)
 
@@ -421,9 +422,9 @@ def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: f
 
 
 @njit(cache=True)
-def restitution_at_speed(chi0: float, speed: float, speed_scale: float, exponent: float) -> float:
-    """χ of an impact at `speed` ≥ 0 [m/s]: χ₀ (1 + speed/scale)^-exponent."""
-    return float(chi0 * (1.0 + speed / speed_scale) ** -exponent)
+def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
+    """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
+    return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
 
 
 @njit(cache=True)
@@ -867,7 +868,7 @@ def smooth_impulse(
     u = state[9] + state[10] * y - state[11] * x - v_table
     chi = law.parameters[0]
     if law.code == SMOOTH_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
     return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
 
 
@@ -879,11 +880,14 @@ def rough_impulse(
     x, y, z = arm
     u = state[9] + state[10] * y - state[11] * x - v_table
     chi = law.parameters[0]
-    if law.code == COULOMB_BY_SPEED:
-        chi = restitution_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    mu = law.parameters[1]
+    if law.code != COULOMB:
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    if law.code == COULOMB_FADING:
+        mu = faded_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
     cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
     matrix = contact_matrix_of_top(mass, inertia, x, y, z)
-    return friction_impulse(matrix, chi, law.parameters[1], int(law.parameters[2]), cx, cy, u)
+    return friction_impulse(matrix, chi, mu, int(law.parameters[2]), cx, cy, u)
 
 
 def impulse(
@@ -1388,6 +1392,7 @@ def friction_step(
     push: Array,
     table_velocity: float,
     impulses: Array,
+    sweep: float = 1e-12,
 ) -> int:
     """One time step of held contact of a spherical top: `velocity` (6,) [m/s, rad/s], centre and spin, in place.
 
@@ -1397,7 +1402,7 @@ def friction_step(
     small one. `impulses` (n, 3) [N s]: a guess, zero or those of the step before; the result afterwards.
     `table_velocity` [m/s] is the table's own, along z. No velocity of a vertex at the end is below it by more than
     rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `_MOST_SWEEPS` where they
-    were cut off before no contact velocity changed by more than `_SWEEP_CHANGE` of push and velocities.
+    were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
     """
     n = arms.shape[0]
     velocity[:3] += push
@@ -1408,7 +1413,7 @@ def friction_step(
     for i in range(n):
         _kick(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
     sweeps, changed = 0, inf
-    while changed > _SWEEP_CHANGE * size and sweeps < _MOST_SWEEPS:
+    while changed > sweep * size and sweeps < _MOST_SWEEPS:
         changed = 0.0
         # Corners that answer each other in a circle stop doing so when each goes only part of its way.
         part = 1.0 if sweeps < _FULL_SWEEPS else (0.7 if sweeps < _LONG_SWEEPS else 0.4)
@@ -1493,6 +1498,7 @@ def rub_step(
     guess: Array,
     impulses: Array,
     after: Array,
+    sweep: float,
 ) -> int:
     """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
 
@@ -1511,7 +1517,8 @@ def rub_step(
     velocity[:3], velocity[3:] = after[7:10], after[10:13]
     push[0], push[1], push[2] = plane.gx * dt, plane.gy * dt, -plane.g * dt
     impulses[:n] = guess[:n] * dt
-    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, table_velocity(plane, time + dt), impulses[:n])
+    v_table = table_velocity(plane, time + dt)
+    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
     after[7:10], after[10:13] = velocity[:3], velocity[3:]
     turn_and_move(after, 0.5 * dt)
     pressing = 0
@@ -1578,7 +1585,7 @@ def rough_rub(
             return RESTED, time - begin, -1, knots, known
         rate = spin_of(state) + sqrt((plane.g + shake) / body.radius) + (0.0 if fixed else plane.rate)
         dt = min(_RUBBED_PART * precision.turn / rate, begin + limit - time)
-        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after)
+        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep)
         if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
             # Nothing moves, and nothing will.
             if for_ever:
@@ -1594,13 +1601,15 @@ def rough_rub(
                 middle = 0.5 * (low + high)
                 if high - low <= 1e-12 * dt:
                     break
-                rub_step(body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after)
+                rub_step(
+                    body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after, precision.sweep
+                )
                 found = lowest_free(body, plane, after, time + middle, active)
                 if found >= 0:
                     high, hit = middle, found
                 else:
                     low = middle
-            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after)
+            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
             state[:] = after
             return FLIES, time + high - begin, hit, knots, known
         state[:] = after
@@ -2146,6 +2155,87 @@ def land_many(
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
 
+@njit(cache=True, nogil=True)
+def poses_of_throw(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    start: Array,
+    start_time: float,
+    times: Array,
+    impact_cap: int,
+    poses: Array,
+) -> tuple[int, int]:
+    """Position and quaternion of a throw at `times` (n,) [s], in order and none before the start, into `poses` (n, 7).
+
+    As `run_throw` and `history` would have them, without the objects in between: heights are those of the centre. NaN
+    from the instant at which the impacts are too many. Returns how the throw ended and the number of its impacts.
+    """
+    last = times[times.shape[0] - 1]
+    ending, impacts, _, end, _, log, knots = run_throw(
+        body, law, plane, precision, start, start_time, last - start_time, 9223372036854775807, False, impact_cap, True
+    )
+    rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
+    event, knot = -1, 0
+    for k in range(times.shape[0]):
+        time = times[k]
+        if ending == IMPACT_CAP and time > end:
+            poses[k] = nan
+            continue
+        while event + 1 < log.shape[0] and log[event + 1, 0] <= time:
+            event += 1
+        begin, i, j = start_time, -1, -1
+        state[:] = start
+        if event >= 0:
+            begin, i, j = log[event, 0], int(log[event, 21]), int(log[event, 22])
+            state[:7], state[7:13] = log[event, 2:9], log[event, 15:21]
+        while knot < knots.shape[0] and knots[knot, 0] < event:
+            knot += 1
+        while knot + 1 < knots.shape[0] and knots[knot + 1, 0] == event and knots[knot + 1, 1] <= time:
+            knot += 1
+        if knot < knots.shape[0] and knots[knot, 0] == event and knots[knot, 1] <= time:
+            begin = knots[knot, 1]
+            state[:] = knots[knot, 2:15]
+        if j == -1 and i < 0:
+            advance(state, spin_of(state), time - begin, plane)
+        elif j == -3:
+            # Half of each step goes with the old velocities, half with the new ones; after the last nothing is known.
+            ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
+            if not ends and time - begin > 0.5 * (knots[knot + 1, 1] - begin):
+                begin = knots[knot + 1, 1]
+                state[:] = knots[knot + 1, 2:15]
+            turn_and_move(state, time - begin)
+        elif j == -2:
+            carry_face(state, plane, begin, time - begin)
+        elif time > begin:
+            held_step(body, plane, state, begin, time - begin, i, j, rates, after)
+            state[:] = after
+        poses[k] = state[:7]
+        poses[k, 2] += body.rounding
+    return ending, impacts
+
+
+@njit(cache=True, nogil=True)
+def poses_of_throws(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    starts: Array,
+    start_times: Array,
+    times: Array,
+    firsts: Indices,
+    impact_cap: int,
+    poses: Array,
+) -> None:
+    """`poses_of_throw` for each of `starts` (m, 13): throw k at `times[firsts[k] : firsts[k + 1]]`, into those rows."""
+    for k in range(starts.shape[0]):
+        rows = slice(firsts[k], firsts[k + 1])
+        if firsts[k + 1] > firsts[k]:
+            poses_of_throw(body, law, plane, precision, starts[k], start_times[k], times[rows], impact_cap, poses[rows])
+
+
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 
@@ -2281,7 +2371,7 @@ def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
     stand in the law's parameters from `at` on."""
     scale, exponent = law.parameters[at], law.parameters[at + 1]
-    ratio = restitution_at_speed(1.0, max(-u, 0.0), scale, exponent)
+    ratio = faded_at_speed(1.0, max(-u, 0.0), scale, exponent)
     slope = exponent * ratio / (scale + max(-u, 0.0))
     return ratio, slope, -slope * u / scale
 

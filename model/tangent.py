@@ -149,6 +149,8 @@ def propagate(
     the table and for times after the bounces have crowded together.
     """
     law = SmoothImpact(law) if isinstance(law, float | int) else law
+    if law.code == kernels.COULOMB_FADING:
+        raise ValueError(f"{type(law).__name__} has no derivatives here; wanted a law whose friction does not fade")
     _check_names(parameters)
     packed = _packed(die, start, table) if vertices is not None else checked_release(die, start, table)
     sequence = _checked_vertices(die, vertices)

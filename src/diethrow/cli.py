@@ -18,6 +18,7 @@ import typer
 if TYPE_CHECKING:
     from .analyze import Analysis
     from .check import Check
+    from .fit_many import FitOfMany
     from .fitting.results import Parameter
     from .tracking.quality import Quality
 
@@ -108,22 +109,81 @@ def track(scene: SceneFile, out: OutFolder, quality: Fineness = "standard", forc
     epilog="Example:  diethrow fit out/track/track_frames.csv --scene clips/cube_wood/scene.toml --out out/fit"
 )
 def fit(
-    track_csv: Annotated[Path, typer.Argument(metavar="TRACK.csv", help="A track; its covariances lie beside it.")],
+    tracks: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRACK.csv...", help="A track, its covariances beside it; several: a joint fit."),
+    ],
     scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
     out: OutFolder,
+    threads: Threads = None,
     force: Force = False,
 ) -> None:
-    """The fitting stage alone, on any track with the columns of track.csv."""
+    """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
     with _one_sentence_errors():
         from .scene import read_scene
 
         checked = read_scene(scene)
+        if len(tracks) > 1:
+            from .fit_many import fit_tracks
+
+            with _progress() as progress:
+                many = fit_tracks(
+                    tracks,
+                    checked,
+                    out,
+                    force=force,
+                    threads=threads or _cores(),
+                    progress=progress,
+                    command=_as_typed(),
+                )
+            _print_joint_fit(many)
+            return
         from .analyze import fit_track
 
-        command = ("diethrow", "fit", str(track_csv), "--scene", str(scene), *_options(out, force))
+        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *_options(out, force))
         with _progress() as progress:
-            result = fit_track(track_csv, checked, out, force=force, progress=progress, command=command)
+            result = fit_track(tracks[0], checked, out, force=force, progress=progress, command=command)
         _print_analysis(result)
+
+
+@app.command(
+    epilog="Example:  diethrow predict tosses/*.csv --scene tosses/scene.toml --fit out/joint/fit.json "
+    "--from-frame first-bounce --out out/foretold"
+)
+def predict(
+    tracks: Annotated[list[Path], typer.Argument(metavar="TRACK.csv...", help="Tracks from any tracker.")],
+    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
+    fit: Annotated[Path, typer.Option("--fit", metavar="FIT.json", help="The parameters, of one throw or of many.")],
+    out: Annotated[Path, typer.Option("--out", metavar="CSV|DIR", help="Of one track a CSV; of several a folder.")],
+    from_frame: Annotated[
+        str,
+        typer.Option("--from-frame", metavar="K|first-bounce", help="Only frames before this one tell the state."),
+    ] = "first-bounce",
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            "--draws", min=0, help="Throws drawn for the odds of the faces. [default: 100 for one track, else 0]"
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Foretell throws: the state from the frames before K, simulated on to the last frame with the parameters of a fit."""
+    with _one_sentence_errors():
+        from .scene import read_scene
+
+        checked = read_scene(scene)
+        from .fitting.prediction import DRAWS
+        from .predict import predict_tracks, summary
+
+        drawn = (DRAWS if len(tracks) == 1 else 0) if draws is None else draws
+        with _progress() as progress:
+            made, left_out = predict_tracks(
+                tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
+            )
+        for line in summary(made, checked.die):
+            typer.echo(line)
+        _print_notices(left_out)
+        typer.echo(f"See {out}")
 
 
 @app.command(epilog="Example:  diethrow throw throw.toml --out out/throw")
@@ -666,6 +726,27 @@ def _print_analysis(result: Analysis) -> None:
     table.add_row("look at it", f"rerun {result.folder / 'replay.rrd'}")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.notices, *result.fit.messages))
+
+
+def _print_joint_fit(result: FitOfMany) -> None:
+    """What the throws share, in a few lines."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("throws", f"{len(result.fit.throws)} fitted, {len(result.left_out)} left out")
+    for name, parameter in result.fit.parameters.items():
+        table.add_row(name, _with_interval(parameter))
+    table.add_row("see", str(result.folder / "fit.json"))
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+    _print_notices((*result.fit.messages, *result.left_out))
+
+
+def _with_interval(parameter: Parameter) -> str:
+    """The value with its interval, in four digits."""
+    if parameter.low is None or parameter.high is None or parameter.level is None:
+        return f"{parameter.value:.4g}, no interval"
+    return f"{parameter.value:.4g}  ({100 * parameter.level:.0f} %: {parameter.low:.4g} to {parameter.high:.4g})"
 
 
 def _print_check(result: Check) -> None:

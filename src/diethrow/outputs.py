@@ -1,4 +1,4 @@
-"""Folders that appear whole or not at all.
+"""Folders and files that appear whole or not at all.
 
 Results are written into a sibling folder and renamed onto the wanted name at the end: a run that fails, or is stopped,
 leaves nothing half-written, and a folder that is replaced stays as it was until its successor is complete.
@@ -41,6 +41,27 @@ def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = 
             _settle(aside)
             refuse_existing(folder, force=force, inputs=kept)
             _replace(folder, aside)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+@contextmanager
+def whole_file(file: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
+    """A path to write to; it becomes `file` when the block ends, and vanishes when the block fails. Raises as
+    `whole_folder`; `force` replaces a file, never a folder, a link or one of the `inputs`."""
+    file = Path(os.path.abspath(file))
+    if file.is_symlink() or file.is_dir():
+        raise OutputExistsError(f"{file} exists and is not a file; wanted a new file, try another --out")
+    if file.exists() and not force:
+        raise OutputExistsError(f"{file} exists; wanted a new file, try another --out, or --force to replace it")
+    if any(kept.exists() and file.exists() and kept.samefile(file) for kept in inputs):
+        raise OutputExistsError(f"{file} is an input, which must stay; wanted another file, try another --out")
+    aside = _folder_beside(file.with_name(f"{file.name}.parts"), False, ())
+    try:
+        with _sigterm_as_interrupt():
+            yield aside / file.name
+            _settle(aside)
+            (aside / file.name).replace(file)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 

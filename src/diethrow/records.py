@@ -20,6 +20,7 @@ import csv
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fitting.results import Effect, Fit, Parameter
+from .model.impacts import CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact
 from .model.motion import Impact, State, Throw
 from .model.rotations import continuous_sign, euler_from_quat, matrix_from_quat
 from .model.solids import Solid
@@ -238,24 +240,12 @@ def write_fit(path: Path, fit: Fit) -> None:
 def fit_tables(fit: Fit) -> dict[str, Any]:
     """The fit as JSON has it."""
     return {
-        "parameters": {
-            name: {
-                "value": parameter.value,
-                "low": parameter.low,
-                "high": parameter.high,
-                "level": parameter.level,
-                "free": parameter.free,
-                "at_bound": parameter.at_bound,
-            }
-            for name, parameter in fit.parameters.items()
-        },
+        "parameters": parameters_table(fit.parameters),
+        "law": law_table(fit.parameters),
         "initial": None if fit.initial is None else state_table(fit.initial, fit.initial_covariance),
         "effects": {
             "chosen": list(fit.chosen),
-            "considered": [
-                {"name": effect.name, "evidence": effect.evidence, "why_not": effect.why_not}
-                for effect in fit.considered
-            ],
+            "considered": effects_table(fit.considered),
         },
         "bounces_fitted": fit.bounces_fitted,
         "residual_rms": fit.residual_rms,
@@ -263,6 +253,65 @@ def fit_tables(fit: Fit) -> dict[str, Any]:
         "face_odds": None if fit.face_odds is None else {str(face): odds for face, odds in fit.face_odds.items()},
         "messages": list(fit.messages),
     }
+
+
+def parameters_table(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """Parameters as JSON has them, by name."""
+    return {name: asdict(parameter) for name, parameter in parameters.items()}
+
+
+def effects_table(effects: Sequence[Effect]) -> list[dict[str, Any]]:
+    """Effects as JSON has them."""
+    return [asdict(effect) for effect in effects]
+
+
+def law_table(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+    """The law of impact that parameters of these names belong to: in words, and what no parameter says."""
+    rubs = "mu" in parameters
+    fading = RestitutionBySpeed(SmoothImpact(1.0), 1.0).exponent if "chi_fade_s_per_m" in parameters else None
+    slipping = "mu_fade_s_per_m" in parameters and rubs
+    wearing = FrictionBySpeed(CoulombImpact(1.0, 1.0), 1.0).exponent if slipping else None
+    words = ["Rigid impact of a corner"]
+    if rubs:
+        words.append("Coulomb friction mu integrated along the normal impulse, restitution chi by energy (Stronge)")
+    else:
+        words.append("no friction, the normal velocity u goes to -chi u")
+    if fading is not None:
+        words.append(f"chi falls with the normal speed u as (1 + u chi_fade_s_per_m)^-{fading:g}")
+    if wearing is not None:
+        words.append(f"mu falls as (1 + u mu_fade_s_per_m)^-{wearing:g}, and is mu where the contact lasts")
+    return {
+        "words": "; ".join(words) + ".",
+        "friction": "coulomb" if rubs else "none",
+        "restitution": CoulombImpact(1.0, 1.0).restitution if rubs else "newton",
+        "chi_fade_exponent": fading,
+        "mu_fade_exponent": wearing,
+    }
+
+
+def read_parameters(path: Path) -> dict[str, Parameter]:
+    """The parameters of a `fit.json`, of one throw or of many, with the law checked that they belong to.
+
+    Raises FileNotFoundError, and ValueError with the file and the entry for what is not a fit, for a parameter that was
+    not determined, and for a law that is not the one these parameters have here.
+    """
+    data = read_json(path)
+    try:
+        parameters = {str(name): Parameter(**values) for name, values in data["parameters"].items()}
+    except (KeyError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path}: not a fit ({error!r}); wanted the fit.json that a fit writes") from error
+    for name, parameter in parameters.items():
+        if not isinstance(parameter.value, (int, float)) or not math.isfinite(parameter.value):
+            raise ValueError(f"{path}: parameters.{name}.value = {parameter.value}; wanted a fit that determined it")
+    wanted = law_table(parameters)
+    law = data.get("law", wanted)
+    differing = (
+        [key for key in wanted if key != "words" and law.get(key) != wanted[key]] if isinstance(law, dict) else ["law"]
+    )
+    if differing:
+        found = law.get(differing[0]) if isinstance(law, dict) else law
+        raise ValueError(f"{path}: law.{differing[0]} = {found}; wanted {wanted.get(differing[0], 'a table')}")
+    return parameters
 
 
 def read_fit(path: Path) -> Fit:

@@ -1,0 +1,216 @@
+"""Where a flight begins and ends in a track, seen from its frames alone, and the state with which the die left it.
+
+For predictions: a state from some frames must not know what later frames show. So a flight is grown frame by frame.
+The motion nearest to the frames so far (`flights`: a parabola, a constant ω) foretells the next one, with the variance
+
+    σ² (1 + h),    h = j (Jᵀ J)⁻¹ jᵀ    (J the derivative of the frames so far by the state, j that of the next),
+
+σ² from how the frames so far scatter about their own flight, for positions and rotations apart: no covariance of the
+track is asked for. A frame that misses by more than `_SIGMAS` ends the flight, if the one after it misses too (else it is
+a bad frame) and if the die is near the table (else the whole track scatters more than it seemed to). A frame taken just
+after a bounce may still agree; the last frame of a flight is therefore asked again, more strictly, of those before it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.bodies import touching_vertices
+from ..model.motion import GRAVITY_M_S2, Flight, State
+from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ..model.solids import Die
+from ..tracking.track import Track
+from .flights import flight_jacobian, moved_state
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+FEWEST = 3
+"""Frames that a flight is told from: two fix the state, the third says how large the errors are."""
+
+_SIGMAS = 7.0
+"""Miss at which a frame belongs to another flight: a bounce is a hundred sigmas on most, while the scatter of three or
+four frames is known to a factor of two."""
+
+_STRICT_SIGMAS = 4.0
+"""The same for the last frame of a flight that a bounce has ended."""
+
+_NEAR_TABLE = 0.5
+"""Part of the inscribed radius within which the lowest corner must be for a miss to be a bounce."""
+
+_LEAST = (1e-6, 1e-5)
+"""[m], [rad] smallest scatter believed: a track printed with six digits has no less."""
+
+_GAP = 1.5
+"""Frame intervals between neighbours beyond which a flight is not followed: an impact may hide in a longer gap."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outset:
+    """The state of a die at the end of the frames it was told from."""
+
+    rows: Indices
+    """Rows of the track in use, in order."""
+    state: State
+    """At the time of the last of them, on the track's clock."""
+    covariance: Array
+    """(12, 12): position, rotation vector, velocity, angular velocity, world axes, from the frames' own scatter."""
+    sigma_m: float
+    sigma_rad: float
+    """Scatter of the frames about the flight, of one axis."""
+
+    begin_s: float
+    """Time of the first of them."""
+
+    @property
+    def flight(self) -> Flight:
+        """From the first frame in use to the last."""
+        return Flight(_at(self.state, self.begin_s), self.state.time_s)
+
+
+def usable_rows(track: Track) -> Indices:
+    """Rows of a track that carry a pose. Raises ValueError for times that do not rise."""
+    poses = np.hstack([track.position_m, track.quaternion])
+    rows = np.flatnonzero(track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s))
+    back = np.flatnonzero(np.diff(track.time_s[rows]) <= 0.0)
+    if len(back):
+        at = track.time_s[rows[back[0] + 1]]
+        raise ValueError(f"t_s = {at:g} does not rise; wanted times in order, so sort the track or cut it there")
+    return rows
+
+
+def first_bounce_row(track: Track, die: Die) -> int:
+    """Row of the first frame after the first bounce. Raises ValueError where the track shows none, or begins too late."""
+    rows = usable_rows(track)
+    if len(rows) < FEWEST + 1:
+        raise ValueError(f"{len(rows)} frames carry a pose; wanted at least {FEWEST + 1}, before a bounce and after it")
+    ended = flight_length(track, die, rows)
+    if ended == len(rows):
+        raise ValueError("the die never bounces: all frames make one flight; wanted a track that reaches the table")
+    return int(rows[ended])
+
+
+def outset_before(track: Track, die: Die, row: int) -> Outset:
+    """The state from the frames of the flight that the last frame before `row` belongs to; later frames are not looked at.
+
+    Raises ValueError where the flight shows fewer than three frames.
+    """
+    rows = usable_rows(track)
+    rows = rows[rows < row]
+    if len(rows) < FEWEST:
+        raise ValueError(f"{len(rows)} frames before row {row} carry a pose; wanted at least {FEWEST}")
+    backwards = rows[::-1]
+    count = flight_length(track, die, backwards)
+    if count < FEWEST:
+        raise ValueError(
+            f"{count} frames lie between the last bounce and row {row}; wanted at least {FEWEST}: begin from a later frame"
+        )
+    return _outset(track, backwards[:count][::-1])
+
+
+def _outset(track: Track, rows: Indices) -> Outset:
+    state, errors, jacobian = _nearest(track, rows)
+    sigma_m, sigma_rad = _scatter(errors)
+    weighted = jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None]
+    information = np.einsum("nij,nik->jk", weighted, weighted)
+    covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
+    return Outset(rows, state, covariance, sigma_m, sigma_rad, float(track.time_s[rows[0]]))
+
+
+def flight_length(track: Track, die: Die, rows: Indices) -> int:
+    """How many of `rows` (three or more), forwards or backwards in time, the flight at their beginning lasts."""
+    interval = float(np.median(np.abs(np.diff(track.time_s[rows]))))
+    ended = len(rows)
+    for n in range(FEWEST, len(rows)):
+        if abs(track.time_s[rows[n]] - track.time_s[rows[n - 1]]) > _GAP * interval:
+            return n
+        miss, lowest = _miss(track, die, rows[:n], rows[n])
+        if miss <= _SIGMAS:
+            continue
+        again = n + 1 == len(rows) or _miss(track, die, rows[:n], rows[n + 1])[0] > _SIGMAS
+        if again and lowest < _NEAR_TABLE * die.solid.inradius:
+            ended = n
+            break
+    else:
+        return ended
+    if ended > FEWEST + 1 and _miss(track, die, rows[: ended - 1], rows[ended - 1])[0] > _STRICT_SIGMAS:
+        ended -= 1
+    return ended
+
+
+def _miss(track: Track, die: Die, rows: Indices, row: np.int64) -> tuple[float, float]:
+    """By how many sigmas a frame misses the flight of others, and the height [m] of the lowest corner foretold there."""
+    state, errors, jacobian = _nearest(track, rows)
+    sigmas = _scatter(errors)
+    time = float(track.time_s[row])
+    foretold = _at(state, time)
+    turned = rotation_between(foretold.quaternion[None], track.quaternion[row][None])[0]
+    moved = track.position_m[row] - foretold.position_m
+    ahead = flight_jacobian(state, np.array([time]))[0]
+    worst = 0.0
+    for part, seen, sigma, columns in (
+        (slice(0, 3), moved, sigmas[0], [0, 1, 2, 6, 7, 8]),
+        (slice(3, 6), turned, sigmas[1], [3, 4, 5, 9, 10, 11]),
+    ):
+        known = jacobian[:, part][:, :, columns].reshape(-1, 6)
+        j = ahead[part][:, columns]
+        lever = np.trace(j @ np.linalg.pinv(known.T @ known, hermitian=True) @ j.T) / 3.0
+        # Few frames tell their scatter badly: Student's t of 3 n - 6 degrees at seven sigmas is as wide as this.
+        doubt = 1.0 + 6.0 / max(3 * len(rows) - 6, 1)
+        worst = max(worst, float(np.linalg.norm(seen)) / (np.sqrt(3.0 * (1.0 + lever)) * sigma * doubt))
+    heights = touching_vertices(die) @ matrix_from_quat(foretold.quaternion)[2]
+    return worst, float(heights.min() + foretold.position_m[2] - die.corner_radius_m)
+
+
+def _scatter(errors: Array) -> tuple[float, float]:
+    """Standard deviation of one axis, of positions [m] and rotations [rad] (n, 6), with what the fit took out put back."""
+    freedom = max(3.0 * len(errors) - 6.0, 1.0)
+    squares = (errors.reshape(-1, 2, 3) ** 2).sum((0, 2)) / freedom
+    sigma_m, sigma_rad = np.maximum(np.sqrt(squares), _LEAST)
+    return float(sigma_m), float(sigma_rad)
+
+
+def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
+    """Least squares of the flight over some rows: state at the last of them, errors (n, 6) and derivatives (n, 6, 12).
+
+    Positions and rotations do not know of each other in flight. The former are linear; the latter nearly so.
+    """
+    times, positions, quaternions = track.time_s[rows], track.position_m[rows], track.quaternion[rows]
+    dt = times - times[-1]
+    straight = positions + np.outer(0.5 * GRAVITY_M_S2 * dt**2, [0.0, 0.0, 1.0])
+    line = np.linalg.lstsq(np.stack([np.ones_like(dt), dt], 1), straight, rcond=None)[0]
+    turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
+    state = State(float(times[-1]), line[0], quaternions[-1], line[1], np.median(turns, axis=0))
+    for _ in range(6):
+        errors, jacobian = _errors(state, times, positions, quaternions)
+        known = jacobian[:, 3:][:, :, [3, 4, 5, 9, 10, 11]].reshape(-1, 6)
+        step = np.linalg.lstsq(known, errors[:, 3:].ravel(), rcond=None)[0]
+        change = np.zeros(12)
+        change[3:6], change[9:] = step[:3], step[3:]
+        state = moved_state(state, change)
+        if np.abs(step[:3]).max() < 1e-8:
+            break
+    return (state, *_errors(state, times, positions, quaternions))
+
+
+def _errors(state: State, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:
+    dt = times - state.time_s
+    flown = state.position_m + np.outer(dt, state.velocity_m_s) - np.outer(0.5 * GRAVITY_M_S2 * dt**2, [0.0, 0.0, 1.0])
+    turned = quat_multiply(quat_from_rotvec(np.outer(dt, state.omega_rad_s)), state.quaternion)
+    return np.hstack([positions - flown, rotation_between(turned, quaternions)]), flight_jacobian(state, times)
+
+
+def _at(state: State, time_s: float) -> State:
+    """The state carried along its flight, forwards or backwards."""
+    dt = time_s - state.time_s
+    drop = np.array([0.0, 0.0, GRAVITY_M_S2 * dt])
+    return State(
+        time_s,
+        state.position_m + dt * state.velocity_m_s - 0.5 * dt * drop,
+        quat_multiply(quat_from_rotvec(dt * state.omega_rad_s), state.quaternion),
+        state.velocity_m_s - drop,
+        state.omega_rad_s,
+    )

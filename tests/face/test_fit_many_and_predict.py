@@ -1,0 +1,128 @@
+"""`diethrow fit` with several tracks, and `diethrow predict`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from throws import random_release, seen
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.fitting.physics import Physics
+from diethrow.model.simulate import Until
+from diethrow.model.solids import make_die
+from diethrow.model.tables import LEVEL
+from diethrow.records import read_simulated, write_track
+
+CUBE = make_die("cube", 0.016, 0.0048)
+SCENE = """
+[clip]
+fps = 1500.0
+
+[table]
+surface = "wood"
+
+[die]
+shape = "cube"
+edge_m = 0.016
+mass_kg = 0.0048
+"""
+
+
+@pytest.fixture(scope="module")
+def throws(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene, three tracks of one smooth law, and a track without a bounce."""
+    folder = tmp_path_factory.mktemp("throws")
+    (folder / "scene.toml").write_text(SCENE)
+    rng = np.random.default_rng(2)
+    for k in range(3):
+        throw = Physics(CUBE, LEVEL, {"chi": 0.6}).throw(random_release(CUBE, rng), Until(time_s=0.13)).throw
+        track = seen(throw, rng, noise=0.05)
+        write_track(folder / f"throw_{k}.csv", track)
+    lines = (folder / "throw_0.csv").read_text().splitlines(keepends=True)
+    (folder / "falling.csv").write_text("".join(lines[:12]))
+    (folder / "backwards.csv").write_text("".join([*lines[:40], *lines[20:60]]))
+    return folder
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    return result.exit_code, result.output
+
+
+@pytest.fixture(scope="module")
+def fitted(throws: Path) -> Path:
+    tracks = [throws / f"{name}.csv" for name in ("throw_0", "throw_1", "throw_2", "falling", "backwards")]
+    code, words = run("fit", *tracks, "--scene", throws / "scene.toml", "--out", throws / "joint", "--threads", 2)
+    assert code == 0, words
+    assert "falling.csv is left out: the die never bounces" in words
+    assert "backwards.csv is left out: t_s" in words
+    return throws / "joint" / "fit.json"
+
+
+def test_several_tracks_share_their_parameters(fitted: Path) -> None:
+    fit = json.loads(fitted.read_text())
+    assert fit["parameters"]["chi"]["value"] == pytest.approx(0.6, abs=0.01)
+    assert [throw["track"] for throw in fit["throws"]] == ["throw_0", "throw_1", "throw_2"]
+    assert fit["law"]["friction"] == "none"
+    assert len(fit["left_out"]) == 2
+    assert (fitted.parent / "vertices.csv").exists()
+    assert (fitted.parent / "provenance.json").exists()
+
+
+def test_a_prediction_has_the_rows_of_its_track(throws: Path, fitted: Path) -> None:
+    out = throws / "one.csv"
+    wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--from-frame", "first-bounce", "--out", out)
+    code, words = run("predict", throws / "throw_0.csv", *wanted, "--draws", 10)
+    assert code == 0, words
+    assert "after bounces" in words
+    told, beside = read_simulated(out), json.loads(out.with_suffix(".json").read_text())
+    assert len(told) == 196
+    assert beside["frames_used"] >= 3
+    assert set(beside["decided"]) == {"face", "bounces", "t_s"}
+    code, words = run("predict", throws / "throw_0.csv", *wanted)
+    assert code == 2
+    assert "exists" in words
+
+
+def test_several_predictions_make_a_folder(throws: Path, fitted: Path) -> None:
+    tracks = [throws / f"{name}.csv" for name in ("throw_1", "throw_2", "falling")]
+    out = throws / "told"
+    code, words = run("predict", *tracks, "--scene", throws / "scene.toml", "--fit", fitted, "--out", out)
+    assert code == 0, words
+    assert "2 throws foretold" in words
+    assert "falling.csv is left out" in words
+    assert {path.name for path in out.iterdir()} == {"throw_1.csv", "throw_1.json", "throw_2.csv", "throw_2.json"}
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"parameters": {"chi": None}}, "not a fit"),
+        ({"parameters": {"bounciness": {"value": 0.5}}}, "not a fit"),
+        ({"law": {"friction": "coulomb"}}, "law.friction = coulomb; wanted none"),
+    ],
+)
+def test_a_fit_is_read_strictly(throws: Path, fitted: Path, tmp_path: Path, change: dict, words: str) -> None:
+    fit = {**json.loads(fitted.read_text()), **change}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    track, scene = throws / "throw_0.csv", throws / "scene.toml"
+    code, output = run("predict", track, "--scene", scene, "--fit", tmp_path / "fit.json", "--out", tmp_path / "p.csv")
+    assert code == 1
+    assert words in " ".join(output.split())
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_a_frame_that_is_none_is_refused(throws: Path, fitted: Path, tmp_path: Path) -> None:
+    for frame, words in (
+        ("soon", "wanted a frame number"),
+        ("2", "wanted at least 3"),
+        ("9999", "behind the last frame"),
+    ):
+        wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--from-frame", frame, "--out", tmp_path / "p.csv")
+        code, output = run("predict", throws / "throw_0.csv", *wanted)
+        assert code == 1
+        assert words in " ".join(output.split())

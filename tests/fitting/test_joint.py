@@ -1,0 +1,83 @@
+"""Joint fits of throws whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from throws import random_release, seen
+
+from diethrow.fitting.joint import Entry, JointFit, entry_of, fit_jointly
+from diethrow.fitting.physics import Physics
+from diethrow.model.simulate import Until
+from diethrow.model.solids import make_die
+from diethrow.model.tables import LEVEL
+
+CUBE = make_die("cube", 0.016, 0.0048)
+TRUTH = {"chi": 0.45, "mu": 0.25}
+COUNT = 10
+
+
+def entries(values: dict[str, float], *, scatter: float = 0.0, noise: float = 0.2, count: int = COUNT) -> list[Entry]:
+    rng = np.random.default_rng(5)
+    found = []
+    for k in range(count):
+        own = {**values, "chi": values["chi"] + scatter * rng.standard_normal()}
+        release = random_release(CUBE, rng)
+        throw = Physics(CUBE, LEVEL, own).throw(release, Until(time_s=0.16)).throw
+        found.append(entry_of(f"throw_{k}", seen(throw, rng, noise=noise), CUBE))
+    return found
+
+
+@pytest.fixture(scope="module")
+def rubbed() -> JointFit:
+    return fit_jointly(entries(TRUTH), CUBE, threads=2, effects=("friction", "clock"))
+
+
+def test_shared_parameters_come_back_within_their_intervals(rubbed: JointFit) -> None:
+    assert [effect.name for effect in rubbed.chosen] == ["friction"]
+    for name, value in TRUTH.items():
+        parameter = rubbed.parameters[name]
+        assert parameter.low is not None
+        assert parameter.high is not None
+        # Bootstrap of ten throws is narrow by a tenth or so; half as wide again is never missed by a right method.
+        slack = 0.5 * (parameter.high - parameter.low)
+        assert parameter.low - slack <= value <= parameter.high + slack
+        assert parameter.value == pytest.approx(value, abs=0.02)
+
+
+def test_an_effect_that_is_not_there_is_refused_in_words(rubbed: JointFit) -> None:
+    clock = next(effect for effect in rubbed.considered if effect.name == "clock")
+    assert clock.why_not is not None
+    assert "left out of the fit" in clock.why_not
+    assert "clock_scale" not in rubbed.parameters
+
+
+def test_throws_alike_have_hardly_any_scatter_and_others_theirs(rubbed: JointFit) -> None:
+    assert rubbed.chi_scatter is not None
+    assert rubbed.chi_scatter < 0.01
+    scattered = fit_jointly(entries(TRUTH, scatter=0.05, count=12), CUBE, threads=2, effects=("friction",))
+    assert scattered.chi_scatter is not None
+    # A median deviation of twelve has a relative error of a third.
+    assert 0.02 < scattered.chi_scatter < 0.1
+
+
+def test_a_throw_without_friction_needs_none() -> None:
+    fit = fit_jointly(entries({"chi": 0.6}, count=6), CUBE, threads=2, effects=("friction",))
+    assert fit.chosen == ()
+    assert fit.parameters["chi"].value == pytest.approx(0.6, abs=0.005)
+
+
+def test_threads_do_not_change_the_result() -> None:
+    some = entries({"chi": 0.6}, count=3)
+    one, two = (fit_jointly(some, CUBE, threads=n, effects=()) for n in (1, 2))
+    assert one.parameters == two.parameters
+
+
+def test_a_track_that_does_not_allow_it_is_named() -> None:
+    track = entries(TRUTH, count=1)[0].track
+    with pytest.raises(ValueError, match="toss_7: the die never bounces"):
+        entry_of("toss_7", replace(track, status=np.where(track.time_s < 0.01, track.status, "lost")), CUBE)
+    with pytest.raises(ValueError, match="wanted at least two for a joint fit"):
+        fit_jointly(entries(TRUTH, count=1), CUBE)
