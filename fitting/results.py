@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..model.impacts import Restitution
 from ..model.motion import State, Throw
 
 Array = NDArray[np.float64]
@@ -72,3 +73,5 @@ class Fit:
     """One sentence each: what a careful reader of the numbers should know."""
     throw: Throw | None
     """The model's throw, from `initial` through every impact that the fit reached."""
+    restitution: Restitution = "stronge"
+    """What χ means where something rubs; see `model.impacts.CoulombImpact`."""

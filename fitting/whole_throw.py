@@ -169,6 +169,7 @@ def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: li
         face_odds=odds,
         messages=(*messages, *landing_words),
         throw=throw,
+        restitution=shot.physics.restitution,
     )
 
 

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fitting.results import Effect, Fit, Parameter
-from .model.impacts import CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact
+from .model.impacts import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from .model.motion import Impact, State, Throw
 from .model.rotations import continuous_sign, euler_from_quat, matrix_from_quat
 from .model.solids import Solid
@@ -241,7 +241,7 @@ def fit_tables(fit: Fit) -> dict[str, Any]:
     """The fit as JSON has it."""
     return {
         "parameters": parameters_table(fit.parameters),
-        "law": law_table(fit.parameters),
+        "law": law_table(fit.parameters, fit.restitution),
         "initial": None if fit.initial is None else state_table(fit.initial, fit.initial_covariance),
         "effects": {
             "chosen": list(fit.chosen),
@@ -265,7 +265,14 @@ def effects_table(effects: Sequence[Effect]) -> list[dict[str, Any]]:
     return [asdict(effect) for effect in effects]
 
 
-def law_table(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+_MEANINGS: dict[Restitution, str] = {
+    "stronge": "restitution chi by energy (Stronge)",
+    "poisson": "restitution chi by impulse (Poisson)",
+    "newton": "restitution chi by normal velocity (Newton)",
+}
+
+
+def law_table(parameters: Mapping[str, Parameter], restitution: Restitution = "stronge") -> dict[str, Any]:
     """The law of impact that parameters of these names belong to: in words, and what no parameter says."""
     rubs = "mu" in parameters
     fading = RestitutionBySpeed(SmoothImpact(1.0), 1.0).exponent if "chi_fade_s_per_m" in parameters else None
@@ -273,7 +280,7 @@ def law_table(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     wearing = FrictionBySpeed(CoulombImpact(1.0, 1.0), 1.0).exponent if slipping else None
     words = ["Rigid impact of a corner"]
     if rubs:
-        words.append("Coulomb friction mu integrated along the normal impulse, restitution chi by energy (Stronge)")
+        words.append(f"Coulomb friction mu integrated along the normal impulse, {_MEANINGS[restitution]}")
     else:
         words.append("no friction, the normal velocity u goes to -chi u")
     if fading is not None:
@@ -283,14 +290,15 @@ def law_table(parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {
         "words": "; ".join(words) + ".",
         "friction": "coulomb" if rubs else "none",
-        "restitution": CoulombImpact(1.0, 1.0).restitution if rubs else "newton",
+        "restitution": restitution if rubs else "newton",
         "chi_fade_exponent": fading,
         "mu_fade_exponent": wearing,
     }
 
 
-def read_parameters(path: Path) -> dict[str, Parameter]:
-    """The parameters of a `fit.json`, of one throw or of many, with the law checked that they belong to.
+def read_parameters(path: Path) -> tuple[dict[str, Parameter], Restitution]:
+    """The parameters of a `fit.json`, of one throw or of many, and the kind of restitution, with the law checked that
+    they belong to.
 
     Raises FileNotFoundError, and ValueError with the file and the entry for what is not a fit, for a parameter that was
     not determined, and for a law that is not the one these parameters have here.
@@ -303,15 +311,17 @@ def read_parameters(path: Path) -> dict[str, Parameter]:
     for name, parameter in parameters.items():
         if not isinstance(parameter.value, (int, float)) or not math.isfinite(parameter.value):
             raise ValueError(f"{path}: parameters.{name}.value = {parameter.value}; wanted a fit that determined it")
-    wanted = law_table(parameters)
-    law = data.get("law", wanted)
+    law = data.get("law", law_table(parameters))
+    found_kind = law.get("restitution") if isinstance(law, dict) else None
+    kind: Restitution = found_kind if "mu" in parameters and found_kind in _MEANINGS else "stronge"
+    wanted = law_table(parameters, kind)
     differing = (
         [key for key in wanted if key != "words" and law.get(key) != wanted[key]] if isinstance(law, dict) else ["law"]
     )
     if differing:
         found = law.get(differing[0]) if isinstance(law, dict) else law
         raise ValueError(f"{path}: law.{differing[0]} = {found}; wanted {wanted.get(differing[0], 'a table')}")
-    return parameters
+    return parameters, kind
 
 
 def read_fit(path: Path) -> Fit:
@@ -331,6 +341,7 @@ def read_fit(path: Path) -> Fit:
             face_odds=None if data["face_odds"] is None else {int(f): odds for f, odds in data["face_odds"].items()},
             messages=tuple(data["messages"]),
             throw=None,
+            restitution=data["law"]["restitution"] if data["law"]["friction"] != "none" else "stronge",
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path}: not a fit ({error!r}); wanted the fit.json that a fit writes") from error
