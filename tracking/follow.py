@@ -222,7 +222,7 @@ def _first_pass(
         )
     _, chase, seen = beginning
     view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
-    chase.view = view
+    chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back(seen, first_known)
     for first, frames in reel.blocks(chase.next_frame):
@@ -232,7 +232,8 @@ def _first_pass(
         back.over(frames, reel.times_s, first, seen)
         if back.misses > 3:
             break
-    return view, seen
+    # What was found to stand before the die is known from here on.
+    return chase.view, seen
 
 
 def _begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[int, Chase, Seen]:
@@ -397,7 +398,7 @@ def _settle_block(
 
     def part(a: int, b: int) -> None:
         settle(
-            frames[a:b], view.backgrounds, view.eyes, view.shape, lens, position[a:b], rotation[a:b], motion[a:b], 1,
+            frames[a:b], view.backgrounds, view.eyes, view.shape, lens, position[a:b], rotation[a:b], motion[a:b],
             H[a:b], stats[a:b], cost[a:b],
         )  # fmt: skip
 
