@@ -104,8 +104,9 @@ def _strip_weights() -> Any:
     flat, none = np.ones(CELLS), np.zeros(CELLS)
     contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
     between = np.stack([1.0 - u, u, 4.0 * u * (1.0 - u), none]), np.eye(4)[1]
-    return np.stack([np.diff(inside, axis=1, prepend=np.eye(4)[:, :1], append=far[:, None]).T
-                     for inside, far in (contour, between)])
+    return np.stack(
+        [np.diff(inside, axis=1, prepend=np.eye(4)[:, :1], append=far[:, None]).T for inside, far in (contour, between)]
+    )
 
 
 _STRIP = np.ascontiguousarray(_strip_weights())
@@ -1540,5 +1541,9 @@ def settle(
             positions[k], rotations[k], H[k], stats[k], costs[k] = p, Q, h, row, cost
             _log(Q @ R.T, moved)
             turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
-            if _moved_px(eyes, start, p - start, reach * turned, reach) < NEARBY_PX and row[4] > 0.6 * row[3] and row[3] > 20.0:
+            if (
+                _moved_px(eyes, start, p - start, reach * turned, reach) < NEARBY_PX
+                and row[4] > 0.6 * row[3]
+                and row[3] > 20.0
+            ):
                 break

@@ -71,15 +71,16 @@ class View:
         reach, quality = self.reach_m, self.quality
         return Lens(
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
-            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, quality.settled_px, 1,
-            False, quality.judging_pixels,
+            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
+            quality.judging_pixels,
         )  # fmt: skip
-
 
     @property
     def chase_lens(self) -> Lens:
         """The same while the die is only followed."""
-        return self.lens._replace(fine_steps=self.quality.chase_steps, stride=self.quality.chase_stride)
+        return self.lens._replace(
+            fine_steps=self.quality.chase_steps, settled_px=self.quality.settled_px, stride=self.quality.chase_stride
+        )
 
 
 def with_screen(view: View) -> tuple[View, Screen]:

@@ -20,8 +20,8 @@ class Quality:
     """Squared sigmas: a step that gains less is the last one. 0.2 moves a pose by half its sigma, and the next step would
     move it by a small part of that."""
     settled_px: float
-    """A step that moves no point of the die by more than this is the last one as well: Gauss-Newton leaves about a tenth of
-    it, a good way below what a frame's own noise does."""
+    """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
+    it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
     second_pass: bool
@@ -35,7 +35,7 @@ FAST = Quality(
     second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, chase_stride=3, enough=0.05, settled_px=0.1, judging_pixels=800,
+    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.05, settled_px=0.1, judging_pixels=800,
     second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
