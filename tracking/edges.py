@@ -18,14 +18,19 @@ order. The strip is drawn in CELLS pieces of equal turn, each between its own tw
 near zero by a weak prior, because a strip seen too narrow does not show them.
 
 The blur σ is that of the lens, and on every row also that of the motion: an edge that moves by m pixels across itself
-during the exposure is spread by a box of variance m²/12. Marks, shadows and whatever hides the die are left to a
-redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of edge, because the
+during the exposure is spread by a box of variance m²/12, and what its path bends within the exposure T shifts its mean
+place by T²/24 of the second derivative of d, which counts where the die turns by some hundredths of a radian. Marks and
+shadows are left to a redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of edge, because the
 grain on a die's faces is several times the noise of the still background.
 
 Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R. Beside
 them the equations have two columns that belong to a whole clip and not to a frame: the contour taken δ [px] too far out
 (a bevel or a glare that the model does not know), and the blur. They are not solved for here; they say what such an error
 does to the pose (`lean`), and let the blur be estimated over many frames.
+
+What stands before the die (a rod, a frame) is in the background, and its borders look like contours of the die. Where a
+pose well borne out puts the die before pixels that show the background and never change, the background becomes NaN, and
+every row that touches it is left out: the pose is then as unsure as what is left makes it, and the motion carries it.
 
 Several views add up their equations: cameras, and for a table that reflects, each camera seen in the mirror (its pose
 times diag(1, 1, -1): the die's reflection is what the mirrored camera sees). Where the die and its reflection hide each
