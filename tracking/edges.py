@@ -20,8 +20,8 @@ near zero by a weak prior, because a strip seen too narrow does not show them.
 The blur σ is that of the lens, and on every row also that of the motion: an edge that moves by m pixels across itself
 during the exposure is spread by a box of variance m²/12, and what its path bends within the exposure T shifts its mean
 place by T²/24 of the second derivative of d, which counts where the die turns by some hundredths of a radian. Marks and
-shadows are left to a redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of edge, because the
-grain on a die's faces is several times the noise of the still background.
+shadows are left to a redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of
+edge, because the grain on a die's faces is several times the noise of the still background.
 
 Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R. Beside
 them the equations have two columns that belong to a whole clip and not to a frame: the contour taken δ [px] too far out
