@@ -18,7 +18,7 @@ from ..model.motion import Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ..model.solids import Die
 from .edges import DEARER, Desk, chase, coast, correct, new_desk
-from .pose import Pose, View, labelled_like, refine_pose, share_in_view
+from .pose import Pose, View, labelled_like, refine_pose, share_in_view, with_screen
 from .start import find_start
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ class Chase:
     def __init__(
         self, view: View, motion: Array, rotation: Array, P: Array, clock: Array, unused: NDArray[np.bool_]
     ) -> None:
-        self.view = view
+        self.view, self._screen = with_screen(view)
         self.unused = unused
         self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
         self.misses = 0
@@ -119,6 +119,7 @@ class Chase:
         """The chase of the frames before frame k, from what is known of the flight after it."""
         motion, P = self.motion.copy(), self.P.copy()
         back = Chase(self.view, motion, self.rotation.copy(), P, self.clock.copy(), self.unused)
+        back.view, back._screen = self.view, self._screen
         back.backwards = True
         return back
 
@@ -153,10 +154,9 @@ class Chase:
         stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
         # Contiguous either way, so that there is one compiled chase and not two.
         ordered = np.ascontiguousarray(frames[order])
-        lens = self.view.lens._replace(fine_steps=self.view.quality.chase_steps)
         done = chase(
-            ordered, times_s[first + order], self.view.backgrounds, self.view.eyes, self.view.shape, lens,
-            self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,
+            ordered, times_s[first + order], self.view.backgrounds, self._screen, self.view.eyes, self.view.shape,
+            self.view.chase_lens, self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,
         )  # fmt: skip
         rows = first + order[:done]
         seen.known[rows] = True

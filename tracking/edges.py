@@ -18,14 +18,19 @@ order. The strip is drawn in CELLS pieces of equal turn, each between its own tw
 near zero by a weak prior, because a strip seen too narrow does not show them.
 
 The blur σ is that of the lens, and on every row also that of the motion: an edge that moves by m pixels across itself
-during the exposure is spread by a box of variance m²/12. Marks, shadows and whatever hides the die are left to a
-redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of edge, because the
-grain on a die's faces is several times the noise of the still background.
+during the exposure is spread by a box of variance m²/12, and what its path bends within the exposure T shifts its mean
+place by T²/24 of the second derivative of d, which counts where the die turns by some hundredths of a radian. Marks and
+shadows are left to a redescending weight (Tukey's biweight) whose scale comes from the residuals of the same stretch of
+edge, because the grain on a die's faces is several times the noise of the still background.
 
 Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R. Beside
 them the equations have two columns that belong to a whole clip and not to a frame: the contour taken δ [px] too far out
 (a bevel or a glare that the model does not know), and the blur. They are not solved for here; they say what such an error
 does to the pose (`lean`), and let the blur be estimated over many frames.
+
+What stands before the die (a rod, a frame) is in the background, and its borders look like contours of the die. Where a
+pose well borne out puts the die before pixels that show the background and never change, the background becomes NaN, and
+every row that touches it is left out: the pose is then as unsure as what is left makes it, and the motion carries it.
 
 Several views add up their equations: cameras, and for a table that reflects, each camera seen in the mirror (its pose
 times diag(1, 1, -1): the die's reflection is what the mirrored camera sees). Where the die and its reflection hide each
@@ -47,6 +52,8 @@ SEGMENT_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""
 BUFFER = 2048
 """Pixels of one such stretch at the most."""
+CURVED_PX = 0.005
+"""Displacement of an edge by the curvature of its motion within the exposure from which that is taken into account."""
 CELLS = 5
 """Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
 STRIP_SHARE = 0.5
@@ -55,6 +62,8 @@ SLIVER = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
 TUKEY = 4.685
 """Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
+BIWEIGHT_VARIANCE = 0.8281
+"""Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
 ROBUST_TURNS = 3
 """Times that the intensities of a stretch are solved with weights from the last residuals."""
 APART_PX = 2.0
@@ -67,8 +76,16 @@ COARSE = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
 FACE_CUT, SHADOW_CUT = 16.0, 4.0
 """Squared sigmas at which a pixel's misfit is cut off; lower where the image is darker than the background, which a
 shadow explains."""
-WINDOW_PX = 20.0
-"""Margin of the window about the outline: the widest band, and what a prediction may be off."""
+WINDOW_PX, NARROW_PX = 20.0, 11.0
+"""Margin of the window about the outline: the widest band, and what a prediction may be off; and where the lens blur does
+at once, whose band is a few pixels wide."""
+NEARBY_PX = 1.0
+"""A refinement that moves the die by more than this began too far off to start at the lens blur: its band would have missed
+what a coarser one sees."""
+SCREENED, SCREEN_PX, SCREEN_SIGMAS, CHANGED_SIGMAS = 0.04, 2, 1.2, 4.0
+"""Share of the die that shows nothing but the background from which something is looked for that stands before it; half the
+width of the square of pixels that must show no die at all, root mean square difference from the background there [noise],
+and the difference that no pixel of something still ever reaches."""
 DEARER, MUCH_DEARER = 0.35, 2.5
 """By how much a pose in flight may cost more than usual before other explanations are tried, and the same for a pose NEAR
 where the motion leads whose contour is badly seen; where it is well seen, a changed light does not count."""
@@ -83,6 +100,27 @@ _STEP = np.arange(-_FAR * _FINE, _FAR * _FINE + 2) / _FINE
 _PHI = np.asarray(ndtr(_STEP))
 _BELL = np.exp(-0.5 * _STEP**2) / np.sqrt(2.0 * np.pi)
 """Φ and its derivative, tabulated: linear interpolation is right to 2e-6, a thousandth of what a grey level shows."""
+
+
+def _strip_weights() -> Any:
+    """(2, CELLS + 1, 4) what each line of a rounded strip adds to the basis functions, at the contour and between two
+    faces: the change there of the intensity as a function of the turn u."""
+    u = (np.arange(CELLS) + 0.5) / CELLS
+    flat, none = np.ones(CELLS), np.zeros(CELLS)
+    contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
+    between = np.stack([1.0 - u, u, 4.0 * u * (1.0 - u), none]), np.eye(4)[1]
+    return np.stack(
+        [np.diff(inside, axis=1, prepend=np.eye(4)[:, :1], append=far[:, None]).T for inside, far in (contour, between)]
+    )
+
+
+_STRIP = np.ascontiguousarray(_strip_weights())
+_inner = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+"""For kernels that only other kernels call: without a door for Python they compile in half the time."""
+_inner_sums = njit(
+    cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath={"reassoc", "contract", "nsz"}
+)
+"""The same for plain sums over pixels, whose order is left to the compiler: four times the speed and no other figure."""
 
 
 class Shape(NamedTuple):
@@ -125,6 +163,19 @@ class Eyes(NamedTuple):
     """(views,) whether its edges count; a view that does not still hides others."""
 
 
+class Screen(NamedTuple):
+    """What stands before the die, a rod or a frame: it is in the background, and stays as it is where the die must be."""
+
+    still: Any
+    """(cameras, height, width) float32, the background without gaps."""
+    changed: Any
+    """(cameras, height, width) uint8, 1 where some picture differed from the background."""
+    core: Any
+    """(cameras, height, width) uint8, 1 where the die was and was not seen, and nothing ever changed."""
+    found: Any
+    """(1,) pixels of the core."""
+
+
 class Sight(NamedTuple):
     """Pixels of one frame, a window of each camera's picture."""
 
@@ -134,6 +185,38 @@ class Sight(NamedTuple):
     """(cameras, 2) x, y of pixel [0, 0]."""
     size: Any
     """(cameras, 2) width and height of the window; 0 where the camera does not see the die."""
+
+
+class Lens(NamedTuple):
+    """What the refinement of every frame of a clip shares."""
+
+    exposure: float
+    """[s]; 0 where it is not known."""
+    blur: float
+    """[px] of the lens."""
+    floor_grey: float
+    """Least noise [grey] that a stretch of edge is given."""
+    noise: float
+    """[grey] of the still background."""
+    loose_m: float
+    loose_rad: float
+    """Standard deviations of the prior where nothing is known of the motion."""
+    tight_m: float
+    tight_rad: float
+    """Least standard deviations of the prior: a bounce must not be held back by it, nor a face seen alone be free to tip
+    over."""
+    fine_steps: int
+    """Most steps at the lens blur."""
+    enough: float
+    """Squared sigmas: a step that gains less is the last. The next would gain a small part of it."""
+    settled_px: float
+    """A step that moves no point of the die by more than this is the last as well."""
+    stride: int
+    """One pixel line in so many is walked."""
+    full: bool
+    """Whether the normal equations shall have their column of the blur."""
+    samples: int
+    """Pixels that judge a pose as a whole; none where nobody asks."""
 
 
 class Desk(NamedTuple):
@@ -155,6 +238,7 @@ class Desk(NamedTuple):
     weight: Any
     left: Any
     size: Any
+    rise: Any
     begin: Any
     rows: Any
     A: Any
@@ -172,12 +256,13 @@ def new_desk(shape: Shape) -> Desk:
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(CELLS + 1), np.zeros((ne, 3)), np.zeros((4, BUFFER)), np.zeros((4, BUFFER)),
         np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
-        np.zeros(514, np.int64), np.zeros((514, 7)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
+        np.zeros(BUFFER), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
+        np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
         np.zeros(4), np.zeros(4),
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[float, float]:
     """Pixel of a camera point and, in J (2, 3), its derivative."""
     iz = 1.0 / z
@@ -198,7 +283,7 @@ def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _factor(A: Any, K: int, L: Any, least: float) -> bool:
     """Cholesky factor of the leading K × K of A, in L; False where a pivot keeps no more than the part `least` of its
     diagonal."""
@@ -216,7 +301,7 @@ def _factor(A: Any, K: int, L: Any, least: float) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _back(L: Any, K: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(K):
@@ -231,7 +316,7 @@ def _back(L: Any, K: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _median(values: Any, n: int) -> float:
     """Median of the first n values, which are left in another order: Hoare's selection, no memory taken."""
     k = n // 2
@@ -257,12 +342,12 @@ def _median(values: Any, n: int) -> float:
     return float(values[k])
 
 
-@njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@_inner_sums
 def _two_sums(
     n: int, icut: float, near: Any, far: Any, grey: Any, res: Any, w: Any
 ) -> tuple[float, float, float, float, float]:
     """Normal matrix (a00, a10, a11) and right side of two intensities, with weights from the last residuals (all one for
-    `icut` zero). The order of the sums is left to the compiler, which makes four times the speed and no other figure."""
+    `icut` zero)."""
     a00, a10, a11, y0, y1 = 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
         q = res[i] * icut
@@ -278,7 +363,7 @@ def _two_sums(
     return a00, a10, a11, y0, y1
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _two_left(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: Any, size: Any) -> None:
     """What two intensities leave of the grey levels, and its size."""
     for i in range(n):
@@ -286,65 +371,122 @@ def _two_left(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res:
         size[i] = abs(res[i])
 
 
-@njit(cache=True, nogil=True)
-def _robust_sums(
-    n: int, K: int, first: bool, cut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any
-) -> None:
-    """Normal matrix A and right side y of the K intensities, with weights from the last residuals (one on the first)."""
-    A[:] = 0.0
-    y[:] = 0.0
+@_inner_sums
+def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
+    """The same for the four intensities of a rounded edge, as normal matrix A (lower half) and right side y."""
+    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
+    a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        q = 0.0 if first else res[i] / cut
+        q = res[i] * icut
         q = max(1.0 - q * q, 0.0)
-        w[i] = q * q
-        for a in range(K):
-            wa = w[i] * phi[a, i]
-            y[a] += wa * grey[i]
-            for b in range(a + 1):
-                A[a, b] += wa * phi[b, i]
+        wi = q * q
+        w[i] = wi
+        w0, w1, w2, w3 = wi * p0[i], wi * p1[i], wi * p2[i], wi * p3[i]
+        a00 += w0 * p0[i]
+        a10 += w1 * p0[i]
+        a11 += w1 * p1[i]
+        a20 += w2 * p0[i]
+        a21 += w2 * p1[i]
+        a22 += w2 * p2[i]
+        a30 += w3 * p0[i]
+        a31 += w3 * p1[i]
+        a32 += w3 * p2[i]
+        a33 += w3 * p3[i]
+        y0 += w0 * grey[i]
+        y1 += w1 * grey[i]
+        y2 += w2 * grey[i]
+        y3 += w3 * grey[i]
+    A[0, 0], A[1, 0], A[1, 1], A[2, 0], A[2, 1], A[2, 2] = a00, a10, a11, a20, a21, a22
+    A[3, 0], A[3, 1], A[3, 2], A[3, 3] = a30, a31, a32, a33
+    y[0], y[1], y[2], y[3] = y0, y1, y2, y3
 
 
-@njit(cache=True, nogil=True)
+@_inner_sums
+def _four_left(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
+    """What four intensities leave of the grey levels, and its size."""
+    c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
+    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
+    for i in range(n):
+        res[i] = grey[i] - c0 * p0[i] - c1 * p1[i] - c2 * p2[i] - c3 * p3[i]
+        size[i] = abs(res[i])
+
+
+@_inner_sums
+def _scale_left(n: int, icut: float, res: Any) -> float:
+    """Scale of residuals, given the inverse cut of the biweight about an earlier one: one step of an M-estimate, three
+    times as efficient as the median that it starts from."""
+    total, weights = 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        q = q * q
+        total += q * res[i] * res[i]
+        weights += q
+    return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
+
+
+@_inner_sums
+def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any, w: Any) -> tuple[float, float]:
+    """Derivative of the grey levels by d; robust cost and sum of the weights."""
+    c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
+    s0, s1, s2, s3 = slope[0], slope[1], slope[2], slope[3]
+    if K == 2:
+        for i in range(n):
+            rise[i] = c0 * s0[i] + c1 * s1[i]
+    else:
+        for i in range(n):
+            rise[i] = c0 * s0[i] + c1 * s1[i] + c2 * s2[i] + c3 * s3[i]
+    cost, used = 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        cost += 1.0 - q * q * q
+        used += w[i]
+    return cost, used
+
+
+@_inner
 def _stretch(
-    desk: Desk, n: int, m: int, K: int, base: float, floor_grey: float, full: bool, H: Any, g: Any
-) -> tuple[float, float, float, float]:
-    """Add one stretch of edge, n pixels in m rows, to the normal equations.
+    desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
+    full: bool, H: Any, g: Any, stats: Any,
+) -> None:  # fmt: skip
+    """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
-    On the desk: `phi` (n, K), the basis functions of the K intensities (near, far, and those of a rounded strip), with
+    On the desk: `phi` (4, n), the basis functions of the intensities (near, far, and those of a rounded strip), with
     their derivatives `slope` by d and `spread` by the blur (the last is needed where `full`); `begin` (m + 1) the first
-    pixel of each row and `rows` (m, 7) the derivative of d by pose and contour error. `base` is the mean background on
-    the far side (1 between two faces). Returns the robust cost, the number of pixels that count, the contrast across the
-    edge [grey] and the noise [grey].
+    pixel of each row and `rows` (m, 8) the derivative of d by pose and contour error. `under_sum` is the sum of the far
+    side's known background (n between two faces).
     """
+    stats[2] += n
+    stats[5] += 1.0
+    if not interior:
+        stats[3] += walked
     if n < 12:
-        return 0.0, 0.0, 0.0, 0.0
+        return
     phi, slope, spread, grey, w, res = desk.phi, desk.slope, desk.spread, desk.grey, desk.weight, desk.left
-    A, L, y, c, C = desk.A, desk.L, desk.y, desk.c, desk.C
-    size = desk.size
-    scale = floor_grey
+    A, L, y, c, C, size, rise = desk.A, desk.L, desk.y, desk.c, desk.C, desk.size, desk.rise
+    K = 2 if sharp else 4
+    base = under_sum / n
+    scale, icut = floor_grey, 0.0
+    c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
     for turn_number in range(ROBUST_TURNS):
-        if K == 2:
-            # Sharp edges, the usual case, in plain numbers.
-            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(
-                n, 0.0 if turn_number == 0 else 1.0 / (TUKEY * scale), phi[0], phi[1], grey, res, w
-            )
+        if sharp:
+            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(n, icut, phi[0], phi[1], grey, res, w)
         else:
-            _robust_sums(n, K, turn_number == 0, TUKEY * scale, phi, grey, res, w, A, y)
+            _four_sums(n, icut, phi, grey, res, w, A, y)
             level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
             prior = (max(scale, 2.0) / (STRIP_SHARE * level)) ** 2
-            for a in range(2, K):
-                A[a, a] += prior
+            A[2, 2] += prior
+            A[3, 3] += prior
         if not _factor(A, K, L, 1e-9):
-            return 0.0, 0.0, 0.0, 0.0
+            return
         _back(L, K, y, c)
-        c0, c1, c2, c3 = c[0], c[1], c[2] if K > 2 else 0.0, c[3] if K > 3 else 0.0
-        if K == 2:
-            _two_left(n, c0, c1, phi[0], phi[1], grey, res, size)
+        if sharp:
+            _two_left(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
-            for i in range(n):
-                res[i] = grey[i] - c0 * phi[0, i] - c1 * phi[1, i] - c2 * phi[2, i] - c3 * phi[3, i]
-                size[i] = abs(res[i])
+            _four_left(n, c, phi, grey, res, size)
         if turn_number < ROBUST_TURNS - 1:
             # On the way a third of the pixels tells the scale well enough; steps of 2 and 4 in turn do not fall in with
             # the rows' own length.
@@ -355,80 +497,66 @@ def _stretch(
                 count += 1
             scale = max(floor_grey, 1.4826 * _median(size, count))
         else:
-            scale = max(floor_grey, 1.4826 * _median(size, n))
+            scale = max(floor_grey, _scale_left(n, icut, res))
+        icut = 1.0 / (TUKEY * scale)
     iv = 1.0 / (scale * scale)
-    cut = TUKEY * scale
-    cost, used, icut = 0.0, 0.0, 1.0 / cut
+    cost, used = _rises(n, K, c, icut, slope, res, rise, w)
     begin, rows = desk.begin, desk.rows
     C[:] = 0.0
     for k in range(m):
         # All pixels of a row share the derivative of d: sums over the row first, the pose once a row.
-        rr, re, r0, r1, r2, r3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        ss, rs, se, s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        rr, re, r0, r1, r2, r3, rs = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(begin[k], begin[k + 1]):
-            q = res[i] * icut
-            q = max(1.0 - q * q, 0.0)
-            cost += 1.0 - q * q * q
-            wi = w[i]
-            used += wi
-            if wi == 0.0:
-                continue
-            rise = c0 * slope[0, i] + c1 * slope[1, i]
-            if K > 2:
-                rise += c2 * slope[2, i] + c3 * slope[3, i]
-            wr = wi * rise
-            rr += wr * rise
+            wr = w[i] * rise[i]
+            rr += wr * rise[i]
             re += wr * res[i]
             r0 += wr * phi[0, i]
             r1 += wr * phi[1, i]
-            if K > 2:
+        if not sharp:
+            for i in range(begin[k], begin[k + 1]):
+                wr = w[i] * rise[i]
                 r2 += wr * phi[2, i]
-                if K > 3:
-                    r3 += wr * phi[3, i]
-            if full:
-                widen = 0.0
+                r3 += wr * phi[3, i]
+        if full:
+            for i in range(begin[k], begin[k + 1]):
+                widen = c[0] * spread[0, i] + c[1] * spread[1, i]
+                if not sharp:
+                    widen += c[2] * spread[2, i] + c[3] * spread[3, i]
+                ws = w[i] * widen
+                rs += ws * rise[i]
+                H[BLUR, BLUR] += iv * ws * widen
+                g[BLUR] += iv * ws * res[i]
                 for a in range(K):
-                    widen += c[a] * spread[a, i]
-                ws = wi * widen
-                ss += ws * widen
-                rs += ws * rise
-                se += ws * res[i]
-                s0 += ws * phi[0, i]
-                s1 += ws * phi[1, i]
-                if K > 2:
-                    s2 += ws * phi[2, i]
-                    if K > 3:
-                        s3 += ws * phi[3, i]
-        for a in range(7):
+                    C[BLUR, a] += iv * ws * phi[a, i]
+        for a in range(BLUR):
             ja = iv * rows[k, a]
             g[a] += ja * re
             C[a, 0] += ja * r0
             C[a, 1] += ja * r1
             C[a, 2] += ja * r2
             C[a, 3] += ja * r3
-            for b in range(a + 1):
-                H[a, b] += ja * rows[k, b] * rr
+            # The whole row, though the lower half would do: a loop of fixed length is one instruction or two.
+            for b in range(COLUMNS):
+                H[a, b] += ja * rr * rows[k, b]
             H[BLUR, a] += ja * rs
-        if full:
-            H[BLUR, BLUR] += iv * ss
-            g[BLUR] += iv * se
-            C[BLUR, 0] += iv * s0
-            C[BLUR, 1] += iv * s1
-            C[BLUR, 2] += iv * s2
-            C[BLUR, 3] += iv * s3
     # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S their own normal matrix, A / scale².
-    top = COLUMNS if full else 7
+    top = COLUMNS if full else BLUR
     for b in range(top):
         _back(L, K, C[b], y)
         for a in range(b, top):
-            s = 0.0
-            for q in range(K):
-                s += C[a, q] * y[q]
-            H[a, b] -= s / iv
-    return cost, used, abs(c[1] * base - c[0]), scale
+            lost = C[a, 0] * y[0] + C[a, 1] * y[1]
+            if not sharp:
+                lost += C[a, 2] * y[2] + C[a, 3] * y[3]
+            H[a, b] -= lost / iv
+    stats[0] += cost
+    stats[1] += used
+    stats[6] += n * log(scale)
+    contrast = abs(c[1] * base - c[0])
+    if not interior and (contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30)):
+        stats[4] += walked
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines: Any) -> None:
     """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
     whose normals divide the turn from n0 to n1, or to the contour, into equal parts. `aw` is the derivative of d by a
@@ -442,14 +570,16 @@ def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines
     across = sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, 1e-30))
     d0 = radius * (aw[0] * n0[0] + aw[1] * n0[1] + aw[2] * n0[2])
     d1 = radius * (aw[0] * e0 + aw[1] * e1 + aw[2] * e2) / across
-    for j in range(CELLS + 1):
-        t = angle * j / CELLS
-        lines[j] = d0 * cos(t) + d1 * sin(t)
+    c, s = cos(angle / CELLS), sin(angle / CELLS)
+    lines[0] = d0
+    for j in range(1, CELLS + 1):
+        d0, d1 = c * d0 + s * d1, c * d1 - s * d0
+        lines[j] = d0
     for j in range(1, CELLS + 1):
         lines[j] = max(lines[j], lines[j - 1])
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _place(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
     """Put the die before one view: vertices in camera axes and in pixels, which faces look at it. False where a vertex
     lies behind the camera."""
@@ -483,7 +613,7 @@ def _place(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) ->
     return True
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _hull(shape: Shape, desk: Desk) -> int:
     """Lines (a, b, c) of the outline of the die as placed, a x + b y + c > 0 inside; their number. The ball's radius is
     left to APART_PX and to the caller's margin."""
@@ -507,7 +637,7 @@ def _hull(shape: Shape, desk: Desk) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _within(hull: Any, count: int, x: float, y: float, margin: float) -> bool:
     """Whether a pixel lies inside the outline widened by a margin [px]."""
     for k in range(count):
@@ -516,7 +646,7 @@ def _within(hull: Any, count: int, x: float, y: float, margin: float) -> bool:
     return count > 0
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -> int:
     """The other edges of a face (its edges padded with -1) as functions of the pixel line that crosses them: first and
     last line, where the first vertex's line is, position there, and step a line. How many there are."""
@@ -539,7 +669,7 @@ def _neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -
     return count
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _room_beside(others: Any, count: int, line: int, at: float) -> float:
     """Distance along a pixel line from an edge's point to the nearest other edge of its face that the line crosses."""
     nearest = 1e9
@@ -549,48 +679,37 @@ def _room_beside(others: Any, count: int, line: int, at: float) -> float:
     return nearest
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _rounded_basis(
-    d: float, ib: float, shade: float, interior: bool, lines: Any, phi: Any, slope: Any, spread: Any, n: int
+    d: float, ib: float, shade: float, interior: bool, lines: Any, full: bool, phi: Any, slope: Any, spread: Any, n: int
 ) -> None:
-    """Basis functions of the intensities of pixel n at distance d from a rounded edge, with their derivatives by d and
-    by the blur 1 / ib."""
-    t = (d - lines[CELLS]) * ib
-    a1, p1 = _step(t)
-    p1 *= ib
-    w1 = -t * p1
-    t = (d - lines[0]) * ib
-    a0, p0 = _step(t)
-    p0 *= ib
-    w0 = -t * p0
-    f0, f1, f2, f3 = 1.0 - a0, a1 * shade, 0.0, 0.0
-    s0, s1, s2, s3 = -p0, p1 * shade, 0.0, 0.0
-    b0, b1, b2, b3 = -w0, w1 * shade, 0.0, 0.0
-    for j in range(CELLS):
-        a2, p2, w2 = a1, p1, w1
-        if j + 1 < CELLS:
-            t = (d - lines[j + 1]) * ib
-            a2, p2 = _step(t)
-            p2 *= ib
-            w2 = -t * p2
-        cell, moved, wider = a0 - a2, p0 - p2, w0 - w2
-        u = (j + 0.5) / CELLS
-        if interior:
-            bulge = 4.0 * u * (1.0 - u)
-            f0, s0, b0 = f0 + (1.0 - u) * cell, s0 + (1.0 - u) * moved, b0 + (1.0 - u) * wider
-            f1, s1, b1 = f1 + u * cell, s1 + u * moved, b1 + u * wider
-            f2, s2, b2 = f2 + bulge * cell, s2 + bulge * moved, b2 + bulge * wider
-        else:
-            f0, s0, b0 = f0 + cell, s0 + moved, b0 + wider
-            f2, s2, b2 = f2 + u * cell, s2 + u * moved, b2 + u * wider
-            f3, s3, b3 = f3 + u * u * cell, s3 + u * u * moved, b3 + u * u * wider
-        a0, p0, w0 = a2, p2, w2
-    phi[0, n], phi[1, n], phi[2, n], phi[3, n] = f0, f1, f2, f3
-    slope[0, n], slope[1, n], slope[2, n], slope[3, n] = s0, s1, s2, s3
-    spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1, b2, b3
+    """Basis functions of the intensities of pixel n at distance d from a rounded edge, with their derivatives by d and,
+    where `full`, by the blur 1 / ib.
+
+    A cell's share is the difference of two steps; summed by parts, each of the CELLS + 1 lines is looked up once and
+    weighs what the basis function changes by there.
+    """
+    kind = 1 if interior else 0
+    f0, f1, f2, f3 = 1.0, 0.0, 0.0, 0.0
+    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
+    for j in range(CELLS + 1):
+        t = (d - lines[j]) * ib
+        a, p = _step(t)
+        v0, v1, v2, v3 = _STRIP[kind, j, 0], _STRIP[kind, j, 1], _STRIP[kind, j, 2], _STRIP[kind, j, 3]
+        f0, f1, f2, f3 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a
+        p *= ib
+        s0, s1, s2, s3 = s0 + v0 * p, s1 + v1 * p, s2 + v2 * p, s3 + v3 * p
+        if full:
+            p *= -t
+            b0, b1, b2, b3 = b0 + v0 * p, b1 + v1 * p, b2 + v2 * p, b3 + v3 * p
+    phi[0, n], phi[1, n], phi[2, n], phi[3, n] = f0, f1 * shade, f2, f3
+    slope[0, n], slope[1, n], slope[2, n], slope[3, n] = s0, s1 * shade, s2, s3
+    if full:
+        spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1 * shade, b2, b3
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _step(t: float) -> tuple[float, float]:
     """Φ(t) and its derivative."""
     if t >= _FAR:
@@ -603,37 +722,20 @@ def _step(t: float) -> tuple[float, float]:
     return _PHI[k] + x * (_PHI[k + 1] - _PHI[k]), _BELL[k] + x * (_BELL[k + 1] - _BELL[k])
 
 
-@njit(cache=True, nogil=True)
-def normal_equations(
-    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any, exposure: float,
-    sigma: float, band: float, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
-) -> None:  # fmt: skip
-    """Fill H (8, 8) and g (8,) of pose, contour error and blur (the last only where `full`), and `stats`.
-
-    `backgrounds` (cameras, height, width) float32 are whole pictures. `stats` becomes: robust cost, pixels used, pixels
-    seen, length of visible contour inside the image [px], length of it with a clear step, stretches used, and the sum
-    over pixels of the logarithm of the noise left over.
-    """
-    H[:] = 0.0
-    g[:] = 0.0
-    stats[:] = 0.0
-    for view in range(eyes.camera.shape[0]):
-        if eyes.used[view] and sight.size[eyes.camera[view], 0] > 0:
-            _view_equations(
-                view, sight, backgrounds, eyes, shape, pos, R, vel, omega, exposure, sigma, band, floor_grey, full,
-                desk, H, g, stats,
-            )  # fmt: skip
-    for a in range(COLUMNS):
-        for b in range(a):
-            H[b, a] = H[a, b]
-
-
-@njit(cache=True, nogil=True)
+@_inner
 def _view_equations(
     view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
-    exposure: float, sigma: float, band: float, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
+    exposure: float, sigma: float, band: float, stride: int, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any,
+    stats: Any,
 ) -> None:  # fmt: skip
-    """Add what one view says."""
+    """Add what one view says: H (8, 8, lower half) and g (8,) of pose, contour error and blur (the last only where
+    `full`), and `stats`.
+
+    `backgrounds` (cameras, height, width) float32 are whole pictures, NaN where something stands before the die; one pixel
+    line in `stride` is used. `stats` counts: robust cost, pixels used, pixels seen, length of visible contour inside the
+    image [px], length of it with a clear step, stretches used, and the sum over pixels of the logarithm of the noise left
+    over.
+    """
     hidden_by = 0
     if eyes.partner[view] >= 0 and _place(shape, eyes, eyes.partner[view], pos, R, desk):
         hidden_by = _hull(shape, desk)
@@ -645,11 +747,13 @@ def _view_equations(
     x1, y1 = x0 + sight.size[camera, 0] - 1, y0 + sight.size[camera, 1] - 1
     K, dist, Rcw = eyes.matrix[view], eyes.distortion[view], eyes.rotation[view]
     mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
-    radius = shape.radius
+    radius, sharp = shape.radius, shape.radius == 0.0
     px, cam, arm, J, aw, edges = desk.px, desk.cam, desk.arm, desk.J, desk.across, shape.edges
     phi, slope, spread, grey, lines = desk.phi, desk.slope, desk.spread, desk.grey, desk.lines
     near_edges, far_edges = np.empty((shape.face_edges.shape[1], 5)), np.empty((shape.face_edges.shape[1], 5))
     hull, normal, rows, starts = desk.hull, desk.normal, desk.rows, desk.begin
+    speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
+    curved = speed2 * exposure * exposure / 24.0 * _reach(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
     lines[:] = 0.0
     for e in range(shape.edges.shape[0]):
         f0, f1 = shape.edge_faces[e, 0], shape.edge_faces[e, 1]
@@ -686,17 +790,22 @@ def _view_equations(
             count += 2
         mx /= count
         my /= count
-        basis = 2 if radius == 0.0 else (3 if interior else 4)
         beside_near = _neighbours(shape.face_edges[f0], edges, px, e, steep, near_edges)
         beside_far = _neighbours(shape.face_edges[f1], edges, px, e, steep, far_edges)
-        n, m = 0, 0
+        n = m = np.int64(0)
         walked, under_sum = 0.0, 0.0
-        pixel_length = length / (hi - lo)
+        row_length = stride * length / (hi - lo)
         Ax, Ay, Az, Bz = cam[iA, 0], cam[iA, 1], cam[iA, 2], cam[iB, 2]
         Dx, Dy, Dz = cam[iB, 0] - Ax, cam[iB, 1] - Ay, Bz - Az
         Px, Py, Pz = arm[iA, 0], arm[iA, 1], arm[iA, 2]
         Qx, Qy, Qz = arm[iB, 0] - Px, arm[iB, 1] - Py, arm[iB, 2] - Pz
-        for line in range(first, last + 1):
+        for line in range(first, last + 1 + stride, stride):
+            if m > 0 and (walked >= SEGMENT_PX or line > last):
+                _stretch(desk, n, m, sharp, interior, under_sum, walked, floor_grey, full, H, g, stats)
+                n = m = np.int64(0)
+                walked, under_sum = 0.0, 0.0
+            if line > last:
+                break
             lam = (line - ay) / (by - ay) if steep else (line - ax) / (bx - ax)
             s = lam * Az / ((1.0 - lam) * Bz + lam * Az)
             u, v = _project(K, dist, Ax + s * Dx, Ay + s * Dy, Az + s * Dz, J)
@@ -711,15 +820,17 @@ def _view_equations(
                 aw[a] = Rcw[0, a] * a0 + Rcw[1, a] * a1 + Rcw[2, a] * a2
             rx, ry, rz = Px + s * Qx, Py + s * Qy, Pz + s * Qz
             qx, qy, qz = ry * aw[2] - rz * aw[1], rz * aw[0] - rx * aw[2], rx * aw[1] - ry * aw[0]
-            if radius > 0.0:
+            if not sharp:
                 _strip_lines(aw, normal[f0], normal[f1], interior, radius, lines)
             low, high = min(lines[0], 0.0), max(lines[CELLS], 0.0)
-            blur = sigma
+            blur, bend = sigma, 0.0
             if exposure > 0.0:
                 move = (
                     aw[0] * vel[0] + aw[1] * vel[1] + aw[2] * vel[2] + qx * omega[0] + qy * omega[1] + qz * omega[2]
                 ) * exposure
                 blur = sqrt(sigma * sigma + move * move / 12.0)
+                if curved:
+                    bend = _bend(J, Rcw, nx, ny, rx, ry, rz, Qx, Qy, Qz, vel, omega) * exposure * exposure / 24.0
             across, middle = (abs(nx), u) if steep else (abs(ny), v)
             # The band stops short of the other edges of the faces beside it, and of their own strip and blur.
             inside = min(band - low, _room_beside(near_edges, beside_near, line, middle) * across - 2.0 * blur)
@@ -738,74 +849,94 @@ def _view_equations(
                 begin, end = ceil(middle - inside / step), floor(middle + outside / step)
             else:
                 begin, end = ceil(middle + outside / step), floor(middle - inside / step)
-            # (line - u) or (line - v) is what the lens distortion leaves over; it shifts every pixel of the row alike.
-            offset = ny * (line - v) if steep else nx * (line - u)
             begin, end = (max(begin, x0), min(end, x1)) if steep else (max(begin, y0), min(end, y1))
             if end - begin < 2 or n + end - begin + 1 > BUFFER:
                 continue
+            # (line - u) or (line - v) is what the lens distortion leaves over; it shifts every pixel of the row alike.
+            d = step * (begin - middle) + (ny * (line - v) if steep else nx * (line - u)) + bend
+            ib = 1.0 / blur
+            under_row = 0.0
+            i = n
+            for q in range(begin, end + 1):
+                if steep:
+                    value, under = image[line - y0, q - x0], background[line, q]
+                else:
+                    value, under = image[q - y0, line - x0], background[q, line]
+                under_row += under
+                shade = 1.0 if interior else float(under)
+                if sharp:
+                    t = d * ib
+                    a, p = _step(t)
+                    p *= ib
+                    phi[0, i], phi[1, i] = 1.0 - a, a * shade
+                    slope[0, i], slope[1, i] = -p, p * shade
+                    if full:
+                        spread[0, i], spread[1, i] = t * p, -t * p * shade
+                else:
+                    _rounded_basis(d, ib, shade, interior, lines, full, phi, slope, spread, i)
+                grey[i] = value
+                d += step
+                i += 1
+            if isnan(under_row):
+                continue
+            if full:
+                # The row's blur grows with the lens blur by σ / blur.
+                for a in range(4):
+                    for j in range(n, i):
+                        spread[a, j] *= sigma * ib
             rows[m, 0], rows[m, 1], rows[m, 2] = -aw[0], -aw[1], -aw[2]
             rows[m, 3], rows[m, 4], rows[m, 5] = -qx, -qy, -qz
             # A contour taken δ too far out has every pixel δ nearer to the die.
             rows[m, 6] = 0.0 if interior else -1.0
             starts[m] = n
-            ib = 1.0 / blur
-            # The row's blur grows with the lens blur by σ / blur.
-            grows = sigma / blur
-            for q in range(begin, end + 1):
-                if steep:
-                    d = nx * (q - u) + offset
-                    value, under = image[line - y0, q - x0], background[line, q]
-                else:
-                    d = ny * (q - v) + offset
-                    value, under = image[q - y0, line - x0], background[q, line]
-                shade = 1.0 if interior else float(under)
-                if radius > 0.0:
-                    _rounded_basis(d, ib, shade, interior, lines, phi, slope, spread, n)
-                else:
-                    t = d * ib
-                    a0, p0 = _step(t)
-                    p0 *= ib
-                    phi[0, n], phi[1, n] = 1.0 - a0, a0 * shade
-                    slope[0, n], slope[1, n] = -p0, p0 * shade
-                    spread[0, n], spread[1, n] = t * p0, -t * p0 * shade
-                if full:
-                    for a in range(4):
-                        spread[a, n] *= grows
-                under_sum += shade
-                grey[n] = value
-                n += 1
+            under_sum += float(i - n) if interior else under_row
+            n = i
             m += 1
             starts[m] = n
-            walked += pixel_length
-            if walked >= SEGMENT_PX or line == last:
-                _finish_stretch(desk, n, m, basis, under_sum, walked, interior, floor_grey, full, H, g, stats)
-                n, m, walked, under_sum = 0, 0, 0.0, 0.0
-        if m > 0:
-            _finish_stretch(desk, n, m, basis, under_sum, walked, interior, floor_grey, full, H, g, stats)
+            walked += row_length
 
 
-@njit(cache=True, nogil=True)
-def _finish_stretch(
-    desk: Desk, n: int, m: int, basis: int, under_sum: float, walked: float, interior: bool, floor_grey: float,
-    full: bool, H: Any, g: Any, stats: Any,
-) -> None:  # fmt: skip
-    """Solve a stretch and count it."""
-    cost, used, contrast, scale = _stretch(desk, n, m, basis, under_sum / max(n, 1), floor_grey, full, H, g)
-    stats[0] += cost
-    stats[1] += used
-    stats[2] += n
-    stats[6] += n * log(scale) if scale > 0.0 else 0.0
-    if not interior:
-        stats[3] += walked
-        if contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30):
-            stats[4] += walked
-    stats[5] += 1.0
+@_inner
+def _bend(
+    J: Any, Rcw: Any, nx: float, ny: float, rx: float, ry: float, rz: float, Qx: float, Qy: float, Qz: float, vel: Any,
+    omega: Any,
+) -> float:  # fmt: skip
+    """Second derivative by time [px/s²] of a pixel's signed distance d = n (p - e) from a moving edge, e its point there:
+    2 φ' (t · e') - n · e'', with φ' the rate at which the edge's direction t turns in the picture. Of the point's
+    acceleration only ω × (ω × r) counts; gravity moves it by nanometres within an exposure."""
+    wx, wy, wz = omega[0], omega[1], omega[2]
+    vx, vy, vz = wy * rz - wz * ry, wz * rx - wx * rz, wx * ry - wy * rx
+    cx, cy, cz = wy * vz - wz * vy, wz * vx - wx * vz, wx * vy - wy * vx
+    ex, ey, ez = wy * Qz - wz * Qy, wz * Qx - wx * Qz, wx * Qy - wy * Qx
+    vx, vy, vz = vx + vel[0], vy + vel[1], vz + vel[2]
+    along, across, turning, length, falling = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        # Normal and tangent (-ny, nx) of the edge, as derivatives by a world displacement along axis k.
+        x = J[0, 0] * Rcw[0, k] + J[0, 1] * Rcw[1, k] + J[0, 2] * Rcw[2, k]
+        y = J[1, 0] * Rcw[0, k] + J[1, 1] * Rcw[1, k] + J[1, 2] * Rcw[2, k]
+        normal, tangent = nx * x + ny * y, nx * y - ny * x
+        vk, ck, ek, qk = (vx, cx, ex, Qx) if k == 0 else ((vy, cy, ey, Qy) if k == 1 else (vz, cz, ez, Qz))
+        along += tangent * vk
+        across += normal * vk
+        falling += normal * ck
+        turning += normal * ek
+        length += tangent * qk
+    return 2.0 * turning / length * along - falling
+
+
+@_inner
+def _reach(shape: Shape) -> float:
+    """Farthest point of the die from its centre [m]."""
+    reach = 0.0
+    for i in range(shape.outer.shape[0]):
+        reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
+    return reach
 
 
 # --- steps ------------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _inverse(A: Any, n: int, out: Any) -> bool:
     """Inverse of the leading n × n of a symmetric positive definite matrix; False where it is not."""
     L, e, x = np.zeros((n, n)), np.zeros(n), np.zeros(n)
@@ -820,13 +951,13 @@ def _inverse(A: Any, n: int, out: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def turn(R: Any, w: Any) -> Any:
     """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
     return _exp(w) @ R
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _exp(w: Any) -> Any:
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     W = np.zeros((3, 3))
@@ -843,7 +974,7 @@ def _exp(w: Any) -> Any:
     return E
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _log(R: Any, out: Any) -> None:
     """Rotation vector of a rotation by less than about 3 rad."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
@@ -853,65 +984,10 @@ def _log(R: Any, out: Any) -> None:
     out[0], out[1], out[2] = factor * x, factor * y, factor * z
 
 
-@njit(cache=True, nogil=True)
-def refine(
-    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any, exposure: float,
-    sigmas: Any, bands: Any, floor_grey: float, prior_position: float, prior_rotation: float, enough: float,
-    full: bool, desk: Desk, H: Any, g: Any, stats: Any,
-) -> tuple[Any, Any]:  # fmt: skip
-    """Gauss-Newton from coarse to fine: one step for each entry of `sigmas` and `bands` [px], fewer where the last blur
-    is reached and a step gains less than `enough` squared sigmas.
-
-    The prior is isotropic about the start: `prior_position` [m] and `prior_rotation` [rad] are its standard deviations.
-    Returns position (3,) and rotation (3, 3); H (8, 8), g (8,) and `stats` are those of the pixels alone before the last
-    step. H is zero where the pixels and the prior leave no solution.
-    """
-    p, Q = pos.copy(), R.copy()
-    away, step = np.zeros(6), np.zeros(6)
-    A, L, y = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    wp, wr = 1.0 / prior_position**2, 1.0 / prior_rotation**2
-    reach = 0.0
-    for i in range(shape.outer.shape[0]):
-        reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
-    last = sigmas.shape[0] - 1
-    for it in range(last + 1):
-        normal_equations(
-            sight, backgrounds, eyes, shape, p, Q, vel, omega, exposure, sigmas[it], bands[it], floor_grey,
-            full and sigmas[it] == sigmas[last], desk, H, g, stats,
-        )  # fmt: skip
-        for a in range(6):
-            for b in range(6):
-                A[a, b] = H[a, b]
-            w = wp if a < 3 else wr
-            A[a, a] += w
-            y[a] = g[a] - w * away[a]
-        if not _factor(A, 6, L, 1e-13):
-            H[:] = 0.0
-            break
-        _back(L, 6, y, step)
-        gain = 0.0
-        for a in range(6):
-            gain += step[a] * y[a]
-        # One step may move the die by a third of its reach or turn it by 8 degrees at the most: edges of other faces
-        # come into the band beyond that.
-        lp = sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
-        lr = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-        shrink = min(1.0, reach / 3.0 / max(lp, 1e-300), 0.14 / max(lr, 1e-300))
-        for a in range(6):
-            step[a] *= shrink
-            away[a] += step[a]
-        for a in range(3):
-            p[a] += step[a]
-        Q = turn(Q, step[3:])
-        if sigmas[it] == sigmas[last] and gain < enough:
-            break
-    return p, Q
-
-
 # --- the picture as a whole -------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def picture_cost(
     sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, noise: float, samples: int, margin: float,
     desk: Desk,
@@ -941,8 +1017,7 @@ def picture_cost(
         a, b, c = _box_score(
             sight.pixels[camera], backgrounds[camera], x0, y0, low_x, low_y, high_x, high_y, shape, desk, noise, samples
         )
-        stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
-        score += a / (((high_y - low_y + stride - 1) // stride) * ((high_x - low_x + stride - 1) // stride))
+        score += a
         number += 1.0
         inside += b
         differs += c
@@ -951,7 +1026,7 @@ def picture_cost(
     return score / number, differs / max(inside, 1.0)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _draw_outer(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
     """Put the vertices of the flat faces' sharp polyhedron, not those of the inner body, in pixels on the desk."""
     for i in range(shape.outer.shape[0]):
@@ -976,25 +1051,24 @@ def score_many(
     """Judge many poses by one box of the first camera's picture: mean truncated squared sigmas a pixel, and the share of
     the die's pixels that differ from the background."""
     desk = new_desk(shape)
-    stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
-    pixels = ((high_y - low_y + stride - 1) // stride) * ((high_x - low_x + stride - 1) // stride)
+    corner_x, corner_y = np.int64(0), np.int64(0)
     for k in range(positions.shape[0]):
         score[k], differs[k] = 1e9, 0.0
-        placed = _place(shape, eyes, 0, positions[k], rotations[k], desk)
-        if placed and _draw_outer(shape, eyes, 0, positions[k], rotations[k], desk):
+        placed = _place(shape, eyes, corner_x, positions[k], rotations[k], desk)
+        if placed and _draw_outer(shape, eyes, corner_x, positions[k], rotations[k], desk):
             total, inside, other = _box_score(
-                image, background, 0, 0, low_x, low_y, high_x, high_y, shape, desk, noise, samples
+                image, background, corner_x, corner_y, low_x, low_y, high_x, high_y, shape, desk, noise, samples
             )
-            score[k], differs[k] = total / pixels, other / max(inside, 1.0)
+            score[k], differs[k] = total, other / max(inside, 1.0)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _box_score(
     image: Any, background: Any, x0: int, y0: int, low_x: int, low_y: int, high_x: int, high_y: int, shape: Shape,
     desk: Desk, noise: float, samples: int,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Sum of the truncated squared sigmas over about `samples` pixels of a box, pixels on the die, and those of them that
-    differ from the background."""
+    """Mean of the truncated squared sigmas over about `samples` pixels of a box, pixels on the die, and those of them that
+    differ from the background; pixels whose background is NaN do not count."""
     stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
     nf, most = shape.face_edges.shape
     lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
@@ -1017,6 +1091,8 @@ def _box_score(
                         hit = False
                         break
                 if hit:
+                    if isnan(background[y, x]):
+                        break
                     label[i, j] = f
                     total[f] += image[y - y0, x - x0]
                     number[f] += 1.0
@@ -1037,7 +1113,7 @@ def _box_score(
     for f in range(nf):
         if number[f] > 0.0:
             mean[f] = total[f] / number[f]
-    score, inside, differs = 0.0, 0.0, 0.0
+    score, judged, inside, differs = 0.0, 0.0, 0.0, 0.0
     iv = 1.0 / (noise * noise)
     for i in range(label.shape[0]):
         y = low_y + i * stride
@@ -1046,6 +1122,9 @@ def _box_score(
             f = label[i, j]
             value = image[y - y0, x - x0]
             difference = value - background[y, x]
+            if isnan(difference):
+                continue
+            judged += 1.0
             if f >= 0:
                 inside += 1.0
                 if abs(difference) > 3.0 * noise:
@@ -1054,10 +1133,10 @@ def _box_score(
                 score += min(e * e / (4.0 * noise * noise + (0.04 * mean[f]) ** 2), FACE_CUT)
             else:
                 score += min(difference * difference * iv, SHADOW_CUT if difference < 0.0 else FACE_CUT)
-    return score, inside, differs
+    return score / max(judged, 1.0), inside, differs
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
     """Half-planes a x + b y + c >= 0 of a face as placed."""
     mx, my, count = 0.0, 0.0, 0
@@ -1081,33 +1160,91 @@ def _face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
 # --- many frames ------------------------------------------------------------------------------------------------------
 
 
-class Lens(NamedTuple):
-    """What the refinement of every frame of a clip shares."""
-
-    exposure: float
-    """[s]; 0 where it is not known."""
-    blur: float
-    """[px] of the lens."""
-    floor_grey: float
-    """Least noise [grey] that a stretch of edge is given."""
-    noise: float
-    """[grey] of the still background."""
-    loose_m: float
-    loose_rad: float
-    """Standard deviations of the prior where nothing is known of the motion."""
-    tight_m: float
-    tight_rad: float
-    """Least standard deviations of the prior: a bounce must not be held back by it, nor a face seen alone be free to tip
-    over."""
-    fine_steps: int
-    """Most steps at the lens blur."""
-    enough: float
-    """Squared sigmas: a step that gains less is the last. The next would gain a small part of it."""
-    samples: int
-    """Pixels that judge a pose as a whole."""
+@_inner
+def _moved_px(eyes: Eyes, pos: Any, step: Any, turned: float, reach: float) -> float:
+    """How far in the picture a step (3,) [m] of the centre and a turn by `turned` [m] at the die's `reach` move its farthest
+    points, in the view that shows most of it: a step along the line of sight moves them little."""
+    most = 0.0
+    for view in range(eyes.camera.shape[0]):
+        x, y, z, depth = 0.0, 0.0, 0.0, eyes.translation[view, 2]
+        for b in range(3):
+            x += eyes.rotation[view, 0, b] * step[b]
+            y += eyes.rotation[view, 1, b] * step[b]
+            z += eyes.rotation[view, 2, b] * step[b]
+            depth += eyes.rotation[view, 2, b] * pos[b]
+        if depth > 1e-6:
+            aside = sqrt(x * x + y * y) + reach * abs(z) / depth + turned
+            most = max(most, eyes.matrix[view, 0, 0] / depth * aside)
+    return most
 
 
 @njit(cache=True, nogil=True)
+def look(
+    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, vel: Any, omega: Any,
+    sigma_m: float, sigma_rad: float, coarse: int, desk: Desk, H: Any, g: Any, stats: Any,
+) -> tuple[Any, Any, float]:  # fmt: skip
+    """Refine a pose by Gauss-Newton, `coarse` steps at larger blurs first, and judge it: position (3,), rotation (3, 3)
+    and cost.
+
+    The prior is isotropic about the start: `sigma_m` and `sigma_rad` are its standard deviations. H (8, 8), g (8,) and
+    `stats` (8,) are those of the pixels alone before the last step, see `_view_equations`; the last of `stats` is the
+    share of the die that shows nothing but the background. H is zero where the pixels and the prior leave no solution.
+    """
+    p, Q = pos.copy(), R.copy()
+    away, step = np.zeros(6), np.zeros(6)
+    A, L, y = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
+    wp, wr = 1.0 / sigma_m**2, 1.0 / sigma_rad**2
+    reach, six = _reach(shape), np.int64(6)
+    for it in range(coarse + lens.fine_steps):
+        fine = it >= coarse
+        sigma, band = (lens.blur, max(3.5, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
+        H[:] = 0.0
+        g[:] = 0.0
+        stats[:] = 0.0
+        for view in range(eyes.camera.shape[0]):
+            if eyes.used[view] and sight.size[eyes.camera[view], 0] > 0:
+                _view_equations(
+                    view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
+                    lens.floor_grey, lens.full and fine, desk, H, g, stats,
+                )  # fmt: skip
+        for a in range(COLUMNS):
+            for b in range(a):
+                H[b, a] = H[a, b]
+        for a in range(6):
+            for b in range(6):
+                A[a, b] = H[a, b]
+            w = wp if a < 3 else wr
+            A[a, a] += w
+            y[a] = g[a] - w * away[a]
+        if not _factor(A, six, L, 1e-13):
+            H[:] = 0.0
+            break
+        _back(L, six, y, step)
+        gain = 0.0
+        for a in range(6):
+            gain += step[a] * y[a]
+        # One step may move the die by a third of its reach or turn it by 8 degrees at the most: edges of other faces
+        # come into the band beyond that.
+        lp = sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
+        lr = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+        shrink = min(1.0, reach / 3.0 / max(lp, 1e-300), 0.14 / max(lr, 1e-300))
+        for a in range(6):
+            step[a] *= shrink
+            away[a] += step[a]
+        for a in range(3):
+            p[a] += step[a]
+        Q = turn(Q, step[3:])
+        if fine and (gain < lens.enough or _moved_px(eyes, pos, step, lr * reach, reach) < lens.settled_px):
+            break
+    cost = 0.0
+    if lens.samples > 0:
+        cost, differs = picture_cost(sight, backgrounds, eyes, shape, p, Q, lens.noise, lens.samples, 8.0, desk)
+        stats[7] = 1.0 - differs
+        cost += 2.0 * (1.0 - stats[4] / max(stats[3], 1e-9)) + 10.0 * stats[0] / max(stats[2], 1.0)
+    return p, Q, cost
+
+
+@_inner
 def sight_of(pictures: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, margin: float, desk: Desk) -> Sight:
     """The windows of one frame's pictures (cameras, height, width) round the die, and its reflection, as placed."""
     cameras, height, width = pictures.shape
@@ -1130,8 +1267,9 @@ def sight_of(pictures: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, margin: 
     pixels = np.empty((cameras, rows, columns), np.float32)
     for c in range(cameras):
         for i in range(size[c, 1]):
+            there, here = pictures[c, corner[c, 1] + i, corner[c, 0] :], pixels[c, i]
             for j in range(size[c, 0]):
-                pixels[c, i, j] = pictures[c, corner[c, 1] + i, corner[c, 0] + j]
+                here[j] = there[j]
     return Sight(pixels, corner, size)
 
 
@@ -1181,7 +1319,7 @@ def coast(x: Any, R: Any, P: Any, dt: float) -> Any:
     return E @ R
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens, S: Any, z: Any) -> bool:
     """What a pose (p, Q) with information H adds to a motion: the difference z (6,), and the inverse S (6, 6) of its
     covariance; False where there is none.
@@ -1194,7 +1332,7 @@ def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens, S: A
         for b in range(6):
             A[a, b] = 0.25 * H[a, b]
         A[a, a] += 1.0 / (lens.loose_m**2 if a < 3 else lens.loose_rad**2)
-    if not _inverse(A, 6, S):
+    if not _inverse(A, np.int64(6), S):
         return False
     for a in range(6):
         for b in range(6):
@@ -1204,10 +1342,10 @@ def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens, S: A
         A[a, a] += (lens.tight_m / 25.0) ** 2
         A[3 + a, 3 + a] += (lens.tight_rad / 12.0) ** 2
     _log(Q @ R.T, z[3:])
-    return _inverse(A, 6, S)
+    return _inverse(A, np.int64(6), S)
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def surprise(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> float:
     """Squared distance of a pose from a motion, in the sigmas of both."""
     S, z = np.zeros((6, 6)), np.zeros(6)
@@ -1249,54 +1387,89 @@ def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
     return turn(R, change[3:6])
 
 
-@njit(cache=True, nogil=True)
-def look(
-    sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, vel: Any, omega: Any,
-    sigma_m: float, sigma_rad: float, coarse: int, desk: Desk, H: Any, g: Any, stats: Any,
-) -> tuple[Any, Any, float]:  # fmt: skip
-    """Refine a pose after `coarse` steps at larger blurs, and judge it: position, rotation, cost."""
-    sigmas = np.empty(coarse + lens.fine_steps)
-    bands = np.empty(coarse + lens.fine_steps)
-    for i in range(coarse):
-        sigmas[i], bands[i] = COARSE[len(COARSE) - coarse + i]
-    sigmas[coarse:] = lens.blur
-    bands[coarse:] = max(3.5, 4.0 * lens.blur)
-    p, Q = refine(
-        sight, backgrounds, eyes, shape, pos, R, vel, omega, lens.exposure, sigmas, bands, lens.floor_grey, sigma_m,
-        sigma_rad, lens.enough, False, desk, H, g, stats,
-    )  # fmt: skip
-    cost, _ = picture_cost(sight, backgrounds, eyes, shape, p, Q, lens.noise, lens.samples, 8.0, desk)
-    support, unexplained = stats[4] / max(stats[3], 1e-9), stats[0] / max(stats[2], 1.0)
-    return p, Q, cost + 2.0 * (1.0 - support) + 10.0 * unexplained
+@_inner
+def note_screen(
+    sight: Sight, backgrounds: Any, screen: Screen, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, desk: Desk
+) -> None:
+    """Learn from one frame whose pose (pos, R) is known what stands before the die: pixels well inside the outline whose
+    neighbourhood shows the background alone, and goes on to do so: what changes later was no screen, but a face as grey as
+    the table. `backgrounds` become NaN there and SCREEN_PX beyond the whole neighbourhood, for a blurred border belongs to
+    neither."""
+    far = 2 * SCREEN_PX
+    for view in range(eyes.camera.shape[0]):
+        c = eyes.camera[view]
+        mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
+        if mirrored or sight.size[c, 0] == 0 or not _place(shape, eyes, view, pos, R, desk):
+            continue
+        count = _hull(shape, desk)
+        x0, y0 = sight.corner[c, 0], sight.corner[c, 1]
+        width, height = sight.size[c, 0], sight.size[c, 1]
+        still, image = screen.still[c], sight.pixels[c]
+        fresh = np.int64(0)
+        for i in range(height):
+            for j in range(width):
+                if abs(image[i, j] - still[y0 + i, x0 + j]) > CHANGED_SIGMAS * lens.noise:
+                    screen.changed[c, y0 + i, x0 + j] = 1
+                    if screen.core[c, y0 + i, x0 + j] == 1:
+                        screen.core[c, y0 + i, x0 + j] = 0
+                        screen.found[0] -= 1
+                        fresh += 1
+        for i in range(SCREEN_PX, height - SCREEN_PX):
+            for j in range(SCREEN_PX, width - SCREEN_PX):
+                x, y = x0 + j, y0 + i
+                if screen.core[c, y, x] == 1 or not _within(desk.hull, count, float(x), float(y), -float(SCREEN_PX)):
+                    continue
+                total, steady = 0.0, True
+                for a in range(-SCREEN_PX, SCREEN_PX + 1):
+                    for b in range(-SCREEN_PX, SCREEN_PX + 1):
+                        steady = steady and screen.changed[c, y + a, x + b] == 0
+                        total += (image[i + a, j + b] - still[y + a, x + b]) ** 2
+                    if not steady:
+                        break
+                if steady and total < (SCREEN_SIGMAS * lens.noise * (2 * SCREEN_PX + 1)) ** 2:
+                    screen.core[c, y, x] = 1
+                    screen.found[0] += 1
+                    fresh += 1
+        if fresh == 0:
+            continue
+        low_y, high_y = max(y0 - far, 0), min(y0 + height + far, still.shape[0])
+        low_x, high_x = max(x0 - far, 0), min(x0 + width + far, still.shape[1])
+        for y in range(low_y, high_y):
+            for x in range(low_x, high_x):
+                backgrounds[c, y, x] = still[y, x]
+        for y in range(max(low_y - far, 0), min(high_y + far, still.shape[0])):
+            for x in range(max(low_x - far, 0), min(high_x + far, still.shape[1])):
+                if screen.core[c, y, x] == 1:
+                    for a in range(max(y - far, 0), min(y + far + 1, still.shape[0])):
+                        for b in range(max(x - far, 0), min(x + far + 1, still.shape[1])):
+                            backgrounds[c, a, b] = np.nan
 
 
 @njit(cache=True, nogil=True)
 def chase(
-    frames: Any, times: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, x: Any, R: Any, P: Any,
-    clock: Any, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
+    frames: Any, times: Any, backgrounds: Any, screen: Screen, eyes: Eyes, shape: Shape, lens: Lens, x: Any, R: Any,
+    P: Any, clock: Any, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
 ) -> int:  # fmt: skip
     """Follow a die in flight over frames (n, cameras, height, width) at `times` (n,), as long as picture and motion tell
     the same story. Returns how many frames it did; the rows of the outputs are filled that far.
 
     x (9,), R (3, 3), P (12, 12) are the motion at clock[0] [s], and are carried along with it; clock[1] is the usual cost
-    of a pose, clock[2] how many poses of this flight have been seen.
+    of a pose, clock[2] how many poses of this flight have been seen. What turns out to stand before the die is put in
+    `screen`, and `backgrounds` become NaN there.
     """
     desk = new_desk(shape)
     h, g, row = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    reach = 0.0
-    for i in range(shape.outer.shape[0]):
-        reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
-    moved = np.zeros(3)
+    reach, moved = _reach(shape), np.zeros(3)
     for k in range(frames.shape[0]):
         ahead, P_ahead = x.copy(), P.copy()
         R_ahead = coast(ahead, R, P_ahead, times[k] - clock[0])
         sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2]))
         sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5]))
-        sight = sight_of(frames[k], eyes, shape, ahead[:3], R_ahead, WINDOW_PX, desk)
-        if sight.pixels.shape[1] == 0:
-            return k
         off = scale_px(eyes, ahead[:3]) * (sigma_m + sigma_rad * reach)
         coarse = 4 if off > 1.5 else (2 if off > 0.6 else (1 if off > 0.3 else 0))
+        sight = sight_of(frames[k], eyes, shape, ahead[:3], R_ahead, WINDOW_PX if coarse > 0 else NARROW_PX, desk)
+        if sight.pixels.shape[1] == 0:
+            return k
         prior_m = min(max(4.0 * sigma_m, lens.tight_m), lens.loose_m)
         prior_rad = min(max(4.0 * sigma_rad, lens.tight_rad), lens.loose_rad)
         p, Q, cost = look(
@@ -1326,10 +1499,12 @@ def chase(
         clock[1] = usual + (cost - usual) / min(clock[2] + 1.0, 8.0)
         clock[2] += 1.0
         positions[k], rotations[k], H[k], stats[k], costs[k] = p, Q, h, row, cost
+        if row[7] > SCREENED or screen.found[0] > 0:
+            note_screen(sight, backgrounds, screen, eyes, shape, lens, p, Q, desk)
     return frames.shape[0]
 
 
-@njit(cache=True, nogil=True)
+@_inner
 def scale_px(eyes: Eyes, pos: Any) -> float:
     """Pixels a metre at a point, in the nearest view."""
     best = 0.0
@@ -1345,20 +1520,35 @@ def scale_px(eyes: Eyes, pos: Any) -> float:
 @njit(cache=True, nogil=True)
 def settle(
     frames: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, positions: Any, rotations: Any, motions: Any,
-    coarse: int, H: Any, stats: Any, costs: Any,
+    H: Any, stats: Any, costs: Any,
 ) -> None:  # fmt: skip
-    """Refine each of many frames from its own start, in place; a start whose position is NaN is left out."""
+    """Refine each of many frames from its own start, in place; a start whose position is NaN is left out.
+
+    Most starts lie so near that the lens blur does at once; where the pose moves by more than NEARBY_PX, it begins again
+    from the start with coarser steps.
+    """
     desk = new_desk(shape)
     h, g, row = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
+    moved, reach = np.zeros(3), _reach(shape)
     for k in range(frames.shape[0]):
         H[k] = 0.0
         if isnan(positions[k, 0]):
             continue
-        sight = sight_of(frames[k], eyes, shape, positions[k], rotations[k], WINDOW_PX, desk)
-        if sight.pixels.shape[1] == 0:
-            continue
-        p, Q, costs[k] = look(
-            sight, backgrounds, eyes, shape, lens, positions[k], rotations[k], motions[k, :3], motions[k, 3:],
-            lens.loose_m, lens.loose_rad, coarse, desk, h, g, row,
-        )  # fmt: skip
-        positions[k], rotations[k], H[k], stats[k] = p, Q, h, row
+        start, R = positions[k].copy(), rotations[k].copy()
+        for again in range(2):
+            sight = sight_of(frames[k], eyes, shape, start, R, WINDOW_PX if again else NARROW_PX, desk)
+            if sight.pixels.shape[1] == 0:
+                break
+            p, Q, cost = look(
+                sight, backgrounds, eyes, shape, lens, start, R, motions[k, :3], motions[k, 3:], lens.loose_m,
+                lens.loose_rad, 2 * again, desk, h, g, row,
+            )  # fmt: skip
+            positions[k], rotations[k], H[k], stats[k], costs[k] = p, Q, h, row, cost
+            _log(Q @ R.T, moved)
+            turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
+            if (
+                _moved_px(eyes, start, p - start, reach * turned, reach) < NEARBY_PX
+                and row[4] > 0.6 * row[3]
+                and row[3] > 20.0
+            ):
+                break

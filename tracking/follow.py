@@ -228,7 +228,7 @@ def _first_pass(
         )
     _, chase, seen = beginning
     view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
-    chase.view = view
+    chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back(seen, first_known)
     for first, frames in reel.blocks(chase.next_frame):
@@ -238,7 +238,8 @@ def _first_pass(
         back.over(frames, reel.times_s, first, seen)
         if back.misses > 3:
             break
-    return view, seen
+    # What was found to stand before the die is known from here on.
+    return chase.view, seen
 
 
 def _begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[int, Chase, Seen]:
@@ -415,7 +416,7 @@ def _settle_block(
         for i, j in pairwise(range(a, b + 1)) if offsets.any else ((a, b),):
             eyes = eyes_at(view.eyes, offsets.seconds, position[i], motion[i]) if offsets.any else view.eyes
             settle(
-                frames[i:j], view.backgrounds, eyes, view.shape, lens, position[i:j], rotation[i:j], motion[i:j], 1,
+                frames[i:j], view.backgrounds, eyes, view.shape, lens, position[i:j], rotation[i:j], motion[i:j],
                 H[i:j], stats[i:j], cost[i:j],
             )  # fmt: skip
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, symmetry_rotations
 from .camera import Camera
-from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Shape, Sight, look, new_desk, refine, score_many
+from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -71,8 +71,23 @@ class View:
         reach, quality = self.reach_m, self.quality
         return Lens(
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
-            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, quality.judging_pixels,
+            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
+            quality.judging_pixels,
         )  # fmt: skip
+
+    @property
+    def chase_lens(self) -> Lens:
+        """The same while the die is only followed."""
+        return self.lens._replace(
+            fine_steps=self.quality.chase_steps, settled_px=self.quality.settled_px, stride=self.quality.chase_stride
+        )
+
+
+def with_screen(view: View) -> tuple[View, Screen]:
+    """The view with backgrounds of its own, in which the chase may note what stands before the die."""
+    still, shape = view.backgrounds, view.backgrounds.shape
+    screen = Screen(still, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(1, np.int64))
+    return replace(view, backgrounds=still.copy()), screen
 
 
 def with_reflections(view: View) -> View:
@@ -228,7 +243,8 @@ def refine_pose(
     pull the others. `roughly` stops where the view's quality says, and not where nothing moves any more.
     """
     H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    zero, lens = np.zeros(3), view.lens if roughly else view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY)
+    exact = view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
+    zero, lens = np.zeros(3), view.chase_lens if roughly else exact
     p, Q, cost = look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
@@ -260,11 +276,10 @@ def blur_step(
 ) -> tuple[float, float]:
     """What one frame says of the lens blur: the change [px] that fits it best, and the information [1/px²] behind it."""
     H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    lens, fine = view.lens, 4
-    refine(
-        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, position_m, rotation, velocity_m_s,
-        omega_rad_s, view.exposure_s, np.full(fine, view.blur_px), np.full(fine, max(3.5, 4.0 * view.blur_px)),
-        lens.floor_grey, lens.loose_m, lens.loose_rad, EXACTLY, True, new_desk(view.shape), H, g, stats,
+    lens = view.lens._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
+    look(
+        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, position_m, rotation, velocity_m_s,
+        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape), H, g, stats,
     )  # fmt: skip
     A = H[:6, :6] + np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
     reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))

@@ -14,9 +14,14 @@ class Quality:
     """Most Gauss-Newton steps at the lens blur on one frame."""
     chase_steps: int
     """The same while the die is only followed, where a second pass refines every pose again."""
+    chase_stride: int
+    """One pixel line in so many is walked while the die is only followed."""
     enough: float
     """Squared sigmas: a step that gains less is the last one. 0.2 moves a pose by half its sigma, and the next step would
     move it by a small part of that."""
+    settled_px: float
+    """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
+    it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
     second_pass: bool
@@ -25,9 +30,16 @@ class Quality:
     """Use what is printed on the faces, where it helps."""
 
 
-FAST = Quality("fast", fine_steps=2, chase_steps=2, enough=0.2, judging_pixels=400, second_pass=False, marks=False)
+FAST = Quality(
+    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.2, settled_px=0.1, judging_pixels=400,
+    second_pass=False, marks=False,
+)  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, enough=0.05, judging_pixels=800, second_pass=True, marks=True
-)
-FINE = Quality("fine", fine_steps=8, chase_steps=4, enough=1e-3, judging_pixels=2500, second_pass=True, marks=True)
+    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.05, settled_px=0.1, judging_pixels=800,
+    second_pass=True, marks=True,
+)  # fmt: skip
+FINE = Quality(
+    "fine", fine_steps=8, chase_steps=4, chase_stride=1, enough=1e-3, settled_px=0.0, judging_pixels=2500,
+    second_pass=True, marks=True,
+)  # fmt: skip
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}
