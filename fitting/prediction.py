@@ -30,7 +30,7 @@ from ..model.touch import packed_state
 from ..tracking.track import ABSENT, TRACKED, Track
 from .flights import moved_state
 from .landing import resting_face
-from .outset import FEWEST, Outset, flight_length, outset_before, usable_rows
+from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
 from .physics import Physics
 from .results import Parameter
 
@@ -41,10 +41,6 @@ QUICK = kernels.Precision(0.0, 1e-4, 1.0, 1e-6)
 the mean, and take half the time."""
 
 SURE = 0.95
-
-_CONTACT = 5.0
-"""Scatter of the frames about a flight, in that of the first, beyond which it is none. Few frames tell it within a factor
-of two."""
 
 DRAWS = 100
 """With 100 draws on one face another still has odds below 3 % (95 %)."""
@@ -236,8 +232,8 @@ def _flights_from(track: Track, physics: Physics, row: int) -> list[tuple[int, O
     begin, bounces = int(np.searchsorted(rows, row)), 1
     while len(rows) - begin >= FEWEST:
         end = begin + flight_length(track, physics.die, rows[begin:])
-        outset = outset_before(track, physics.die, int(rows[end - 1]) + 1)
-        if outset.sigma_m > _CONTACT * first.sigma_m or outset.sigma_rad > _CONTACT * first.sigma_rad:
+        outset = outset_of(track, rows[begin:end])
+        if not outset.scatters_like(first):
             break
         found.append((bounces, outset))
         begin, bounces = end, bounces + 1

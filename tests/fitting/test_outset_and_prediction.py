@@ -144,7 +144,7 @@ def test_what_cannot_be_foretold_says_why() -> None:
     row = first_bounce_row(track, CUBE)
     with pytest.raises(ValueError, match="wanted at least 3"):
         outset_before(track, CUBE, 2)
-    with pytest.raises(ValueError, match="begin from a later frame"):
+    with pytest.raises(ValueError, match="begin from another frame"):
         outset_before(track, CUBE, row + 2)
     flying = replace(track, status=np.where(np.arange(len(track)) < row - 1, track.status, "lost"))
     with pytest.raises(ValueError, match="never bounces"):
