@@ -77,16 +77,16 @@ _FIRST_CHI = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
 _FIRST_MU = (0.1, 0.2, 0.4)
 """Where the first fit looks, so that no start is asked for."""
 
-_FOR_EFFECTS = 48
+_FOR_EFFECTS = 32
 """Throws by which effects are chosen, spread over all: enough to tell what a tenth of the cost is worth."""
 
-_FOR_FIRST = 16
+_FOR_FIRST = 8
 """Throws by which the first parameters are looked for."""
 
 _FOLDS = 5
 _MOST_ROUNDS = 12
-_CONVERGED = 1e-4
-"""Part of the cost by which a step must lower it to be followed by another."""
+_CONVERGED, _CONVERGED_ENOUGH = 1e-4, 3e-3
+"""Part of the cost by which a step must lower it to be followed by another; and where only an effect is to be judged."""
 
 _JUMP = 0.3
 """Part of the circumradius by which a pose moves within one step of a difference where the throw has jumped course."""
@@ -299,7 +299,7 @@ def _first(crowd: _Crowd, physics: Physics) -> Physics:
     return min((physics.with_values(chi=chi) for chi in _FIRST_CHI), key=lambda p: _mean_cost(few, p))
 
 
-def _descended(crowd: _Crowd, physics: Physics) -> _Point:
+def _descended(crowd: _Crowd, physics: Physics, converged: float = _CONVERGED) -> _Point:
     """The physics of least cost, from a start."""
     point, damping = _seen(crowd, physics), 1e-2
     everyone = np.ones(len(crowd.entries), bool)
@@ -308,12 +308,12 @@ def _descended(crowd: _Crowd, physics: Physics) -> _Point:
         gain = 1.0 - _mean_cost(crowd, trial) / max(float(point.costs.mean()), 1e-300)
         if gain > 0.0:
             point, damping = _seen(crowd, trial), 0.2 * damping
-            if gain < _CONVERGED:
+            if gain < converged:
                 break
-        elif damping > 1e2:
+        elif damping > 10.0:
             break
         else:
-            damping *= 10.0
+            damping *= 30.0
     return point
 
 
@@ -438,7 +438,9 @@ def _widened(crowd: _Crowd, point: _Point, effect: str) -> _Point:
         starts = [wider.with_values(chi_fade_s_per_m=fade) for fade in (0.1, 1.0)]
     elif effect == "fading friction":
         starts = [wider.with_values(mu_fade_s_per_m=fade) for fade in (0.1, 1.0)]
-    return _descended(crowd, min(starts, key=lambda p: _mean_cost(few, p)) if len(starts) > 1 else wider)
+    return _descended(
+        crowd, min(starts, key=lambda p: _mean_cost(few, p)) if len(starts) > 1 else wider, _CONVERGED_ENOUGH
+    )
 
 
 _IN_ONE_THROW = tuple(effect for effect in EFFECTS if effect != "fading friction")

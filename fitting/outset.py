@@ -38,6 +38,10 @@ four frames is known to a factor of two."""
 _STRICT_SIGMAS = 4.0
 """The same for the last frame of a flight that a bounce has ended."""
 
+_CONTACT = 5.0
+"""Scatter of frames about a flight, in that of the first, beyond which it is none: there the die rolls or lies on the
+table. Few frames tell it within a factor of two."""
+
 _NEAR_TABLE = 0.5
 """Part of the inscribed radius within which the lowest corner must be for a miss to be a bounce."""
 
@@ -64,6 +68,10 @@ class Outset:
 
     begin_s: float
     """Time of the first of them."""
+
+    def scatters_like(self, other: Outset) -> bool:
+        """Whether the frames are as near to a flight as those of another."""
+        return self.sigma_m <= _CONTACT * other.sigma_m and self.sigma_rad <= _CONTACT * other.sigma_rad
 
     @property
     def flight(self) -> Flight:
@@ -96,22 +104,33 @@ def first_bounce_row(track: Track, die: Die) -> int:
 def outset_before(track: Track, die: Die, row: int) -> Outset:
     """The state from the frames of the flight that the last frame before `row` belongs to; later frames are not looked at.
 
-    Raises ValueError where the flight shows fewer than three frames.
+    Raises ValueError where the flight shows fewer than three frames, and where the die no longer flies.
     """
     rows = usable_rows(track)
     rows = rows[rows < row]
-    if len(rows) < FEWEST:
-        raise ValueError(f"{len(rows)} frames before row {row} carry a pose; wanted at least {FEWEST}")
-    backwards = rows[::-1]
-    count = flight_length(track, die, backwards)
-    if count < FEWEST:
-        raise ValueError(
-            f"{count} frames lie between the last bounce and row {row}; wanted at least {FEWEST}: begin from a later frame"
-        )
-    return _outset(track, backwards[:count][::-1])
+    begin, first = 0, None
+    # Forwards from the first frame: three frames that a bounce parts would pass for a flight of their own.
+    while len(rows) - begin >= FEWEST:
+        count = flight_length(track, die, rows[begin:])
+        if first is None:
+            first = outset_of(track, rows[:count])
+        begin += count
+        if begin == len(rows):
+            last = outset_of(track, rows[begin - count :])
+            if last.scatters_like(first):
+                return last
+            raise ValueError(
+                f"the {count} frames before row {row} make no free flight: they scatter by {1e3 * last.sigma_m:.2g} mm and "
+                f"{np.degrees(last.sigma_rad):.2g} degrees about the nearest; wanted a frame before the die rolls or lies"
+            )
+    raise ValueError(
+        f"{len(rows) - begin} frames with a pose lie before row {row} in one flight; wanted at least {FEWEST}: begin from "
+        "another frame"
+    )
 
 
-def _outset(track: Track, rows: Indices) -> Outset:
+def outset_of(track: Track, rows: Indices) -> Outset:
+    """The state from three rows or more that one flight is known to hold."""
     state, errors, jacobian = _nearest(track, rows)
     sigma_m, sigma_rad = _scatter(errors)
     weighted = jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None]
@@ -121,7 +140,7 @@ def _outset(track: Track, rows: Indices) -> Outset:
 
 
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
-    """How many of `rows` (three or more), forwards or backwards in time, the flight at their beginning lasts."""
+    """How many of `rows` (three or more) the flight at their beginning lasts."""
     interval = float(np.median(np.abs(np.diff(track.time_s[rows]))))
     ended = len(rows)
     for n in range(FEWEST, len(rows)):

@@ -29,7 +29,8 @@ from ..model.solids import Die
 from ..model.touch import packed_state
 from ..tracking.track import ABSENT, TRACKED, Track
 from .flights import moved_state
-from .outset import FEWEST, Outset, flight_length, outset_before, usable_rows
+from .landing import resting_face
+from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
 from .physics import Physics
 from .results import Parameter
 
@@ -198,11 +199,17 @@ def decided_at(
     draws: int = DRAWS,
     seed: int = 0,
 ) -> Decision:
-    """The odds from the frames before `row`, then from those of every later flight of at least three frames."""
-    steps = []
-    for bounces, outset in _flights_from(track, physics, row):
+    """The odds from the frames before `row`, then from those of every later flight of at least three frames, and what the
+    last frames show where the die lies still in them."""
+    steps, flights = [], _flights_from(track, physics, row)
+    for bounces, outset in flights:
         odds, none = face_odds(physics, parameters, outset, draws=draws, seed=seed)
         steps.append(Odds(bounces, outset.state.time_s, len(outset.rows), odds, none))
+    rested = resting_face(track, physics.die)
+    if rested is not None:
+        lies = {face: float(face == rested) for face in range(1, len(physics.die.solid.faces) + 1)}
+        end_s = float(track.time_s[usable_rows(track)[-1]])
+        steps.append(Odds(flights[-1][0] + 1, end_s, 0, lies, 0.0))
     settled = None
     for step in reversed(steps):
         if step.odds[step.likeliest] < SURE or (settled and step.likeliest != settled.likeliest):
@@ -216,14 +223,19 @@ def decided_at(
 def _flights_from(track: Track, physics: Physics, row: int) -> list[tuple[int, Outset]]:
     """The flight before `row` and those after it, each with the number of bounces seen since the first of them.
 
-    A flight ends where its frames no longer foretell the next one; what is too short to be told is passed over.
+    A flight ends where its frames no longer foretell the next one. The last is followed by frames that scatter far more
+    about any flight: there the die rolls or lies on the table.
     """
-    found = [(0, outset_before(track, physics.die, row))]
+    first = outset_before(track, physics.die, row)
+    found = [(0, first)]
     rows = usable_rows(track)
     begin, bounces = int(np.searchsorted(rows, row)), 1
     while len(rows) - begin >= FEWEST:
         end = begin + flight_length(track, physics.die, rows[begin:])
-        found.append((bounces, outset_before(track, physics.die, int(rows[end - 1]) + 1)))
+        outset = outset_of(track, rows[begin:end])
+        if not outset.scatters_like(first):
+            break
+        found.append((bounces, outset))
         begin, bounces = end, bounces + 1
     return found
 

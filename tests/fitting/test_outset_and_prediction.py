@@ -12,6 +12,7 @@ from diethrow.fitting.outset import first_bounce_row, outset_before
 from diethrow.fitting.physics import Physics
 from diethrow.fitting.prediction import SURE, decided_at, foretell, simulated_poses
 from diethrow.fitting.results import Parameter
+from diethrow.model import kernels
 from diethrow.model.motion import State, Throw
 from diethrow.model.rotations import rotation_between
 from diethrow.model.simulate import Until, throw_die
@@ -46,8 +47,6 @@ def test_poses_without_objects_are_those_of_the_throw(name: str) -> None:
     release, throw = thrown(name)
     times = np.linspace(0.0, 0.35, 300)
     # To rest, so that held contact is in it; both run the same kernel with the same precision.
-    from diethrow.model import kernels
-
     positions, quaternions = simulated_poses(physics(name), release, times, kernels.FINE)
     expected_positions, expected_quaternions = throw.poses(times)
     assert any(impact.contact == "held" for impact in throw.impacts)
@@ -118,15 +117,15 @@ def test_errors_of_the_state_are_those_that_it_states() -> None:
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)
 
 
-def test_what_is_foretold_without_noise_is_the_throw() -> None:
-    track, throw = filmed(noise=0.0)
+def test_what_is_foretold_almost_without_noise_is_the_throw() -> None:
+    track, throw = filmed(noise=1e-6)
     row = first_bounce_row(track, CUBE)
     outset = outset_before(track, CUBE, row)
     told = foretell(physics("friction"), track, outset)
     assert told.tracked.all()
-    # Two bounces on, rounding in the state has grown a thousandfold, and contact is followed more coarsely.
+    # Two bounces on, an error of the state of 1e-10 m has grown some four hundredfold.
     until = np.searchsorted(track.time_s, throw.bounces[2].time_s)
-    assert told.position_m[:until] == pytest.approx(throw.poses(track.time_s[:until])[0], abs=1e-7)
+    assert told.position_m[:until] == pytest.approx(throw.poses(track.time_s[:until])[0], abs=1e-6)
 
 
 def test_a_throw_that_is_over_is_decided_and_one_in_the_air_is_less_so() -> None:
@@ -145,7 +144,7 @@ def test_what_cannot_be_foretold_says_why() -> None:
     row = first_bounce_row(track, CUBE)
     with pytest.raises(ValueError, match="wanted at least 3"):
         outset_before(track, CUBE, 2)
-    with pytest.raises(ValueError, match="begin from a later frame"):
+    with pytest.raises(ValueError, match="begin from another frame"):
         outset_before(track, CUBE, row + 2)
     flying = replace(track, status=np.where(np.arange(len(track)) < row - 1, track.status, "lost"))
     with pytest.raises(ValueError, match="never bounces"):
