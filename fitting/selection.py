@@ -230,7 +230,7 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
         if np.linalg.eigvalsh(loose)[0] < _FIXED:
             costs.append(np.nan)
             continue
-        apart = np.linalg.solve(loose, residuals[rows].ravel()).reshape(-1, 6)
+        apart = np.linalg.solve(loose, residuals[rows].ravel()).reshape(-1, 6).astype(np.float64)
         kept, _ = huber(apart, np.empty((len(apart), 6, 0)), k2)
         costs.append(float((kept**2).sum()))
     return np.array(costs)

@@ -1536,7 +1536,14 @@ def rub_step(
 
 @njit(cache=True)
 def rides_for_ever(
-    body: Body, mu: float, plane: Plane, state: Array, time: float, dt: float, active: NDArray[np.bool_]
+    body: Body,
+    mu: float,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    active: NDArray[np.bool_],
+    sweep: float,
 ) -> bool:
     """Whether a die that moves as its table does will always do so. It is pressed least where the table accelerates down
     most; if it neither slips nor tips there within a step of dt [s], it does so nowhere."""
@@ -1548,7 +1555,7 @@ def rides_for_ever(
     still, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
     still[9] = 0.0
     at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
-    pressing = rub_step(body, mu, at_rest, still, time, dt, active, room[0], room[1], room[2], after)
+    pressing = rub_step(body, mu, at_rest, still, time, dt, active, room[0], room[1], room[2], after, sweep)
     return pressing >= 3 and not after[7:13].any()
 
 
@@ -1591,7 +1598,12 @@ def rough_rub(
             if for_ever:
                 return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots, known
             return TIME_REACHED, limit, -1, knots, known
-        if for_ever and not fixed and pressing >= 3 and rides_for_ever(body, mu, plane, after, time + dt, dt, active):
+        if (
+            for_ever
+            and not fixed
+            and pressing >= 3
+            and rides_for_ever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
+        ):
             state[:] = after
             return RESTED, time + dt - begin, -1, knots, known
         hit = lowest_free(body, plane, after, time + dt, active)
