@@ -1498,7 +1498,7 @@ def rub_step(
     guess: Array,
     impulses: Array,
     after: Array,
-    sweep: float,
+    sweep: float = 1e-12,
 ) -> int:
     """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
 
