@@ -7,7 +7,7 @@ and puts the records into a folder that appears whole or not at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,7 @@ from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
 from .tracking.clip import Clip, open_clip
+from .tracking.coarser import WHOLE, Coarseness
 from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
@@ -61,7 +62,8 @@ class Tracking:
     """What the footage says, before any model of an impact."""
 
     clips: tuple[Clip, ...]
-    """One a camera."""
+    """One a camera, as they were looked through."""
+    cameras: tuple[Camera, ...]
     die: Die
     """The scene's, with its faces in the order of the numbers on them where those could be read."""
     faces: FaceNumbers
@@ -117,18 +119,20 @@ def analyze(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
+    `coarseness` leaves out frames, or makes the pictures smaller.
     `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
     without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch, quality)
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
@@ -140,7 +144,7 @@ def analyze(
             measured=tracking.measured,
             fps=_rate_hz(tracking.frames),
             clip=tracking.clips[0],
-            camera=scene.views()[0].camera,
+            camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
             notices=notices,
@@ -156,6 +160,7 @@ def track_only(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Tracking:
@@ -163,7 +168,7 @@ def track_only(
     watch = Stopwatch()
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch, quality)
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         write_tracking(folder, scene, tracking)
         _write_origin(folder, scene, command, input_paths(scene), watch)
     return tracking
@@ -227,6 +232,7 @@ def track_scene(
     watch: Stopwatch | None = None,
     quality: Quality = STANDARD,
     clips: Sequence[Clip] | None = None,
+    coarseness: Coarseness = WHOLE,
 ) -> Tracking:
     """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
 
@@ -238,19 +244,23 @@ def track_scene(
     with watch.stage("open"):
         clips = [open_footage(scene, view) for view in views] if clips is None else clips
         backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+    cameras = tuple(view.camera for view in views)
+    if not coarseness.is_whole:
+        scene, clips, backgrounds, cameras = _coarser(scene, clips, backgrounds, coarseness)
     try:
         with watch.stage("track"):
             progress("Following the die", 0, len(clips[0]))
-            followed = _follow(scene, clips, backgrounds, quality, progress)
+            followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
         faces = read_faces(scene.die, followed.marks)
-        die, frames = with_numbers(scene.die, faces), followed.track
-        straight, measured, smoothed = _bounces(frames, scene.path, die, views[0].camera, progress, watch)
+        die = with_numbers(scene.die, faces)
+        frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
+        straight, measured, smoothed = _bounces(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(tuple(clips), die, faces, frames, straight, measured, smoothed, followed.offsets)
+    return Tracking(tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -292,9 +302,31 @@ def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | N
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
+def _coarser(
+    scene: Scene,
+    clips: Sequence[Clip],
+    backgrounds: Sequence[NDArray[np.float32] | None],
+    coarseness: Coarseness,
+) -> tuple[Scene, list[Clip], list[NDArray[np.float32] | None], tuple[Camera, ...]]:
+    """Everything that a scene says of its footage, for the part of it that is used."""
+    if scene.start is not None:
+        wanted = "a first pose by hand goes with the whole clip: leave out [start], or use every frame at its own size"
+        raise refuse(scene.path, "start.frame", scene.start.frame, wanted)
+    first = clips[0].first_frame
+    source = replace(scene.clip, excluded=coarseness.rows(first, scene.clip.excluded))
+    try:
+        fewer = [coarseness.clip(clip) for clip in clips]
+    except ValueError as error:
+        raise SceneError(f"{scene.path}: {error}") from error
+    smaller = [None if picture is None else coarseness.picture(picture) for picture in backgrounds]
+    cameras = tuple(coarseness.camera(view.camera) for view in scene.views())
+    return replace(scene, clip=source), fewer, smaller, cameras
+
+
 def _follow(
     scene: Scene,
     clips: Sequence[Clip],
+    cameras: Sequence[Camera],
     backgrounds: Sequence[NDArray[np.float32] | None],
     quality: Quality,
     progress: Progress,
@@ -302,7 +334,7 @@ def _follow(
     try:
         return look_through(
             clips,
-            [view.camera for view in scene.views()],
+            cameras,
             scene.die,
             background=backgrounds,
             exposure_s=scene.clip.exposure_s,
