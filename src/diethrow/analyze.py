@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .fitting.results import Fit
-from .fitting.whole_throw import fit_throw
+from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder
@@ -120,12 +120,14 @@ def analyze(
     force: bool = False,
     quality: Quality = STANDARD,
     coarseness: Coarseness = WHOLE,
+    intervals: IntervalMethod = "profile",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
-    `coarseness` leaves out frames, or makes the pictures smaller.
+    `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
+    from.
     `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
     without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
     """
@@ -133,7 +135,7 @@ def analyze(
     check_scene(scene)
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
-        fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch)
+        fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = _write_model(folder, fit, tracking.frames)
@@ -180,6 +182,7 @@ def fit_track(
     out: Path,
     *,
     force: bool = False,
+    intervals: IntervalMethod = "profile",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -190,7 +193,7 @@ def fit_track(
     inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
-        fit = _fit(frames, measured, scene.die, progress, watch)
+        fit = _fit(frames, measured, scene.die, progress, watch, intervals)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = _write_model(folder, fit, frames)
@@ -377,10 +380,12 @@ def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
         )
 
 
-def _fit(frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch) -> Fit:
+def _fit(
+    frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch, intervals: IntervalMethod
+) -> Fit:
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames_in_flight(frames, measured), measured, die)
+        return fit_throw(frames_in_flight(frames, measured), measured, die, intervals=intervals)
 
 
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:

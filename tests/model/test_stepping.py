@@ -38,9 +38,7 @@ def test_all_land_on_a_face_of_the_die() -> None:
     assert set(np.unique(faces)) <= set(range(1, 7))
 
 
-@pytest.mark.parametrize(
-    ("values", "message"), [({"chi": 1.5}, r"chi = 1\.5"), ({"step_s": 0.0}, r"step_s = 0\.0")]
-)
+@pytest.mark.parametrize(("values", "message"), [({"chi": 1.5}, r"chi = 1\.5"), ({"step_s": 0.0}, r"step_s = 0\.0")])
 def test_what_the_method_does_not_have_is_refused(values: dict[str, float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         stepped_landings(CUBE, **{"chi": 0.5, "starts": releases(1), "step_s": 1e-3, **values})  # type: ignore[arg-type]
