@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .executors import one_thread
 from .fitting.results import Fit
 from .fitting.whole_throw import fit_throw
 from .model.motion import Throw
@@ -128,7 +129,7 @@ def analyze(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
-    with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality)
         fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch)
         notices = tracking.notices
@@ -164,7 +165,7 @@ def track_only(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
-    with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality)
         write_tracking(folder, scene, tracking)
         _write_origin(folder, scene, command, inputs, watch)
@@ -185,7 +186,7 @@ def fit_track(
     scene.still_table()
     frames = read_track(track_path)
     paths = (scene.path, track_path, *_if_there(covariance_path(track_path)))
-    with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
         fit = _fit(frames, measured, scene.die, progress, watch)
         write_vertices(folder / "vertices.csv", scene.die.solid)
