@@ -342,6 +342,7 @@ def odds(
     phase: Phase = 0.0,
     seed: Annotated[int, typer.Option("--seed", help="Of the releases.")] = 1,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
@@ -368,13 +369,14 @@ def odds(
         from .odds import odds as throw_often
         from .odds import summary
 
-        with _progress() as progress:
+        with _executor(scheduler) as executor, _progress() as progress:
             tallies = throw_often(
                 plan,
                 out,
                 force=force,
                 resume=resume,
                 threads=threads or _cores(),
+                executor=executor,
                 progress=progress,
                 command=_as_typed(),
             )
@@ -433,6 +435,7 @@ def basins(
     samples: Annotated[int, typer.Option("--samples", help="Conditions drawn for --predictability.")] = 8192,
     seed: Annotated[int, typer.Option("--seed", help="Of those conditions.")] = 1,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
@@ -461,13 +464,14 @@ def basins(
         from .basins import basins as map_basins
         from .basins import summary
 
-        with _progress() as progress:
+        with _executor(scheduler) as executor, _progress() as progress:
             mapped, measured = map_basins(
                 plan,
                 out,
                 force=force,
                 resume=resume,
                 threads=threads or _cores(),
+                executor=executor,
                 progress=progress,
                 command=_as_typed(),
             )
@@ -761,7 +765,9 @@ def _two_counts(name: str, text: str) -> tuple[int, int]:
 
 def _cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    from .executors import cores
+
+    return cores()
 
 
 def _as_typed() -> tuple[str, ...]:

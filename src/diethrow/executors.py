@@ -22,6 +22,8 @@ T = TypeVar("T")
 
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 """What the libraries under numpy, scipy and numba read when they are loaded."""
+ANSWER_S = 10.0
+"""For a scheduler to answer."""
 SECONDS_TO_STOP = 5.0
 """For a worker to sweep up after itself before it is killed."""
 
@@ -223,17 +225,21 @@ def cluster_at(address: str) -> Iterator[Executor]:
     Dask is not installed, ConnectionError where nobody answers.
     """
     try:
-        from distributed import Client
+        from distributed import Client, KilledWorker
     except ImportError as error:
         raise ValueError("--scheduler needs Dask; try pip install 'diethrow[distributed]'") from error
     try:
-        client = Client(address, timeout="10s", set_as_default=False)
+        client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split())
         raise ConnectionError(f"no Dask scheduler answers at {address} ({reason}); try dask scheduler there") from error
     try:
         _demand_same_version(client, address)
         yield client.get_executor(pure=False)
+    except KilledWorker as error:
+        raise ConnectionError(
+            f"workers of the cluster at {address} died of their work ({error}); see their logs"
+        ) from error
     finally:
         client.close()
 
