@@ -17,8 +17,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import partial
 from math import cos, inf, sin, sqrt
 from statistics import NormalDist
 from typing import Any, Protocol, TypeVar
@@ -302,27 +303,30 @@ def tally_throws(
     begun: Tally | None = None,
     chunk: int = BLOCK,
     threads: int = 1,
+    executor: Executor | None = None,
 ) -> Iterator[Tally]:
     """Throw `throws` times and yield the tally so far after every chunk; the last is the tally of all.
 
-    `begun` is a tally of the same ensemble to go on from. `chunk` and `threads` change the speed, never a count. Raises
-    ValueError for conditions that could release the die below the table.
+    `begun` is a tally of the same ensemble to go on from. `chunk`, `threads` and `executor` (see `in_order`) change the
+    speed, never a count. Raises ValueError for conditions that could release the die below the table.
     """
     check_releases(stage, conditions)
     if throws < 1 or chunk < 1 or threads < 1 or after < 0:
         raise ValueError(
             f"throws = {throws}, chunk = {chunk}, threads = {threads}, after = {after}: wanted 1 or more, after 0 or more"
         )
-    faces = len(stage.die.solid.faces)
-    tally = Tally.nothing(faces, after) if begun is None else begun
-
-    def work(first: int, end: int) -> Tally:
-        return Tally.of(stage.throw(drawn_states(conditions, stage.die, seed, first, end), after), faces)
-
+    tally = Tally.nothing(len(stage.die.solid.faces), after) if begun is None else begun
+    work = partial(tally_of, stage, conditions, seed, after)
     yield tally
-    for _, _, part in in_order(work, tally.throws, throws, chunk, threads):
+    for _, _, part in in_order(work, tally.throws, throws, chunk, threads, executor):
         tally += part
         yield tally
+
+
+def tally_of(stage: Stage, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
+    """The tally of throws number `first` to `end` - 1 of a seed alone."""
+    states = drawn_states(conditions, stage.die, seed, first, end)
+    return Tally.of(stage.throw(states, after), len(stage.die.solid.faces))
 
 
 def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: int) -> Array:
@@ -336,14 +340,22 @@ def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: i
 
 
 def in_order(
-    work: Callable[[int, int], T], first: int, end: int, chunk: int, threads: int
+    work: Callable[[int, int], T],
+    first: int,
+    end: int,
+    chunk: int,
+    threads: int,
+    executor: Executor | None = None,
 ) -> Iterator[tuple[int, int, T]]:
     """`work(i, j)` for the chunks of first to end, on several threads; yields (i, j, result) in order.
+
+    An `executor` takes the place of the threads, of which `threads` then says how many calls it works on at a time; where
+    its workers are other processes, `work` must be something that can be pickled.
 
     At most a few chunks are ahead of the one that is yielded, so that memory stays as it is. Whatever stops the caller
     drops the chunks that are not begun and waits for those that are.
     """
-    pool = ThreadPoolExecutor(threads)
+    pool = ThreadPoolExecutor(threads) if executor is None else executor
     ahead: deque[tuple[int, int, Future[T]]] = deque()
     try:
         for i in range(first, end, chunk):
@@ -355,7 +367,10 @@ def in_order(
             done = ahead.popleft()
             yield done[0], done[1], done[2].result()
     finally:
-        pool.shutdown(cancel_futures=True)
+        for _, _, future in ahead:
+            future.cancel()
+        if executor is None:
+            pool.shutdown()
 
 
 def states_of(numbers: Array) -> Array:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2, Throw
@@ -75,7 +76,7 @@ CONTRADICTED = 30.0
 WORTHWHILE = 8.0
 """Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
 faces do, where they were learned matters more than what they add."""
-THREADS = 2
+THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
 """Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
 

@@ -40,12 +40,22 @@ TIFF_DAMAGE = (
 
 def open_pictures(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
     """A numbered sequence, named by its folder, by a glob pattern, or by one of its pictures; or a multi-page TIFF."""
-    if path.is_file() and is_tiff(path):
-        with _opened_tiff(path) as tiff:
-            one_page = _page_count(tiff) == 1
-        if not one_page:
-            return TiffClip(path, fps, frame_range)
+    if _is_whole_film(path):
+        return TiffClip(path, fps, frame_range)
     return PictureClip(path, picture_files(path), fps, frame_range)
+
+
+def files_of_pictures(path: Path) -> tuple[Path, ...]:
+    """The files that `open_pictures` reads; raises ValueError where it would."""
+    return (path,) if _is_whole_film(path) else tuple(picture_files(path))
+
+
+def _is_whole_film(path: Path) -> bool:
+    """Whether a path is a TIFF of several pages, and not one picture of a sequence."""
+    if not (path.is_file() and is_tiff(path)):
+        return False
+    with _opened_tiff(path) as tiff:
+        return _page_count(tiff) != 1
 
 
 def is_tiff(path: Path) -> bool:

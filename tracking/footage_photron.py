@@ -86,9 +86,15 @@ def is_photron(path: Path) -> bool:
 
 def open_photron(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
     """The film behind a header or its pixels; raises ValueError or FileNotFoundError where the two do not fit."""
-    pixels = path.suffix.lower() == ".mraw"
-    header_path = _beside(path, HEADER_SUFFIXES) if pixels else path
-    return PhotronClip(header_path, path if pixels else _beside(path, (".mraw",)), fps, frame_range)
+    header, pixels = photron_files(path)
+    return PhotronClip(header, pixels, fps, frame_range)
+
+
+def photron_files(path: Path) -> tuple[Path, Path]:
+    """Header and pixels, from either of them; raises FileNotFoundError where the other is not beside it."""
+    if path.suffix.lower() == ".mraw":
+        return _beside(path, HEADER_SUFFIXES), path
+    return path, _beside(path, (".mraw",))
 
 
 class PhotronClip(Footage):

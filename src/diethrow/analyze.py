@@ -13,12 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .executors import one_thread
 from .fitting.results import Fit
 from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder
-from .provenance import Stopwatch, write_provenance
+from .provenance import InputFile, Stopwatch, steady, write_provenance
 from .records import (
     covariance_path,
     read_track,
@@ -38,7 +39,7 @@ from .settings import SceneError, refuse
 from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
-from .tracking.clip import Clip, open_clip
+from .tracking.clip import Clip, clip_files, open_clip
 from .tracking.coarser import WHOLE, Coarseness
 from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
@@ -133,7 +134,8 @@ def analyze(
     """
     watch = Stopwatch()
     check_scene(scene)
-    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
@@ -152,7 +154,7 @@ def analyze(
             notices=notices,
         )
         _write_replay(folder, record, progress, watch)
-        _write_origin(folder, scene, command, input_paths(scene), watch)
+        _write_origin(folder, scene, command, inputs, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
 
 
@@ -169,10 +171,11 @@ def track_only(
     """The tracking stage alone, written to the folder `out`. Raises as `analyze`."""
     watch = Stopwatch()
     check_scene(scene)
-    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         write_tracking(folder, scene, tracking)
-        _write_origin(folder, scene, command, input_paths(scene), watch)
+        _write_origin(folder, scene, command, inputs, watch)
     return tracking
 
 
@@ -190,8 +193,8 @@ def fit_track(
     watch = Stopwatch()
     scene.still_table()
     frames = read_track(track_path)
-    inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
-    with whole_folder(out, force=force, inputs=inputs) as folder:
+    paths = (scene.path, track_path, *_if_there(covariance_path(track_path)))
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
         fit = _fit(frames, measured, scene.die, progress, watch, intervals)
         write_vertices(folder / "vertices.csv", scene.die.solid)
@@ -282,9 +285,10 @@ def open_footage(scene: Scene, view: View) -> Clip:
 
 
 def input_paths(scene: Scene) -> tuple[Path, ...]:
-    """Every file or folder that an analysis of this scene reads."""
-    views = [path for view in scene.cameras for path in (view.path, view.background_path) if path is not None]
-    return (scene.path, *views)
+    """Every file that an analysis of this scene reads."""
+    clips = [file for view in scene.cameras if view.path is not None for file in clip_files(view.path)]
+    backgrounds = [view.background_path for view in scene.cameras if view.background_path is not None]
+    return tuple(dict.fromkeys((scene.path, *clips, *backgrounds)))
 
 
 def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
@@ -411,7 +415,7 @@ def _write_replay(folder: Path, record: Record, progress: Progress, watch: Stopw
 
 
 def _write_origin(
-    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[Path, ...], watch: Stopwatch
+    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[InputFile, ...], watch: Stopwatch
 ) -> None:
     write_provenance(
         folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
