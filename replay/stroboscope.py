@@ -28,7 +28,7 @@ from .video import Window, display_window
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-WIDTHS = {"measured": 1.5, "simulated": 0.7}
+WIDTHS = {"measured": 1.8, "simulated": 0.7}
 """Of the edges [points]: where both motions agree the model's line lies within the measured one."""
 MOST_EXPOSURES = 24
 FARTHEST_OVERLAP = 0.45
@@ -79,8 +79,7 @@ def bounce_strip(
     Impacts within three frames share a row. All pictures of a row show the same piece of the camera's view, so that the
     table stands still in them. A bounce with fewer than two poses around it is left out. Raises ValueError where nothing is left.
     """
-    around = ((row, _frames_around(clip, camera, solid, motions[0], impacts, row)) for row in _in_rows(clip, impacts))
-    shown = [(row, frames) for row, frames in around if sum(frame is not None for frame in frames) > 1][:MOST_ROWS]
+    shown = rows_of_strip(clip, camera, solid, motions[0], impacts)
     if not shown:
         raise ValueError("no bounce has two frames of the clip with poses around it, so there is no strip to draw")
     corners = [_corner_box(camera, solid, motions[0], [k for k in frames if k is not None]) for _, frames in shown]
@@ -107,6 +106,14 @@ def bounce_strip(
     ax.set_xlabel("time from the impact, in each picture [ms]")
     ax.set_ylabel("bounce [number]")
     return ax
+
+
+def rows_of_strip(
+    clip: Clip, camera: Camera, solid: Solid, motion: Motion, impacts: Sequence[Impact]
+) -> list[tuple[list[int], list[int | None]]]:
+    """The rows of `bounce_strip`: indices of the impacts that share one, and its frames, None where there is no pose."""
+    around = [(row, _frames_around(clip, camera, solid, motion, impacts, row)) for row in _in_rows(clip, impacts)]
+    return [(row, frames) for row, frames in around if sum(frame is not None for frame in frames) > 1][:MOST_ROWS]
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +143,7 @@ class Crop:
 
 
 def _label(ax: Axes, text: str, crop: Crop) -> None:
-    x, y = crop.place + [0.06, 0.06]
+    x, y = crop.place + 0.06
     ax.text(
         x,
         y,

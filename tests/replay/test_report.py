@@ -141,5 +141,5 @@ def test_an_interval_is_written_with_two_digits_of_its_width(width: float, decim
 
 def test_numbers_have_a_true_minus_sign_and_no_bare_nan() -> None:
     assert words.number(-0.5) == "−0.5"
-    assert words.number(1.5e-7) == "1.5 × 10^−7"
+    assert words.number(1.5e-7) == "1.5 × 10⁻⁷"
     assert words.number(np.nan) == words.fixed(np.nan, 3) == words.number(None) == "not determined"
