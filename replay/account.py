@@ -1,16 +1,13 @@
-"""What a page tells of a run besides the throw itself: checks, odds on the way, and where the numbers come from."""
+"""What a page tells of a run besides the throw itself: checks, the frames by themselves, and where the numbers come from."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..tracking.track import Track
 from ..tracking.verdicts import Finding
-
-if TYPE_CHECKING:
-    from ..fitting.prediction import Decision
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,7 +18,5 @@ class Account:
     """The poses of single frames, as the fit saw them: their residuals show noise as noise."""
     findings: tuple[Finding, ...] = ()
     """Timing and calibration, as the finished throw shows them."""
-    decision: Decision | None = None
-    """The odds of the faces bounce by bounce, and when they were settled."""
     origin: Mapping[str, Any] | None = None
     """Version, command, inputs with their SHA-256, packages and timings, by the keys of `provenance.json`."""

@@ -21,12 +21,10 @@ from ..tracking.camera import Camera
 from ..tracking.clip import Clip
 from .outline import outlines
 from .palette import AXIS_COLOURS, COLOURS, FACE_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
-from .record import Motion, Residuals
-from .standardised import Standardised
+from .record import Estimate, Motion, Residuals
 from .video import display_window
 
 if TYPE_CHECKING:
-    from ..fitting.prediction import Decision
     from ..fitting.results import Parameter
 
 Array = NDArray[np.float64]
@@ -99,14 +97,16 @@ def sigma_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -
     return _time_axis(ax)
 
 
-def standardised_positions(ax: Axes, rest: Standardised, impacts: Sequence[Impact] = ()) -> Axes:
+def position_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
     """Measured minus simulated position by world axis, each in standard errors of the measured one; the band holds two."""
-    return _in_sigmas(ax, rest.time_s, rest.position, impacts, "position residual [σ]")
+    scaled = rest.position_mm / rest.standard_errors[:, :3]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "position residual [σ]")
 
 
-def standardised_turns(ax: Axes, rest: Standardised, impacts: Sequence[Impact] = ()) -> Axes:
+def turn_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
     """The rotation from simulated to measured about each world axis, in standard errors; the band holds two."""
-    return _in_sigmas(ax, rest.time_s, rest.turn, impacts, "rotation residual [σ]")
+    scaled = rest.turn_deg / rest.standard_errors[:, 3:]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "rotation residual [σ]")
 
 
 def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> Axes:
@@ -174,16 +174,15 @@ def face_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
     return _plain(ax)
 
 
-def odds_on_the_way(ax: Axes, decision: Decision, impacts: Sequence[Impact] = ()) -> Axes:
-    """The odds of each face as frames come in, a step after every flight; a line marks where they were settled."""
-    times = [1e3 * step.time_s for step in decision.steps]
-    for face in sorted(decision.steps[0].odds):
-        shares = [step.odds[face] for step in decision.steps]
+def odds_on_the_way(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
+    """The odds of each face by the fit of the frames up to then, from each estimate until the next."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    times = [1e3 * estimate.time_s for estimate in known]
+    for face in sorted({face for estimate in known for face in estimate.face_odds or {}}):
+        shares = [(estimate.face_odds or {}).get(face, 0.0) for estimate in known]
         if max(shares) > 0.0:
             colour = hex_colour(FACE_COLOURS[(face - 1) % len(FACE_COLOURS)])
             ax.step(times, shares, "-o", where="post", color=colour, markersize=4.0, label=f"face {face}")
-    if decision.time_s is not None:
-        ax.axvline(1e3 * decision.time_s, color="#1d2126", linewidth=1.2, zorder=1)
     _mark_impacts(ax, impacts)
     ax.set_ylim(-0.03, 1.05)
     ax.set_ylabel("odds of landing [1]")

@@ -18,7 +18,6 @@ from . import figures
 from .account import Account
 from .pages import SAVING, as_address, captioned, drawing, legended
 from .record import Motion, Record, motions_of, residuals
-from .standardised import standardised
 from .stroboscope import COLUMNS, bounce_strip, rows_of_strip, stroboscope
 
 WIDE, NARROW = 8.4, 5.2
@@ -148,25 +147,24 @@ def misfits(record: Record, account: Account) -> Iterator[Plate]:
     """Measured minus simulated."""
     if record.simulated is None:
         return
-    alone = account.frames is not None
     impacts = record.measured.bounces
-    rest, in_sigmas = (
-        residuals(record.track, record.simulated),
-        standardised(account.frames or record.track, record.simulated),
-    )
-    if len(in_sigmas.time_s):
+    smoothed, alone = residuals(record.track, record.simulated), None
+    if account.frames is not None:
+        alone = residuals(account.frames, record.simulated)
+    rest, in_sigmas = smoothed, alone or smoothed
+    if np.isfinite(in_sigmas.standard_errors).any():
         yield Plate(
             "residuals_position_sigmas",
             (WIDE, 2.3),
             "Measured minus simulated position, world axes, in standard errors of the measured one. "
-            + (FRAMES_ALONE if alone else SMOOTHED),
-            lambda ax: figures.standardised_positions(ax, in_sigmas, impacts),
+            + (SMOOTHED if alone is None else FRAMES_ALONE),
+            lambda ax: figures.position_sigmas(ax, in_sigmas, impacts),
         )
         yield Plate(
             "residuals_rotation_sigmas",
             (WIDE, 2.3),
             "The rotation from the simulated to the measured orientation about the world axes, likewise.",
-            lambda ax: figures.standardised_turns(ax, in_sigmas, impacts),
+            lambda ax: figures.turn_sigmas(ax, in_sigmas, impacts),
         )
     if len(rest.frame):
         yield Plate(
@@ -183,7 +181,7 @@ def misfits(record: Record, account: Account) -> Iterator[Plate]:
         )
 
 
-def of_fit(record: Record, account: Account) -> Iterator[Plate]:
+def of_fit(record: Record) -> Iterator[Plate]:
     """What the fit says of its numbers, and of the landing."""
     fit = record.fit
     if fit is None:
@@ -201,13 +199,15 @@ def of_fit(record: Record, account: Account) -> Iterator[Plate]:
     if odds:
         caption = "Where throws that are drawn from the fit and simulated on come to rest."
         yield Plate("odds", (NARROW, 2.6), caption, lambda ax: figures.face_odds(ax, odds))
-    decision = account.decision
-    if decision is not None and decision.steps:
-        caption = "Odds of the faces from the frames up to each instant, by the fitted law; dashed: the bounces."
-        if decision.time_s is not None:
-            caption += " The line marks where one face was settled."
+    if sum(bool(estimate.face_odds) for estimate in record.estimates) > 1:
+        caption = "Odds of the faces by fits of the frames before each bounce, from there on. Dashed: the bounces."
         impacts = record.measured.bounces
-        yield Plate("odds_on_the_way", (WIDE, 2.6), caption, lambda ax: figures.odds_on_the_way(ax, decision, impacts))
+        yield Plate(
+            "odds_on_the_way",
+            (WIDE, 2.6),
+            caption,
+            lambda ax: figures.odds_on_the_way(ax, record.estimates, impacts),
+        )
 
 
 def as_html(chosen: Iterable[Plate]) -> str:

@@ -22,13 +22,13 @@ from .words import (
     UNKNOWN,
     chi_of,
     decimals_for,
-    decision_sentence,
     effects_sentences,
     fixed,
     landing_sentence,
     meaning,
     number,
     role,
+    settled_sentence,
     verdict,
 )
 
@@ -59,7 +59,7 @@ def page(record: Record, account: Account | None = None, replay: Path | None = N
         _bounces(record),
         _fit(record),
         _residuals(record, told),
-        _landing(record, told),
+        _landing(record),
         _checks(record, told),
         _origin(told.origin),
         viewer_html(replay) if replay is not None else "",
@@ -142,7 +142,7 @@ def _fit(record: Record) -> str:
         parts += ["<h3>Effects</h3>", _effects(fit)]
     if fit.initial is not None:
         parts += ["<h3>Initial conditions</h3>", _initial(fit.initial, fit)]
-        parts += [plate.as_html() for plate in plates.of_fit(record, Account()) if plate.name == "correlations"]
+        parts += [plate.as_html() for plate in plates.of_fit(record) if plate.name == "correlations"]
     if fit.messages:
         parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
     return "\n".join(parts)
@@ -156,14 +156,12 @@ def _residuals(record: Record, account: Account) -> str:
     return f"<h2>Residuals</h2>\n{shown or nothing}"
 
 
-def _landing(record: Record, account: Account) -> str:
+def _landing(record: Record) -> str:
     if record.fit is None:
         return ""
-    parts = ["<h2>Landing</h2>", f"<p>{escape(landing_sentence(record.fit))}"]
-    if account.decision is not None:
-        parts.append(escape(decision_sentence(account.decision)))
-    parts.append("</p>")
-    parts += [plate.as_html() for plate in plates.of_fit(record, account) if plate.name.startswith("odds")]
+    said = [landing_sentence(record.fit), *settled_sentence(record.estimates)]
+    parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(said))}</p>"]
+    parts += [plate.as_html() for plate in plates.of_fit(record) if plate.name.startswith("odds")]
     return "\n".join(parts)
 
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from ..model.motion import Impact
 from ..tracking.track import ABSENT
-from .record import Record
+from .record import Estimate, Record
 
 if TYPE_CHECKING:
-    from ..fitting.prediction import Decision
     from ..fitting.results import Fit, Parameter
 
 UNKNOWN = "not determined"
@@ -164,12 +163,25 @@ def effects_sentences(fit: Fit) -> list[str]:
     return said
 
 
-def decision_sentence(decision: Decision) -> str:
-    """When the outcome was decided, if it was."""
-    if decision.face is None or decision.time_s is None:
-        return "By the frames and the fitted law no face was settled before the frames end."
-    when = "before the first bounce" if not decision.bounces else f"after {plural(decision.bounces, 'bounce')}"
-    return f"Face {decision.face} was settled {when}, with the frames up to {fixed(1e3 * decision.time_s, 1)} ms."
+SURE = 0.95
+"""Odds from which a face counts as settled."""
+
+
+def settled_sentence(estimates: Sequence[Estimate]) -> list[str]:
+    """When the outcome was settled, by fits of more and more frames; nothing where there are none."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    if len(known) < 2:
+        return []
+    likeliest = [max((estimate.face_odds or {}).items(), key=lambda item: item[1]) for estimate in known]
+    face = likeliest[-1][0]
+    open_to = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < SURE), default=-1)
+    if open_to == len(known) - 1:
+        return ["No face was settled by the frames at hand."]
+    first = known[open_to + 1]
+    return [
+        f"Face {face} was settled after {plural(first.bounces, 'bounce')}, with the frames up to "
+        f"{fixed(1e3 * first.time_s, 1)} ms."
+    ]
 
 
 def _listed(names: Sequence[str]) -> str:
