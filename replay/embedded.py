@@ -51,6 +51,8 @@ SCRIPT = """<script>
     new Response(new Blob([packed(id)]).stream().pipeThrough(new DecompressionStream("gzip")));
   start.addEventListener("click", async () => {
     start.disabled = true;
+    // The viewer tells its makers that it was started, and asks them for a newer one. It gets an empty answer from here.
+    window.fetch = async () => new Response(null, { status: 204 });
     told.textContent = "Unpacking the viewer…";
     try {
       const script = document.createElement("script");
@@ -62,7 +64,8 @@ SCRIPT = """<script>
       document.getElementById("replay").append(canvas);
       document.getElementById("replay").classList.add("open");
       const viewer = new wasm_bindgen.WebHandle({
-        url: [], hide_welcome_screen: true, persist: false, enable_history: false, notebook: false, theme: "light",
+        url: [], hide_welcome_screen: true, persist: false, enable_history: false, notebook: false, theme: "dark",
+        panel_state_overrides: { top: "Hidden", blueprint: "Hidden", selection: "Hidden" },
       });
       await viewer.start(canvas);
       viewer.open_channel("throw", "throw");
