@@ -14,7 +14,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from ..model.motion import Impact
+from ..model.motion import Impact, Throw
 from ..model.rotations import matrix_from_quat
 from ..model.solids import Solid
 from ..tracking.camera import Camera
@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 MOST_MARKS = 20_000
 """Marks of a figure that are still drawn as shapes in an SVG; more would make files of many megabytes."""
+DRAWN_INSTANTS = 4000
+"""Of a modelled throw: more than the pixels of a figure, and never so many that drawing takes longer than the throw."""
 WITHIN_SIGMAS = 2.0
 """The band of a plot of residuals: one in twenty lies outside it by chance."""
 
@@ -65,6 +67,12 @@ def corner_heights(
     ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
     ax.set_ylabel("height of each corner [mm]")
     return _time_axis(ax)
+
+
+def throw_heights(ax: Axes, solid: Solid, throw: Throw) -> Axes:
+    """The height of every corner of a modelled throw from its first instant to its last, with its bounces."""
+    times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, DRAWN_INSTANTS)
+    return corner_heights(ax, solid, times, *throw.poses(times), impacts=throw.bounces)
 
 
 def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:

@@ -43,9 +43,10 @@ li { margin: .3rem 0; }
 .unknown { color: var(--soft); font-style: italic; }
 .dot { display: inline-block; width: .7em; height: .7em; border-radius: 50%; margin: 0 .35em 0 0; }
 .dot ~ .dot { margin-left: 1.1em; }
-.hash { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
+table.told td { overflow-wrap: anywhere; } table.told td:first-child { color: var(--soft); width: 9rem; }
+.hash { min-width: 15rem; font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { padding-top: 1.2rem; } h1 { font-size: 1.4rem; }
-  figure:not(.narrow) .wide img { width: 36rem; max-width: none; } .wide > table { min-width: 30rem; } }
+  figure:not(.narrow) .wide img { width: 36rem; max-width: none; } .wide > table:not(.told) { min-width: 34rem; } }
 @media print { @page { margin: 16mm 15mm; } body { max-width: none; padding: 0; font-size: 10pt; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } .screen { display: none; }
   h2 { break-after: avoid; margin-top: 1.6rem; } tr, li { break-inside: avoid; } .wide { overflow: visible; }
@@ -120,7 +121,14 @@ def captioned(address: str, caption: str, *, narrow: bool = False) -> str:
     return f"<figure{kind}>{picture}<figcaption>{text}</figcaption></figure>"
 
 
+def told_table(rows: Iterable[tuple[str, str]]) -> str:
+    """Names with what is to be said of each, without a header."""
+    body = "\n".join(f"<tr>{_cell(name)}{_cell(text)}</tr>" for name, text in rows)
+    return f'<div class="wide"><table class="told">\n<tbody>\n{body}\n</tbody></table></div>'
+
+
 def as_table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    """Rows of text below a header; a cell that begins with `not determined` is set apart."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     body = "\n".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
     return f'<div class="wide"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>'

@@ -77,7 +77,7 @@ def plates(record: Record, account: Account) -> list[Plate]:
         heights(record),
         *restitutions(record),
         *misfits(record, account),
-        *of_fit(record, account),
+        *of_fit(record),
     ]
 
 

@@ -15,7 +15,7 @@ from . import plates
 from .account import Account
 from .embedded import PLACE, WITH_VIEWER, viewer_html
 from .findings import findings_table
-from .pages import STILL, as_table, whole_page
+from .pages import STILL, as_table, told_table, whole_page
 from .palette import MEASURED, SIMULATED, hex_colour
 from .record import Record
 from .words import (
@@ -198,7 +198,7 @@ def _origin(origin: Mapping[str, Any] | None) -> str:
         + "\n".join(inputs)
         + "\n</tbody></table></div>"
     )
-    told = as_table(("", ""), ((name, text) for name, text in rows if text))
+    told = told_table((name, text) for name, text in rows if text)
     return "\n".join(["<h2>Where this comes from</h2>", told, files if inputs else ""])
 
 

@@ -15,7 +15,7 @@ The limits, and what they rest on:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2
 from ..model.solids import Die
-from .gravity import Fall
+from .gravity import Fall, fall_notices
 from .preflight import Backdrop, Preflight, Sight, Timing
 
 Array = NDArray[np.float64]
@@ -90,8 +90,14 @@ def judge(seen: Preflight, die: Die, exposure_s: float | None) -> tuple[Finding,
 def judge_throw(
     timing: Timing, fall: Fall | None, contacts: tuple[Array, Array], die: Die, exposure_s: float | None
 ) -> tuple[Finding, ...]:
-    """What a finished track tells of timing and calibration; `contacts` are heights (k,) [m] and their sigmas (k,)."""
-    return _timing(timing, exposure_s), _scale(fall, die), _vertical(fall), _table(*contacts)
+    """What a finished track tells of timing and calibration; `contacts` are heights (k,) [m] and their sigmas (k,).
+
+    Wrong poses on a few frames bend a fall, too: it is called bad only where it is so by far (`fall_notices`).
+    """
+    by_fall = [_scale(fall, die), _vertical(fall)]
+    if not fall_notices(fall):
+        by_fall = [replace(f, verdict=Verdict.DOUBTFUL) if f.verdict is Verdict.BAD else f for f in by_fall]
+    return _timing(timing, exposure_s), *by_fall, _table(*contacts)
 
 
 def _timing(timing: Timing, exposure_s: float | None) -> Finding:

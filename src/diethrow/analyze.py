@@ -13,14 +13,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .account import account_of
 from .fitting.results import Fit
 from .fitting.whole_throw import fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder
-from .provenance import Stopwatch, write_provenance
+from .provenance import Stopwatch, add_timings, write_provenance
 from .records import (
     covariance_path,
+    read_json,
     read_track,
     simulated_track,
     write_bounces,
@@ -30,6 +32,8 @@ from .records import (
     write_track,
     write_vertices,
 )
+from .replay.account import Account
+from .replay.plates import write_figures
 from .replay.record import Record
 from .replay.recording import write_recording
 from .replay.report import write_report
@@ -54,6 +58,19 @@ Progress = Callable[[str, int, int], None]
 
 class RunError(ValueError):
     """A run whose input is well formed and still gives no result; the text says why."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is drawn of a throw besides the recording and the plain report."""
+
+    embed_replay: bool = False
+    """The viewer and the recording within the report: some 20 MB more."""
+    figures: bool = False
+    """Every figure of the report as a file of its own, PNG and SVG."""
+
+
+PLAIN = Shown()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,13 +134,15 @@ def analyze(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
+    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
-    `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
-    without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
+    `command` is repeated in the provenance, `shown` says what is drawn besides. Raises SceneError for a scene that cannot
+    be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then no
+    folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
@@ -145,8 +164,10 @@ def analyze(
             simulated=simulated if fit.throw else None,
             notices=notices,
         )
-        _write_replay(folder, record, progress, watch)
+        _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, input_paths(scene), watch)
+        account = account_of(scene, tracking, read_json(folder / "provenance.json"))
+        _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
 
 
@@ -175,6 +196,7 @@ def fit_track(
     out: Path,
     *,
     force: bool = False,
+    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -199,8 +221,10 @@ def fit_track(
             simulated=simulated if fit.throw else None,
             notices=smoothed_notices(track_path),
         )
-        _write_replay(folder, record, progress, watch)
+        _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, inputs, watch)
+        account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
+        _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
 
@@ -364,13 +388,23 @@ def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:
     return simulated
 
 
-def _write_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+def _write_recording(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
         write_recording(folder / "replay.rrd", record)
+
+
+def _write_pages(
+    folder: Path, record: Record, account: Account, shown: Shown, progress: Progress, watch: Stopwatch
+) -> None:
+    """The report, which tells the provenance, and the figures; then their time goes into the provenance, too."""
     with watch.stage("report"):
         progress("Writing the report", 0, 0)
-        write_report(folder / "report.html", record)
+        replay = folder / "replay.rrd" if shown.embed_replay else None
+        write_report(folder / "report.html", record, account, replay)
+        if shown.figures:
+            write_figures(folder / "figures", record, account)
+    add_timings(folder / "provenance.json", watch.seconds)
 
 
 def _write_origin(

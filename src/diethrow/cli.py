@@ -47,6 +47,11 @@ Fineness = Annotated[
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
+EmbedReplay = Annotated[
+    bool,
+    typer.Option("--embed-replay", help="Put the viewer and the recording into report.html: 20 MB, and no network."),
+]
+Figures = Annotated[bool, typer.Option("--figures", help="Also the figures of the report as PNG and SVG, in figures/.")]
 
 
 def main() -> None:
@@ -71,19 +76,33 @@ def _program(
     """Experiment against simulation for high-speed footage of thrown dice."""
 
 
-@app.command(epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood")
-def analyze(scene: SceneFile, out: OutFolder, quality: Fineness = "standard", force: Force = False) -> None:
+@app.command(
+    epilog="Examples:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; with everything in one page to send:  "
+    "diethrow analyze clips/cube_wood/scene.toml --embed-replay --figures --out out/cube_wood"
+)
+def analyze(
+    scene: SceneFile,
+    out: OutFolder,
+    quality: Fineness = "standard",
+    embed_replay: EmbedReplay = False,
+    figures: Figures = False,
+    force: Force = False,
+) -> None:
     """From clip to replay: track the die, find its bounces, fit the model, write tables, a recording and a report."""
     with _one_sentence_errors():
         from .scene import read_scene
 
         checked = read_scene(scene)  # before the stages are imported: a mistake in a scene is told at once
+        from .analyze import Shown
         from .analyze import analyze as analyze_scene
 
         with _progress() as progress:
-            command = (*_command("analyze", scene, out, force), "--quality", quality)
-            chosen = _quality(quality)
-            result = analyze_scene(checked, out, force=force, quality=chosen, progress=progress, command=command)
+            drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
+            command = (*_command("analyze", scene, out, force), "--quality", quality, *drawn)
+            chosen, shown = _quality(quality), Shown(embed_replay, figures)
+            result = analyze_scene(
+                checked, out, force=force, quality=chosen, shown=shown, progress=progress, command=command
+            )
         _print_analysis(result)
 
 
@@ -190,6 +209,10 @@ def predict(
 def throw(
     plan: Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")],
     out: OutFolder,
+    embed_replay: Annotated[
+        bool,
+        typer.Option("--embed-replay", help="Also replay.html: the viewer and the recording in one page, 20 MB."),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Simulate one throw from its initial conditions to its end."""
@@ -199,7 +222,8 @@ def throw(
         checked = read_plan(plan)
         from .throw import throw as simulate
 
-        result = simulate(checked, out, force=force, command=_command("throw", plan, out, force))
+        command = (*_command("throw", plan, out, force), *_flag("--embed-replay", embed_replay))
+        result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
         typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
@@ -800,6 +824,10 @@ def _quality(name: str) -> Quality:
 
 def _command(name: str, file: Path, out: Path, force: bool) -> tuple[str, ...]:
     return ("diethrow", name, str(file), *_options(out, force))
+
+
+def _flag(name: str, given: bool) -> tuple[str, ...]:
+    return (name,) if given else ()
 
 
 def _options(out: Path, force: bool) -> tuple[str, ...]:
