@@ -170,8 +170,9 @@ def _draw_edges(
         for drawn in outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
             edges = np.concatenate([drawn.silhouette_px, drawn.inner_px])
             lines = edges if crop is None else crop.of(edges)
-            style = {"colors": hex_colour(COLOURS[motion.name]), "linewidths": WIDTHS[motion.name], "zorder": layer}
-            ax.add_collection(LineCollection(list(lines), **style), autolim=False)
+            colour, width = hex_colour(COLOURS[motion.name]), WIDTHS[motion.name]
+            drawn_edges = LineCollection(list(lines), colors=colour, linewidths=width, zorder=layer)
+            ax.add_collection(drawn_edges, autolim=False)
 
 
 def _lay_over(ax: Axes, picture: Picture, outline: Outline, layer: float) -> None:

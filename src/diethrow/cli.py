@@ -77,8 +77,8 @@ def _program(
 
 
 @app.command(
-    epilog="Examples:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; with everything in one page to send:  "
-    "diethrow analyze clips/cube_wood/scene.toml --embed-replay --figures --out out/cube_wood"
+    epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; a page to send, with the replay in it:  "
+    "diethrow analyze clips/cube_wood/scene.toml --embed-replay --out out/cube_wood"
 )
 def analyze(
     scene: SceneFile,
