@@ -13,6 +13,8 @@ SIMULATED: Colour = (224, 118, 0)
 IMPACT: Colour = (128, 128, 128)
 TABLE: Colour = (58, 60, 64)
 GRID: Colour = (104, 108, 114)
+WHITE: Colour = (255, 255, 255)
+BLACK: Colour = (0, 0, 0)
 
 COLOURS = {"measured": MEASURED, "simulated": SIMULATED}
 """Colour of each motion by its name."""

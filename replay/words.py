@@ -11,6 +11,7 @@ from ..tracking.track import ABSENT, LOST
 from .record import Record
 
 if TYPE_CHECKING:
+    from ..fitting.growing import Estimate
     from ..fitting.results import Parameter
 
 UNKNOWN = "not determined"
@@ -80,7 +81,32 @@ def bounce_sentence(number_: int, impact: Impact) -> str:
     text = f"bounce {number_} at {fixed(1e3 * impact.time_s, 3)} ms, {where}"
     if np.isfinite([before, after]).all():
         text += f", {fixed(before, 3)} → {fixed(after, 3)} m/s"
+    if np.isfinite(impact.impulse_N_s).all():
+        text += f", {impulse_of(impact)}"
     return text + (f", χ = {chi_of(impact)}" if np.isfinite(impact.chi) else "")
+
+
+def impulse_of(impact: Impact) -> str:
+    """How hard the table struck."""
+    return f"{number(1e3 * float(np.linalg.norm(impact.impulse_N_s)), 3)} mN s"
+
+
+def estimate_sentence(estimate: Estimate) -> str:
+    """What is known after so many bounces, on one line of the event log."""
+    text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(estimate.chi)}"
+    if odds := estimate.face_odds:
+        likeliest = max(odds, key=lambda face: odds[face])
+        text += f", lands on face {likeliest} with odds of {odds[likeliest]:.2f}"
+    return text
+
+
+def short_interval(parameter: Parameter) -> str:
+    """`0.583 (0.580 to 0.586)`, with the decimals that the interval deserves."""
+    if parameter.value is None or parameter.low is None or parameter.high is None:
+        return number(parameter.value)
+    decimals = decimals_for(parameter.high - parameter.low)
+    low, high = fixed(parameter.low, decimals), fixed(parameter.high, decimals)
+    return f"{fixed(parameter.value, decimals)} ({low} to {high})"
 
 
 def chi_of(impact: Impact) -> str:
