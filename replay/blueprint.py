@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
@@ -19,11 +19,11 @@ TRAIL_FRAMES = 40
 PLAYBACK_SPEED = 0.02
 """A throw of 0.2 s plays for ten seconds."""
 
-NEAR = 7.0
-"""Distance of the eye that follows the die, in its radii: the die fills a third of the view, its trails the rest."""
+NEAR = 5.0
+"""Distance of the eye that follows the die, in its radii: the die fills half of the view, its trails the rest."""
 
-BOUNCE_PARTS = ("impacts", "impulses", "impulses/strength")
-"""Entities below each motion of which the views show every row up to the cursor."""
+BOUNCE_PARTS = ("impacts", "impulses")
+"""Entities below each motion of which the views show every row up to the cursor; of a label only the last is readable."""
 
 GROUND = (24, 26, 30)
 """Of the three-dimensional views."""
@@ -64,21 +64,21 @@ def blueprint(shown: Shown) -> rrb.Blueprint:
     if shown.residuals is not None:
         tabs.append(_residuals_tab(shown.residuals))
     tabs.append(_fit_tab(shown))
-    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), *panels(shown.fps, shown.frames), auto_views=False)
+    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), *panels("frame", shown.fps, shown.frames), auto_views=False)
 
 
-def panels(fps: float, frames: tuple[int, int]) -> tuple[rrb.BlueprintPart, ...]:
-    """Nothing about the views but the time panel: paused, slow, going round the frames that show the die."""
+def panels(timeline: str, fps: float, played: tuple[int, int]) -> tuple[rrb.BlueprintPart, ...]:
+    """Nothing about the views but the time panel: paused at the beginning, slow, going round what shows the die."""
     return (
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(
             state="collapsed",
-            timeline="frame",
+            timeline=timeline,
             fps=fps,
             playback_speed=PLAYBACK_SPEED,
             loop_mode="selection",
-            time_selection=rr.encodings.AbsoluteTimeRange(*frames),
+            time_selection=rr.encodings.AbsoluteTimeRange(*played),
             play_state="paused",
         ),
     )
@@ -101,7 +101,9 @@ def _replay_tab(shown: Shown) -> rrb.Container:
 def _side_view(shown: Shown, motion: str) -> rrb.Spatial3DView:
     """The table, the camera, and one die with its bounces."""
     contents = [f"+ world/{motion}/{part}" for part in ("die/**", "trail", "impacts/**", "impulses/**")]
-    return scene_view(motion.capitalize(), [*SCENERY, *contents], [f"world/{motion}"], shown)
+    return scene_view(
+        motion.capitalize(), [*SCENERY, *contents], [f"world/{motion}"], shown.eye_m, shown.target_m, shown.fps
+    )
 
 
 def _overlay_view(shown: Shown) -> rrb.Spatial3DView:
@@ -113,7 +115,9 @@ def _overlay_view(shown: Shown) -> rrb.Spatial3DView:
         "Overlay: measured solid, simulated edges",
         [*SCENERY, *contents],
         [f"world/{motion}" for motion in motions],
-        replace(shown, eye_m=shown.target_m + NEAR * shown.radius_m * towards),
+        shown.target_m + NEAR * shown.radius_m * towards,
+        shown.target_m,
+        shown.fps,
         follow="world/measured/die",
     )
 
@@ -123,11 +127,18 @@ SCENERY = ("+ world/table/**", "+ world/camera")
 
 
 def scene_view(
-    name: str, contents: list[str], motions: list[str], shown: Shown, *, follow: str | None = None
+    name: str,
+    contents: list[str],
+    motions: list[str],
+    eye_m: Array,
+    target_m: Array,
+    fps: float,
+    *,
+    follow: str | None = None,
 ) -> rrb.Spatial3DView:
     """A three-dimensional view; below each entity of `motions` lie a trail, impacts and impulses. The eye moves along with
     the entity `follow`."""
-    overrides = {f"{motion}/trail": _last(TRAIL_FRAMES, shown.fps) for motion in motions}
+    overrides = {f"{motion}/trail": _last(TRAIL_FRAMES, fps) for motion in motions}
     overrides |= {f"{motion}/{part}": _so_far() for motion in motions for part in BOUNCE_PARTS}
     return rrb.Spatial3DView(
         origin="world",
@@ -138,8 +149,8 @@ def scene_view(
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
-            position=shown.eye_m,
-            look_target=shown.target_m,
+            position=eye_m,
+            look_target=target_m,
             eye_up=(0.0, 0.0, 1.0),
             tracking_entity=follow,
         ),
@@ -247,7 +258,7 @@ def _fit_tab(shown: Shown) -> rrb.Container | rrb.View:
     plots: list[rrb.View] = []
     if shown.chi_range is not None:
         plots.append(
-            plot("plots/chi", "Restitution χ [1], bounce by bounce", shown.chi_range, legend=rrb.Corner2D.LeftTop)
+            plot("plots/chi", "Restitution χ [1], bounce by bounce", shown.chi_range, legend=rrb.Corner2D.RightTop)
         )
     if shown.odds:
         plots.append(

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..tracking.track import ABSENT, LOST, TRACKED, Track
 from .clock import Clock, on_frames, send_instants
-from .palette import AXIS_COLOURS, FACE_COLOURS, IMPACT, MEASURED, SIMULATED, WHITE, Colour, mixed
+from .palette import ALARM, AXIS_COLOURS, FACE_COLOURS, IMPACT, MEASURED, SIMULATED, WHITE, Colour, mixed
 from .record import Residuals
 from .strikes import send_sentences
 from .words import estimate_sentence
@@ -32,7 +32,7 @@ def send_status(recording: rr.RecordingStream, track: Track) -> None:
     changes = np.flatnonzero(np.r_[True, track.status[1:] != track.status[:-1]])
     recording.log(
         "phase/tracking",
-        rr.StateConfiguration(values=[TRACKED, LOST, ABSENT], colors=[MEASURED, SIMULATED, IMPACT]),
+        rr.StateConfiguration(values=[TRACKED, LOST, ABSENT], colors=[MEASURED, ALARM, IMPACT]),
         static=True,
     )
     states = rr.StateChange.columns(state=[str(s) for s in track.status[changes]])
@@ -105,7 +105,7 @@ def send_estimates(recording: rr.RecordingStream, estimates: Sequence[Estimate],
         return
     times = np.array([estimate.time_s for estimate in estimates])
     said = [f"fit {estimate_sentence(estimate)}" for estimate in estimates]
-    send_sentences(recording, "events/fit", times, said, clock, mixed(IMPACT, WHITE, 0.4))
+    send_sentences(recording, "events/told", times, said, clock, mixed(IMPACT, WHITE, 0.4))
     _send_chi(recording, [estimate for estimate in estimates if estimate.chi.value is not None], clock)
     _send_odds(recording, [estimate for estimate in estimates if estimate.face_odds], clock)
 
@@ -114,7 +114,7 @@ def _send_chi(recording: rr.RecordingStream, known: Sequence[Estimate], clock: C
     if not known:
         return
     instants, rows = _held(known, clock)
-    name = "fit of the frames so far, with its standard error"
+    name = "fit up to there, ± 1 standard error"
     style = rr.Measurements.from_fields(colors=[SIMULATED], names=[name], widths=[1.8], aggregation_policy="off")
     recording.log("plots/chi/estimate", style, static=True)
     values = np.array([estimate.chi.value for estimate in known], float)[rows]

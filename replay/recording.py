@@ -41,7 +41,7 @@ from .overlay import send_overlay
 from .record import Motion, Record, Residuals, motion_of, motions_of, residuals, track_of
 from .scenery import Stage, send_footage, send_table, stage_of
 from .strikes import arrow_scale, send_bounce_chi, send_bounces
-from .words import bounce_sentence, markdown, verdict
+from .words import bounce_sentence, markdown, short_verdict, verdict
 
 if TYPE_CHECKING:
     from ..fitting.growing import Estimate
@@ -202,7 +202,8 @@ def _send_properties(recording: rr.RecordingStream, record: Record) -> None:
         "frames": len(record.track),
         "tracked": int(record.track.tracked.sum()),
         "fps_hz": record.fps,
-        "verdict": " ".join(verdict(record)),
+        "verdict": short_verdict(record),
+        "summary": " ".join(verdict(record)),
     }
     recording.send_property(
         "throw", rr.AnyValues(**{name: value for name, value in known.items() if value is not None})

@@ -156,12 +156,12 @@ def send_bounce_chi(recording: rr.RecordingStream, motion: Motion, clock: Clock)
     if not known:
         return
     colour, entity = COLOURS[motion.name], "plots/chi/bounce"
-    name = f"{motion.name}, each bounce alone"
+    name = "each bounce alone"
     recording.log(entity, rr.SeriesPoints(colors=colour, markers="circle", marker_sizes=4.0, names=name), static=True)
     values = rr.Scalars.columns(scalars=[impact.chi for impact in known])
     send_instants(recording, entity, [impact.time_s for impact in known], clock, values)
     sure = [impact for impact in known if np.isfinite([impact.chi_low, impact.chi_high]).all()]
     if sure:
-        style = rr.SeriesLines(colors=colour, names="its 95 % interval", widths=1.5, aggregation_policy="off")
+        style = rr.SeriesLines(colors=colour, names="95 % interval", widths=1.5, aggregation_policy="off")
         low, high = [impact.chi_low for impact in sure], [impact.chi_high for impact in sure]
         send_uprights(recording, f"{entity}_interval", [impact.time_s for impact in sure], low, high, clock, style)

@@ -74,6 +74,17 @@ def verdict(record: Record) -> list[str]:
     return said
 
 
+def short_verdict(record: Record) -> str:
+    """What became of the throw, in a few words for a table."""
+    bounces, fit = len(record.measured.impacts), record.fit
+    if fit is None:
+        return "no model fitted"
+    if not bounces or not fit.bounces_fitted:
+        return "no bounce explained" if bounces else "no bounce seen"
+    share = "all" if fit.bounces_fitted == bounces else f"{fit.bounces_fitted} of"
+    return f"{share} {plural(bounces, 'bounce')} explained"
+
+
 def bounce_sentence(number_: int, impact: Impact) -> str:
     """One bounce on one line, as the event log shows it."""
     where = impact.contact + (" " + " ".join(map(str, impact.vertices)) if impact.vertices else "")
