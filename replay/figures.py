@@ -21,10 +21,11 @@ from ..tracking.camera import Camera
 from ..tracking.clip import Clip
 from .outline import outlines
 from .palette import AXIS_COLOURS, COLOURS, FACE_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
-from .record import Estimate, Motion, Residuals
+from .record import Motion, Residuals
 from .video import display_window
 
 if TYPE_CHECKING:
+    from ..fitting.growing import Estimate
     from ..fitting.results import Parameter
 
 Array = NDArray[np.float64]

@@ -20,24 +20,10 @@ from ..tracking.clip import Clip
 from ..tracking.track import TRACKED, Track
 
 if TYPE_CHECKING:
-    from ..fitting.results import Fit, Parameter
+    from ..fitting.growing import Estimate
+    from ..fitting.results import Fit
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """What a fit of the frames up to some instant says; what it does not is None."""
-
-    bounces: int
-    """Measured bounces before that instant."""
-    time_s: float
-    """Of the last of these frames."""
-    chi: Parameter
-    effects: tuple[str, ...]
-    """In the model that these frames chose."""
-    face_odds: dict[int, float] | None
-    """Share of the throws that land on each face, drawn from the fit."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,10 @@ import numpy as np
 
 from ..model.motion import Impact
 from ..tracking.track import ABSENT
-from .record import Estimate, Record
+from .record import Record
 
 if TYPE_CHECKING:
+    from ..fitting.growing import Estimate
     from ..fitting.results import Fit, Parameter
 
 UNKNOWN = "not determined"
@@ -63,6 +64,17 @@ def verdict(record: Record) -> list[str]:
     return [*said, _model_sentence(record), landing_sentence(record.fit)]
 
 
+def short_verdict(record: Record) -> str:
+    """What became of the throw, in a few words for a table."""
+    bounces, fit = len(record.measured.impacts), record.fit
+    if fit is None:
+        return "no model fitted"
+    if not bounces or not fit.bounces_fitted:
+        return "no bounce explained" if bounces else "no bounce seen"
+    share = "all" if fit.bounces_fitted == bounces else f"{fit.bounces_fitted} of"
+    return f"{share} {plural(bounces, 'bounce')} explained"
+
+
 def bounce_sentence(number_: int, impact: Impact) -> str:
     """One bounce on one line, as the event log shows it."""
     where = impact.contact + (" " + " ".join(map(str, impact.vertices)) if impact.vertices else "")
@@ -70,7 +82,32 @@ def bounce_sentence(number_: int, impact: Impact) -> str:
     text = f"bounce {number_} at {fixed(1e3 * impact.time_s, 3)} ms, {where}"
     if np.isfinite([before, after]).all():
         text += f", {fixed(before, 3)} → {fixed(after, 3)} m/s"
+    if np.isfinite(impact.impulse_N_s).all():
+        text += f", {impulse_of(impact)}"
     return text + (f", χ = {chi_of(impact)}" if np.isfinite(impact.chi) else "")
+
+
+def impulse_of(impact: Impact) -> str:
+    """How hard the table struck."""
+    return f"{number(1e3 * float(np.linalg.norm(impact.impulse_N_s)), 3)} mN s"
+
+
+def estimate_sentence(estimate: Estimate) -> str:
+    """What is known after so many bounces, on one line of the event log."""
+    text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(estimate.chi)}"
+    if odds := estimate.face_odds:
+        likeliest = max(odds, key=lambda face: odds[face])
+        text += f", lands on face {likeliest} with odds of {odds[likeliest]:.2f}"
+    return text
+
+
+def short_interval(parameter: Parameter) -> str:
+    """`0.583 (0.580 to 0.586)`, with the decimals that the interval deserves."""
+    if parameter.value is None or parameter.low is None or parameter.high is None:
+        return number(parameter.value)
+    decimals = decimals_for(parameter.high - parameter.low)
+    low, high = fixed(parameter.low, decimals), fixed(parameter.high, decimals)
+    return f"{fixed(parameter.value, decimals)} ({low} to {high})"
 
 
 def chi_of(impact: Impact) -> str:

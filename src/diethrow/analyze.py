@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .account import account_of
+from .fitting.growing import Estimate, estimates
 from .fitting.results import Fit
 from .fitting.whole_throw import fit_throw
 from .model.motion import Throw
@@ -162,6 +163,7 @@ def analyze(
             camera=scene.views()[0].camera,
             fit=fit,
             simulated=simulated if fit.throw else None,
+            estimates=_growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
         _write_recording(folder, record, progress, watch)
@@ -219,6 +221,7 @@ def fit_track(
             fps=_rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
+            estimates=_growing(frames, measured, scene.die, fit, progress, watch),
             notices=smoothed_notices(track_path),
         )
         _write_recording(folder, record, progress, watch)
@@ -373,6 +376,14 @@ def _fit(frames: Track, measured: Throw, die: Die, progress: Progress, watch: St
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
         return fit_throw(frames_in_flight(frames, measured), measured, die)
+
+
+def _growing(
+    frames: Track, measured: Throw, die: Die, fit: Fit, progress: Progress, watch: Stopwatch
+) -> tuple[Estimate, ...]:
+    with watch.stage("estimates"):
+        progress("Bounce by bounce", 0, 0)
+        return estimates(frames_in_flight(frames, measured), measured, die, fit)
 
 
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import floor, log10
 from pathlib import Path
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .check import Check
     from .fit_many import FitOfMany
     from .fitting.results import Parameter
+    from .replays import ThrowRecording
     from .tracking.quality import Quality
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
@@ -226,7 +227,7 @@ def throw(
         result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
-        typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
+        typer.echo(f"Look at it:  diethrow replay {out} --open")
 
 
 @app.command(
@@ -296,6 +297,63 @@ def film(
             )
         typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
         typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
+
+
+@app.command(
+    epilog="Examples:  diethrow replay out/cube_wood --open\n\n"
+    "diethrow replay out/throw_1 out/throw_2 --out both.rrd --open     (several throws, or several models of one)\n\n"
+    "diethrow replay out --out throws     (a folder of throws: one recording each, and a table)"
+)
+def replay(
+    throws: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders that analyze, fit or throw made; a folder of them stands for all."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.rrd|DIR",
+            help="FILE.rrd: all throws in one recording. DIR: a recording for each, and throws.csv. Left out: neither.",
+        ),
+    ] = None,
+    align: Annotated[
+        str, typer.Option("--align", metavar="bounce|frame", help="Set the clocks by the first bounce, or by frame 0.")
+    ] = "bounce",
+    models: Annotated[
+        bool | None,
+        typer.Option(
+            "--models/--throws",
+            help="Several models of one throw, or several throws; left out: models where all come from one clip or track.",
+            show_default=False,
+        ),
+    ] = None,
+    look: Annotated[
+        bool, typer.Option("--open", help="Show it in the viewer, which then tells nobody and serves nobody else.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what --out names.")] = False,
+) -> None:
+    """Look at throws: a table, one recording of several, and the viewer."""
+    with _one_sentence_errors():
+        from .replays import find_recordings, gather, join
+
+        found = find_recordings(throws)
+        _print_throws(found)
+        shown = [one.path for one in found]
+        if out is not None and out.suffix == ".rrd":
+            same = join(found, out, align=align, models=models, force=force)
+            typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
+            shown = [out]
+        elif out is not None:
+            gather(found, out, force=force)
+            typer.echo(f"{len(found)} recordings and throws.csv in {out}")
+            shown = [out / f"{one.name}.rrd" for one in found]
+        if look:
+            from .viewer import open_viewer
+
+            raise typer.Exit(open_viewer(shown))
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
@@ -747,7 +805,7 @@ def _print_analysis(result: Analysis) -> None:
     if result.fit.residual_rms is not None:
         table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
     table.add_row("report", str(result.folder / "report.html"))
-    table.add_row("look at it", f"rerun {result.folder / 'replay.rrd'}")
+    table.add_row("look at it", f"diethrow replay {result.folder} --open")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.notices, *result.fit.messages))
 
@@ -764,6 +822,29 @@ def _print_joint_fit(result: FitOfMany) -> None:
     table.add_row("see", str(result.folder / "fit.json"))
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.fit.messages, *result.left_out))
+
+
+def _print_throws(found: Sequence[ThrowRecording]) -> None:
+    """One row a throw."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
+        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right")
+    for one in found:
+        said = one.properties
+        chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
+        table.add_row(
+            one.name,
+            "" if chi is None else f"{chi:.5g}",
+            "" if low is None or high is None else f"{low:.5g} to {high:.5g}",
+            str(said.get("bounces", "")),
+            "" if rms is None else f"{rms:.2f}",
+            str(said.get("landed_face", "")),
+            str(said.get("verdict", "")),
+        )
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
 def _with_interval(parameter: Parameter) -> str:

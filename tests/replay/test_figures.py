@@ -13,11 +13,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from diethrow.fitting.growing import Estimate
 from diethrow.replay import figures
 from diethrow.replay.account import Account
 from diethrow.replay.palette import MEASURED, SIMULATED, hex_colour
 from diethrow.replay.plates import STATE_NAMES, plates, write_figures
-from diethrow.replay.record import Estimate, motions_of, residuals
+from diethrow.replay.record import motions_of, residuals
 from diethrow.replay.stroboscope import COLUMNS, bounce_strip, rows_of_strip, stroboscope
 
 
@@ -59,7 +60,7 @@ def drawn() -> list[Axes]:
 
 def estimates() -> tuple[Estimate, ...]:
     chi = made.fit().parameters["chi"]
-    return Estimate(1, 0.03, chi, (), {1: 0.6, 2: 0.4}), Estimate(2, 0.04, chi, (), {1: 1.0, 2: 0.0})
+    return Estimate(1, 0.03, chi, {1: 0.6, 2: 0.4}), Estimate(2, 0.04, chi, {1: 1.0, 2: 0.0})
 
 
 def test_every_axis_carries_its_unit() -> None:

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import replay_records as made
 
+from diethrow.fitting.growing import Estimate
 from diethrow.fitting.results import Effect, Parameter
 from diethrow.model.motion import Throw
 from diethrow.replay import words
 from diethrow.replay.account import Account
-from diethrow.replay.record import Estimate
 from diethrow.replay.report import page, write_report
 from diethrow.tracking.verdicts import Finding, Verdict
 
@@ -141,7 +141,7 @@ def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
     chi = made.fit().parameters["chi"]
 
     def told(*odds: float) -> str:
-        known = tuple(Estimate(k, 0.01 * k, chi, (), {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
+        known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
         return " ".join(words.settled_sentence(known))
 
     assert "Face 1 was settled after 2 bounces, with the frames up to 20.0 ms" in told(0.5, 0.97, 1.0)
