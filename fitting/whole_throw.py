@@ -38,6 +38,7 @@ Array = NDArray[np.float64]
 LEVEL_OF_INTERVALS = 0.95
 
 IntervalMethod = Literal["profile", "covariance", "bootstrap"]
+INTERVAL_METHODS: tuple[IntervalMethod, ...] = ("profile", "covariance", "bootstrap")
 """Where the cost rises by so much with all else fitted anew; ±1.96 σ, cut at what the law allows; percentiles of fits to
 residuals drawn anew in blocks. The first needs no straight cost and no bell, and is 2 to 3 times as long as the second;
 the third is longer by far."""

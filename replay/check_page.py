@@ -14,15 +14,10 @@ from ..tracking.clip import Clip
 from ..tracking.preflight import Sight
 from ..tracking.verdicts import Finding, Verdict
 from . import figures
+from .findings import COLOURS, findings_table
 from .pages import as_address, captioned, drawing, plotted, whole_page
-from .palette import IMPACT, MEASURED, SIMULATED, hex_colour
 from .record import Motion
 
-COLOURS = {
-    Verdict.GOOD: hex_colour(MEASURED),
-    Verdict.DOUBTFUL: hex_colour(IMPACT),
-    Verdict.BAD: hex_colour(SIMULATED),
-}
 OWN_STYLE = "td:nth-child(-n+2) { white-space: nowrap; }"
 SHOWN = 3
 """Frames of the clip side by side."""
@@ -32,7 +27,7 @@ def check_page(
     title: str, findings: tuple[Finding, ...], sights: Sequence[tuple[Sight | None, Clip, Camera]], die: Die
 ) -> str:
     """The whole page as HTML, with what each camera sees."""
-    parts = [f"<h1>{escape(title)}</h1>", _summary(findings), _findings(findings)]
+    parts = [f"<h1>{escape(title)}</h1>", _summary(findings), findings_table(findings)]
     for k, (sight, clip, camera) in enumerate(sights):
         if sight is not None and sight.track.tracked.any():
             whose = f" with camera {k + 1}" if len(sights) > 1 else ""
@@ -57,18 +52,6 @@ def _summary(findings: tuple[Finding, ...]) -> str:
     return (
         f'<div class="verdict" style="border-left-color:{colour}"><p class="headline">{escape(headline)}</p>'
         f"<p>{escape(told)}</p></div>"
-    )
-
-
-def _findings(findings: tuple[Finding, ...]) -> str:
-    rows = "\n".join(
-        f'<tr><td>{escape(finding.name)}</td><td><span class="dot" style="background:{COLOURS[finding.verdict]}"></span>'
-        f"{finding.verdict.value}</td><td>{escape(finding.measured)}</td><td>{escape(finding.advice)}</td></tr>"
-        for finding in findings
-    )
-    return (
-        '<div class="wide"><table>\n<thead><tr><th></th><th>verdict</th><th>measured</th><th>what to change</th></tr></thead>\n'
-        f"<tbody>\n{rows}\n</tbody></table></div>"
     )
 
 

@@ -5,28 +5,37 @@ Measured poses are blue dots and the model orange lines, as in the recording. Ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
-from ..model.motion import Impact
+from ..model.motion import Impact, Throw
 from ..model.rotations import matrix_from_quat
 from ..model.solids import Solid
 from ..tracking.camera import Camera
 from ..tracking.clip import Clip
 from .outline import outlines
-from .palette import AXIS_COLOURS, COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
+from .palette import AXIS_COLOURS, COLOURS, FACE_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
 from .record import Motion, Residuals
 from .video import display_window
 
 if TYPE_CHECKING:
+    from ..fitting.growing import Estimate
     from ..fitting.results import Parameter
 
 Array = NDArray[np.float64]
+
+MOST_MARKS = 20_000
+"""Marks of a figure that are still drawn as shapes in an SVG; more would make files of many megabytes."""
+DRAWN_INSTANTS = 4000
+"""Of a modelled throw: more than the pixels of a figure, and never so many that drawing takes longer than the throw."""
+WITHIN_SIGMAS = 2.0
+"""The band of a plot of residuals: one in twenty lies outside it by chance."""
 
 
 def corner_heights(
@@ -52,11 +61,19 @@ def corner_heights(
         lines = ax.plot(milliseconds, heights, "o", markersize=2.0, color=hex_colour(MEASURED), zorder=2)
     else:
         lines = ax.plot(milliseconds, heights, linewidth=0.9, color=hex_colour(SIMULATED), zorder=3)
+    for line in lines:
+        line.set_rasterized(heights.size > MOST_MARKS)
     lines[0].set_label(label)
     _mark_impacts(ax, impacts)
     ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
     ax.set_ylabel("height of each corner [mm]")
     return _time_axis(ax)
+
+
+def throw_heights(ax: Axes, solid: Solid, throw: Throw) -> Axes:
+    """The height of every corner of a modelled throw from its first instant to its last, with its bounces."""
+    times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, DRAWN_INSTANTS)
+    return corner_heights(ax, solid, times, *throw.poses(times), impacts=throw.bounces)
 
 
 def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
@@ -89,6 +106,30 @@ def sigma_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -
     return _time_axis(ax)
 
 
+def position_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Measured minus simulated position by world axis, each in standard errors of the measured one; the band holds two."""
+    scaled = rest.position_mm / rest.standard_errors[:, :3]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "position residual [σ]")
+
+
+def turn_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """The rotation from simulated to measured about each world axis, in standard errors; the band holds two."""
+    scaled = rest.turn_deg / rest.standard_errors[:, 3:]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "rotation residual [σ]")
+
+
+def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> Axes:
+    ax.axhspan(-WITHIN_SIGMAS, WITHIN_SIGMAS, color=hex_colour(IMPACT), alpha=0.13, linewidth=0, zorder=0)
+    for axis, colour, of_axis in zip("xyz", AXIS_COLOURS, values.T, strict=True):
+        (line,) = ax.plot(1e3 * time_s, of_axis, ".", markersize=2.5, color=hex_colour(colour), label=axis)
+        line.set_rasterized(values.size > MOST_MARKS)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel(label)
+    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    return _time_axis(ax)
+
+
 def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> Axes:
     """Apparent restitution of every bounce with its interval; the fitted one as a band across all of them."""
     for number, impact in enumerate(impacts, 1):
@@ -106,6 +147,56 @@ def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = 
     ax.set_xlabel("bounce [number]")
     ax.set_ylabel("restitution χ [1]")
     return _plain(ax)
+
+
+def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
+    """The correlations that belong to a covariance (n, n): blue together, orange against each other, in hundredths."""
+    sigmas = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = np.where(np.outer(sigmas, sigmas) > 0.0, covariance / np.outer(sigmas, sigmas), np.nan)
+    shades = LinearSegmentedColormap.from_list("apart", [hex_colour(SIMULATED), "#ffffff", hex_colour(MEASURED)])
+    shown = ax.imshow(r, cmap=shades, vmin=-1.0, vmax=1.0)
+    for row, column in np.ndindex(r.shape):
+        if row != column and np.isfinite(r[row, column]):
+            text = f"{100 * r[row, column]:.0f}".replace("-", "−")
+            ax.text(column, row, text, ha="center", va="center", fontsize=6.0, color="#1d2126")
+    ax.set_xticks(range(len(names)), names, rotation=90)
+    ax.set_yticks(range(len(names)), names)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel("with [name]")
+    ax.set_ylabel("of [name]")
+    if ax.figure is not None:
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="correlation [1]")
+    return ax
+
+
+def face_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
+    """Share of the simulated landings on each face."""
+    faces = sorted(odds)
+    ax.bar([str(face) for face in faces], [odds[face] for face in faces], color=hex_colour(SIMULATED), width=0.7)
+    for place, face in enumerate(faces):
+        ax.text(place, odds[face], f"{100 * odds[face]:.0f} %", ha="center", va="bottom", fontsize=8.0)
+    ax.set_ylim(0.0, 1.1)
+    ax.set_xlabel("face [number]")
+    ax.set_ylabel("share of landings [1]")
+    return _plain(ax)
+
+
+def odds_on_the_way(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
+    """The odds of each face by the fit of the frames up to then, from each estimate until the next."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    times = [1e3 * estimate.time_s for estimate in known]
+    for face in sorted({face for estimate in known for face in estimate.face_odds or {}}):
+        shares = [(estimate.face_odds or {}).get(face, 0.0) for estimate in known]
+        if max(shares) > 0.0:
+            colour = hex_colour(FACE_COLOURS[(face - 1) % len(FACE_COLOURS)])
+            ax.step(times, shares, "-o", where="post", color=colour, markersize=4.0, label=f"face {face}")
+    _mark_impacts(ax, impacts)
+    ax.set_ylim(-0.03, 1.05)
+    ax.set_ylabel("odds of landing [1]")
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return _time_axis(ax)
 
 
 def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int) -> Axes:

@@ -11,14 +11,30 @@ Colour = tuple[int, int, int]
 MEASURED: Colour = (43, 140, 220)
 SIMULATED: Colour = (224, 118, 0)
 IMPACT: Colour = (128, 128, 128)
+ALARM: Colour = (190, 60, 60)
 TABLE: Colour = (58, 60, 64)
 GRID: Colour = (104, 108, 114)
+WHITE: Colour = (255, 255, 255)
+BLACK: Colour = (0, 0, 0)
 
 COLOURS = {"measured": MEASURED, "simulated": SIMULATED}
 """Colour of each motion by its name."""
 
 AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((214, 84, 120), (62, 160, 92), (126, 110, 214))
 """x, y and z where a vector is drawn by component."""
+
+
+DISTINCT: tuple[Colour, ...] = (
+    (86, 180, 233),
+    (240, 228, 66),
+    (204, 121, 167),
+    (0, 178, 130),
+    (225, 120, 60),
+    (150, 130, 255),
+    (190, 190, 190),
+)
+"""Of several throws, or of several models of one, in the order in which they are named; then again from the first. Okabe
+and Ito's as far as they stand out from the viewer's dark ground."""
 
 
 def hex_colour(colour: Colour) -> str:

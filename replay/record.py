@@ -20,6 +20,7 @@ from ..tracking.clip import Clip
 from ..tracking.track import TRACKED, Track
 
 if TYPE_CHECKING:
+    from ..fitting.growing import Estimate
     from ..fitting.results import Fit
 
 Array = NDArray[np.float64]
@@ -41,6 +42,8 @@ class Record:
     fit: Fit | None = None
     simulated: Track | None = None
     """The fitted model's poses on the frames of `track`."""
+    estimates: tuple[Estimate, ...] = ()
+    """What fits of more and more of the throw say, in the order of time; the last is `fit`."""
     notices: tuple[str, ...] = ()
     """What a careful reader should know about the footage and the tracking, one sentence each."""
 
@@ -94,6 +97,10 @@ class Residuals:
     """(n,)."""
     position_mm: Array
     """(n, 3) world axes."""
+    turn_deg: Array
+    """(n, 3) rotation vector that takes the simulated to the measured orientation, world axes."""
+    standard_errors: Array
+    """(n, 6) of the measurement: of `position_mm`, then of `turn_deg`; NaN where the frame has no covariance."""
     rotation_deg: Array
     """(n,) angle of the rotation that takes the simulated to the measured orientation."""
     sigmas: Array
@@ -151,8 +158,12 @@ def residuals(track: Track, simulated: Track) -> Residuals:
     shift = track.position_m[mine] - simulated.position_m[theirs]
     turn = rotation_between(simulated.quaternion[theirs], track.quaternion[mine])
     whitened = _whitened_rms(np.hstack([shift, turn]), track.covariance[mine])
-    angle = np.rad2deg(np.linalg.norm(turn, axis=1))
-    return Residuals(track.frame[mine], track.time_s[mine], 1e3 * shift, angle, whitened)
+    turn_deg = np.rad2deg(turn)
+    variances = np.einsum("nii->ni", track.covariance[mine])
+    with np.errstate(invalid="ignore"):
+        errors = np.sqrt(np.where(variances > 0.0, variances, np.nan)) * ([1e3] * 3 + [np.rad2deg(1.0)] * 3)
+    angle = np.linalg.norm(turn_deg, axis=1)
+    return Residuals(track.frame[mine], track.time_s[mine], 1e3 * shift, turn_deg, errors, angle, whitened)
 
 
 def _whitened_rms(errors: Array, covariances: Array) -> Array:

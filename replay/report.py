@@ -2,48 +2,70 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from ..model.motion import Impact, State
-from . import figures
-from .pages import as_address, as_table, captioned, drawing, plotted, whole_page
+from ..model.rotations import euler_from_quat
+from . import plates
+from .account import Account
+from .embedded import PLACE, WITH_VIEWER, viewer_html
+from .findings import findings_table
+from .pages import STILL, as_table, told_table, whole_page
 from .palette import MEASURED, SIMULATED, hex_colour
-from .record import Motion, Record, Residuals, motions_of, residuals
-from .words import UNKNOWN, chi_of, decimals_for, fixed, number, role, verdict
+from .record import Record
+from .words import (
+    UNKNOWN,
+    chi_of,
+    decimals_for,
+    effects_sentences,
+    fixed,
+    landing_sentence,
+    meaning,
+    number,
+    role,
+    settled_sentence,
+    verdict,
+)
 
 if TYPE_CHECKING:
     from ..fitting.results import Fit, Parameter
 
-STRIP_FRAMES = 5
-"""Most frames of the clip shown side by side."""
+
+UNKNOWN_ERRORS = np.full(3, np.nan)
 
 
-def write_report(path: Path, record: Record) -> None:
+def write_report(path: Path, record: Record, account: Account | None = None, replay: Path | None = None) -> None:
     """Write the page. What is not determined is said to be so, with the reason that the fit gives.
 
-    Raises OSError where the file cannot be written.
+    With `replay`, a recording, the page holds the viewer and the recording as well. Raises OSError where a file cannot
+    be read or written.
     """
-    path.write_text(page(record), encoding="utf-8")
+    path.write_text(page(record, account or Account(), replay), encoding="utf-8")
 
 
-def page(record: Record) -> str:
+def page(record: Record, account: Account | None = None, replay: Path | None = None) -> str:
     """The whole page as HTML; every text that comes from outside is escaped."""
+    told = account or Account()
     parts = [
         f"<h1>{escape(record.title)}</h1>",
         _subtitle(record),
         _verdict(record),
-        _pictures(record),
-        _bounces(record.measured.impacts),
+        _throw(record, replay is not None),
+        _bounces(record),
         _fit(record),
-        _notes(record),
+        _residuals(record, told),
+        _landing(record),
+        _checks(record, told),
+        _origin(told.origin),
+        viewer_html(replay) if replay is not None else "",
     ]
-    return whole_page(record.title, (part for part in parts if part))
+    policy = STILL if replay is None else WITH_VIEWER
+    return whole_page(record.title, (part for part in parts if part), policy=policy)
 
 
 def _subtitle(record: Record) -> str:
@@ -79,91 +101,22 @@ def _short(parameter: Parameter | None) -> str:
     return f"{fixed(parameter.value, decimals)}, {100 * (parameter.level or 0.95):.3g} % interval {ends}"
 
 
-# Figures
+# Sections
 
 
-def _pictures(record: Record) -> str:
-    motions = motions_of(record)
-    impacts = record.measured.impacts
-    parts = ["<h2>The throw</h2>"]
-    parts.append(_film_strip(record, motions))
-    parts.append(_heights(record, motions))
-    if any(np.isfinite(impact.chi) for impact in impacts):
-        chi = record.fit.parameters.get("chi") if record.fit is not None else None
-        caption = "Apparent restitution of every bounce with its interval"
-        caption += ", and the fitted χ with its own as a band." if chi is not None and chi.value is not None else "."
-        picture = plotted((5.2, 2.9), lambda ax: figures.restitution(ax, impacts, chi))
-        parts.append(captioned(picture, caption, narrow=True))
-    if record.simulated is not None:
-        parts.append(_residual_figures(residuals(record.track, record.simulated), impacts))
-    return "\n".join(parts)
+def _throw(record: Record, embedded: bool) -> str:
+    return "\n".join(
+        [
+            "<h2>The throw</h2>",
+            *([PLACE] if embedded else []),
+            plates.as_html(plates.on_film(record)),
+            plates.heights(record).as_html(),
+        ]
+    )
 
 
-def _film_strip(record: Record, motions: list[Motion]) -> str:
-    """A few frames of the clip: the first and last with a pose, and those nearest to the bounces."""
-    clip, camera = record.clip, record.camera
-    if clip is None or camera is None:
-        return ""
-    seen = motions[0].frame[(motions[0].frame >= clip.first_frame) & (motions[0].frame < clip.first_frame + len(clip))]
-    if not len(seen):
-        return ""
-    instants = [clip.times_s[seen[0] - clip.first_frame], *(impact.time_s for impact in record.measured.impacts)]
-    nearest = [int(seen[np.abs(clip.times_s[seen - clip.first_frame] - instant).argmin()]) for instant in instants]
-    chosen = sorted({*nearest[: STRIP_FRAMES - 1], int(seen[-1])})
-    with drawing((8.4, 8.4 * clip.height_px / clip.width_px / max(len(chosen), 3) + 0.25)) as figure:
-        for ax, frame in zip(figure.subplots(1, max(len(chosen), 3), squeeze=False)[0], chosen, strict=False):
-            figures.edges_on_frame(ax, clip, camera, record.die.solid, motions, frame)
-            ax.set_title(f"frame {frame}", fontsize=8.0, color="#5b6470")
-        for ax in figure.axes:
-            ax.set_axis_off()
-        picture = as_address(figure, "png")
-    lines = "measured edges blue" + (", simulated orange" if len(motions) > 1 else "")
-    return captioned(picture, f"The die on film, at its first and last pose and at its bounces: {lines}.")
-
-
-def _heights(record: Record, motions: list[Motion]) -> str:
-    def draw(ax: Axes) -> Axes:
-        track, solid = record.track, record.die.solid
-        for motion, impacts in zip(motions, (record.measured.impacts, ()), strict=False):
-            table = track if motion.name == "measured" else record.simulated
-            assert table is not None
-            seen = np.flatnonzero(track.tracked)
-            # The model goes on where nothing was seen; the figure shows the stretch that can be compared.
-            rows = slice(seen[0], seen[-1] + 1) if len(seen) and len(table) == len(track) else slice(None)
-            poses = table.time_s[rows], table.position_m[rows], table.quaternion[rows]
-            figures.corner_heights(ax, solid, *poses, impacts, label=motion.name)
-        return ax
-
-    caption = "Height of every corner over time: measured dots"
-    caption += ", simulated lines" if record.simulated is not None else ""
-    return captioned(plotted((8.4, 4.0), draw), caption + ". Dashed: the bounces.")
-
-
-def _residual_figures(rest: Residuals, impacts: tuple[Impact, ...]) -> str:
-    if not len(rest.frame):
-        return "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
-    parts = [
-        captioned(
-            plotted((8.4, 2.3), lambda ax: figures.position_residuals(ax, rest, impacts)),
-            "Measured minus simulated position, in world axes.",
-        ),
-        captioned(
-            plotted((8.4, 2.1), lambda ax: figures.angle_residuals(ax, rest, impacts)),
-            "Angle between the measured and the simulated orientation.",
-        ),
-    ]
-    if np.isfinite(rest.sigmas).any():
-        caption = (
-            "Both together in standard errors of the measured poses: root mean square of six; noise alone gives 1."
-        )
-        parts.append(captioned(plotted((8.4, 2.1), lambda ax: figures.sigma_residuals(ax, rest, impacts)), caption))
-    return "\n".join(parts)
-
-
-# Tables
-
-
-def _bounces(impacts: tuple[Impact, ...]) -> str:
+def _bounces(record: Record) -> str:
+    impacts = record.measured.bounces
     if not impacts:
         return "<h2>Bounces</h2>\n<p>No bounce was seen.</p>"
     header = (
@@ -175,7 +128,81 @@ def _bounces(impacts: tuple[Impact, ...]) -> str:
         "energy before → after [mJ]",
         "lowest face before → after",
     )
-    return "<h2>Bounces</h2>\n" + as_table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
+    table = as_table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
+    return "\n".join(["<h2>Bounces</h2>", table, plates.as_html(plates.restitutions(record))])
+
+
+def _fit(record: Record) -> str:
+    fit = record.fit
+    if fit is None:
+        return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
+    rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
+    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "part in the fit"), rows)]
+    if fit.considered or fit.chosen:
+        parts += ["<h3>Effects</h3>", _effects(fit)]
+    if fit.initial is not None:
+        parts += ["<h3>Initial conditions</h3>", _initial(fit.initial, fit)]
+        parts += [plate.as_html() for plate in plates.of_fit(record) if plate.name == "correlations"]
+    if fit.messages:
+        parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
+    return "\n".join(parts)
+
+
+def _residuals(record: Record, account: Account) -> str:
+    if record.simulated is None:
+        return ""
+    shown = plates.as_html(plates.misfits(record, account))
+    nothing = "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
+    return f"<h2>Residuals</h2>\n{shown or nothing}"
+
+
+def _landing(record: Record) -> str:
+    if record.fit is None:
+        return ""
+    said = [landing_sentence(record.fit), *settled_sentence(record.estimates)]
+    parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(said))}</p>"]
+    parts += [plate.as_html() for plate in plates.of_fit(record) if plate.name.startswith("odds")]
+    return "\n".join(parts)
+
+
+def _checks(record: Record, account: Account) -> str:
+    if not account.findings and not record.notices:
+        return ""
+    parts = ["<h2>Calibration and timing</h2>"]
+    if account.findings:
+        parts.append(findings_table(account.findings))
+    if record.notices:
+        parts += ["<h3>Footage and tracking</h3>", _list(record.notices)]
+    return "\n".join(parts)
+
+
+def _origin(origin: Mapping[str, Any] | None) -> str:
+    if origin is None:
+        return ""
+    packages = ", ".join(f"{name} {version}" for name, version in origin.get("packages", {}).items())
+    seconds = ", ".join(f"{name} {number(value, 3)}" for name, value in origin.get("timings_s", {}).items())
+    rows = [
+        ("program", f"diethrow {origin.get('diethrow', UNKNOWN)}"),
+        ("command", " ".join(map(str, origin.get("command", ()))) or "called from Python"),
+        ("python", f"{origin.get('python', UNKNOWN)} on {origin.get('platform', UNKNOWN)}"),
+        ("packages", packages),
+        ("time of the stages [s]", seconds),
+    ]
+    inputs = [
+        f"<tr><td>{escape(str(file.get('path')))}</td><td>{escape(str(file.get('bytes')))}</td>"
+        f'<td class="hash">{escape(str(file.get("sha256")))}</td></tr>'
+        for file in origin.get("inputs", ())
+    ]
+    files = (
+        '<div class="wide"><table>\n<thead><tr><th>input</th><th>bytes</th><th>SHA-256</th></tr></thead>\n<tbody>\n'
+        + "\n".join(inputs)
+        + "\n</tbody></table></div>"
+    )
+    told = told_table((name, text) for name, text in rows if text)
+    return "\n".join(["<h2>Where this comes from</h2>", told, files if inputs else ""])
+
+
+# Rows
 
 
 def _bounce_row(count: int, impact: Impact) -> tuple[str, ...]:
@@ -193,32 +220,17 @@ def _arrow(before: float, after: float, decimals: int) -> str:
     return f"{fixed(before, decimals)} → {fixed(after, decimals)}" if np.isfinite([before, after]).any() else UNKNOWN
 
 
-def _fit(record: Record) -> str:
-    fit = record.fit
-    if fit is None:
-        return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
-    rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
-    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "part in the fit"), rows)]
-    if fit.initial is not None:
-        parts += ["<h2>Initial conditions</h2>", _initial(fit.initial, fit)]
-    if fit.considered or fit.chosen:
-        parts += ["<h2>Effects</h2>", _effects(fit)]
-    if fit.face_odds:
-        odds = [(str(face), f"{100 * share:.1f} %") for face, share in sorted(fit.face_odds.items())]
-        parts += ["<h2>Odds of each face</h2>", as_table(("face", "share of simulated landings"), odds)]
-    return "\n".join(parts)
-
-
 def _parameter_row(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]:
     reason = f"{UNKNOWN}: {_reason(name, fit)}"
     if parameter.value is None:
-        return name, reason, UNKNOWN, role(parameter)
+        return meaning(name), reason, UNKNOWN, role(parameter)
     if parameter.low is None or parameter.high is None:
-        return name, number(parameter.value), reason if parameter.free else "held, so it has none", role(parameter)
+        no_interval = reason if parameter.free else "held, so it has none"
+        return meaning(name), number(parameter.value), no_interval, role(parameter)
     decimals = decimals_for(parameter.high - parameter.low)
     ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
     level = f" ({100 * parameter.level:.3g} %)" if parameter.level is not None else ""
-    return name, fixed(parameter.value, decimals), ends + level, role(parameter)
+    return meaning(name), fixed(parameter.value, decimals), ends + level, role(parameter)
 
 
 def _reason(name: str, fit: Fit) -> str:
@@ -239,11 +251,13 @@ def _initial(state: State, fit: Fit) -> str:
         ("quaternion w, x, y, z [1]", quaternion, _spread(np.rad2deg(errors[3:6]), " °")),
         ("velocity [m/s]", *_vector(state.velocity_m_s, errors[6:9])),
         ("angular velocity [rad/s]", *_vector(state.omega_rad_s, errors[9:])),
+        ("Euler angles ψ, ϑ, φ (z-x-z) [rad]", _vector(euler_from_quat(state.quaternion))[0], ""),
+        ("angular velocity, body axes [rad/s]", _vector(state.rotation.T @ state.omega_rad_s)[0], ""),
     ]
     return as_table(("world axes", "value", "standard errors"), rows)
 
 
-def _vector(values: np.ndarray, errors: np.ndarray) -> tuple[str, str]:
+def _vector(values: np.ndarray, errors: np.ndarray = UNKNOWN_ERRORS) -> tuple[str, str]:
     return "(" + ", ".join(fixed(float(value), 4) for value in values) + ")", _spread(errors)
 
 
@@ -264,16 +278,8 @@ def _effects(fit: Fit) -> str:
         )
         for effect in fit.considered
     ]
-    return as_table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
-
-
-def _notes(record: Record) -> str:
-    parts = []
-    if record.fit is not None and record.fit.messages:
-        parts += ["<h2>Messages of the fit</h2>", _list(record.fit.messages)]
-    if record.notices:
-        parts += ["<h2>Footage and tracking</h2>", _list(record.notices)]
-    return "\n".join(parts)
+    table = as_table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
+    return f"<p>{escape(' '.join(effects_sentences(fit)))}</p>\n{table}"
 
 
 def _list(sentences: Iterable[str]) -> str:

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..model.motion import Impact
-from ..tracking.track import ABSENT, LOST
+from ..tracking.track import ABSENT
 from .record import Record
 
 if TYPE_CHECKING:
-    from ..fitting.results import Parameter
+    from ..fitting.growing import Estimate
+    from ..fitting.results import Fit, Parameter
 
 UNKNOWN = "not determined"
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -23,7 +26,7 @@ def number(value: float | None, digits: int = 4) -> str:
     text = f"{value:.{digits}g}"
     mantissa, _, exponent = text.partition("e")
     if exponent:
-        text = f"{mantissa} × 10^{int(exponent)}"
+        text = f"{mantissa} × 10{str(int(exponent)).translate(RAISED)}"
     return text.replace("-", "−")
 
 
@@ -54,23 +57,22 @@ def plural(count: int, what: str) -> str:
 
 
 def verdict(record: Record) -> list[str]:
-    """What the analysis found, in a few sentences."""
-    said = [_tracking_sentence(record), _bounce_sentence(record)]
+    """What the analysis found, in three sentences: what was seen, what the model makes of it, and where the die lands."""
+    said = [_seen_sentence(record)]
     if record.fit is None:
         return [*said, "No model was fitted."]
-    said.append(_restitution_sentence(record.fit.parameters.get("chi")))
-    bounces = len(record.measured.impacts)
-    if record.fit.bounces_fitted and record.fit.residual_rms is not None:
-        share = f"{record.fit.bounces_fitted} of {plural(bounces, 'bounce')}"
-        said.append(
-            f"The model explains {share}; its poses differ from the measured ones by "
-            f"{number(record.fit.residual_rms, 3)} standard errors, root mean square (noise alone gives 1)."
-        )
-    elif bounces:
-        said.append("The model explains none of the bounces; see the messages.")
-    if record.fit.landed_face is not None:
-        said.append(f"The die comes to rest on face {record.fit.landed_face}.")
-    return said
+    return [*said, _model_sentence(record), landing_sentence(record.fit)]
+
+
+def short_verdict(record: Record) -> str:
+    """What became of the throw, in a few words for a table."""
+    bounces, fit = len(record.measured.impacts), record.fit
+    if fit is None:
+        return "no model fitted"
+    if not bounces or not fit.bounces_fitted:
+        return "no bounce explained" if bounces else "no bounce seen"
+    share = "all" if fit.bounces_fitted == bounces else f"{fit.bounces_fitted} of"
+    return f"{share} {plural(bounces, 'bounce')} explained"
 
 
 def bounce_sentence(number_: int, impact: Impact) -> str:
@@ -80,7 +82,32 @@ def bounce_sentence(number_: int, impact: Impact) -> str:
     text = f"bounce {number_} at {fixed(1e3 * impact.time_s, 3)} ms, {where}"
     if np.isfinite([before, after]).all():
         text += f", {fixed(before, 3)} → {fixed(after, 3)} m/s"
+    if np.isfinite(impact.impulse_N_s).all():
+        text += f", {impulse_of(impact)}"
     return text + (f", χ = {chi_of(impact)}" if np.isfinite(impact.chi) else "")
+
+
+def impulse_of(impact: Impact) -> str:
+    """How hard the table struck."""
+    return f"{number(1e3 * float(np.linalg.norm(impact.impulse_N_s)), 3)} mN s"
+
+
+def estimate_sentence(estimate: Estimate) -> str:
+    """What is known after so many bounces, on one line of the event log."""
+    text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(estimate.chi)}"
+    if odds := estimate.face_odds:
+        likeliest = max(odds, key=lambda face: odds[face])
+        text += f", lands on face {likeliest} with odds of {odds[likeliest]:.2f}"
+    return text
+
+
+def short_interval(parameter: Parameter) -> str:
+    """`0.583 (0.580 to 0.586)`, with the decimals that the interval deserves."""
+    if parameter.value is None or parameter.low is None or parameter.high is None:
+        return number(parameter.value)
+    decimals = decimals_for(parameter.high - parameter.low)
+    low, high = fixed(parameter.low, decimals), fixed(parameter.high, decimals)
+    return f"{fixed(parameter.value, decimals)} ({low} to {high})"
 
 
 def chi_of(impact: Impact) -> str:
@@ -119,27 +146,111 @@ def _of(parameter: Parameter) -> str:
     return interval(parameter.value, parameter.low, parameter.high, parameter.level)
 
 
-def _tracking_sentence(record: Record) -> str:
-    track = record.track
-    absent, lost, known = (
-        int(n) for n in ((track.status == ABSENT).sum(), (track.status == LOST).sum(), track.tracked.sum())
-    )
-    text = f"The die is in view on {len(track) - absent} of {plural(len(track), 'frame')}; its pose is known on {known}"
-    return text + (f" and was lost on {lost}." if lost else " of them." if absent else ".")
+def landing_sentence(fit: Fit) -> str:
+    """Where the die comes to rest, or how open that is."""
+    if fit.landed_face is not None:
+        return f"The die comes to rest on face {fit.landed_face}."
+    if not fit.face_odds:
+        return "On which face it comes to rest is open: nothing was simulated on to rest."
+    face, share = max(fit.face_odds.items(), key=lambda item: item[1])
+    return f"On which face it comes to rest is open: the likeliest, face {face}, has odds of {100 * share:.0f} %."
 
 
-def _bounce_sentence(record: Record) -> str:
-    impacts = record.measured.impacts
+MEANINGS = {
+    "chi": "restitution χ [1]",
+    "mu": "Coulomb friction μ [1]",
+    "chi_fade_s_per_m": "fading of χ with the normal speed [s/m]",
+    "mu_fade_s_per_m": "fading of μ with the normal speed [s/m]",
+    "corner_radius_m": "radius of the corners [m]",
+    "inertia_kg_m2": "moment of inertia [kg m²]",
+    "tilt_x_rad": "tilt of the table about x [rad]",
+    "tilt_y_rad": "tilt of the table about y [rad]",
+    "drag_per_m": "air drag [1/m]",
+    "clock_scale": "true seconds in a second of the clip [1]",
+    "length_scale": "metres of the track in a true metre [1]",
+}
+"""What the parameters of a fit are, with their units."""
+
+
+def meaning(name: str) -> str:
+    """A parameter in words; one that is not known here keeps its name, which carries the unit."""
+    return f"{name}: {MEANINGS[name]}" if name in MEANINGS else name
+
+
+def effects_sentences(fit: Fit) -> list[str]:
+    """Which effects the throw needed, and what became of the others."""
+    beyond = [name for name in fit.chosen if name != "smooth impact"]
+    if beyond:
+        first = f"The frames cannot be explained without {_listed(beyond)}: the model has {_listed(fit.chosen)}."
+    elif fit.chosen:
+        first = f"The plainest model is enough: {_listed(fit.chosen)}."
+    else:
+        first = "No model of an impact was needed."
+    tried = [effect for effect in fit.considered if effect.evidence is not None]
+    untried = len(fit.considered) - len(tried)
+    said = [first]
+    if tried:
+        best = max(tried, key=lambda effect: effect.evidence or 0.0)
+        said.append(
+            f"{_word(len(tried))} other {'effect was' if len(tried) == 1 else 'effects were'} tried and did not pay; "
+            f"nearest came {best.name}, which gains {number(best.evidence, 2)} units of log-likelihood."
+        )
+    if untried:
+        said.append(f"{_word(untried)} {'was' if untried == 1 else 'were'} not tried; the table says why.")
+    return said
+
+
+SURE = 0.95
+"""Odds from which a face counts as settled."""
+
+
+def settled_sentence(estimates: Sequence[Estimate]) -> list[str]:
+    """When the outcome was settled, by fits of more and more frames; nothing where there are none."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    if len(known) < 2:
+        return []
+    likeliest = [max((estimate.face_odds or {}).items(), key=lambda item: item[1]) for estimate in known]
+    face = likeliest[-1][0]
+    open_to = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < SURE), default=-1)
+    if open_to == len(known) - 1:
+        return ["No face was settled by the frames at hand."]
+    first = known[open_to + 1]
+    return [
+        f"Face {face} was settled after {plural(first.bounces, 'bounce')}, with the frames up to "
+        f"{fixed(1e3 * first.time_s, 1)} ms."
+    ]
+
+
+def _listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+def _seen_sentence(record: Record) -> str:
+    track, impacts = record.track, record.measured.bounces
+    shown = int((track.status != ABSENT).sum())
+    text = f"The pose of the die is known on {int(track.tracked.sum())} of the {plural(shown, 'frame')} that show it; "
     if not impacts:
-        return "No bounce was seen."
-    unresolved = sum(impact.contact == "unresolved" for impact in impacts)
+        return text + "no bounce was seen."
     times = ", ".join(f"{1e3 * impact.time_s:.1f}" for impact in impacts[:6]) + (", …" if len(impacts) > 6 else "")
-    found = "One bounce was" if len(impacts) == 1 else f"{_word(len(impacts))} bounces were"
-    text = f"{found} found, at {times} ms"
-    return text + (f"; {unresolved} of them could not be resolved into single contacts." if unresolved else ".")
+    found = "one bounce was" if len(impacts) == 1 else f"{_word(len(impacts)).lower()} bounces were"
+    unresolved = sum(impact.contact == "unresolved" for impact in impacts)
+    rest = f", of which {unresolved} could not be resolved into single contacts." if unresolved else "."
+    return f"{text}{found} found, at {times} ms{rest}"
 
 
-def _restitution_sentence(chi: Parameter | None) -> str:
-    if chi is None or chi.value is None:
-        return f"The restitution coefficient χ is {UNKNOWN}; the messages say why."
-    return f"The restitution coefficient χ is {_of(chi)}."
+def _model_sentence(record: Record) -> str:
+    fit, bounces = record.fit, len(record.measured.bounces)
+    assert fit is not None
+    chi = fit.parameters.get("chi")
+    text = f"The restitution coefficient χ is {UNKNOWN}" if chi is None or chi.value is None else f"χ is {_of(chi)}"
+    if fit.bounces_fitted and fit.residual_rms is not None:
+        share = f"{'all' if fit.bounces_fitted == bounces else f'{fit.bounces_fitted} of'} {bounces} bounces"
+        share = "the only bounce" if bounces == 1 else share
+        return (
+            f"{text}; the model explains {share}, and its poses differ from the measured ones by "
+            f"{number(fit.residual_rms, 3)} standard errors, root mean square (noise alone gives 1)."
+        )
+    return text + (
+        "; the model explains none of the bounces, see the messages." if bounces else "; the messages say why."
+    )

@@ -162,14 +162,15 @@ def preflight(
         except NoDieError as error:
             trouble = str(error)
         notices = (*notices, *(told for told in part.notices if told not in notices))
-    return Preflight(_timing(clip, notices), backdrop, sight, trouble)
+    return Preflight(timing_of(clip, notices), backdrop, sight, trouble)
 
 
 def _grey(frame: Frame) -> Image:
     return np.ascontiguousarray(frame, np.float32)
 
 
-def _timing(clip: Clip, notices: tuple[str, ...]) -> Timing:
+def timing_of(clip: Clip, notices: tuple[str, ...]) -> Timing:
+    """What a clip says of the times of its frames."""
     said = clip.metadata()
     steps = np.diff(clip.times_s)
     usual = float(np.median(steps)) if len(steps) else np.nan
@@ -232,7 +233,7 @@ def _sight(clip: Clip, track: Track, view: View) -> Sight | None:
     shifts = np.array([_shift_px(view, throw.at(float(track.time_s[k])), 1.0) for k in rows]) if throw else np.zeros(1)
     step_s = float(np.median(np.diff(track.time_s)))
     blur = shifts * view.exposure_s
-    heights, sigmas = _contacts(throw, view.die) if throw else (np.empty(0), np.empty(0))
+    heights, sigmas = contacts_of(throw, view.die) if throw else (np.empty(0), np.empty(0))
     return Sight(
         track,
         throw,
@@ -241,7 +242,7 @@ def _sight(clip: Clip, track: Track, view: View) -> Sight | None:
         float(np.percentile(shifts, 95)) * step_s,
         _lens_blur_px(clip, view, track, throw),
         _saturated_share(clip, view, track),
-        _fall(track, throw) if throw else None,
+        fall_of(track, throw) if throw else None,
         heights,
         sigmas,
     )
@@ -303,7 +304,7 @@ def _saturated_share(clip: Clip, view: View, track: Track) -> float:
     return worst
 
 
-def _fall(track: Track, throw: Throw) -> Fall | None:
+def fall_of(track: Track, throw: Throw) -> Fall | None:
     """The acceleration in flight, with an interval that knows that neighbours err alike."""
     fall = measure_fall(track, throw)
     if fall is None:
@@ -320,7 +321,7 @@ def _fall(track: Track, throw: Throw) -> Fall | None:
     return replace(fall, covariance=fall.covariance * (1.0 + r) / (1.0 - r))
 
 
-def _contacts(throw: Throw, die: Die) -> tuple[Array, Array]:
+def contacts_of(throw: Throw, die: Die) -> tuple[Array, Array]:
     """Heights [m] of the lowest point at each resolved bounce, with their standard errors: 0 on a table that is where it is
     said to be."""
     shrink = 1.0 - die.corner_radius_m / die.solid.inradius

@@ -15,15 +15,18 @@ The limits, and what they rest on:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2
 from ..model.solids import Die
-from .gravity import Fall
+from .gravity import Fall, fall_notices
 from .preflight import Backdrop, Preflight, Sight, Timing
+
+Array = NDArray[np.float64]
 
 
 class Verdict(Enum):
@@ -80,8 +83,21 @@ def judge(seen: Preflight, die: Die, exposure_s: float | None) -> tuple[Finding,
         advice = "look at the clip, the background and [die]; a [start] by hand may help"
         return (*findings, Finding("die", Verdict.BAD, f"No die could be followed: {seen.trouble}.", advice))
     findings += [_followed(sight), _size(sight), _motion_blur(sight), _lens_blur(sight)]
-    findings += [_scale(sight.fall, die), _vertical(sight.fall), _table(sight)]
+    findings += [_scale(sight.fall, die), _vertical(sight.fall), _table(sight.contact_m, sight.contact_sigma_m)]
     return tuple(findings)
+
+
+def judge_throw(
+    timing: Timing, fall: Fall | None, contacts: tuple[Array, Array], die: Die, exposure_s: float | None
+) -> tuple[Finding, ...]:
+    """What a finished track tells of timing and calibration; `contacts` are heights (k,) [m] and their sigmas (k,).
+
+    Wrong poses on a few frames bend a fall, too: it is called bad only where it is so by far (`fall_notices`).
+    """
+    by_fall = [_scale(fall, die), _vertical(fall)]
+    if not fall_notices(fall):
+        by_fall = [replace(f, verdict=Verdict.DOUBTFUL) if f.verdict is Verdict.BAD else f for f in by_fall]
+    return _timing(timing, exposure_s), *by_fall, _table(*contacts)
 
 
 def _timing(timing: Timing, exposure_s: float | None) -> Finding:
@@ -268,15 +284,15 @@ def _vertical(fall: Fall | None) -> Finding:
     return Finding("vertical", Verdict.BAD if tilt > TILTED_RAD else Verdict.DOUBTFUL, told, advice, values)
 
 
-def _table(sight: Sight) -> Finding:
+def _table(contact_m: Array, contact_sigma_m: Array) -> Finding:
     """The height of the contacts."""
-    if not len(sight.contact_m):
-        told = "No bounce was resolved on the frames that were tried, so the table's height was not measured."
+    if not len(contact_m):
+        told = "No bounce was resolved on the frames at hand, so the table's height was not measured."
         return Finding("table", Verdict.DOUBTFUL, told, "look at a bounce in the replay of the whole clip")
-    middle = float(np.median(sight.contact_m))
+    middle = float(np.median(contact_m))
     # Errors of depth are common to all contacts, so their mean is no better than one of them.
-    wide = TWO_SIDED_95 * float(np.median(sight.contact_sigma_m))
-    told = f"The die bounces at z = {1e3 * middle:+.2g} ± {1e3 * wide:.2g} mm (95 %, {len(sight.contact_m)} bounces)."
+    wide = TWO_SIDED_95 * float(np.median(contact_sigma_m))
+    told = f"The die bounces at z = {1e3 * middle:+.2g} ± {1e3 * wide:.2g} mm (95 %, {len(contact_m)} bounces)."
     values: dict[str, float | None] = {"contact_m": middle, "contact_half_width_m": wide}
     if abs(middle) <= max(AT_TABLE_M, wide):
         return Finding("table", Verdict.GOOD, told, "", values)

@@ -13,15 +13,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .account import account_of
 from .executors import one_thread
+from .fitting.growing import Estimate, estimates
 from .fitting.results import Fit
 from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder
-from .provenance import InputFile, Stopwatch, steady, write_provenance
+from .provenance import InputFile, Stopwatch, add_timings, steady, write_provenance
 from .records import (
     covariance_path,
+    read_json,
     read_track,
     simulated_track,
     write_bounces,
@@ -31,6 +34,8 @@ from .records import (
     write_track,
     write_vertices,
 )
+from .replay.account import Account
+from .replay.plates import write_figures
 from .replay.record import Record
 from .replay.recording import write_recording
 from .replay.report import write_report
@@ -56,6 +61,19 @@ Progress = Callable[[str, int, int], None]
 
 class RunError(ValueError):
     """A run whose input is well formed and still gives no result; the text says why."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is drawn of a throw besides the recording and the plain report."""
+
+    embed_replay: bool = False
+    """The viewer and the recording within the report: some 20 MB more."""
+    figures: bool = False
+    """Every figure of the report as a file of its own, PNG and SVG."""
+
+
+PLAIN = Shown()
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,15 +140,16 @@ def analyze(
     quality: Quality = STANDARD,
     coarseness: Coarseness = WHOLE,
     intervals: IntervalMethod = "profile",
+    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
     `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
-    from.
-    `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
-    without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
+    from; `shown` what is drawn besides; `command` is repeated in the provenance. Raises SceneError for a scene that cannot
+    be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then no
+    folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
@@ -151,10 +170,13 @@ def analyze(
             camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
+            estimates=_growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
-        _write_replay(folder, record, progress, watch)
+        _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, inputs, watch)
+        account = account_of(scene, tracking, read_json(folder / "provenance.json"))
+        _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
 
 
@@ -186,6 +208,7 @@ def fit_track(
     *,
     force: bool = False,
     intervals: IntervalMethod = "profile",
+    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -208,10 +231,13 @@ def fit_track(
             fps=_rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
+            estimates=_growing(frames, measured, scene.die, fit, progress, watch),
             notices=smoothed_notices(track_path),
         )
-        _write_replay(folder, record, progress, watch)
+        _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, inputs, watch)
+        account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
+        _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
 
@@ -392,6 +418,14 @@ def _fit(
         return fit_throw(frames_in_flight(frames, measured), measured, die, intervals=intervals)
 
 
+def _growing(
+    frames: Track, measured: Throw, die: Die, fit: Fit, progress: Progress, watch: Stopwatch
+) -> tuple[Estimate, ...]:
+    with watch.stage("estimates"):
+        progress("Bounce by bounce", 0, 0)
+        return estimates(frames_in_flight(frames, measured), measured, die, fit)
+
+
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:
     """fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
     write_fit(folder / "fit.json", fit)
@@ -405,13 +439,23 @@ def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:
     return simulated
 
 
-def _write_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+def _write_recording(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
         write_recording(folder / "replay.rrd", record)
+
+
+def _write_pages(
+    folder: Path, record: Record, account: Account, shown: Shown, progress: Progress, watch: Stopwatch
+) -> None:
+    """The report, which tells the provenance, and the figures; then their time goes into the provenance, too."""
     with watch.stage("report"):
         progress("Writing the report", 0, 0)
-        write_report(folder / "report.html", record)
+        replay = folder / "replay.rrd" if shown.embed_replay else None
+        write_report(folder / "report.html", record, account, replay)
+        if shown.figures:
+            write_figures(folder / "figures", record, account)
+    add_timings(folder / "provenance.json", watch.seconds)
 
 
 def _write_origin(

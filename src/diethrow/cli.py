@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from math import floor, log10
 from pathlib import Path
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from .check import Check
     from .fit_many import FitOfMany
     from .fitting.results import Parameter
+    from .fitting.whole_throw import IntervalMethod
+    from .replays import ThrowRecording
     from .tracking.quality import Quality
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
@@ -58,7 +60,24 @@ Fineness = Annotated[
         help="fast: each frame once, edges alone; standard: twice, and the marks on the faces; fine: the same with more steps.",
     ),
 ]
+Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
+Shrink = Annotated[
+    int, typer.Option("--shrink", min=1, metavar="F", help="Make pictures smaller: the mean of F × F pixels.")
+]
+Intervals = Annotated[
+    str,
+    typer.Option(
+        "--intervals",
+        metavar="profile|covariance|bootstrap",
+        help="Where intervals come from: the profile of the likelihood, the covariance, or residuals drawn anew.",
+    ),
+]
 Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
+EmbedReplay = Annotated[
+    bool,
+    typer.Option("--embed-replay", help="Put the viewer and the recording into report.html: 20 MB, and no network."),
+]
+Figures = Annotated[bool, typer.Option("--figures", help="Also the figures of the report as PNG and SVG, in figures/.")]
 
 
 def main() -> None:
@@ -83,11 +102,19 @@ def _program(
     """Experiment against simulation for high-speed footage of thrown dice."""
 
 
-@app.command(epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood")
+@app.command(
+    epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; a page to send, with the replay in it:  "
+    "diethrow analyze clips/cube_wood/scene.toml --embed-replay --out out/cube_wood"
+)
 def analyze(
     scene: SceneFile,
     out: OutFolder,
     quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    intervals: Intervals = "profile",
+    embed_replay: EmbedReplay = False,
+    figures: Figures = False,
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
@@ -95,15 +122,29 @@ def analyze(
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(
-            scene, allow_outside=allow_outside
-        )  # before the stages are imported: a mistake in a scene is told at once
+        # Before the stages are imported: a mistake in a scene is told at once.
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from .analyze import Shown
         from .analyze import analyze as analyze_scene
+        from .tracking.coarser import Coarseness
 
+        with _options_that_fit():
+            chosen, method = _quality(quality), _interval_method(intervals)
+        how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
+        how = (*how, *_given("--intervals", intervals, "profile"))
+        drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
         with _progress() as progress:
-            command = (*_command("analyze", scene, out, force, allow_outside), "--quality", quality)
-            chosen = _quality(quality)
-            result = analyze_scene(checked, out, force=force, quality=chosen, progress=progress, command=command)
+            result = analyze_scene(
+                checked,
+                out,
+                force=force,
+                quality=chosen,
+                coarseness=Coarseness(every, shrink),
+                intervals=method,
+                shown=Shown(embed_replay, figures),
+                progress=progress,
+                command=(*_command("analyze", scene, out, force, allow_outside), *how, *drawn),
+            )
         _print_analysis(result)
 
 
@@ -112,6 +153,8 @@ def track(
     scene: SceneFile,
     out: OutFolder,
     quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
@@ -121,11 +164,19 @@ def track(
 
         checked = read_scene(scene, allow_outside=allow_outside)
         from .analyze import track_only
+        from .tracking.coarser import Coarseness
 
+        how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         with _progress() as progress:
-            command = (*_command("track", scene, out, force, allow_outside), "--quality", quality)
-            chosen = _quality(quality)
-            result = track_only(checked, out, force=force, quality=chosen, progress=progress, command=command)
+            result = track_only(
+                checked,
+                out,
+                force=force,
+                quality=_quality(quality),
+                coarseness=Coarseness(every, shrink),
+                progress=progress,
+                command=(*_command("track", scene, out, force, allow_outside), *how),
+            )
         _print_notices(result.notices)
         tracked, total = int(result.frames.tracked.sum()), len(result.frames)
         typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
@@ -216,6 +267,10 @@ def predict(
 def throw(
     plan: Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")],
     out: OutFolder,
+    embed_replay: Annotated[
+        bool,
+        typer.Option("--embed-replay", help="Also replay.html: the viewer and the recording in one page, 20 MB."),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Simulate one throw from its initial conditions to its end."""
@@ -225,10 +280,11 @@ def throw(
         checked = read_plan(plan)
         from .throw import throw as simulate
 
-        result = simulate(checked, out, force=force, command=_command("throw", plan, out, force))
+        command = (*_command("throw", plan, out, force), *_flag("--embed-replay", embed_replay))
+        result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
-        typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
+        typer.echo(f"Look at it:  diethrow replay {out} --open")
 
 
 @app.command(
@@ -298,6 +354,63 @@ def film(
             )
         typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
         typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
+
+
+@app.command(
+    epilog="Examples:  diethrow replay out/cube_wood --open\n\n"
+    "diethrow replay out/throw_1 out/throw_2 --out both.rrd --open     (several throws, or several models of one)\n\n"
+    "diethrow replay out --out throws     (a folder of throws: one recording each, and a table)"
+)
+def replay(
+    throws: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders that analyze, fit or throw made; a folder of them stands for all."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.rrd|DIR",
+            help="FILE.rrd: all throws in one recording. DIR: a recording for each, and throws.csv. Left out: neither.",
+        ),
+    ] = None,
+    align: Annotated[
+        str, typer.Option("--align", metavar="bounce|frame", help="Set the clocks by the first bounce, or by frame 0.")
+    ] = "bounce",
+    models: Annotated[
+        bool | None,
+        typer.Option(
+            "--models/--throws",
+            help="Several models of one throw, or several throws; left out: models where all come from one clip or track.",
+            show_default=False,
+        ),
+    ] = None,
+    look: Annotated[
+        bool, typer.Option("--open", help="Show it in the viewer, which then tells nobody and serves nobody else.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what --out names.")] = False,
+) -> None:
+    """Look at throws: a table, one recording of several, and the viewer."""
+    with _one_sentence_errors():
+        from .replays import find_recordings, gather, join
+
+        found = find_recordings(throws)
+        _print_throws(found)
+        shown = [one.path for one in found]
+        if out is not None and out.suffix == ".rrd":
+            same = join(found, out, align=align, models=models, force=force)
+            typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
+            shown = [out]
+        elif out is not None:
+            gather(found, out, force=force)
+            typer.echo(f"{len(found)} recordings and throws.csv in {out}")
+            shown = [out / f"{one.name}.rrd" for one in found]
+        if look:
+            from .viewer import open_viewer
+
+            raise typer.Exit(open_viewer(shown))
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
@@ -857,7 +970,7 @@ def _print_analysis(result: Analysis) -> None:
     if result.fit.residual_rms is not None:
         table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
     table.add_row("report", str(result.folder / "report.html"))
-    table.add_row("look at it", f"rerun {result.folder / 'replay.rrd'}")
+    table.add_row("look at it", f"diethrow replay {result.folder} --open")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.notices, *result.fit.messages))
 
@@ -874,6 +987,29 @@ def _print_joint_fit(result: FitOfMany) -> None:
     table.add_row("see", str(result.folder / "fit.json"))
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     _print_notices((*result.fit.messages, *result.left_out))
+
+
+def _print_throws(found: Sequence[ThrowRecording]) -> None:
+    """One row a throw."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
+        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right")
+    for one in found:
+        said = one.properties
+        chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
+        table.add_row(
+            one.name,
+            "" if chi is None else f"{chi:.5g}",
+            "" if low is None or high is None else f"{low:.5g} to {high:.5g}",
+            str(said.get("bounces", "")),
+            "" if rms is None else f"{rms:.2f}",
+            str(said.get("landed_face", "")),
+            str(said.get("verdict", "")),
+        )
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
 def _with_interval(parameter: Parameter) -> str:
@@ -932,9 +1068,28 @@ def _quality(name: str) -> Quality:
     return QUALITIES[name]
 
 
+def _interval_method(name: str) -> IntervalMethod:
+    """The method of that name. Raises ValueError, in a sentence, where there is none."""
+    from .fitting.whole_throw import INTERVAL_METHODS
+
+    for method in INTERVAL_METHODS:
+        if name == method:
+            return method
+    raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
+
+
+def _given(name: str, value: int | str, default: int | str) -> tuple[str, ...]:
+    """An option as typed; nothing where it says what goes without saying."""
+    return () if value == default else (name, str(value))
+
+
 def _command(name: str, file: Path, out: Path, force: bool, allow_outside: bool = False) -> tuple[str, ...]:
     outside = ("--allow-outside",) if allow_outside else ()
     return ("diethrow", name, str(file), *_options(out, force), *outside)
+
+
+def _flag(name: str, given: bool) -> tuple[str, ...]:
+    return (name,) if given else ()
 
 
 def _options(out: Path, force: bool) -> tuple[str, ...]:

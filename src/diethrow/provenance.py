@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from . import __version__
-from .records import write_json
+from .records import read_json, write_json
 
 PACKAGES = (
     "av",
@@ -151,9 +151,18 @@ def write_provenance(
             "python": platform.python_version(),
             "platform": platform.platform(),
             "packages": package_versions(),
-            "timings_s": {name: round(value, 4) for name, value in seconds.items()},
+            "timings_s": _rounded(seconds),
         },
     )
+
+
+def add_timings(path: Path, seconds: dict[str, float]) -> None:
+    """Put the timings of a run into a provenance that was written before its last stages."""
+    write_json(path, {**read_json(path), "timings_s": _rounded(seconds)})
+
+
+def _rounded(seconds: dict[str, float]) -> dict[str, float]:
+    return {name: round(value, 4) for name, value in seconds.items()}
 
 
 def sha256(path: Path) -> str:

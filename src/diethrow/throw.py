@@ -15,21 +15,22 @@ from .outputs import whole_folder
 from .plan import Plan
 from .provenance import Stopwatch, write_provenance
 from .records import simulated_track, state_table, write_bounces, write_json, write_simulated, write_vertices
-from .replay.figures import corner_heights
+from .replay.figures import throw_heights
 from .replay.recording import write_throw_recording
+from .replay.throw_page import throw_page
 from .settings import refuse
 from .tracking.track import Track
 
 MOST_ROWS = 10_000_000
 """Of simulated.csv: beyond them `output.fps` or `until.time_s` is in another unit."""
-DRAWN_INSTANTS = 4000
-"""Instants of the figure: more than its pixels, and never so many that drawing takes longer than the throw."""
 _LEFT = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
 """Endings that leave a throw before its own."""
 
 
-def throw(plan: Plan, out: Path, *, force: bool = False, command: tuple[str, ...] = ()) -> ThrowResult:
-    """Simulate the throw of a plan and write it to the folder `out`.
+def throw(
+    plan: Plan, out: Path, *, force: bool = False, embed_replay: bool = False, command: tuple[str, ...] = ()
+) -> ThrowResult:
+    """Simulate the throw of a plan and write it to the folder `out`; `embed_replay` adds a page with the viewer in it.
 
     Raises ValueError for a release that no die can have and OutputExistsError for a folder that exists (unless
     `force`); then no folder is left.
@@ -43,11 +44,16 @@ def throw(plan: Plan, out: Path, *, force: bool = False, command: tuple[str, ...
             write_vertices(folder / "vertices.csv", plan.die.solid)
             write_bounces(folder / "bounces.csv", result.throw.bounces)
             write_simulated(folder / "simulated.csv", rows_of(plan, result))
-            write_json(folder / "throw.json", verdict(plan, result))
+            told = verdict(plan, result)
+            write_json(folder / "throw.json", told)
         with watch.stage("figure"):
             draw_heights(folder / "heights.png", plan, result)
         with watch.stage("replay"):
             write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
+            if embed_replay:
+                title, sentences = plan.path.stem, told["messages"]
+                page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
+                (folder / "replay.html").write_text(page, encoding="utf-8")
         write_provenance(
             folder / "provenance.json", command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds
         )
@@ -90,10 +96,7 @@ def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
 
 def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
     """The height of every corner over time, with the impacts, as a picture."""
-    flights = result.throw.flights
-    times = np.linspace(flights[0].start.time_s, flights[-1].end_s, DRAWN_INSTANTS)
-    positions, quaternions = result.throw.poses(times)
     figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
-    corner_heights(figure.add_subplot(), plan.die.solid, times, positions, quaternions, impacts=result.throw.bounces)
+    throw_heights(figure.add_subplot(), plan.die.solid, result.throw)
     figure.savefig(path)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 import replay_records as made
@@ -9,9 +13,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
+from diethrow.fitting.growing import Estimate
 from diethrow.replay import figures
+from diethrow.replay.account import Account
 from diethrow.replay.palette import MEASURED, SIMULATED, hex_colour
+from diethrow.replay.plates import STATE_NAMES, plates, write_figures
 from diethrow.replay.record import motions_of, residuals
+from diethrow.replay.stroboscope import COLUMNS, bounce_strip, rows_of_strip, stroboscope
 
 
 def axes() -> Axes:
@@ -28,17 +36,31 @@ def heights(ax: Axes, label: str) -> Axes:
 def drawn() -> list[Axes]:
     rest, impacts = residuals(made.track(), made.track(1e-5)), made.throw().impacts
     record = made.record()
+    on_film = record.clip, made.camera(), made.die().solid, motions_of(record)
     assert record.clip is not None
     return [
         heights(axes(), "measured"),
         figures.position_residuals(axes(), rest, impacts),
         figures.angle_residuals(axes(), rest, impacts),
         figures.sigma_residuals(axes(), rest, impacts),
+        figures.position_sigmas(axes(), rest, impacts),
+        figures.turn_sigmas(axes(), rest, impacts),
+        figures.throw_heights(axes(), made.die().solid, made.throw()),
+        figures.correlations(axes(), 1e-8 * np.eye(12), STATE_NAMES),
+        figures.face_odds(axes(), {1: 0.7, 2: 0.3}),
+        figures.odds_on_the_way(axes(), estimates(), impacts),
+        stroboscope(axes(), *on_film),
+        bounce_strip(axes(), *on_film, impacts),
         figures.restitution(axes(), impacts, made.fit().parameters["chi"]),
         figures.edges_on_frame(
             axes(), record.clip, made.camera(), made.die().solid, motions_of(record), made.FIRST_FRAME + 10
         ),
     ]
+
+
+def estimates() -> tuple[Estimate, ...]:
+    chi = made.fit().parameters["chi"]
+    return Estimate(1, 0.03, chi, {1: 0.6, 2: 0.4}), Estimate(2, 0.04, chi, {1: 1.0, 2: 0.0})
 
 
 def test_every_axis_carries_its_unit() -> None:
@@ -79,3 +101,75 @@ def test_a_frame_outside_the_clip_is_refused() -> None:
     assert record.clip is not None
     with pytest.raises(IndexError, match="frame 0: the clip has 7 to 66"):
         figures.edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), 0)
+
+
+def test_residuals_in_sigmas_are_the_residuals_over_their_standard_errors() -> None:
+    moved_m, sigma_m = 3e-5, 1e-5  # sigma as in the made track
+    ax = figures.position_sigmas(axes(), residuals(made.track(moved_m), made.track()))
+    x, y, z = (np.asarray(line.get_ydata(), float) for line in ax.lines[:3])
+    np.testing.assert_allclose(x, moved_m / sigma_m, rtol=1e-9)
+    np.testing.assert_allclose([y, z], 0.0, atol=1e-9)
+
+
+def test_correlations_are_those_of_the_covariance() -> None:
+    sigmas = np.array([1e-6, 2.0, 30.0])
+    wanted = np.array([[1.0, 0.5, -0.25], [0.5, 1.0, 0.0], [-0.25, 0.0, 1.0]])
+    ax = figures.correlations(axes(), wanted * np.outer(sigmas, sigmas), ("a", "b", "c"))
+    np.testing.assert_allclose(np.asarray(ax.images[0].get_array()), wanted, atol=1e-12)
+    assert {text.get_text() for text in ax.texts} == {"50", "−25", "0"}
+
+
+def test_the_stroboscope_shows_the_die_as_it_is_on_each_frame() -> None:
+    """Every exposure laid over the scene holds the grey levels of its own frame, at its own place."""
+    record = made.record()
+    clip = record.clip
+    assert clip is not None
+    for k in range(len(clip)):
+        clip.array[k] = k + 1  # type: ignore[attr-defined]
+    ax = stroboscope(axes(), clip, made.camera(), made.die().solid, motions_of(record))
+    scene, *exposures = ax.images
+    levels = [np.unique(np.asarray(image.get_array())[..., 0]) for image in exposures]
+    assert len(exposures) > 2
+    assert all(len(level) == 1 for level in levels)
+    assert sorted(int(level[0]) for level in levels) == [int(level[0]) for level in levels]
+    left, right, bottom, top = exposures[0].get_extent()
+    assert -0.5 <= left < right <= clip.width_px - 0.5
+    assert -0.5 <= top < bottom <= clip.height_px - 0.5
+    assert np.asarray(scene.get_array()).shape == (clip.height_px, clip.width_px)
+
+
+def test_a_bounce_is_shown_about_the_frame_nearest_to_it() -> None:
+    record = made.record()
+    assert record.clip is not None
+    impacts = made.throw().impacts
+    ((row, frames),) = rows_of_strip(record.clip, made.camera(), made.die().solid, motions_of(record)[0], impacts)
+    assert row == [0]
+    assert len(frames) == COLUMNS
+    places = [k for k, frame in enumerate(frames) if frame is not None]
+    known = [frame for frame in frames if frame is not None]
+    assert abs(known[places.index(COLUMNS // 2)] / made.FPS - made.IMPACT_S) <= 0.5 / made.FPS
+    steps = {(b - a) / (n - m) for (m, a), (n, b) in itertools.pairwise(zip(places, known, strict=True))}
+    assert len(steps) == 1, "the frames of a row are not evenly spaced"
+
+
+def test_impacts_within_three_frames_share_a_row() -> None:
+    record, impact = made.record(), made.throw().impacts[0]
+    assert record.clip is not None
+    later = replace(impact, time_s=impact.time_s + 2.0 / made.FPS)
+    far = replace(impact, time_s=impact.time_s + 8.0 / made.FPS)
+    rows = rows_of_strip(record.clip, made.camera(), made.die().solid, motions_of(record)[0], (impact, later, far))
+    assert [row for row, _ in rows] == [[0, 1], [2]]
+
+
+def test_every_figure_is_written_as_png_and_svg(tmp_path: Path) -> None:
+    record = made.record(estimates=estimates(), fit=made.fit(face_odds={1: 0.9, 2: 0.1}))
+    written = write_figures(tmp_path / "figures", record)
+    names = [plate.name for plate in plates(record, Account())]
+    assert len(names) >= 9
+    assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "svg")]
+    assert all(path.read_bytes().startswith((b"\x89PNG", b"<?xml")) for path in written)
+
+
+def test_what_a_record_lacks_has_no_figure() -> None:
+    bare = made.record(clip=None, camera=None, fit=None, simulated=None)
+    assert [plate.name for plate in plates(bare, Account())] == ["heights", "restitution"]

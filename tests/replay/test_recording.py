@@ -16,7 +16,7 @@ import replay_records as made
 from rerun.chunk import RrdReader
 
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.replay import recording, video
+from diethrow.replay import recording, scenery, video
 from diethrow.replay.palette import MEASURED, SIMULATED
 from diethrow.replay.record import residuals
 from diethrow.replay.recording import write_recording, write_throw_recording
@@ -48,8 +48,8 @@ def entities(path: Path) -> set[str]:
 
 
 def verify(path: Path) -> subprocess.CompletedProcess[str]:
-    tool = Path(sys.executable).with_name("rerun")
-    return subprocess.run([tool, "rrd", "verify", str(path)], capture_output=True, text=True, timeout=60, check=False)
+    command = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_the_overlay_is_where_the_camera_sees_the_corners(written: Path) -> None
 
 def test_residuals_are_measured_minus_simulated(written: Path) -> None:
     known = made.track().tracked
-    back = [value[0] for _, value in rows(written, "/plots/residual/position_mm/x", "Scalars:scalars")]
+    back = [value[0] for _, value in rows(written, "/plots/residual/position_mm/x", "Measurements:values")]
     # The simulated track was set off by +0.01 mm.
     np.testing.assert_allclose(back, np.full(known.sum(), -0.01), atol=1e-9)
 
@@ -163,7 +163,7 @@ def test_every_frame_of_the_film_shows_its_own_picture(written: Path) -> None:
 
 
 def test_without_av1_every_frame_is_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "can_encode_av1", lambda: False)
+    monkeypatch.setattr(scenery, "can_encode_av1", lambda: False)
     path = tmp_path / "jpeg.rrd"
     write_recording(path, made.record(clip=made.coded_clip(5)))
     pictures = rows(path, "/world/camera/image", "EncodedImage:blob", "frame")
@@ -247,7 +247,7 @@ def test_a_failure_leaves_no_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fail(*_: object) -> None:
         raise RuntimeError("stopped half-way")
 
-    monkeypatch.setattr(recording, "_send_residuals", fail)
+    monkeypatch.setattr(recording, "send_residuals", fail)
     path = tmp_path / "x.rrd"
     with pytest.raises(RuntimeError, match="half-way"):
         write_recording(path, made.record())

@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 import replay_records as made
 
-from diethrow.fitting.results import Parameter
+from diethrow.fitting.growing import Estimate
+from diethrow.fitting.results import Effect, Parameter
 from diethrow.model.motion import Throw
 from diethrow.replay import words
+from diethrow.replay.account import Account
 from diethrow.replay.report import page, write_report
+from diethrow.tracking.verdicts import Finding, Verdict
 
 HOSTILE = "<script>alert(1)</script> \" onload='x' & <img src=http://example.org/x>"
 
@@ -100,6 +103,53 @@ def test_what_is_not_determined_is_said_with_its_reason() -> None:
     assert "nan" not in text
 
 
+def test_the_account_of_a_run_is_told_and_escaped() -> None:
+    origin = {
+        "diethrow": "0.1.0",
+        "command": ["diethrow", "analyze", HOSTILE],
+        "python": "3.11",
+        "platform": HOSTILE,
+        "packages": {"numpy": "2"},
+        "inputs": [{"path": HOSTILE, "bytes": 12, "sha256": "ab" * 32}],
+        "timings_s": {"track": 1.5},
+    }
+    findings = (Finding("scale", Verdict.DOUBTFUL, HOSTILE, HOSTILE),)
+    parsed = Page(page(made.record(), Account(findings=findings, origin=origin)))
+    assert parsed.open == []
+    assert "script" not in parsed.tags
+    assert parsed.text.count("<script>alert(1)</script>") == 5
+    for told in ("doubtful", "ab" * 32, "numpy 2", "track 1.5"):
+        assert told in parsed.text
+
+
+def test_the_verdict_is_three_sentences() -> None:
+    said = words.verdict(made.record())
+    assert len(said) == 3
+    assert all(sentence.endswith(".") for sentence in said)
+    assert "χ is 0.5831 (95 % interval 0.5802 to 0.5859); the model explains the only bounce" in said[1]
+
+
+def test_it_is_said_which_effects_were_needed_and_what_became_of_the_others() -> None:
+    considered = (Effect("air drag", 0.8, "It gains too little."), Effect("clock", 2.1, "So does this."))
+    said = " ".join(words.effects_sentences(made.fit(chosen=("friction", "rounded corners"), considered=considered)))
+    assert "cannot be explained without friction and rounded corners" in said
+    assert "Two other effects were tried and did not pay; nearest came clock, which gains 2.1" in said
+    assert "plainest model is enough" in words.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
+
+
+def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
+    chi = made.fit().parameters["chi"]
+
+    def told(*odds: float) -> str:
+        known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
+        return " ".join(words.settled_sentence(known))
+
+    assert "Face 1 was settled after 2 bounces, with the frames up to 20.0 ms" in told(0.5, 0.97, 1.0)
+    assert "after 3 bounces" in told(0.99, 0.1, 1.0)
+    assert "No face was settled" in told(0.99, 0.6)
+    assert told(1.0) == ""
+
+
 def test_a_record_without_fit_clip_or_camera_is_a_page_too() -> None:
     text = Page(page(made.record(fit=None, clip=None, camera=None, simulated=None, notices=()))).text
     assert "No model was fitted" in text
@@ -141,5 +191,5 @@ def test_an_interval_is_written_with_two_digits_of_its_width(width: float, decim
 
 def test_numbers_have_a_true_minus_sign_and_no_bare_nan() -> None:
     assert words.number(-0.5) == "−0.5"
-    assert words.number(1.5e-7) == "1.5 × 10^−7"
+    assert words.number(1.5e-7) == "1.5 × 10⁻⁷"
     assert words.number(np.nan) == words.fixed(np.nan, 3) == words.number(None) == "not determined"

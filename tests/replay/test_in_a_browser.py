@@ -1,0 +1,78 @@
+"""The report in a real browser, opened from a file with no network: nothing fails, nothing is asked for, all is drawn."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import replay_records as made
+from browser import Page, opened
+
+from diethrow.replay.embedded import viewer_files
+from diethrow.replay.recording import write_recording
+from diethrow.replay.report import write_report
+
+PHONE_PX = 390
+HOSTILE = "</script></style><script>window.fooled = 1</script><img src=x onerror='window.fooled = 1'>"
+STARTS_S, DRAWS_S = 60.0, 60.0
+"""The viewer alone takes 4 s and 10 s where its pixels are drawn by one core; other work shares the machine."""
+
+
+def in_order(page: Page, file: Path) -> None:
+    """No error on the console, and nothing asked for but the page."""
+    assert page.errors == []
+    assert page.requests == [file.resolve().as_uri()]
+
+
+def test_the_report_opens_from_a_file_and_fits_a_phone(tmp_path: Path) -> None:
+    file = tmp_path / "report.html"
+    fit = made.fit(messages=(HOSTILE,))
+    write_report(file, made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
+    with opened(file, tmp_path / "browser", width_px=PHONE_PX, height_px=844) as page:
+        pictures = page.evaluate("Array.from(document.images, (image) => image.naturalWidth)")
+        assert len(pictures) >= 6
+        assert min(pictures) > 0
+        # Wide figures and tables scroll by themselves; the page does not.
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
+        assert page.evaluate("typeof window.fooled") == "undefined"
+        in_order(page, file)
+
+
+def test_the_embedded_replay_opens_from_a_file_and_is_drawn(tmp_path: Path) -> None:
+    recording, file = tmp_path / "replay.rrd", tmp_path / "report.html"
+    record = made.record()
+    write_recording(recording, record)
+    write_report(file, record, replay=recording)
+    with opened(file, tmp_path / "browser", width_px=480, height_px=360) as page:
+        page.evaluate("document.getElementById('replay-start').click()")
+        page.wait_for("document.getElementById('replay').dataset.state === 'started'", STARTS_S)
+        page.evaluate("document.getElementById('replay-canvas').scrollIntoView()")
+        assert is_drawn(page)
+        assert page.evaluate("document.getElementById('replay-told').textContent") == ""
+        in_order(page, file)
+
+
+def is_drawn(page: Page) -> bool:
+    """Whether the view has many colours within DRAWS_S; a canvas on which nothing is drawn has one."""
+    until = time.monotonic() + DRAWS_S
+    while time.monotonic() < until:
+        picture = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        if len(np.unique(picture.reshape(-1, 3), axis=0)) > 100:
+            return True
+    return False
+
+
+def test_the_viewer_is_the_installed_one() -> None:
+    script, code = viewer_files()
+    assert b"wasm_bindgen" in script
+    assert code.startswith(b"\0asm")
+
+
+def test_a_page_without_a_recording_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        write_report(tmp_path / "report.html", made.record(), replay=tmp_path / "none.rrd")
+    assert not (tmp_path / "report.html").exists()
