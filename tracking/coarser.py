@@ -108,7 +108,8 @@ class CoarserClip:
         whole = self._clip.frame(self._coarseness.every * index)
         if self._coarseness.shrink == 1:
             return whole
-        return np.rint(self._coarseness.picture(whole)).astype(whole.dtype)
+        smaller = np.rint(self._coarseness.picture(whole))
+        return smaller.astype(np.uint8) if whole.dtype == np.uint8 else smaller.astype(np.uint16)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """Frames `start` to `stop` in order; raises as the clip does."""

@@ -70,7 +70,12 @@ class Processes(Executor):
         workers = list(self._all)
         for worker in workers:
             worker.process.terminate()
-        slow = threading.Timer(SECONDS_TO_STOP, lambda: [worker.process.kill() for worker in workers])
+
+        def kill() -> None:
+            for worker in workers:
+                worker.process.kill()
+
+        slow = threading.Timer(SECONDS_TO_STOP, kill)
         slow.start()
         self._threads.shutdown(wait=True)
         slow.cancel()
