@@ -27,7 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from diethrow.fitting.joint import EFFECTS, Entry, entry_of, fit_jointly
+from diethrow.fitting.crowd import Entry, entry_of
+from diethrow.fitting.joint import fit_jointly
+from diethrow.fitting.joint_effects import EFFECTS
 from diethrow.fitting.outset import outset_before
 from diethrow.fitting.physics import Physics
 from diethrow.fitting.prediction import simulated_poses

@@ -13,7 +13,8 @@ after a bounce may still agree; the last frame of a flight is therefore asked ag
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,25 +59,52 @@ class Outset:
 
     rows: Indices
     """Rows of the track in use, in order."""
-    state: State
-    """At the time of the last of them, on the track's clock."""
+    fair_state: State
+    """At the time of the last of them, on the track's clock, if the centroid is the centre of mass."""
     covariance: Array
     """(12, 12): position, rotation vector, velocity, angular velocity, world axes, from the frames' own scatter."""
     sigma_m: float
     sigma_rad: float
     """Scatter of the frames about the flight, of one axis."""
-
     begin_s: float
     """Time of the first of them."""
+    swing: Array
+    """(2, 3, 3): by what position and velocity of the centre of mass differ from those of `fair_state` for every metre
+    at which it lies from the centroid, along the axes of the body."""
+    centre_of_mass_m: Array | None = None
+    """(3,) from the centroid, body axes; None where it is the centroid."""
+
+    @cached_property
+    def state(self) -> State:
+        """Of the centroid, at the time of the last row."""
+        return _shifted(self._centre_state, self.centre_of_mass_m, -1.0)
+
+    def of_die(self, die: Die) -> Outset:
+        """The same frames as a flight of this die: what falls freely is its centre of mass, which the centroid circles."""
+        return replace(self, centre_of_mass_m=die.centre_of_mass_m)
 
     def scatters_like(self, other: Outset) -> bool:
         """Whether the frames are as near to a flight as those of another."""
         return self.sigma_m <= _CONTACT * other.sigma_m and self.sigma_rad <= _CONTACT * other.sigma_rad
 
-    @property
-    def flight(self) -> Flight:
-        """From the first frame in use to the last."""
-        return Flight(_at(self.state, self.begin_s), self.state.time_s)
+    def poses(self, times_s: Array) -> tuple[Array, Array]:
+        """Positions (n, 3) and quaternions (n, 4) of the centroid from the first row to the last."""
+        flight = Flight(_at(self._centre_state, self.begin_s), self.fair_state.time_s)
+        positions, quaternions = flight.poses(times_s)
+        if self.centre_of_mass_m is not None:
+            positions = positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m
+        return positions, quaternions
+
+    @cached_property
+    def _centre_state(self) -> State:
+        """Of the centre of mass."""
+        if self.centre_of_mass_m is None:
+            return self.fair_state
+        return replace(
+            self.fair_state,
+            position_m=self.fair_state.position_m + self.swing[0] @ self.centre_of_mass_m,
+            velocity_m_s=self.fair_state.velocity_m_s + self.swing[1] @ self.centre_of_mass_m,
+        )
 
 
 def usable_rows(track: Track) -> Indices:
@@ -104,6 +132,8 @@ def first_bounce_row(track: Track, die: Die) -> int:
 def outset_before(track: Track, die: Die, row: int) -> Outset:
     """The state from the frames of the flight that the last frame before `row` belongs to; later frames are not looked at.
 
+    Where a flight ends is told as of a fair die: within a flight the centroid leaves its parabola by little.
+
     Raises ValueError where the flight shows fewer than three frames, and where the die no longer flies.
     """
     rows = usable_rows(track)
@@ -118,7 +148,7 @@ def outset_before(track: Track, die: Die, row: int) -> Outset:
         if begin == len(rows):
             last = outset_of(track, rows[begin - count :])
             if last.scatters_like(first):
-                return last
+                return last.of_die(die)
             raise ValueError(
                 f"the {count} frames before row {row} make no free flight: they scatter by {1e3 * last.sigma_m:.2g} mm and "
                 f"{np.degrees(last.sigma_rad):.2g} degrees about the nearest; wanted a frame before the die rolls or lies"
@@ -136,7 +166,8 @@ def outset_of(track: Track, rows: Indices) -> Outset:
     weighted = jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None]
     information = np.einsum("nij,nik->jk", weighted, weighted)
     covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
-    return Outset(rows, state, covariance, sigma_m, sigma_rad, float(track.time_s[rows[0]]))
+    begin_s = float(track.time_s[rows[0]])
+    return Outset(rows, state, covariance, sigma_m, sigma_rad, begin_s, _swing(state, track.time_s[rows]))
 
 
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
@@ -213,6 +244,24 @@ def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
         if np.abs(step[:3]).max() < 1e-8:
             break
     return (state, *_errors(state, times, positions, quaternions))
+
+
+def _swing(state: State, times: Array) -> Array:
+    """`Outset.swing`: the straight line nearest to R(t), of which the centre of mass takes its place in the body."""
+    dt = times - state.time_s
+    turned = matrix_from_quat(quat_multiply(quat_from_rotvec(np.outer(dt, state.omega_rad_s)), state.quaternion))
+    line = np.linalg.pinv(np.stack([np.ones_like(dt), dt], 1))
+    return np.asarray(np.einsum("an,nij->aij", line, turned), dtype=np.float64)
+
+
+def _shifted(state: State, centre_of_mass_m: Array | None, sign: float) -> State:
+    """The state of the centre of mass from that of the centroid (sign 1), or the other way round (-1)."""
+    if centre_of_mass_m is None:
+        return state
+    arm = sign * (state.rotation @ centre_of_mass_m)
+    return replace(
+        state, position_m=state.position_m + arm, velocity_m_s=state.velocity_m_s + np.cross(state.omega_rad_s, arm)
+    )
 
 
 def _errors(state: State, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:

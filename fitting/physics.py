@@ -10,6 +10,7 @@ an effect that is not in use has none: it costs no parameter, no time and no lin
 | fading friction | `mu_fade_s_per_m` = 1/u_s of `model.impacts.FrictionBySpeed`; joint fits alone | 0 |
 | rounded corners | `corner_radius_m` | 0 |
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
+| loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
 | tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
 | air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
 | clock | `clock_scale`: true seconds in a second of the track | 1 |
@@ -54,6 +55,8 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
+
+LOAD = ("centre_of_mass_x_m", "centre_of_mass_y_m", "centre_of_mass_z_m")
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
 
@@ -131,6 +134,8 @@ class Physics:
             return 0.0, 0.9 * self.die.solid.inradius
         if name == "inertia_kg_m2":
             return 0.2 * self.die.inertia_kg_m2, 3.0 * self.die.inertia_kg_m2
+        if name in LOAD:
+            return -0.5 * self.die.solid.inradius, 0.5 * self.die.solid.inradius
         return _BOUNDS[name]
 
     def off(self, name: str) -> float:
@@ -187,11 +192,15 @@ class Physics:
 
     @cached_property
     def body(self) -> Die:
-        """The die with the fitted radius and inertia."""
+        """The die with the fitted radius, inertia and centre of mass."""
         die = self.die
         if "corner_radius_m" in self.values:
             die = replace(die, corner_radius_m=self.values["corner_radius_m"])
-        return replace(die, inertia_kg_m2=self.values["inertia_kg_m2"]) if "inertia_kg_m2" in self.values else die
+        if "inertia_kg_m2" in self.values:
+            die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"])
+        if LOAD[0] in self.values:
+            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in LOAD]))
+        return die
 
     @cached_property
     def plane(self) -> Table:
