@@ -49,6 +49,16 @@ _NEAR_TABLE = 0.5
 _LEAST = (1e-6, 1e-5)
 """[m], [rad] smallest scatter believed: a track printed with six digits has no less."""
 
+_AHEAD = 1.25
+"""How many times its own frames a flight may foretell before it is fitted anew. A frame that misses by half of what ends
+a flight is asked again of all before it."""
+
+_PARTS = ((slice(0, 3), [0, 1, 2, 6, 7, 8]), (slice(3, 6), [3, 4, 5, 9, 10, 11]))
+"""Rows of a pose's derivative, and the columns of the state that these depend on: places and turns."""
+
+_MOST_STEPS, _CLOSE_RAD = 6, 1e-8
+"""Of the least squares of a flight: no more than so many, and none for less than a thousandth of what is measured."""
+
 _GAP = 1.5
 """Frame intervals between neighbours beyond which a flight is not followed: an impact may hide in a longer gap."""
 
@@ -173,46 +183,68 @@ def outset_of(track: Track, rows: Indices) -> Outset:
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
     """How many of `rows` (three or more) the flight at their beginning lasts."""
     interval = float(np.median(np.abs(np.diff(track.time_s[rows]))))
-    ended = len(rows)
+    motion, ended = _Motion.through(track, rows[:FEWEST]), len(rows)
     for n in range(FEWEST, len(rows)):
         if abs(track.time_s[rows[n]] - track.time_s[rows[n - 1]]) > _GAP * interval:
             return n
-        miss, lowest = _miss(track, die, rows[:n], rows[n])
-        if miss <= _SIGMAS:
+        if n > _AHEAD * motion.frames:
+            motion = _Motion.through(track, rows[:n], motion)
+        if motion.frames < n and motion.miss(track, rows[n]) > 0.5 * _SIGMAS:
+            motion = _Motion.through(track, rows[:n], motion)
+        if motion.miss(track, rows[n]) <= _SIGMAS:
             continue
-        again = n + 1 == len(rows) or _miss(track, die, rows[:n], rows[n + 1])[0] > _SIGMAS
-        if again and lowest < _NEAR_TABLE * die.solid.inradius:
+        again = n + 1 == len(rows) or motion.miss(track, rows[n + 1]) > _SIGMAS
+        if again and motion.lowest_m(die, float(track.time_s[rows[n]])) < _NEAR_TABLE * die.solid.inradius:
             ended = n
             break
     else:
         return ended
-    if ended > FEWEST + 1 and _miss(track, die, rows[: ended - 1], rows[ended - 1])[0] > _STRICT_SIGMAS:
+    last = ended - 1
+    if last > FEWEST and _Motion.through(track, rows[:last], motion).miss(track, rows[last]) > _STRICT_SIGMAS:
         ended -= 1
     return ended
 
 
-def _miss(track: Track, die: Die, rows: Indices, row: np.int64) -> tuple[float, float]:
-    """By how many sigmas a frame misses the flight of others, and the height [m] of the lowest corner foretold there."""
-    state, errors, jacobian = _nearest(track, rows)
-    sigmas = _scatter(errors)
-    time = float(track.time_s[row])
-    foretold = _at(state, time)
-    turned = rotation_between(foretold.quaternion[None], track.quaternion[row][None])[0]
-    moved = track.position_m[row] - foretold.position_m
-    ahead = flight_jacobian(state, np.array([time]))[0]
-    worst = 0.0
-    for part, seen, sigma, columns in (
-        (slice(0, 3), moved, sigmas[0], [0, 1, 2, 6, 7, 8]),
-        (slice(3, 6), turned, sigmas[1], [3, 4, 5, 9, 10, 11]),
-    ):
-        known = jacobian[:, part][:, :, columns].reshape(-1, 6)
-        j = ahead[part][:, columns]
-        lever = np.trace(j @ np.linalg.pinv(known.T @ known, hermitian=True) @ j.T) / 3.0
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The flight nearest to some frames, and how well they know it."""
+
+    state: State
+    frames: int
+    sigmas: tuple[float, float]
+    """Scatter [m], [rad] of one axis."""
+    spreads: tuple[Array, Array]
+    """(6, 6) of place and velocity, and of turn and spin, in units of these."""
+
+    @classmethod
+    def through(cls, track: Track, rows: Indices, guess: _Motion | None = None) -> _Motion:
+        """The flight of these rows; a guess is that of fewer of them."""
+        state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
+        known = [jacobian[:, part][:, :, columns].reshape(-1, 6) for part, columns in _PARTS]
+        spreads = [np.linalg.pinv(k.T @ k, hermitian=True) for k in known]
+        return cls(state, len(rows), _scatter(errors), (spreads[0], spreads[1]))
+
+    def miss(self, track: Track, row: np.int64) -> float:
+        """By how many sigmas a frame misses it."""
+        time = float(track.time_s[row])
+        foretold = _at(self.state, time)
+        turned = rotation_between(foretold.quaternion[None], track.quaternion[row][None])[0]
+        ahead = flight_jacobian(self.state, np.array([time]))[0]
         # Few frames tell their scatter badly: Student's t of 3 n - 6 degrees at seven sigmas is as wide as this.
-        doubt = 1.0 + 6.0 / max(3 * len(rows) - 6, 1)
-        worst = max(worst, float(np.linalg.norm(seen)) / (np.sqrt(3.0 * (1.0 + lever)) * sigma * doubt))
-    heights = touching_vertices(die) @ matrix_from_quat(foretold.quaternion)[2]
-    return worst, float(heights.min() + foretold.position_m[2] - die.corner_radius_m)
+        doubt = 1.0 + 6.0 / max(3 * self.frames - 6, 1)
+        worst = 0.0
+        for k, seen in enumerate((track.position_m[row] - foretold.position_m, turned)):
+            part, columns = _PARTS[k]
+            j = ahead[part][:, columns]
+            lever = np.trace(j @ self.spreads[k] @ j.T) / 3.0
+            worst = max(worst, float(np.linalg.norm(seen)) / (np.sqrt(3.0 * (1.0 + lever)) * self.sigmas[k] * doubt))
+        return worst
+
+    def lowest_m(self, die: Die, time_s: float) -> float:
+        """Height of the lowest corner that it foretells."""
+        foretold = _at(self.state, time_s)
+        heights = touching_vertices(die) @ matrix_from_quat(foretold.quaternion)[2]
+        return float(heights.min() + foretold.position_m[2] - die.corner_radius_m)
 
 
 def _scatter(errors: Array) -> tuple[float, float]:
@@ -223,7 +255,7 @@ def _scatter(errors: Array) -> tuple[float, float]:
     return float(sigma_m), float(sigma_rad)
 
 
-def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
+def _nearest(track: Track, rows: Indices, guess: State | None = None) -> tuple[State, Array, Array]:
     """Least squares of the flight over some rows: state at the last of them, errors (n, 6) and derivatives (n, 6, 12).
 
     Positions and rotations do not know of each other in flight. The former are linear; the latter nearly so.
@@ -232,18 +264,22 @@ def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
     dt = times - times[-1]
     straight = positions + np.outer(0.5 * GRAVITY_M_S2 * dt**2, [0.0, 0.0, 1.0])
     line = np.linalg.lstsq(np.stack([np.ones_like(dt), dt], 1), straight, rcond=None)[0]
-    turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
-    state = State(float(times[-1]), line[0], quaternions[-1], line[1], np.median(turns, axis=0))
-    for _ in range(6):
+    if guess is None:
+        turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
+        turned, omega = quaternions[-1], np.median(turns, axis=0)
+    else:
+        turned, omega = _at(guess, float(times[-1])).quaternion, guess.omega_rad_s
+    state = State(float(times[-1]), line[0], turned, line[1], omega)
+    for _ in range(_MOST_STEPS):
         errors, jacobian = _errors(state, times, positions, quaternions)
         known = jacobian[:, 3:][:, :, [3, 4, 5, 9, 10, 11]].reshape(-1, 6)
         step = np.linalg.lstsq(known, errors[:, 3:].ravel(), rcond=None)[0]
+        if np.abs(step[:3]).max() < _CLOSE_RAD:
+            break
         change = np.zeros(12)
         change[3:6], change[9:] = step[:3], step[3:]
         state = moved_state(state, change)
-        if np.abs(step[:3]).max() < 1e-8:
-            break
-    return (state, *_errors(state, times, positions, quaternions))
+    return state, errors, jacobian
 
 
 def _swing(state: State, times: Array) -> Array:
