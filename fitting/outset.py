@@ -87,7 +87,7 @@ class Outset:
     @cached_property
     def state(self) -> State:
         """Of the centroid, at the time of the last row."""
-        return _shifted(self._centre_state, self.centre_of_mass_m, -1.0)
+        return _shifted(self.centre_state, self.centre_of_mass_m, -1.0)
 
     def of_die(self, die: Die) -> Outset:
         """The same frames as a flight of this die: what falls freely is its centre of mass, which the centroid circles."""
@@ -99,14 +99,14 @@ class Outset:
 
     def poses(self, times_s: Array) -> tuple[Array, Array]:
         """Positions (n, 3) and quaternions (n, 4) of the centroid from the first row to the last."""
-        flight = Flight(_at(self._centre_state, self.begin_s), self.fair_state.time_s)
+        flight = Flight(_at(self.centre_state, self.begin_s), self.fair_state.time_s)
         positions, quaternions = flight.poses(times_s)
         if self.centre_of_mass_m is not None:
             positions = positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m
         return positions, quaternions
 
     @cached_property
-    def _centre_state(self) -> State:
+    def centre_state(self) -> State:
         """Of the centre of mass."""
         if self.centre_of_mass_m is None:
             return self.fair_state
