@@ -200,7 +200,10 @@ def of_fit(record: Record) -> Iterator[Plate]:
         caption = "Where throws that are drawn from the fit and simulated on come to rest."
         yield Plate("odds", (NARROW, 2.6), caption, lambda ax: figures.face_odds(ax, odds))
     if sum(bool(estimate.face_odds) for estimate in record.estimates) > 1:
-        caption = "Odds of the faces by fits of the frames before each bounce, from there on. Dashed: the bounces."
+        caption = (
+            "Odds of the faces from the frames up to the end of each flight, by the effects of the whole fit. "
+            "Dashed: the bounces."
+        )
         impacts = record.measured.bounces
         yield Plate(
             "odds_on_the_way",

@@ -179,11 +179,14 @@ def meaning(name: str) -> str:
 
 def effects_sentences(fit: Fit) -> list[str]:
     """Which effects the throw needed, and what became of the others."""
-    beyond = [name for name in fit.chosen if name != "smooth impact"]
+    stated = {"smooth impact", "oscillating table"}
+    if "corner_radius_m" not in fit.parameters:
+        stated.add("rounded corners")  # they are the scene's
+    beyond = [name for name in fit.chosen if name not in stated]
     if beyond:
-        first = f"The frames cannot be explained without {_listed(beyond)}: the model has {_listed(fit.chosen)}."
+        first = f"The frames cannot be explained without {_listed(beyond)}; the model has {_listed(fit.chosen)}."
     elif fit.chosen:
-        first = f"The plainest model is enough: {_listed(fit.chosen)}."
+        first = f"The plainest model of this scene is enough: {_listed(fit.chosen)}."
     else:
         first = "No model of an impact was needed."
     tried = [effect for effect in fit.considered if effect.evidence is not None]

@@ -132,9 +132,10 @@ def test_the_verdict_is_three_sentences() -> None:
 def test_it_is_said_which_effects_were_needed_and_what_became_of_the_others() -> None:
     considered = (Effect("air drag", 0.8, "It gains too little."), Effect("clock", 2.1, "So does this."))
     said = " ".join(words.effects_sentences(made.fit(chosen=("friction", "rounded corners"), considered=considered)))
-    assert "cannot be explained without friction and rounded corners" in said
+    # The radius is no parameter of this fit: the scene states it.
+    assert "cannot be explained without friction; the model has friction and rounded corners" in said
     assert "Two other effects were tried and did not pay; nearest came clock, which gains 2.1" in said
-    assert "plainest model is enough" in words.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
+    assert "plainest model of this scene is enough" in words.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
 
 
 def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
