@@ -57,12 +57,12 @@ def free_port() -> int:
 
 
 def until(true: Callable[[], Any], what: str) -> Any:
-    """What `true` returns once it is neither false nor an error. Fails the test when patience ends."""
+    """What `true` returns once it is neither None nor an error. Fails the test when patience ends."""
     end, last = time.monotonic() + PATIENCE_S, None
     while time.monotonic() < end:
         try:
             last = true()
-            if last:
+            if last is not None:
                 return last
         except (ConnectionError, RuntimeError, TimeoutError, OSError) as error:
             last = error

@@ -329,7 +329,7 @@ def replay(
         if look:
             from .viewer import open_viewer
 
-            raise typer.Exit(open_viewer(shown))
+            open_viewer(shown)
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]

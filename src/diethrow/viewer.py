@@ -42,11 +42,19 @@ def silent_environment() -> dict[str, str]:
     return {**kept, **proxies, **within, "CI": "1"}
 
 
-def open_viewer(recordings: Sequence[Path]) -> int:
-    """Show recordings in the viewer until it is closed; its exit status. Raises FileNotFoundError for one that is missing."""
+def open_viewer(recordings: Sequence[Path]) -> None:
+    """Show recordings in the viewer until it is closed.
+
+    Raises FileNotFoundError for a recording that is missing, OSError where the viewer does not open.
+    """
     for path in recordings:
         if not path.is_file():
             raise FileNotFoundError(f"{path}: there is no such recording; wanted the replay.rrd that analyze writes")
     command = [*viewer_program(), *viewer_options(), *map(str, recordings)]
-    # What the viewer says of servers and graphics on its standard error is of no use to who looks at a throw.
-    return subprocess.run(command, env=silent_environment(), stderr=subprocess.DEVNULL, check=False).returncode
+    # What the viewer says of servers and graphics is of no use to who looks at a throw, unless it ends with an error.
+    done = subprocess.run(
+        command, env=silent_environment(), stderr=subprocess.PIPE, text=True, errors="replace", check=False
+    )
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()] or ["it does not say why"]
+        raise OSError(f"the viewer ended with status {done.returncode} ({said[-1].strip()}); it wants a screen")
