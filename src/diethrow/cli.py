@@ -410,7 +410,7 @@ def replay(
         if look:
             from .viewer import open_viewer
 
-            raise typer.Exit(open_viewer(shown))
+            open_viewer(shown)
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
@@ -996,7 +996,7 @@ def _print_throws(found: Sequence[ThrowRecording]) -> None:
 
     table = Table(box=None, pad_edge=False)
     for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
-        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right")
+        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right", no_wrap=True)
     for one in found:
         said = one.properties
         chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
