@@ -44,7 +44,7 @@ from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
 from .tracking.offsets import Offsets
-from .tracking.quality import STANDARD, Quality
+from .tracking.quality import QUALITIES, STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
@@ -123,8 +123,9 @@ def analyze(
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
-    `command` is repeated in the provenance. Raises SceneError for a scene that cannot be analysed, RunError for a clip
-    without a die, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
+    `command` is repeated in the provenance; left out, it is the one that would do the same. Raises SceneError for a scene
+    that cannot be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless
+    `force`); then no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
@@ -148,6 +149,7 @@ def analyze(
             notices=notices,
         )
         _write_replay(folder, record, progress, watch)
+        command = command or _same_command("analyze", scene, out, quality)
         _write_origin(folder, scene, command, inputs, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
 
@@ -168,6 +170,7 @@ def track_only(
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality)
         write_tracking(folder, scene, tracking)
+        command = command or _same_command("track", scene, out, quality)
         _write_origin(folder, scene, command, inputs, watch)
     return tracking
 
@@ -375,6 +378,13 @@ def _write_replay(folder: Path, record: Record, progress: Progress, watch: Stopw
     with watch.stage("report"):
         progress("Writing the report", 0, 0)
         write_report(folder / "report.html", record)
+
+
+def _same_command(name: str, scene: Scene, out: Path, quality: Quality) -> tuple[str, ...]:
+    """The command line that does the same; empty for a quality that has no name there."""
+    if quality not in QUALITIES.values():
+        return ()
+    return ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside", "--quality", quality.name)
 
 
 def _write_origin(
