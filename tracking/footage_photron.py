@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .footage import Footage, Frame, check_size, times_from_rate
+from .footage import Footage, Frame, check_size, cut_off, times_from_rate
 
 LARGEST_HEADER_BYTES = 2**24
 HEADER_SUFFIXES = (".cihx", ".cih")
@@ -122,6 +122,8 @@ class PhotronClip(Footage):
         with self._pixels.open("rb", buffering=0) as file:
             file.seek(number * size)
             raw = np.fromfile(file, np.uint8, size)
+        if len(raw) < size:
+            raise cut_off(self._pixels, number)
         shape = (header.height_px, header.width_px)
         if header.stored_bits == 8:
             return raw.reshape(shape)
@@ -219,6 +221,9 @@ def _whole(path: Path, keys: dict[str, str], key: str, default: str | None = Non
 
 def _number(text: str) -> float | None:
     """A decimal number or a fraction above zero; None for anything else."""
+    # No powers of ten: 1e999999999 would be worked out digit by digit.
+    if not re.fullmatch(r"\d{1,15}(\.\d{0,15}|/\d{1,15})?", text.strip()):
+        return None
     try:
         value = float(Fraction(text.strip()))
     except (ValueError, ZeroDivisionError):

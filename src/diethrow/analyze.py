@@ -50,7 +50,7 @@ from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
 from .tracking.offsets import Offsets
-from .tracking.quality import STANDARD, Quality
+from .tracking.quality import QUALITIES, STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
@@ -147,9 +147,9 @@ def analyze(
     """Everything from clip to replay, written to the folder `out`.
 
     `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
-    from; `shown` what is drawn besides; `command` is repeated in the provenance. Raises SceneError for a scene that cannot
-    be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then no
-    folder is left.
+    from; `shown` what is drawn besides; `command` is repeated in the provenance, and left out it is the one that would do
+    the same. Raises SceneError for a scene that cannot be analysed, RunError for a clip without a die, OutputExistsError
+    for a folder that exists (unless `force`); then no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
@@ -174,6 +174,7 @@ def analyze(
             notices=notices,
         )
         _write_recording(folder, record, progress, watch)
+        command = command or _same_command("analyze", scene, out, quality, coarseness, intervals)
         _write_origin(folder, scene, command, inputs, watch)
         account = account_of(scene, tracking, read_json(folder / "provenance.json"))
         _write_pages(folder, record, account, shown, progress, watch)
@@ -197,6 +198,7 @@ def track_only(
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         write_tracking(folder, scene, tracking)
+        command = command or _same_command("track", scene, out, quality, coarseness)
         _write_origin(folder, scene, command, inputs, watch)
     return tracking
 
@@ -456,6 +458,23 @@ def _write_pages(
         if shown.figures:
             write_figures(folder / "figures", record, account)
     add_timings(folder / "provenance.json", watch.seconds)
+
+
+def _same_command(
+    name: str,
+    scene: Scene,
+    out: Path,
+    quality: Quality,
+    coarseness: Coarseness,
+    intervals: IntervalMethod = "profile",
+) -> tuple[str, ...]:
+    """The command line that does the same; empty for a quality that has no name there."""
+    if quality not in QUALITIES.values():
+        return ()
+    less = ("--every", str(coarseness.every), "--shrink", str(coarseness.shrink)) if not coarseness.is_whole else ()
+    other = ("--intervals", intervals) if intervals != "profile" else ()
+    start = ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside")
+    return (*start, "--quality", quality.name, *less, *other)
 
 
 def _write_origin(

@@ -727,6 +727,33 @@ def batch(
             raise typer.Exit(FAILED)
 
 
+@app.command(epilog="Example:  diethrow rerun out/cube_wood")
+def rerun(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Results of any command, with their provenance.json.")],
+    within: Annotated[
+        float,
+        typer.Option(
+            "--within",
+            min=0.0,
+            help="Largest difference, as a share of the largest number of a column; 0: bit for bit.",
+        ),
+    ] = 1e-6,
+) -> None:
+    """Make results again from their provenance, and say whether the numbers agree. Nothing is written.
+
+    The exit status is 0 where they do, 1 where they do not or cannot be made again.
+    """
+    with _one_sentence_errors():
+        from .repeat import rerun as make_again
+        from .repeat import summary
+
+        comparison = make_again(folder, within=within)
+        for line in summary(comparison):
+            typer.echo(line)
+        if not comparison.agree:
+            raise typer.Exit(FAILED)
+
+
 @app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
 def check(
     scene: SceneFile,

@@ -19,6 +19,7 @@ from pydantic import AfterValidator, Field
 from .model.solids import ROUNDEST, SHAPES, Die, make_die
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
+from .tracking.footage import MOST_PIXELS
 from .tracking.hints import FEWEST_CLICKS, Click, HandStart
 
 __all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
@@ -364,7 +365,15 @@ class _Surroundings:
         return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))
 
 
+def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
+    """Before anything of that size is made."""
+    if table.width * table.height > MOST_PIXELS:
+        size = [table.width, table.height]
+        raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MOST_PIXELS} pixels at most")
+
+
 def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _Surroundings) -> View:
+    _check_picture(table, key, path)
     matrix = np.array(table.matrix, float)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and (matrix[2] == (0.0, 0.0, 1.0)).all()):
         wanted = "wanted [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with fx and fy above 0"
