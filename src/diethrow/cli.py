@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .fit_many import FitOfMany
     from .fitting.results import Parameter
     from .fitting.whole_throw import IntervalMethod
+    from .replay.trade_page import Trade
     from .replays import ThrowRecording
     from .tracking.quality import Quality
 
@@ -113,6 +114,14 @@ def analyze(
     every: Every = 1,
     shrink: Shrink = 1,
     intervals: Intervals = "profile",
+    chi_within: Annotated[
+        float | None,
+        typer.Option("--chi-within", metavar="WIDTH", help="Use the fastest setting that gives χ to ± so much."),
+    ] = None,
+    trade_file: Annotated[
+        Path | None,
+        typer.Option("--trade", metavar="TRADE.json", help="What diethrow trade measured on such a scene."),
+    ] = None,
     embed_replay: EmbedReplay = False,
     figures: Figures = False,
     allow_outside: AllowOutside = False,
@@ -130,6 +139,14 @@ def analyze(
 
         with _options_that_fit():
             chosen, method = _quality(quality), _interval_method(intervals)
+        with _progress() as progress:
+            if chi_within is not None:
+                from .trade import setting_for
+
+                quality, less = setting_for(checked, chi_within, trade_file, progress)
+                chosen, every, shrink = _quality(quality), less.every, less.shrink
+                told = f"--quality {quality} --every {every} --shrink {shrink}"
+                typer.echo(f"diethrow: for χ to ±{chi_within:g} chosen: {told}", err=True)
         how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         how = (*how, *_given("--intervals", intervals, "profile"))
         drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
@@ -754,6 +771,43 @@ def rerun(
             raise typer.Exit(FAILED)
 
 
+@app.command(
+    epilog="Example:  diethrow trade clips/cube_wood/scene.toml --chi-within 0.01 --out out/trade; then  "
+    "diethrow analyze clips/another/scene.toml --chi-within 0.01 --trade out/trade/trade.json --out out/another"
+)
+def trade(
+    scene: SceneFile,
+    out: OutFolder,
+    chi_within: Annotated[
+        float, typer.Option("--chi-within", metavar="WIDTH", help="How well χ is wanted: ± so much.")
+    ] = 0.01,
+    coverage: Annotated[
+        int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks for each coverage; 0: none.")
+    ] = 20,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """Speed against accuracy on one scene, measured: tracking, fit and model from coarse to fine, and what to use."""
+    with _one_sentence_errors():
+        from .scene import read_scene
+
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from .trade import trade as measure_trade
+
+        with _progress() as progress:
+            result = measure_trade(
+                checked,
+                out,
+                within=chi_within,
+                draws=coverage,
+                force=force,
+                progress=progress,
+                command=(*_command("trade", scene, out, force, allow_outside), "--chi-within", str(chi_within)),
+            )
+        _print_trade(result)
+        typer.echo(f"See {out / 'trade.html'}")
+
+
 @app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
 def check(
     scene: SceneFile,
@@ -1044,6 +1098,26 @@ def _with_interval(parameter: Parameter) -> str:
     if parameter.low is None or parameter.high is None or parameter.level is None:
         return f"{parameter.value:.4g}, no interval"
     return f"{parameter.value:.4g}  ({100 * parameter.level:.0f} %: {parameter.low:.4g} to {parameter.high:.4g})"
+
+
+def _print_trade(result: Trade) -> None:
+    """Every setting in a line, those on the front marked, and the one to use."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "setting", "a second", "χ", "±", "off by", "coverage"):
+        table.add_column(heading)
+    for s in result.settings:
+        chi = "" if s.chi is None else f"{s.chi:.5f}"
+        width = "" if s.half_width is None else f"{s.half_width:.1e}"
+        off = s.error if s.kind == "model" else s.chi_error
+        covered = "" if s.coverage is None else f"{s.coverage:.0%}"
+        wrong = "" if off is None else f"{off:.1e}"
+        table.add_row("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console.print(table)
+    console.print(result.advice)
 
 
 def _print_check(result: Check) -> None:
