@@ -24,7 +24,7 @@ from ..model.bodies import body_of, kernel_starts, touching_vertices, world_pose
 from ..model.ensembles import Stage
 from ..model.motion import State
 from ..model.rotations import matrix_from_quat
-from ..model.simulate import BOUNCING_CAP, IMPACT_CAP, Until
+from ..model.simulate import BOUNCING_CAP, IMPACT_CAP, Precision, Until
 from ..model.solids import Die
 from ..model.touch import packed_state
 from ..tracking.track import ABSENT, TRACKED, Track
@@ -261,5 +261,5 @@ def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Ge
 def _landing(physics: Physics, state: State) -> int:
     """The face on which one throw lands; 0 for none."""
     start = lifted(physics, in_true_units(physics, state))
-    stage = Stage(physics.body, physics.law, physics.plane)
+    stage = Stage(physics.body, physics.law, physics.plane, Precision(switch=QUICK.switch, turn_rad=QUICK.turn))
     return int(stage.throw(packed_state(start)[None]).face[0])
