@@ -213,7 +213,7 @@ def decided_at(
     rested = resting_face(track, physics.die)
     if rested is not None:
         lies = {face: float(face == rested) for face in range(1, len(physics.die.solid.faces) + 1)}
-        end_s = float(track.time_s[usable_rows(track)[-1]])
+        end_s = float(track.time_s[usable_rows(track, physics.die)[-1]])
         steps.append(Odds(flights[-1][0] + 1, end_s, 0, lies, 0.0))
     settled = None
     for step in reversed(steps):
@@ -233,7 +233,7 @@ def _flights_from(track: Track, physics: Physics, row: int) -> list[tuple[int, O
     """
     first = outset_before(track, physics.body, row)
     found = [(0, first)]
-    rows = usable_rows(track)
+    rows = usable_rows(track, physics.die)
     begin, bounces = int(np.searchsorted(rows, row)), 1
     while len(rows) - begin >= FEWEST:
         end = begin + flight_length(track, physics.die, rows[begin:])

@@ -60,8 +60,8 @@ def predict_tracks(
     """Foretell every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write what came out.
 
     One track: `out` is a CSV, and a JSON beside it. Several: a folder with both for each. Returns the predictions and a
-    sentence for what the predictions leave out, effects of the fit and tracks; raises RunError where none could, ValueError for a fit that is
-    none or a frame that is no number.
+    sentence for what they leave out, effects of the fit and tracks that could not be foretold; raises RunError where
+    none could, ValueError for a fit that is none or a frame that is no number.
     """
     physics, parameters = physics_of(fit_path, scene)
     if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
