@@ -242,7 +242,7 @@ class _Motion:
         """The flight of these rows; a guess is that of fewer of them."""
         state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
         known = [jacobian[:, part][:, :, columns].reshape(-1, 6) for part, columns in _PARTS]
-        spreads = [np.linalg.pinv(k.T @ k, hermitian=True) for k in known]
+        spreads = [np.asarray(np.linalg.pinv(k.T @ k, hermitian=True), dtype=np.float64) for k in known]
         return cls(state, len(rows), _scatter(errors), (spreads[0], spreads[1]))
 
     def miss(self, track: Track, row: np.int64) -> float:
