@@ -81,8 +81,7 @@ def short_verdict(record: Record) -> str:
         return "no model fitted"
     if not bounces or not fit.bounces_fitted:
         return "no bounce explained" if bounces else "no bounce seen"
-    share = "all" if fit.bounces_fitted == bounces else f"{fit.bounces_fitted} of"
-    return f"{share} {plural(bounces, 'bounce')} explained"
+    return f"{fit.bounces_fitted} of {plural(bounces, 'bounce')} explained"
 
 
 def bounce_sentence(number_: int, impact: Impact) -> str:
