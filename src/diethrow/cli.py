@@ -1075,21 +1075,17 @@ def _print_throws(found: Sequence[ThrowRecording]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from .replay.words import short_interval
+
     table = Table(box=None, pad_edge=False)
-    for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
-        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right", no_wrap=True)
+    for name in ("throw", "χ (95 % interval)", "σ", "face", "verdict"):
+        table.add_column(name, no_wrap=name != "throw", overflow="fold")
     for one in found:
         said = one.properties
-        chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
-        table.add_row(
-            one.name,
-            "" if chi is None else f"{chi:.5g}",
-            "" if low is None or high is None else f"{low:.5g} to {high:.5g}",
-            str(said.get("bounces", "")),
-            "" if rms is None else f"{rms:.2f}",
-            str(said.get("landed_face", "")),
-            str(said.get("verdict", "")),
-        )
+        chi = short_interval(*(said.get(name) for name in ("chi", "chi_low", "chi_high")))
+        rms = said.get("residual_rms")
+        cells = ("" if rms is None else f"{rms:.2f}", str(said.get("landed_face", "")), str(said.get("verdict", "")))
+        table.add_row(one.name, chi if "chi" in said else "", *cells)
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
