@@ -36,6 +36,9 @@ autosummary_generate = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_default_options = {"members": True, "show-inheritance": False}
+autodoc_type_aliases = {
+    name: name for name in ("Array", "ArrayLike", "NDArray", "Frame", "Image", "Integers", "Progress")
+}
 default_role = "code"
 
 sphinx_gallery_conf = {
@@ -57,11 +60,13 @@ html_theme_options = {
     "navigation_with_keys": False,
     "show_toc_level": 2,
     "header_links_before_dropdown": 6,
-    "footer_start": ["copyright"],
+    "footer_start": [],
     "footer_end": [],
 }
+html_sidebars = {page: [] for page in ("index", "tutorial", "comparison")}
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_sourcelink = False
-project_copyright = "MIT licence"
 
 
 def setup(app: Sphinx) -> None:

@@ -198,7 +198,6 @@ def fit_track(
     out: Path,
     *,
     force: bool = False,
-    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -227,7 +226,7 @@ def fit_track(
         _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, inputs, watch)
         account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
-        _write_pages(folder, record, account, shown, progress, watch)
+        _write_pages(folder, record, account, PLAIN, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
 
