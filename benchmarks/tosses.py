@@ -1,17 +1,19 @@
 """Real tosses: single impacts and whole throws foretold, by this model and by MuJoCo tuned on the same tosses.
 
-    python benchmarks/tosses.py DATA [--tosses 360] [--mujoco] [--threads 2]
+    python benchmarks/tosses.py DATA [--tosses 360] [--folds 2] [--mujoco] [--threads 2]
 
 DATA holds `scene.toml` and `toss_*.csv` (columns of track.csv). Every figure is of tosses that were not in the fit: they
-are dealt into two halves, and each is foretold with parameters of the other.
+are dealt into folds, and each fold is foretold with what was fitted to the others.
 
 1. First impacts at a single corner, between two flights that both show four frames or more: the state before is carried to
-   the touch, one impact is made, and velocity and spin after it are compared with the flight that follows (RMS).
+   the touch, one impact is made, and velocity of the centre of mass and spin after it are compared with the flight that
+   follows: root mean square, and median, since a second corner that struck between two frames spoils some of them.
 2. Whole throws, from the state before the first bounce to the last frame: mean over throws of the mean over frames, of the
    position in % of the edge and of the rotation, over the frames after the first bounce, and over all frames.
+3. Where the last of these throws miss: the same by the time since the first bounce.
 
 MuJoCo (`pip install mujoco`) gets a box, or a sphere in each corner, with solref, friction, size and inertia tuned by
-Nelder and Mead's method with as many throws simulated as the joint fit took.
+Nelder and Mead's method, and then the spheres once more with their centre of mass where the fit of the same throws has it.
 """
 
 from __future__ import annotations
@@ -27,12 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from diethrow.fitting.joint import EFFECTS, Entry, entry_of, fit_jointly
-from diethrow.fitting.outset import outset_before
-from diethrow.fitting.physics import Physics
+from diethrow.fitting.crowd import Entry, entry_of
+from diethrow.fitting.joint import fit_jointly
+from diethrow.fitting.joint_effects import EFFECTS
+from diethrow.fitting.outset import Outset, outset_before
+from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
 from diethrow.model import kernels
-from diethrow.model.bodies import touching_vertices
+from diethrow.model.bodies import body_of
 from diethrow.model.impacts import impulse_N_s
 from diethrow.model.motion import GRAVITY_M_S2, Flight, State
 from diethrow.model.rotations import rotation_between
@@ -55,24 +59,26 @@ CLEAR_M = 0.004
 class FirstImpact:
     """The flights before and after, told from frames on their own side."""
 
-    before: Flight
-    after: State
+    before: Outset
+    after: Outset
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("data", type=Path)
     parser.add_argument("--tosses", type=int, default=None, help="use only so many, evenly spread")
+    parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--mujoco", action="store_true")
     options = parser.parse_args()
     die = read_scene(options.data / "scene.toml").die
     entries = read_entries(options.data, die, options.tosses)
     print(f"{len(entries)} tosses")
-    first_impacts(entries, die)
-    whole_throws(entries, die, options.threads)
+    first_impacts(entries, die, options.folds)
+    fits = whole_throws(entries, die, options.folds, options.threads)
+    where_they_miss(entries, fits)
     if options.mujoco:
-        mujoco_throws(entries, die)
+        mujoco_throws(entries, die, fits)
 
 
 def read_entries(folder: Path, die: Die, count: int | None) -> list[Entry]:
@@ -86,111 +92,155 @@ def read_entries(folder: Path, die: Die, count: int | None) -> list[Entry]:
 # --- single impacts ---
 
 
-def first_impacts(entries: Sequence[Entry], die: Die) -> None:
+LAWS: dict[str, dict[str, float]] = {
+    "frictionless": {"chi": 0.27, "inertia_kg_m2": 0.0012, "corner_radius_m": 0.0045},
+    "Coulomb, integrated (Routh)": {"chi": 0.27, "mu": 0.16, "inertia_kg_m2": 0.00107, "corner_radius_m": 0.0045},
+    "the same, loaded": {
+        "chi": 0.25,
+        "mu": 0.16,
+        "inertia_kg_m2": 0.001,
+        "corner_radius_m": 0.006,
+        **dict(zip(LOAD, (0.0001, 0.0001, 0.004), strict=True)),
+    },
+}
+"""Laws of single impacts, and where their fits begin."""
+
+
+def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
     """The first table."""
     impacts = [found for entry in entries if (found := first_impact(entry, die)) is not None]
-    print(f"\nfirst impacts at one corner: {len(impacts)}\nlaw                              v [m/s]   spin [rad/s]")
-    for name, start in (
-        ("frictionless", {"chi": 0.27, "inertia_kg_m2": 0.0012}),
-        ("Coulomb, integrated (Routh)", {"chi": 0.27, "mu": 0.16, "inertia_kg_m2": 0.00105}),
-        ("the same, chi fading", {"chi": 0.3, "mu": 0.16, "inertia_kg_m2": 0.00105, "chi_fade_s_per_m": 0.1}),
-        (
-            "the same, mu fading too",
-            {"chi": 0.3, "mu": 0.2, "inertia_kg_m2": 0.00105, "chi_fade_s_per_m": 0.1, "mu_fade_s_per_m": 0.1},
-        ),
-    ):
-        v, w = cross_validated(impacts, Physics(die, LEVEL, {**start, "corner_radius_m": 0.0036}))
-        print(f"{name:<32} {v:7.3f}   {w:7.2f}")
+    clear = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
+    clean = [impact for impact in impacts if clearance_m(impact, clear) > CLEAR_M]
+    print(f"\nfirst impacts at one corner: {len(clean)}")
+    print("law                              v [m/s] rms, median   spin [rad/s] rms, median")
+    fading = {"chi_fade_s_per_m": 0.1}
+    for name, start in {**LAWS, "the same, chi fading": {**LAWS["the same, loaded"], **fading}}.items():
+        errors = cross_validated(clean, Physics(die, LEVEL, start), folds)
+        v, w = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1) / SPIN_ARM_M
+        print(
+            f"{name:<32} {np.sqrt((v**2).mean()):7.3f} {np.median(v):7.3f}"
+            f"          {np.sqrt((w**2).mean()):7.2f} {np.median(w):7.2f}",
+            flush=True,
+        )
 
 
 def first_impact(entry: Entry, die: Die) -> FirstImpact | None:
-    """The first impact of a toss, if one corner made it and four frames or more tell the flight after it."""
+    """The first impact of a toss, if four frames or more tell the flight after it."""
     if not 4 <= entry.early < len(entry.rows):
         return None
-    after = outset_before(entry.track, die, int(entry.rows[entry.early]))
-    before = Flight(entry.outset.state, entry.outset.state.time_s + 0.02)
-    return FirstImpact(before, after.flight.start)
+    return FirstImpact(entry.outset, outset_before(entry.track, die, int(entry.rows[entry.early])))
 
 
 def after_impact(impact: FirstImpact, physics: Physics) -> Array:
-    """(6,) velocity and spin that a law foretells, less those seen; NaN where more than one corner may touch."""
-    die = physics.body
-    state, arm, second = touch(impact.before, die)
-    if second < CLEAR_M:
-        return np.full(6, np.nan)
-    lowered = arm - np.array([0.0, 0.0, die.corner_radius_m])
-    impulse = impulse_N_s(die, Touch(state, 0, lowered, np.nan), physics.law)
-    velocity = state.velocity_m_s + impulse / die.mass_kg
-    spin = state.omega_rad_s + np.cross(lowered, impulse) / die.inertia_kg_m2
-    rise = GRAVITY_M_S2 * (impact.after.time_s - state.time_s)
-    return np.concatenate(
-        [velocity - impact.after.velocity_m_s - [0.0, 0.0, rise], SPIN_ARM_M * (spin - impact.after.omega_rad_s)]
-    )
+    """(6,) velocity of the centre of mass and spin that a law foretells, less those seen."""
+    state, arm, _ = touch(impact, physics)
+    fair = replace(physics, values={name: value for name, value in physics.values.items() if name not in LOAD}).body
+    impulse = impulse_N_s(fair, Touch(state, 0, arm, np.nan), physics.law)
+    velocity = state.velocity_m_s + impulse / fair.mass_kg
+    spin = state.omega_rad_s + np.cross(arm, impulse) / fair.inertia_kg_m2
+    after = impact.after.of_die(physics.body).centre_state
+    fall = np.array([0.0, 0.0, GRAVITY_M_S2 * (after.time_s - state.time_s)])
+    return np.concatenate([velocity - after.velocity_m_s - fall, SPIN_ARM_M * (spin - after.omega_rad_s)])
 
 
-def touch(flight: Flight, die: Die) -> tuple[State, Array, float]:
-    """State at the touch, arm (3,) to the corner's centre, and the height of the second lowest corner then."""
-    corners = touching_vertices(die)
-    time = flight.start.time_s
+def clearance_m(impact: FirstImpact, physics: Physics) -> float:
+    """Height of the second lowest corner at the touch."""
+    return touch(impact, physics)[2]
+
+
+def touch(impact: FirstImpact, physics: Physics) -> tuple[State, Array, float]:
+    """State of the centre of mass at the touch, arm (3,) to the contact, height of the second lowest corner then."""
+    body = body_of(physics.body)
+    begin = impact.before.of_die(physics.body).centre_state
+    flight, time = Flight(begin, begin.time_s + 0.02), begin.time_s
     for _ in range(30):
         state = flight.at(time)
-        turned = corners @ state.rotation.T
-        heights = np.sort(turned[:, 2]) + state.position_m[2] - die.corner_radius_m
+        turned = body.vertices @ state.rotation.T
+        heights = np.sort(turned[:, 2]) + state.position_m[2] - body.rounding
         arm = turned[int(np.argmin(turned[:, 2]))]
         speed = state.velocity_m_s[2] + state.omega_rad_s[0] * arm[1] - state.omega_rad_s[1] * arm[0]
         if abs(heights[0]) < 1e-9 or speed >= 0.0:
             break
         time -= float(np.clip(heights[0] / speed, -0.004, 0.004))
-    return state, arm, float(heights[1])
+    return state, arm - np.array([0.0, 0.0, body.rounding]), float(heights[1])
 
 
-def cross_validated(impacts: Sequence[FirstImpact], start: Physics) -> tuple[float, float]:
-    """RMS of velocity [m/s] and spin [rad/s] residuals over two folds."""
-    start = replace(start, held=frozenset({"corner_radius_m"}))
-    told = np.array([np.isfinite(after_impact(impact, start)).all() for impact in impacts])
-    clean = [impact for impact, kept in zip(impacts, told, strict=True) if kept]
-    scale = np.array([start.values[name] for name in start.free])
+def cross_validated(impacts: Sequence[FirstImpact], start: Physics, folds: int) -> Array:
+    """(n, 6) residuals of each fold by what the others ask for."""
+    scale = np.array([max(abs(start.values[name]), 1e-3) for name in start.free])
 
     def residuals(some: Sequence[FirstImpact], physics: Physics) -> Array:
         return np.array([after_impact(impact, physics) for impact in some])
 
     left_out = []
-    for k in (0, 1):
-        mine, others = clean[k::2], clean[1 - k :: 2]
+    for k in range(folds):
+        mine = list(impacts[k::folds])
+        others = [impact for j in range(folds) if j != k for impact in impacts[j::folds]]
 
         def cost(u: Array, others: Sequence[FirstImpact] = others) -> Array:
             return residuals(others, start.moved(scale * u)).ravel()
 
-        u = least_squares(cost, np.zeros(len(scale)), diff_step=1e-4, loss="soft_l1", f_scale=0.05, max_nfev=15).x
+        u = least_squares(cost, np.zeros(len(scale)), diff_step=1e-4, loss="soft_l1", f_scale=0.03, max_nfev=15).x
         left_out.append(residuals(mine, start.moved(scale * u)))
-    errors = np.concatenate(left_out)
-    v, w = np.sqrt((errors[:, :3] ** 2).sum(1).mean()), np.sqrt((errors[:, 3:] ** 2).sum(1).mean())
-    return float(v), float(w / SPIN_ARM_M)
+    return np.concatenate(left_out)
 
 
 # --- whole throws ---
 
 
-def whole_throws(entries: Sequence[Entry], die: Die, threads: int) -> None:
-    """The second table."""
+def whole_throws(entries: Sequence[Entry], die: Die, folds: int, threads: int) -> list[Physics]:
+    """The second table; returns the last of its laws for each fold."""
     print(f"\nwhole throws                    {'after the bounce':>22} {'all frames':>20}   fit [s]")
+    fair = tuple(effect for effect in EFFECTS if effect != "loaded die")
     for name, effects in (
         ("frictionless", ()),
-        ("friction", ("friction",)),
+        ("all effects but the load", fair),
         ("with all effects that pay", tuple(EFFECTS)),
     ):
-        errors, seconds = [], 0.0
-        for k in (0, 1):
+        errors, seconds, fits = [], 0.0, []
+        for k in range(folds):
             begin = time.perf_counter()
-            fit = fit_jointly(entries[1 - k :: 2], die, threads=threads, effects=effects)
+            fits.append(fit_jointly(others(entries, k, folds), die, threads=threads, effects=effects).physics)
             seconds += time.perf_counter() - begin
-            errors += [error_of(entry, die, told(entry, fit.physics)) for entry in entries[k::2]]
-        print_errors(name, errors, seconds)
-        print("   ", ", ".join(f"{key} {value:.4g}" for key, value in fit.physics.values.items()))
+            errors += [error_of(entry, die, told(entry, fits[k])) for entry in entries[k::folds]]
+        print_errors(name, errors, seconds / folds)
+        for physics in fits:
+            print("   ", ", ".join(f"{key} {value:.4g}" for key, value in physics.values.items()), flush=True)
+    return fits
+
+
+def others(entries: Sequence[Entry], k: int, folds: int) -> list[Entry]:
+    """The tosses of all folds but one."""
+    return [entry for j in range(folds) if j != k for entry in entries[j::folds]]
 
 
 def told(entry: Entry, physics: Physics) -> tuple[Array, Array]:
-    return simulated_poses(physics, entry.outset.state, entry.times_s, kernels.FINE)
+    return simulated_poses(physics, entry.outset.of_die(physics.body).state, entry.times_s, kernels.FINE)
+
+
+TIMES_S = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, np.inf)
+
+
+def where_they_miss(entries: Sequence[Entry], fits: Sequence[Physics]) -> None:
+    """The third table: median over throws."""
+    print("\ntime since the first bounce [s]   position [mm]   along travel   turn [deg]")
+    rows: list[list[Array]] = [[] for _ in TIMES_S[1:]]
+    for k, entry in enumerate(entries):
+        poses = told(entry, fits[k % len(fits)])
+        off = poses[0] - entry.track.position_m[entry.rows]
+        turned = np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1)
+        travel = entry.track.position_m[entry.rows[-1], :2] - entry.outset.state.position_m[:2]
+        along = off[:, :2] @ (travel / np.linalg.norm(travel))
+        since = entry.times_s - entry.times_s[0]
+        for row, low, high in zip(rows, TIMES_S, TIMES_S[1:], strict=False):
+            which = (since >= low) & (since < high)
+            if which.any():
+                values = (np.linalg.norm(off[which], axis=1), along[which], turned[which])
+                row.append(np.array([value.mean() for value in values]))
+    for row, low, high in zip(rows, TIMES_S, TIMES_S[1:], strict=False):
+        if row:
+            far, along_m, turn = np.median(row, axis=0) * [1e3, 1e3, 180.0 / np.pi]
+            print(f"{low:>10.2f} to {high:<19.2f} {far:>10.1f} {along_m:>14.1f} {turn:>12.1f}")
 
 
 def error_of(entry: Entry, die: Die, poses: tuple[Array, Array]) -> Array:
@@ -219,24 +269,26 @@ MUJOCO_STEP_S = 1e-3
 MUJOCO_TRIALS = 120
 
 
-def mujoco_throws(entries: Sequence[Entry], die: Die) -> None:
-    """The same tosses in MuJoCo, each half with what was tuned on the other."""
-    for name, start in MUJOCO_STARTS.items():
+def mujoco_throws(entries: Sequence[Entry], die: Die, fits: Sequence[Physics]) -> None:
+    """The same tosses in MuJoCo, each fold with what was tuned on the others."""
+    spheres = MUJOCO_STARTS["MuJoCo, a sphere in each corner"]
+    for name, start in {**MUJOCO_STARTS, "the same, loaded as fitted here": spheres}.items():
         errors, seconds = [], 0.0
-        for k in (0, 1):
+        for k, physics in enumerate(fits):
+            load = physics.body.centre_of_mass_m if name.startswith("the same") else None
             begin = time.perf_counter()
-            tuned = mujoco_tuned(entries[1 - k :: 2], die, start)
+            tuned = mujoco_tuned(others(entries, k, len(fits)), die, start, load)
             seconds += time.perf_counter() - begin
-            errors += mujoco_errors(entries[k::2], die, tuned)
-        print_errors(name, errors, seconds)
-        print("   ", np.array2string(tuned, precision=4))
+            errors += mujoco_errors(entries[k :: len(fits)], die, tuned, load)
+        print_errors(name, errors, seconds / len(fits))
+        print("   ", np.array2string(tuned, precision=4), flush=True)
 
 
-def mujoco_tuned(entries: Sequence[Entry], die: Die, start: Array) -> Array:
+def mujoco_tuned(entries: Sequence[Entry], die: Die, start: Array, load_m: Array | None) -> Array:
     """The numbers of least mean error, positions in tenths of an edge and rotations in 13 degrees alike."""
 
     def cost(u: Array) -> float:
-        errors = np.array(mujoco_errors(entries, die, start * np.exp(np.clip(u, -2.0, 2.0))))
+        errors = np.array(mujoco_errors(entries, die, start * np.exp(np.clip(u, -2.0, 2.0)), load_m))
         return float((errors[:, 0] / 10.0 + errors[:, 1] / 13.0).mean())
 
     simplex = np.vstack([np.zeros(len(start)), 0.3 * np.eye(len(start))])
@@ -246,14 +298,15 @@ def mujoco_tuned(entries: Sequence[Entry], die: Die, start: Array) -> Array:
     return np.asarray(start * np.exp(np.clip(found.x, -2.0, 2.0)))
 
 
-def mujoco_errors(entries: Sequence[Entry], die: Die, numbers: Array) -> list[Array]:
+def mujoco_errors(entries: Sequence[Entry], die: Die, numbers: Array, load_m: Array | None) -> list[Array]:
     """As `error_of`, of every toss."""
     import mujoco
 
-    model = mujoco.MjModel.from_xml_string(mujoco_scene(die, numbers))
+    model = mujoco.MjModel.from_xml_string(mujoco_scene(die, numbers, load_m))
+    loaded = die if load_m is None else replace(die, centre_of_mass_m=load_m)
 
     def one(entry: Entry) -> Array:
-        data, state = mujoco.MjData(model), entry.outset.state
+        data, state = mujoco.MjData(model), entry.outset.of_die(loaded).state
         data.qpos[:3], data.qpos[3:] = state.position_m, state.quaternion
         # MuJoCo keeps the spin of a free body in its own axes.
         data.qvel[:3], data.qvel[3:] = state.velocity_m_s, state.rotation.T @ state.omega_rad_s
@@ -268,10 +321,11 @@ def mujoco_errors(entries: Sequence[Entry], die: Die, numbers: Array) -> list[Ar
         return list(pool.map(one, entries))
 
 
-def mujoco_scene(die: Die, numbers: Array) -> str:
+def mujoco_scene(die: Die, numbers: Array, load_m: Array | None) -> str:
     """The die on a plane; numbers as in MUJOCO_STARTS."""
     time_s, damping, friction, size_m, inertia = numbers
     half = die.solid.inradius
+    place = " ".join(str(x) for x in (np.zeros(3) if load_m is None else load_m))
     contact = f'solref="{time_s} {damping}" friction="{friction} 0.0001 0.0001"'
     if size_m > 0.5 * half:
         shapes = f'<geom type="box" size="{size_m} {size_m} {size_m}" {contact}/>'
@@ -282,7 +336,7 @@ def mujoco_scene(die: Die, numbers: Array) -> str:
         )
     return f"""<mujoco><option timestep="{MUJOCO_STEP_S}" gravity="0 0 -9.81" cone="elliptic"/><worldbody>
         <geom type="plane" size="5 5 1" {contact}/><body><freejoint/>
-        <inertial pos="0 0 0" mass="{die.mass_kg}" diaginertia="{inertia} {inertia} {inertia}"/>{shapes}</body>
+        <inertial pos="{place}" mass="{die.mass_kg}" diaginertia="{inertia} {inertia} {inertia}"/>{shapes}</body>
         </worldbody></mujoco>"""
 
 

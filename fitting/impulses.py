@@ -11,8 +11,8 @@ be unbounded, and is then reported as NaN.
 
 The impulse is S = m Δv, whatever made it, and with it come the tangential impulse over the normal one, |S_t|/S_z, which
 no Coulomb friction lets exceed μ and sliding makes equal to it, and the energy lost, E - E'. The ratio's interval is
-Fieller's along the measured direction of S_t, no lower than 0; that of the energy is by linear propagation, since it is a
-smooth function of both states.
+Fieller's along the measured direction of S_t, and begins at 0 where S_t may be nothing; that of the energy is by linear
+propagation, since it is a smooth function of both states.
 
 What the smooth impact (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8) adds to this is that the impulse is
 vertical: v_x, v_y and ω_z stay, and J Δω = m Δv_z (r × ẑ). These five numbers, in sigmas, say whether it holds.
@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import norm
+from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from ..model.motion import Flight, Impact, State, energy_J
@@ -158,7 +158,12 @@ def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[flo
     along = np.array([impulse[0], impulse[1], 0.0]) / tangential if tangential > 0.0 else np.array([1.0, 0.0, 0.0])
     turn = np.stack([np.array([0.0, 0.0, 1.0]), -along])
     low, high = fieller(upward, -tangential, turn @ covariance @ turn.T, level)
-    return tangential / upward, max(0.0, low) if np.isfinite(low) else low, high
+    if np.isfinite(low):
+        # Errors have two directions to make a length of nothing: along the measured one alone 0 would be missed thrice
+        # as often as stated.
+        squared = float(impulse[:2] @ np.linalg.pinv(covariance[:2, :2], hermitian=True) @ impulse[:2])
+        low = 0.0 if squared <= chi2.ppf(level, 2) else max(0.0, low)
+    return tangential / upward, low, high
 
 
 def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95) -> tuple[float, float, float] | None:

@@ -62,7 +62,7 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
     """
     last = throw.flights[-1].start
     until_s = physics.values.get("clock_scale", 1.0) * end_s
-    if until_s <= last.time_s or physics.release(last) is None:
+    if until_s <= last.time_s or not physics.can_release(last):
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw
     return Throw(throw.flights[:-1] + on.flights, throw.impacts + on.impacts)
@@ -108,7 +108,5 @@ def _landing(physics: Physics, start: State, vertices: tuple[int, ...], until_s:
     """The face of one throw, through the fitted impacts and then by itself; None where it is not decided."""
     clock = physics.values.get("clock_scale", 1.0)
     last = course(physics, start, np.array([until_s / clock]), vertices).throw.flights[-1].start
-    release = physics.release(last)
-    if release is None:
-        return None
-    return physics.run(release, float(last.time_s), impacts=_MOST_IMPACTS, keep=False).landed_face
+    run = physics.run(last, impacts=_MOST_IMPACTS, keep=False)
+    return None if run is None else run.landed_face

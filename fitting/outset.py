@@ -13,7 +13,8 @@ after a bounce may still agree; the last frame of a flight is therefore asked ag
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +49,16 @@ _NEAR_TABLE = 0.5
 _LEAST = (1e-6, 1e-5)
 """[m], [rad] smallest scatter believed: a track printed with six digits has no less."""
 
+_AHEAD = 1.25
+"""How many times its own frames a flight may foretell before it is fitted anew. A frame that misses by half of what ends
+a flight is asked again of all before it."""
+
+_PARTS = ((slice(0, 3), [0, 1, 2, 6, 7, 8]), (slice(3, 6), [3, 4, 5, 9, 10, 11]))
+"""Rows of a pose's derivative, and the columns of the state that these depend on: places and turns."""
+
+_MOST_STEPS, _CLOSE_RAD = 6, 1e-8
+"""Of the least squares of a flight: no more than so many, and none for less than a thousandth of what is measured."""
+
 _GAP = 1.5
 """Frame intervals between neighbours beyond which a flight is not followed: an impact may hide in a longer gap."""
 
@@ -58,25 +69,52 @@ class Outset:
 
     rows: Indices
     """Rows of the track in use, in order."""
-    state: State
-    """At the time of the last of them, on the track's clock."""
+    fair_state: State
+    """At the time of the last of them, on the track's clock, if the centroid is the centre of mass."""
     covariance: Array
     """(12, 12): position, rotation vector, velocity, angular velocity, world axes, from the frames' own scatter."""
     sigma_m: float
     sigma_rad: float
     """Scatter of the frames about the flight, of one axis."""
-
     begin_s: float
     """Time of the first of them."""
+    swing: Array
+    """(2, 3, 3): by what position and velocity of the centre of mass differ from those of `fair_state` for every metre
+    at which it lies from the centroid, along the axes of the body."""
+    centre_of_mass_m: Array | None = None
+    """(3,) from the centroid, body axes; None where it is the centroid."""
+
+    @cached_property
+    def state(self) -> State:
+        """Of the centroid, at the time of the last row."""
+        return _shifted(self.centre_state, self.centre_of_mass_m, -1.0)
+
+    def of_die(self, die: Die) -> Outset:
+        """The same frames as a flight of this die: what falls freely is its centre of mass, which the centroid circles."""
+        return replace(self, centre_of_mass_m=die.centre_of_mass_m)
 
     def scatters_like(self, other: Outset) -> bool:
         """Whether the frames are as near to a flight as those of another."""
         return self.sigma_m <= _CONTACT * other.sigma_m and self.sigma_rad <= _CONTACT * other.sigma_rad
 
-    @property
-    def flight(self) -> Flight:
-        """From the first frame in use to the last."""
-        return Flight(_at(self.state, self.begin_s), self.state.time_s)
+    def poses(self, times_s: Array) -> tuple[Array, Array]:
+        """Positions (n, 3) and quaternions (n, 4) of the centroid from the first row to the last."""
+        flight = Flight(_at(self.centre_state, self.begin_s), self.fair_state.time_s)
+        positions, quaternions = flight.poses(times_s)
+        if self.centre_of_mass_m is not None:
+            positions = positions - matrix_from_quat(quaternions) @ self.centre_of_mass_m
+        return positions, quaternions
+
+    @cached_property
+    def centre_state(self) -> State:
+        """Of the centre of mass."""
+        if self.centre_of_mass_m is None:
+            return self.fair_state
+        return replace(
+            self.fair_state,
+            position_m=self.fair_state.position_m + self.swing[0] @ self.centre_of_mass_m,
+            velocity_m_s=self.fair_state.velocity_m_s + self.swing[1] @ self.centre_of_mass_m,
+        )
 
 
 def usable_rows(track: Track) -> Indices:
@@ -104,6 +142,8 @@ def first_bounce_row(track: Track, die: Die) -> int:
 def outset_before(track: Track, die: Die, row: int) -> Outset:
     """The state from the frames of the flight that the last frame before `row` belongs to; later frames are not looked at.
 
+    Where a flight ends is told as of a fair die: within a flight the centroid leaves its parabola by little.
+
     Raises ValueError where the flight shows fewer than three frames, and where the die no longer flies.
     """
     rows = usable_rows(track)
@@ -118,7 +158,7 @@ def outset_before(track: Track, die: Die, row: int) -> Outset:
         if begin == len(rows):
             last = outset_of(track, rows[begin - count :])
             if last.scatters_like(first):
-                return last
+                return last.of_die(die)
             raise ValueError(
                 f"the {count} frames before row {row} make no free flight: they scatter by {1e3 * last.sigma_m:.2g} mm and "
                 f"{np.degrees(last.sigma_rad):.2g} degrees about the nearest; wanted a frame before the die rolls or lies"
@@ -136,52 +176,75 @@ def outset_of(track: Track, rows: Indices) -> Outset:
     weighted = jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None]
     information = np.einsum("nij,nik->jk", weighted, weighted)
     covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
-    return Outset(rows, state, covariance, sigma_m, sigma_rad, float(track.time_s[rows[0]]))
+    begin_s = float(track.time_s[rows[0]])
+    return Outset(rows, state, covariance, sigma_m, sigma_rad, begin_s, _swing(state, track.time_s[rows]))
 
 
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
     """How many of `rows` (three or more) the flight at their beginning lasts."""
     interval = float(np.median(np.abs(np.diff(track.time_s[rows]))))
-    ended = len(rows)
+    motion, ended = _Motion.through(track, rows[:FEWEST]), len(rows)
     for n in range(FEWEST, len(rows)):
         if abs(track.time_s[rows[n]] - track.time_s[rows[n - 1]]) > _GAP * interval:
             return n
-        miss, lowest = _miss(track, die, rows[:n], rows[n])
-        if miss <= _SIGMAS:
+        if n > _AHEAD * motion.frames:
+            motion = _Motion.through(track, rows[:n], motion)
+        if motion.frames < n and motion.miss(track, rows[n]) > 0.5 * _SIGMAS:
+            motion = _Motion.through(track, rows[:n], motion)
+        if motion.miss(track, rows[n]) <= _SIGMAS:
             continue
-        again = n + 1 == len(rows) or _miss(track, die, rows[:n], rows[n + 1])[0] > _SIGMAS
-        if again and lowest < _NEAR_TABLE * die.solid.inradius:
+        again = n + 1 == len(rows) or motion.miss(track, rows[n + 1]) > _SIGMAS
+        if again and motion.lowest_m(die, float(track.time_s[rows[n]])) < _NEAR_TABLE * die.solid.inradius:
             ended = n
             break
     else:
         return ended
-    if ended > FEWEST + 1 and _miss(track, die, rows[: ended - 1], rows[ended - 1])[0] > _STRICT_SIGMAS:
+    last = ended - 1
+    if last > FEWEST and _Motion.through(track, rows[:last], motion).miss(track, rows[last]) > _STRICT_SIGMAS:
         ended -= 1
     return ended
 
 
-def _miss(track: Track, die: Die, rows: Indices, row: np.int64) -> tuple[float, float]:
-    """By how many sigmas a frame misses the flight of others, and the height [m] of the lowest corner foretold there."""
-    state, errors, jacobian = _nearest(track, rows)
-    sigmas = _scatter(errors)
-    time = float(track.time_s[row])
-    foretold = _at(state, time)
-    turned = rotation_between(foretold.quaternion[None], track.quaternion[row][None])[0]
-    moved = track.position_m[row] - foretold.position_m
-    ahead = flight_jacobian(state, np.array([time]))[0]
-    worst = 0.0
-    for part, seen, sigma, columns in (
-        (slice(0, 3), moved, sigmas[0], [0, 1, 2, 6, 7, 8]),
-        (slice(3, 6), turned, sigmas[1], [3, 4, 5, 9, 10, 11]),
-    ):
-        known = jacobian[:, part][:, :, columns].reshape(-1, 6)
-        j = ahead[part][:, columns]
-        lever = np.trace(j @ np.linalg.pinv(known.T @ known, hermitian=True) @ j.T) / 3.0
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """The flight nearest to some frames, and how well they know it."""
+
+    state: State
+    frames: int
+    sigmas: tuple[float, float]
+    """Scatter [m], [rad] of one axis."""
+    spreads: tuple[Array, Array]
+    """(6, 6) of place and velocity, and of turn and spin, in units of these."""
+
+    @classmethod
+    def through(cls, track: Track, rows: Indices, guess: _Motion | None = None) -> _Motion:
+        """The flight of these rows; a guess is that of fewer of them."""
+        state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
+        known = [jacobian[:, part][:, :, columns].reshape(-1, 6) for part, columns in _PARTS]
+        spreads = [np.linalg.pinv(k.T @ k, hermitian=True) for k in known]
+        return cls(state, len(rows), _scatter(errors), (spreads[0], spreads[1]))
+
+    def miss(self, track: Track, row: np.int64) -> float:
+        """By how many sigmas a frame misses it."""
+        time = float(track.time_s[row])
+        foretold = _at(self.state, time)
+        turned = rotation_between(foretold.quaternion[None], track.quaternion[row][None])[0]
+        ahead = flight_jacobian(self.state, np.array([time]))[0]
         # Few frames tell their scatter badly: Student's t of 3 n - 6 degrees at seven sigmas is as wide as this.
-        doubt = 1.0 + 6.0 / max(3 * len(rows) - 6, 1)
-        worst = max(worst, float(np.linalg.norm(seen)) / (np.sqrt(3.0 * (1.0 + lever)) * sigma * doubt))
-    heights = touching_vertices(die) @ matrix_from_quat(foretold.quaternion)[2]
-    return worst, float(heights.min() + foretold.position_m[2] - die.corner_radius_m)
+        doubt = 1.0 + 6.0 / max(3 * self.frames - 6, 1)
+        worst = 0.0
+        for k, seen in enumerate((track.position_m[row] - foretold.position_m, turned)):
+            part, columns = _PARTS[k]
+            j = ahead[part][:, columns]
+            lever = np.trace(j @ self.spreads[k] @ j.T) / 3.0
+            worst = max(worst, float(np.linalg.norm(seen)) / (np.sqrt(3.0 * (1.0 + lever)) * self.sigmas[k] * doubt))
+        return worst
+
+    def lowest_m(self, die: Die, time_s: float) -> float:
+        """Height of the lowest corner that it foretells."""
+        foretold = _at(self.state, time_s)
+        heights = touching_vertices(die) @ matrix_from_quat(foretold.quaternion)[2]
+        return float(heights.min() + foretold.position_m[2] - die.corner_radius_m)
 
 
 def _scatter(errors: Array) -> tuple[float, float]:
@@ -192,7 +255,7 @@ def _scatter(errors: Array) -> tuple[float, float]:
     return float(sigma_m), float(sigma_rad)
 
 
-def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
+def _nearest(track: Track, rows: Indices, guess: State | None = None) -> tuple[State, Array, Array]:
     """Least squares of the flight over some rows: state at the last of them, errors (n, 6) and derivatives (n, 6, 12).
 
     Positions and rotations do not know of each other in flight. The former are linear; the latter nearly so.
@@ -201,18 +264,40 @@ def _nearest(track: Track, rows: Indices) -> tuple[State, Array, Array]:
     dt = times - times[-1]
     straight = positions + np.outer(0.5 * GRAVITY_M_S2 * dt**2, [0.0, 0.0, 1.0])
     line = np.linalg.lstsq(np.stack([np.ones_like(dt), dt], 1), straight, rcond=None)[0]
-    turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
-    state = State(float(times[-1]), line[0], quaternions[-1], line[1], np.median(turns, axis=0))
-    for _ in range(6):
+    if guess is None:
+        turns = rotation_between(quaternions[:-1], quaternions[1:]) / np.diff(times)[:, None]
+        turned, omega = quaternions[-1], np.median(turns, axis=0)
+    else:
+        turned, omega = _at(guess, float(times[-1])).quaternion, guess.omega_rad_s
+    state = State(float(times[-1]), line[0], turned, line[1], omega)
+    for _ in range(_MOST_STEPS):
         errors, jacobian = _errors(state, times, positions, quaternions)
         known = jacobian[:, 3:][:, :, [3, 4, 5, 9, 10, 11]].reshape(-1, 6)
         step = np.linalg.lstsq(known, errors[:, 3:].ravel(), rcond=None)[0]
+        if np.abs(step[:3]).max() < _CLOSE_RAD:
+            break
         change = np.zeros(12)
         change[3:6], change[9:] = step[:3], step[3:]
         state = moved_state(state, change)
-        if np.abs(step[:3]).max() < 1e-8:
-            break
-    return (state, *_errors(state, times, positions, quaternions))
+    return state, errors, jacobian
+
+
+def _swing(state: State, times: Array) -> Array:
+    """`Outset.swing`: the straight line nearest to R(t), of which the centre of mass takes its place in the body."""
+    dt = times - state.time_s
+    turned = matrix_from_quat(quat_multiply(quat_from_rotvec(np.outer(dt, state.omega_rad_s)), state.quaternion))
+    line = np.linalg.pinv(np.stack([np.ones_like(dt), dt], 1))
+    return np.asarray(np.einsum("an,nij->aij", line, turned), dtype=np.float64)
+
+
+def _shifted(state: State, centre_of_mass_m: Array | None, sign: float) -> State:
+    """The state of the centre of mass from that of the centroid (sign 1), or the other way round (-1)."""
+    if centre_of_mass_m is None:
+        return state
+    arm = sign * (state.rotation @ centre_of_mass_m)
+    return replace(
+        state, position_m=state.position_m + arm, velocity_m_s=state.velocity_m_s + np.cross(state.omega_rad_s, arm)
+    )
 
 
 def _errors(state: State, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ an effect that is not in use has none: it costs no parameter, no time and no lin
 | fading friction | `mu_fade_s_per_m` = 1/u_s of `model.impacts.FrictionBySpeed`; joint fits alone | 0 |
 | rounded corners | `corner_radius_m` | 0 |
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
+| loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
 | tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
 | air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
 | clock | `clock_scale`: true seconds in a second of the track | 1 |
@@ -40,6 +41,7 @@ from ..model.simulate import ThrowResult, Until, checked_release, throw_die
 from ..model.solids import Die
 from ..model.tables import Table
 from ..model.tangent import Propagation, propagate
+from .loaded import LOAD
 
 Array = NDArray[np.float64]
 
@@ -48,12 +50,16 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "fading restitution": ("chi_fade_s_per_m",),
     "rounded corners": ("corner_radius_m",),
     "inertia": ("inertia_kg_m2",),
+    "loaded die": LOAD,
     "tilted table": ("tilt_x_rad", "tilt_y_rad"),
     "air drag": ("drag_per_m",),
     "clock": ("clock_scale",),
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
+
+ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag"})}
+"""Effects that no model has together: a die that is no spherical top is simulated with smooth impacts and without air."""
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
 
@@ -74,6 +80,9 @@ _BOUNDS = {
 LEAST_OF_CALIBRATION = {"clock_scale": 1e-3, "length_scale": 1e-3, "tilt_x_rad": 2e-3, "tilt_y_rad": 2e-3}
 """Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
 of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
+
+_LEAST_SHARE = 1e-3
+"""The same of a centre of mass, as a share of an edge: the corners of a real die are not truer than that."""
 
 _SOME: dict[str, tuple[dict[str, float], ...]] = {
     "friction": ({"mu": 0.1}, {"mu": 0.4}),
@@ -121,12 +130,25 @@ class Physics:
 
     def is_noticeable(self, effect: str) -> bool:
         """Whether an effect in use is larger than what calibration leaves open."""
-        return any(
-            abs(self.values[name] - self.off(name)) > LEAST_OF_CALIBRATION.get(name, 0.0) for name in EFFECTS[effect]
+        return any(abs(self.values[name] - self.off(name)) > self.least(name) for name in EFFECTS[effect])
+
+    def goes_with(self, effect: str) -> bool:
+        """Whether an effect can be taken in beside those in use."""
+        return not any(
+            (effect in others and alone in self.effects) or (effect == alone and others.intersection(self.effects))
+            for alone, others in ALONE.items()
         )
+
+    def least(self, name: str) -> float:
+        """Departure that the calibration leaves open."""
+        if name in LOAD:
+            return _LEAST_SHARE * self.die.solid.edge_m
+        return LEAST_OF_CALIBRATION.get(name, 0.0)
 
     def bounds(self, name: str) -> tuple[float, float]:
         """What the law allows."""
+        if name in LOAD:
+            return -0.5 * self.die.solid.inradius, 0.5 * self.die.solid.inradius
         if name == "corner_radius_m":
             return 0.0, 0.9 * self.die.solid.inradius
         if name == "inertia_kg_m2":
@@ -187,11 +209,15 @@ class Physics:
 
     @cached_property
     def body(self) -> Die:
-        """The die with the fitted radius and inertia."""
+        """The die with the fitted radius, inertia and centre of mass."""
         die = self.die
         if "corner_radius_m" in self.values:
             die = replace(die, corner_radius_m=self.values["corner_radius_m"])
-        return replace(die, inertia_kg_m2=self.values["inertia_kg_m2"]) if "inertia_kg_m2" in self.values else die
+        if "inertia_kg_m2" in self.values:
+            die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"])
+        if LOAD[0] in self.values:
+            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in LOAD]))
+        return die
 
     @cached_property
     def plane(self) -> Table:
@@ -206,32 +232,49 @@ class Physics:
         """The throw that the die makes by itself. Raises ValueError for a start below the table."""
         return throw_die(self.body, start, self.law, until=until, table=self.plane)
 
-    def release(self, start: State) -> Array | None:
-        """A start as the event loop takes it (13,); None where a vertex lies below the table.
+    def can_release(self, start: State) -> bool:
+        """Whether a throw can begin so: not below the table, where fits through prescribed vertices, and draws from
+        them, may lie."""
+        return self._packed(start) is not None
 
-        Fits through prescribed vertices, and draws from them, may begin there: no throw does.
+    def run(self, start: State, *, end_s: float = np.inf, impacts: int, keep: bool) -> Run | None:
+        """The throw left to itself, in short; None for a start below the table.
+
+        The event loop without the values of a `Throw`, which take ten times as long.
         """
-        try:
-            return checked_release(self.body, start, self.plane)
-        except ValueError:
+        packed = self._packed(start)
+        if packed is None:
             return None
-
-    def run(self, release: Array, start_s: float, *, end_s: float = np.inf, impacts: int, keep: bool) -> Run:
-        """The event loop without the values of a `Throw`, which take ten times as long."""
+        if not self.body.is_spherical_top:
+            return self._run_top(start, end_s, impacts)
         _, _, face, _, _, log, _ = kernels.run_throw(
             body_of(self.body),
             kernels.law_of(self.law.code, self.law.parameters),
             self.plane.plane,
             kernels.FINE,
-            release,
-            start_s,
-            end_s - start_s,
+            packed,
+            float(start.time_s),
+            end_s - float(start.time_s),
             np.iinfo(np.int64).max,
             end_s == np.inf,
             impacts,
             keep,
         )
         return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)
+
+    def _run_top(self, start: State, end_s: float, impacts: int) -> Run:
+        """The same of a loaded die."""
+        until = Until() if end_s == np.inf else Until(time_s=end_s, impacts=impacts)
+        result = self.throw(start, until)
+        struck = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
+        return Run(np.array(struck, int), result.landed_face)
+
+    def _packed(self, start: State) -> Array | None:
+        """A start as the event loop takes it (13,); None where a vertex lies below the table."""
+        try:
+            return checked_release(self.body, start, self.plane)
+        except ValueError:
+            return None
 
 
 @dataclass(frozen=True, eq=False)

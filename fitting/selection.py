@@ -27,6 +27,7 @@ from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
 from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale, reach
+from .loaded import load_in_flight
 from .physics import EFFECTS, RESTITUTIONS, Physics, course
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
@@ -137,6 +138,11 @@ def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patien
     """One effect on the frames of an attempt that failed without it."""
     k2 = loss_scale(free)
     starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
+    if effect == "loaded die":
+        load = load_in_flight(free)
+        if load is None or load.gain < _HOPEFUL * _price(attempt, effect):
+            return Trial(effect, None, load.gain if load else 0.0, _price(attempt, effect), 0.0)
+        starts = (shot.physics.with_values(**load.values),)
     onward = attempt.vertices[len(shot.vertices) :]
     tried = [reach(with_physics(shot, p, k2), onward, attempt.reached, free, patient=patient) for p in starts]
     found = [other for other in tried if other is not None]
@@ -154,8 +160,8 @@ def _nearest_of_each_kind(shots: list[Shot]) -> list[Shot]:
 
 
 def candidates_for(physics: Physics) -> tuple[str, ...]:
-    """The effects that this die on this table could show."""
-    return tuple(EFFECTS)
+    """The effects that this die on this table could show, and that can stand beside those in use."""
+    return tuple(effect for effect in EFFECTS if physics.goes_with(effect))
 
 
 def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
@@ -170,11 +176,26 @@ def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
 def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
     """One effect on the frames that a shot explains."""
     k2 = loss_scale(free)
+    if effect == "loaded die":
+        return _try_load(shot, free)
     wider = with_physics(shot, shot.physics.with_effect(effect), k2)
     hoped = _foreseen_gain(wider, k2)
     if hoped < _HOPEFUL * _price(shot, effect):
         return Trial(effect, None, hoped, _price(shot, effect), 0.0)
     return _compared(shot, shoot(shot.sightings, wider, shot.vertices, k2), effect, k2)
+
+
+def _try_load(shot: Shot, free: FreeFlights) -> Trial:
+    """The same of a loaded die, which free flights tell without the simulation of a die that is no spherical top: scenes
+    with a fair die do not pay for that."""
+    effect, k2 = "loaded die", loss_scale(free)
+    load = load_in_flight(free)
+    if load is None or load.gain < _HOPEFUL * _price(shot, effect):
+        return Trial(effect, None, load.gain if load else 0.0, _price(shot, effect), 0.0)
+    # From where the flights see it, and from nowhere: the start that fits without it may lie far from the first.
+    starts = (shot.physics.with_values(**load.values), shot.physics.with_effect(effect))
+    found = [shoot(shot.sightings, with_physics(shot, start, k2), shot.vertices, k2) for start in starts]
+    return _compared(shot, min(found, key=lambda s: s.cost(k2)), effect, k2)
 
 
 def _compared(shot: Shot, wider: Shot, effect: str, k2: float) -> Trial:

@@ -68,10 +68,10 @@ def simulated_sequences(shot: Shot, target: int, free: FreeFlights) -> list[Vert
 def own_sequence(physics: Physics, start: State, until_s: float) -> Vertices:
     """The vertices with which a throw left to itself strikes until a time on the track's clock, up to where it stops
     bouncing; none for a start below the table, from which there is no throw."""
-    release = physics.release(start)
-    if release is None:
-        return ()
     end_s = physics.values.get("clock_scale", 1.0) * until_s
-    struck = physics.run(release, float(start.time_s), end_s=end_s, impacts=_MOST_IMPACTS, keep=True).struck
+    run = physics.run(start, end_s=end_s, impacts=_MOST_IMPACTS, keep=True)
+    if run is None:
+        return ()
+    struck = run.struck
     held = np.flatnonzero(struck < 0)
     return tuple(int(vertex) for vertex in struck[: held[0] if len(held) else None])

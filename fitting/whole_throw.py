@@ -9,15 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
+from scipy.stats import norm
 
 from ..model.motion import Throw
 from ..model.solids import Die
 from ..model.tables import LEVEL, Table
 from ..tracking.track import Track
+from .bootstrap import bootstrap_intervals
 from .flights import FreeFlights, fit_flights
 from .impulses import Bounce, common_restitution, measure_bounces
 from .intervals import profile_interval, variance_inflation
@@ -34,6 +37,15 @@ Array = NDArray[np.float64]
 
 LEVEL_OF_INTERVALS = 0.95
 
+IntervalMethod = Literal["profile", "covariance", "bootstrap"]
+INTERVAL_METHODS: tuple[IntervalMethod, ...] = ("profile", "covariance", "bootstrap")
+"""Where the cost rises by so much with all else fitted anew; ±1.96 σ, cut at what the law allows; percentiles of fits to
+residuals drawn anew in blocks. The first needs no straight cost and no bell, and is 2 to 3 times as long as the second;
+the third is longer by far."""
+
+_Z = float(norm.ppf(0.5 + 0.5 * LEVEL_OF_INTERVALS))
+"""Sigmas to either side that hold as much of a normal distribution."""
+
 _MOST_EFFECTS = 4
 """Effects taken in, one after the other; more than any scene was seen to show."""
 
@@ -48,21 +60,24 @@ class _Work:
     bounces: tuple[Bounce | None, ...]
     first: int
     """The first flight that two frames show."""
+    intervals: IntervalMethod
 
 
-def fit_throw(track: Track, measured: Throw, die: Die, table: Table = LEVEL) -> Fit:
+def fit_throw(
+    track: Track, measured: Throw, die: Die, table: Table = LEVEL, intervals: IntervalMethod = "profile"
+) -> Fit:
     """χ and the initial conditions of a tracked throw, with intervals, from all bounces that the model explains.
 
     `track` holds the poses of single frames (not smoothed: their errors must be independent), `measured` the flights
     and impacts found in them. What the data do not carry is None in the result, with a message.
     Raises ValueError for a track whose columns do not fit together.
     """
-    fit = _fit(track, measured, Physics(die, table, {"chi": 0.5}))
+    fit = _fit(track, measured, Physics(die, table, {"chi": 0.5}), intervals)
     rested = resting_face(track, die)
     return fit if rested is None else replace(fit, landed_face=rested)
 
 
-def _fit(track: Track, measured: Throw, physics: Physics) -> Fit:
+def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMethod) -> Fit:
     free = fit_flights(sight(track, measured), measured)
     messages = frame_words(free)
     first = next((k for k, flight in enumerate(free.flights) if flight is not None), None)
@@ -70,7 +85,8 @@ def _fit(track: Track, measured: Throw, physics: Physics) -> Fit:
         return _nothing(messages, "no flight has two frames with a pose: neither the start nor chi can be determined.")
     if first > 0:
         messages.append(f"The fit begins after bounce {first}: the frames before it do not make a flight.")
-    work = _Work(track, measured, free, measure_bounces(physics.die, free, measured.impacts), first)
+    bounces = measure_bounces(physics.die, free, measured.impacts)
+    work = _Work(track, measured, free, bounces, first, intervals)
     if len(measured.flights) == first + 1:
         messages.append("chi cannot be determined: the track shows no bounce after the first flight.")
         return _unbounded(work, opening(free, first, physics), messages)
@@ -153,7 +169,7 @@ def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: li
     messages += bounce_words(shots, work.free, total, explained)
     variance, tau = _inflation(shot)
     messages += inflation_words(variance, tau)
-    parameters = _parameters(shot, work.free, variance * tau, messages)
+    parameters = _parameters(shot, work, variance * tau, messages)
     covariance = _covariance(shot.root) * variance * tau
     throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
     face, odds, landing_words = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
@@ -255,23 +271,29 @@ def _covariance(root: Array) -> Array:
     return np.asarray(inverse @ inverse.T)
 
 
-def _parameters(shot: Shot, free: FreeFlights, scale: float, messages: list[str]) -> dict[str, Parameter]:
+def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
     """Every free parameter with its interval; None, and a message, where the data leave all of its range open."""
     found = {}
-    covariance = _covariance(shot.root) * scale
+    covariance, drawn = _covariance(shot.root) * scale, {}
+    if work.intervals == "bootstrap":
+        drawn = bootstrap_intervals(shot, loss_scale(work.free), level=LEVEL_OF_INTERVALS)
     for k, name in enumerate(shot.physics.free, start=12):
         sigma = float(np.sqrt(covariance[k, k]))
-        found[name] = _parameter(shot, name, sigma, scale, free)
+        value, bounds = shot.physics.values[name], shot.physics.bounds(name)
+        if work.intervals == "profile":
+            low, high = _profile(shot, name, sigma, scale, work.free)
+        else:
+            low, high = drawn.get(name, (value - _Z * sigma, value + _Z * sigma))
+        found[name] = _bounded(value, low, high, bounds=bounds, near=0.01 * sigma)
         if found[name].value is None:
-            low, high = shot.physics.bounds(name)
             messages.append(
-                f"{name} cannot be determined: every value from {low:g} to {high:g} agrees with the frames."
+                f"{name} cannot be determined: every value from {bounds[0]:g} to {bounds[1]:g} agrees with the frames."
             )
     return found
 
 
-def _parameter(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlights) -> Parameter:
-    """One parameter and its interval from the profile of the likelihood."""
+def _profile(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlights) -> tuple[float, float]:
+    """The interval of one parameter from the profile of the likelihood."""
     k2 = loss_scale(free)
     least = shot.cost(k2)
 
@@ -280,8 +302,7 @@ def _parameter(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlig
         return (shoot(shot.sightings, held, shot.vertices, k2).cost(k2) - least) / scale
 
     value, bounds = shot.physics.values[name], shot.physics.bounds(name)
-    low, high = profile_interval(value, sigma, bounds, excess, level=LEVEL_OF_INTERVALS)
-    return _bounded(value, low, high, bounds=bounds, near=0.01 * sigma)
+    return profile_interval(value, sigma, bounds, excess, level=LEVEL_OF_INTERVALS)
 
 
 def _bounded(value: float, low: float, high: float, *, bounds: tuple[float, float], near: float = 0.0) -> Parameter:

@@ -9,8 +9,10 @@ finer map of the whole, pixel for pixel, wherever the pixels coincide.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,19 +87,30 @@ class Window:
 
 
 def map_rows(
-    stage: Stage, window: Window, *, first: int = 0, after: int = 0, rows: int = 8, threads: int = 1
+    stage: Stage,
+    window: Window,
+    *,
+    first: int = 0,
+    after: int = 0,
+    rows: int = 8,
+    threads: int = 1,
+    executor: Executor | None = None,
 ) -> Iterator[tuple[int, int, Landings]]:
     """Throw from every pixel, `rows` rows at a time; yields (i, j, landings of rows i to j - 1, x running fastest).
 
-    `first` is the row to begin with, `after` the number of impacts at which the lowest face is noted.
+    `first` is the row to begin with, `after` the number of impacts at which the lowest face is noted; `threads` and
+    `executor` are those of `in_order`.
     """
     xs, ys = window.x.centres, window.y.centres
+    yield from in_order(
+        partial(landings_of_rows, stage, window, xs, ys, after), first, len(ys), rows, threads, executor
+    )
 
-    def work(i: int, j: int) -> Landings:
-        points = np.stack(np.broadcast_arrays(xs, ys[i:j, None]), axis=-1).reshape(-1, 2)
-        return stage.throw(window.states(points), after)
 
-    yield from in_order(work, first, len(ys), rows, threads)
+def landings_of_rows(stage: Stage, window: Window, xs: Array, ys: Array, after: int, i: int, j: int) -> Landings:
+    """The throws from all pixels of rows i to j - 1, of centres `xs` (columns,) and `ys` (rows,), x running fastest."""
+    points = np.stack(np.broadcast_arrays(xs, ys[i:j, None]), axis=-1).reshape(-1, 2)
+    return stage.throw(window.states(points), after)
 
 
 def outcomes(stage: Stage, window: Window, points: Array, after: int | None = None) -> NDArray[np.int64]:

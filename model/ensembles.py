@@ -17,8 +17,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, fields
+from functools import partial
 from math import cos, inf, sin, sqrt
 from statistics import NormalDist
 from typing import Any, Protocol, TypeVar
@@ -28,9 +29,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from . import kernels, tops
-from .bodies import body_of
+from .bodies import body_of, kernel_starts
 from .impacts import ImpactLaw
-from .rotations import matrix_from_quat, quat_conjugate, quat_multiply
+from .rotations import quat_multiply
 from .simulate import BOUNCING_CAP, ENDINGS, EXACT, IMPACT_CAP, Ending, Precision
 from .solids import Die
 from .tables import LEVEL, Table
@@ -163,8 +164,10 @@ class Stage:
         law = kernels.law_of(self.law.code, self.law.parameters)
         precision = kernels.Precision(self.precision.root_m, self.precision.switch, self.precision.turn_rad)
         cap = BOUNCING_CAP if self.endless else IMPACT_CAP
-        starts = self._starts(states)
-        if self.die.is_spherical_top:
+        starts = kernel_starts(self.die, self.table, states)
+        # Of a loaded die under the smooth impact `tops` can prove more: that it spins on for ever.
+        plain = self.law.code == kernels.SMOOTH
+        if self.die.is_spherical_top or (not plain and self.die.moment_kg_m2 is not None):
             body = body_of(self.die)
             _follow_many(body, law, self.table.plane, precision, starts, cap, landed, lowest)
         else:
@@ -180,23 +183,6 @@ class Stage:
         if self.endless:
             endings[landed[:, 2] == kernels.IMPACT_CAP] = _BOUNCING
         return Landings(landed[:, 0] + 1, landed[:, 1], endings, lowest + 1)
-
-    def _starts(self, states: Array) -> Array:
-        """The states as the kernels have them: in the table's axes, heights less the corners' radius, the centre of
-        mass for the centroid."""
-        starts = np.array(states, float)
-        if self.table.tilt_rad:
-            back = quat_conjugate(self.table.world_from_table)
-            turn = matrix_from_quat(back)
-            starts[:, 3:7] = quat_multiply(back, starts[:, 3:7])
-            for k in (0, 7, 10):
-                starts[:, k : k + 3] = starts[:, k : k + 3] @ turn.T
-        if self.die.centre_of_mass_m is not None:
-            arms = matrix_from_quat(starts[:, 3:7]) @ self.die.centre_of_mass_m
-            starts[:, 0:3] += arms
-            starts[:, 7:10] += np.cross(starts[:, 10:13], arms)
-        starts[:, 2] -= self.die.corner_radius_m
-        return starts
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,27 +288,30 @@ def tally_throws(
     begun: Tally | None = None,
     chunk: int = BLOCK,
     threads: int = 1,
+    executor: Executor | None = None,
 ) -> Iterator[Tally]:
     """Throw `throws` times and yield the tally so far after every chunk; the last is the tally of all.
 
-    `begun` is a tally of the same ensemble to go on from. `chunk` and `threads` change the speed, never a count. Raises
-    ValueError for conditions that could release the die below the table.
+    `begun` is a tally of the same ensemble to go on from. `chunk`, `threads` and `executor` (see `in_order`) change the
+    speed, never a count. Raises ValueError for conditions that could release the die below the table.
     """
     check_releases(stage, conditions)
     if throws < 1 or chunk < 1 or threads < 1 or after < 0:
         raise ValueError(
             f"throws = {throws}, chunk = {chunk}, threads = {threads}, after = {after}: wanted 1 or more, after 0 or more"
         )
-    faces = len(stage.die.solid.faces)
-    tally = Tally.nothing(faces, after) if begun is None else begun
-
-    def work(first: int, end: int) -> Tally:
-        return Tally.of(stage.throw(drawn_states(conditions, stage.die, seed, first, end), after), faces)
-
+    tally = Tally.nothing(len(stage.die.solid.faces), after) if begun is None else begun
+    work = partial(tally_of, stage, conditions, seed, after)
     yield tally
-    for _, _, part in in_order(work, tally.throws, throws, chunk, threads):
+    for _, _, part in in_order(work, tally.throws, throws, chunk, threads, executor):
         tally += part
         yield tally
+
+
+def tally_of(stage: Stage, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
+    """The tally of throws number `first` to `end` - 1 of a seed alone."""
+    states = drawn_states(conditions, stage.die, seed, first, end)
+    return Tally.of(stage.throw(states, after), len(stage.die.solid.faces))
 
 
 def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: int) -> Array:
@@ -336,14 +325,22 @@ def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: i
 
 
 def in_order(
-    work: Callable[[int, int], T], first: int, end: int, chunk: int, threads: int
+    work: Callable[[int, int], T],
+    first: int,
+    end: int,
+    chunk: int,
+    threads: int,
+    executor: Executor | None = None,
 ) -> Iterator[tuple[int, int, T]]:
     """`work(i, j)` for the chunks of first to end, on several threads; yields (i, j, result) in order.
+
+    An `executor` takes the place of the threads, of which `threads` then says how many calls it works on at a time; where
+    its workers are other processes, `work` must be something that can be pickled.
 
     At most a few chunks are ahead of the one that is yielded, so that memory stays as it is. Whatever stops the caller
     drops the chunks that are not begun and waits for those that are.
     """
-    pool = ThreadPoolExecutor(threads)
+    pool = ThreadPoolExecutor(threads) if executor is None else executor
     ahead: deque[tuple[int, int, Future[T]]] = deque()
     try:
         for i in range(first, end, chunk):
@@ -355,7 +352,10 @@ def in_order(
             done = ahead.popleft()
             yield done[0], done[1], done[2].result()
     finally:
-        pool.shutdown(cancel_futures=True)
+        for _, _, future in ahead:
+            future.cancel()
+        if executor is None:
+            pool.shutdown()
 
 
 def states_of(numbers: Array) -> Array:

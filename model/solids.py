@@ -110,6 +110,16 @@ class Die:
         """Whether the inertia is the same about every axis and the centre of mass is the centroid."""
         return self.inertia_tensor_kg_m2 is None
 
+    @property
+    def moment_kg_m2(self) -> float | None:
+        """The one moment of inertia about every axis through the centre of mass, wherever that lies; None where the axes
+        differ."""
+        if self.inertia_tensor_kg_m2 is None:
+            return self.inertia_kg_m2
+        moment = float(np.trace(self.inertia_tensor_kg_m2)) / 3.0
+        even = np.abs(self.inertia_tensor_kg_m2 - moment * np.eye(3)).max() <= 1e-12 * moment
+        return moment if even else None
+
 
 def make_die(
     shape: str,

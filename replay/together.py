@@ -371,7 +371,7 @@ def _send_lowest(
             )
             recording.log(entity, rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
             times, frames = _times(batch, "t") + shift[0], _times(batch, "frame") + shift[1]
-            index = on_frames(frames, 1e-9 * times)
+            index = on_frames(frames, np.asarray(1e-9 * times, np.float64))
             lowest = [min(row) for row in batch.column("Scalars:scalars").to_pylist()]
             columns = rr.Scalars.columns(scalars=lowest)
             recording.send_columns(entity, index if keeps_frames else index[1:], columns)

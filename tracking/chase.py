@@ -84,10 +84,10 @@ class Seen:
         )
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
-    def take(self, rows: NDArray[np.int64], other: Seen) -> None:
-        """Take some rows over."""
+    def take(self, rows: NDArray[np.int64], other: Seen, others: NDArray[np.int64] | None = None) -> None:
+        """Take some rows over, from the same rows of another or from `others`."""
         for name in ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean"):
-            getattr(self, name)[rows] = getattr(other, name)[rows]
+            getattr(self, name)[rows] = getattr(other, name)[rows if others is None else others]
 
 
 class Chase:

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from .footage import Frame as Frame
 from .footage_cine import is_cine, open_cine
-from .footage_images import is_tiff, open_pictures
-from .footage_photron import is_photron, open_photron
+from .footage_images import files_of_pictures, is_tiff, open_pictures
+from .footage_photron import is_photron, open_photron, photron_files
 from .footage_video import open_video
 
 PICTURE_STARTS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"P5\n", b"P2\n", b"P6\n", b"\0\0\0\x0cjP  ")
@@ -78,6 +78,22 @@ def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, i
     if is_photron(path):
         return open_photron(path, fps, frame_range)
     return (open_pictures if _is_picture(path) else open_video)(path, fps, frame_range)
+
+
+def clip_files(path: Path) -> tuple[Path, ...]:
+    """Every file that `open_clip` reads: the pixels beside a Photron header, and all pictures of a sequence.
+
+    What is not there, or is no film, is returned as it was named; `open_clip` says what is wrong with it.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            return files_of_pictures(path)
+        if is_photron(path):
+            return photron_files(path)
+        return files_of_pictures(path) if _is_picture(path) else (path,)
+    except (ValueError, OSError):
+        return (path,)
 
 
 def scan_notices(clip: Clip) -> tuple[str, ...]:

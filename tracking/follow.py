@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2, Throw
@@ -25,9 +26,10 @@ from ..model.rotations import (
 )
 from ..model.solids import Die
 from .background import estimate_background
+from .beginning import begin_by_hand, find_beginning
 from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
-from .chase import Chase, Seen
+from .chase import Seen
 from .clip import Clip
 from .edges import settle
 from .flights import transition
@@ -52,8 +54,6 @@ from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .rest import flown, frames_in_flight
 from .segment import background_noise
-from .start import die_blobs, find_start
-from .start_by_hand import start_by_hand
 from .track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -65,13 +65,6 @@ FIRST_BLUR_PX = 0.7
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
 BLUR_FRAMES = 16
 """Frames over which the lens blur is estimated."""
-TRIAL_FRAMES = 8
-"""Frames that a start must be followed over before it is believed."""
-START_FRAMES = 14
-"""Frames on which a start is looked for, a few frames apart, before the clip is given up."""
-SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
-"""Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
-that, as with a die of little contrast, the best start above the second is taken."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
@@ -83,7 +76,7 @@ CONTRADICTED = 30.0
 WORTHWHILE = 8.0
 """Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
 faces do, where they were learned matters more than what they add."""
-THREADS = 2
+THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
 """Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
 
@@ -218,15 +211,16 @@ def _first_pass(
     view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask
 ) -> tuple[View, Seen]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
-    if by_hand is None:
-        beginning = _find_beginning(view, reel, unused, report)
-    else:
-        beginning = _begin_by_hand(view, reel, by_hand, unused)
+    beginning = (
+        find_beginning(view, reel, unused, report.at_least)
+        if by_hand is None
+        else begin_by_hand(view, reel, by_hand, unused)
+    )
     if beginning is None:
         raise NoDieError(
             f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
         )
-    _, chase, seen = beginning
+    chase, seen = beginning
     view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
@@ -240,80 +234,6 @@ def _first_pass(
             break
     # What was found to stand before the die is known from here on.
     return chase.view, seen
-
-
-def _begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[int, Chase, Seen]:
-    """The frame that a person named, with the chase that followed the pose given there a few frames on."""
-    k = by_hand.frame - reel.first_frame
-    if not 0 <= k < len(reel) or unused[k]:
-        last = reel.first_frame + len(reel) - 1
-        raise ValueError(
-            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({reel.first_frame} to {last}), none that is "
-            "excluded"
-        )
-    pose = start_by_hand(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
-    return k, *_trial(view, reel, k, pose, np.inf, unused)
-
-
-def _find_beginning(view: View, reel: Reel, unused: Mask, report: _Reporter) -> tuple[int, Chase, Seen] | None:
-    """The first frame on which the die is wholly seen, with the chase that followed the best start a few frames on."""
-    tried, k = 0, 0
-    spare: tuple[float, int, Chase, Seen] | None = None
-    while tried < START_FRAMES and k < len(reel):
-        report.at_least(k)
-        image = np.asarray(reel.frame(k), np.float32)
-        if unused[k] or not die_blobs(view, image[0]):
-            k += 1
-            continue
-        tried += 1
-        best: tuple[float, Chase, Seen] | None = None
-        for _, pose in find_start(view, image):
-            chase, seen = _trial(view, reel, k, pose, best[0] if best else np.inf, unused)
-            if seen.known.sum() >= min(TRIAL_FRAMES, len(reel) - k) - 1 and _steady(view, seen, reel.times_s):
-                cost = float(seen.cost[seen.known].mean())
-                if best is None or cost < best[0]:
-                    best = cost, chase, seen
-        if best is not None:
-            support = float(best[2].support[best[2].known].mean())
-            if support > SURE_SUPPORT:
-                return k, best[1], best[2]
-            if spare is None or support > spare[0]:
-                spare = support, k, best[1], best[2]
-        # Ever wider apart: a shadow alone may fill many frames before the die that casts it comes into view.
-        k += 4 + tried
-    return spare[1:] if spare is not None and spare[0] > FAIR_SUPPORT else None
-
-
-def _trial(view: View, reel: Reel, k: int, pose: Pose, to_beat: float, unused: Mask) -> tuple[Chase, Seen]:
-    """Follow one start for a few frames, and no further once it explains them clearly worse than another start did."""
-    seen = Seen.empty(len(reel))
-    seen.put(k, pose, np.zeros(6))
-    chase = Chase.from_start(view, pose, reel.times_s, k, unused)
-    for j in range(k + 1, min(k + TRIAL_FRAMES, len(reel))):
-        chase.over(reel.frame(j)[None], reel.times_s, j, seen)
-        costs = seen.cost[seen.known]
-        if chase.misses > 1 or (len(costs) > 3 and costs.mean() > to_beat + 0.3):
-            break
-    return chase, seen
-
-
-def _steady(view: View, seen: Seen, times_s: Array) -> bool:
-    """Whether the poses move as a die in flight does: a parabola within a tenth of an edge and a constant spin within
-    1.5 degrees. A wrong start jumps about, and so does the pose drawn into a shadow."""
-    alive = np.flatnonzero(seen.known)
-    if len(alive) < 3:
-        return False
-    middle = int(alive[len(alive) // 2])
-    t = times_s[alive] - times_s[middle]
-    fall = seen.position_m[alive] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
-    q = quat_from_matrix(seen.rotation[alive])
-    turns = rotation_between(quat_from_matrix(seen.rotation[middle]), q)
-    edge = view.die.solid.edge_m
-    for values, allowed in ((fall, 0.1 * edge), (turns, np.radians(1.5))):
-        left = values - np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1)
-        if float(np.sqrt((left**2).sum(1).mean())) > allowed:
-            return False
-    return True
 
 
 # --- the second pass --------------------------------------------------------------------------------------------------

@@ -23,8 +23,10 @@ Sensor noise changes most pixels; a compressed or rendered still scene changes a
 """
 SEEN_LINES = 8
 """Every so manieth line of a frame is compared with the one before; all of them where those are alike."""
-MOST_PIXELS = 2**28
-"""Largest frame that is believed [px]: ten times that of any high-speed camera; a header that says more is broken."""
+MOST_PIXELS = 2**26
+"""Largest frame that is believed [px], several times that of any high-speed camera; a header that says more is broken."""
+MOST_FRAMES = 2**24
+"""Most frames that are believed: beyond them the times alone fill the memory."""
 
 
 class DuplicateWatch:
@@ -137,6 +139,7 @@ def times_from_rate(
         )
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"{path.name}: fps = {fps}; the recording rate must be above 0 frames per second")
+    check_count(path, count)
     return np.arange(count) / fps
 
 
@@ -146,6 +149,19 @@ def check_size(path: Path, width_px: int, height_px: int) -> None:
         raise ValueError(
             f"{path.name}: frames of {width_px} × {height_px} px; the header is broken, or this is not a film"
         )
+
+
+def check_count(path: Path, count: int) -> None:
+    """Raise ValueError for more frames than any camera holds, before memory is taken for their times."""
+    if count > MOST_FRAMES:
+        raise ValueError(f"{path.name}: {count} frames; the header is broken, or this is not a film")
+
+
+def cut_off(path: Path, number: int) -> ValueError:
+    """The error for a frame whose bytes were there when the film was opened, and are there no longer."""
+    return ValueError(
+        f"{path.name}: the file ends before frame {number}; it was cut off while it was read, copy it again"
+    )
 
 
 def _checked_range(path: Path, frame_range: tuple[int, int] | None, count: int) -> tuple[int, int]:

@@ -35,7 +35,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .footage import Footage, Frame, check_size, times_from_rate
+from .footage import Footage, Frame, check_count, check_size, times_from_rate
 from .footage_photron import RATE_TOLERANCE, unpack_12bit
 
 Array = NDArray[np.float64]
@@ -64,8 +64,6 @@ IRIG_BITS = 3
 """The lowest bits of a time, which say whether an outside clock was locked and not what it showed."""
 EVEN_FRAMES = 0.01
 """Share of a frame by which times may be off k / rate and still be its rounding: a die moves 0.02 mm in it at most."""
-MOST_FRAMES = 2**28
-"""More than any camera holds; a header that says so is broken."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +254,10 @@ class _Reader:
         if place < 0 or place + count > self.size:
             raise ValueError(f"{self.path.name}: the file of {self.size} bytes ends before {what}; copy it again")
         self._file.seek(place)
-        return self._file.read(count)
+        content = self._file.read(count)
+        if len(content) < count:
+            raise ValueError(f"{self.path.name}: the file was cut off before {what} while it was read; copy it again")
+        return content
 
     def unpack(self, form: struct.Struct, place: int, what: str) -> tuple[Any, ...]:
         return form.unpack(self.bytes(place, form.size, what))
@@ -280,8 +281,7 @@ def _depths(content: _Reader, packing: int, bits: int, setup_at: int) -> tuple[i
 def _offsets(content: _Reader, header: Header) -> tuple[NDArray[np.uint64], tuple[str, ...]]:
     """(n,) places of the frames that the file holds whole, and a notice where the header declares more."""
     path, declared = content.path, header.image_count
-    if declared > MOST_FRAMES:
-        raise ValueError(f"{path.name}: the header declares {declared} frames; it is broken, copy the file again")
+    check_count(path, declared)
     table = np.frombuffer(content.bytes(header.offsets_at, 8 * declared, "the offsets of its frames"), "<u8")
     # Eight bytes before the pixels at least: the sizes of annotation and picture.
     ends = table + np.uint64(8 + header.frame_bytes)

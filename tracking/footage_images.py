@@ -6,9 +6,11 @@ Pictures come at their own depth: 8-bit ones as uint8, 16-bit ones as uint16; co
 from __future__ import annotations
 
 import glob
+import io
 import logging
 import re
 import struct
+import warnings
 import weakref
 import zlib
 from collections.abc import Iterator
@@ -19,11 +21,16 @@ from typing import Any, BinaryIO
 import cv2
 import numpy as np
 import tifffile
+from PIL import Image
 
-from .footage import Footage, Frame, check_size, times_from_rate
+from .footage import Footage, Frame, check_size, cut_off, times_from_rate
 
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg", ".pgm", ".pnm", ".webp", ".jp2")
 
+LARGEST_PICTURE_BYTES = 2**29
+"""Of the largest frame that is believed, in 16 bit and colour, not compressed."""
+MOST_SQUEEZED = 5000
+"""Pixels that one byte of a file can stand for at most: no codec of TIFF packs a flat picture tighter."""
 PNG_START = b"\x89PNG\r\n\x1a\n"
 TIFF_DAMAGE = (
     tifffile.TiffFileError,
@@ -40,12 +47,22 @@ TIFF_DAMAGE = (
 
 def open_pictures(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
     """A numbered sequence, named by its folder, by a glob pattern, or by one of its pictures; or a multi-page TIFF."""
-    if path.is_file() and is_tiff(path):
-        with _opened_tiff(path) as tiff:
-            one_page = _page_count(tiff) == 1
-        if not one_page:
-            return TiffClip(path, fps, frame_range)
+    if _is_whole_film(path):
+        return TiffClip(path, fps, frame_range)
     return PictureClip(path, picture_files(path), fps, frame_range)
+
+
+def files_of_pictures(path: Path) -> tuple[Path, ...]:
+    """The files that `open_pictures` reads; raises ValueError where it would."""
+    return (path,) if _is_whole_film(path) else tuple(picture_files(path))
+
+
+def _is_whole_film(path: Path) -> bool:
+    """Whether a path is a TIFF of several pages, and not one picture of a sequence."""
+    if not (path.is_file() and is_tiff(path)):
+        return False
+    with _opened_tiff(path) as tiff:
+        return _page_count(tiff) != 1
 
 
 def is_tiff(path: Path) -> bool:
@@ -79,7 +96,10 @@ def read_picture(path: Path) -> Frame:
     if is_tiff(path):
         with _opened_tiff(path) as tiff:
             return _page_pixels(path, tiff, 0)
+    if path.stat().st_size > LARGEST_PICTURE_BYTES:
+        raise ValueError(f"{path.name}: {path.stat().st_size} bytes are too many for a picture; save it again")
     data = np.fromfile(path, np.uint8)
+    _check_declared_size(path, data.tobytes())
     if not _is_whole_png(data.tobytes()):
         raise ValueError(f"{path.name}: the picture is damaged (its checksums are wrong); save it again")
     try:
@@ -92,6 +112,21 @@ def read_picture(path: Path) -> Frame:
             f"{path.name}: the picture is empty, damaged or of an unknown kind; save it again as PNG or TIFF"
         )
     return to_grey(path, picture, bgr=True)
+
+
+def _check_declared_size(path: Path, data: bytes) -> None:
+    """Before memory is taken for the pixels; kinds that only OpenCV knows are left to its own limit."""
+    try:
+        with (
+            warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning),
+            Image.open(io.BytesIO(data)) as picture,
+        ):
+            width_px, height_px = picture.size
+    except Image.DecompressionBombError as error:
+        raise ValueError(f"{path.name}: the picture is larger than any camera's; save it again") from error
+    except Exception:  # whatever a damaged header makes Pillow raise; decoding tells what is wrong with it
+        return
+    check_size(path, width_px, height_px)
 
 
 def _is_whole_png(data: bytes) -> bool:
@@ -291,8 +326,11 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
     _check_page_size(path, first)
     if number >= len(tiff.pages):
         offset = int(tiff.series[0].dataoffset) + number * int(first.nbytes)
-        pixels = np.memmap(path, first.dtype.newbyteorder(tiff.byteorder), "r", offset, first.shape)
-        return to_grey(path, np.array(pixels), bgr=False)
+        # Read, not mapped: a file that is cut off under a map ends the program.
+        pixels = np.fromfile(path, first.dtype.newbyteorder(tiff.byteorder), int(np.prod(first.shape)), offset=offset)
+        if len(pixels) < np.prod(first.shape):
+            raise cut_off(path, number)
+        return to_grey(path, pixels.reshape(first.shape), bgr=False)
     page = tiff.pages[number]
     _check_page_size(path, page)
     try:
@@ -311,6 +349,11 @@ def _check_page_size(path: Path, page: Any) -> None:
             f"{path.name}: a page of {page.imagewidth} × {page.imagelength} px; the TIFF is damaged, save it again"
         )
     check_size(path, page.imagewidth, page.imagelength)
+    if not 0 < page.nbytes <= MOST_SQUEEZED * path.stat().st_size:
+        raise ValueError(
+            f"{path.name}: a page asks for {page.nbytes} bytes, and the file has {path.stat().st_size}; the TIFF is damaged, "
+            "save it again"
+        )
 
 
 def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from .footage import Footage, Frame, check_size, times_from_rate
+from .footage import Footage, Frame, check_size, cut_off, times_from_rate
 
 LARGEST_HEADER_BYTES = 2**24
 HEADER_SUFFIXES = (".cihx", ".cih")
@@ -86,9 +86,15 @@ def is_photron(path: Path) -> bool:
 
 def open_photron(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
     """The film behind a header or its pixels; raises ValueError or FileNotFoundError where the two do not fit."""
-    pixels = path.suffix.lower() == ".mraw"
-    header_path = _beside(path, HEADER_SUFFIXES) if pixels else path
-    return PhotronClip(header_path, path if pixels else _beside(path, (".mraw",)), fps, frame_range)
+    header, pixels = photron_files(path)
+    return PhotronClip(header, pixels, fps, frame_range)
+
+
+def photron_files(path: Path) -> tuple[Path, Path]:
+    """Header and pixels, from either of them; raises FileNotFoundError where the other is not beside it."""
+    if path.suffix.lower() == ".mraw":
+        return _beside(path, HEADER_SUFFIXES), path
+    return path, _beside(path, (".mraw",))
 
 
 class PhotronClip(Footage):
@@ -116,6 +122,8 @@ class PhotronClip(Footage):
         with self._pixels.open("rb", buffering=0) as file:
             file.seek(number * size)
             raw = np.fromfile(file, np.uint8, size)
+        if len(raw) < size:
+            raise cut_off(self._pixels, number)
         shape = (header.height_px, header.width_px)
         if header.stored_bits == 8:
             return raw.reshape(shape)
@@ -213,6 +221,9 @@ def _whole(path: Path, keys: dict[str, str], key: str, default: str | None = Non
 
 def _number(text: str) -> float | None:
     """A decimal number or a fraction above zero; None for anything else."""
+    # No powers of ten: 1e999999999 would be worked out digit by digit.
+    if not re.fullmatch(r"\d{1,15}(\.\d{0,15}|/\d{1,15})?", text.strip()):
+        return None
     try:
         value = float(Fraction(text.strip()))
     except (ValueError, ZeroDivisionError):

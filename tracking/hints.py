@@ -40,6 +40,7 @@ class HandStart:
 
 def excluded_rows(ranges: Sequence[tuple[int, int]], first_frame: int, count: int) -> frozenset[int]:
     """Rows (0 ... count - 1) of a clip that begins at frame `first_frame` whose frame numbers lie in ranges (first, stop)."""
-    return frozenset(
-        k for first, stop in ranges for k in range(max(first - first_frame, 0), min(stop - first_frame, count))
-    )
+    left_out = np.zeros(count, bool)
+    for first, stop in ranges:
+        left_out[max(first - first_frame, 0) : max(stop - first_frame, 0)] = True
+    return frozenset(int(k) for k in np.flatnonzero(left_out))

@@ -24,7 +24,10 @@ ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60
 """Order of each die's rotation group: the grid needs that many times fewer orientations."""
 GRID = 12_000
 """Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
-REFINED, KEPT = 48, 6
+REFINED = 48
+MOST_KEPT, FEW_KEPT, WORSE = 24, 6, 0.3
+"""As many starts are handed on as score at most so much worse than the best, which other frames may yet turn round, and a
+few in any case."""
 SEARCH_PIXELS = 1500
 """Pixels that judge a trial pose."""
 LIT_SHARE = 0.2
@@ -47,7 +50,8 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
-    return _apart(view, found)[:KEPT]
+    apart = _apart(view, found)[:MOST_KEPT]
+    return apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
 
 
 def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
@@ -112,19 +116,22 @@ def _search(
 
 
 def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pose]]:
-    """One of each group of poses that draw the same picture: every corner within a twentieth of an edge of some corner
-    of the other, which the die's symmetry makes likely."""
-    vertices = view.die.solid.vertices
-    near = 0.05 * view.die.solid.edge_m
+    """One of each group of poses that draw the same picture."""
     kept: list[tuple[float, Pose]] = []
-    drawn: list[Array] = []
     for score, pose in found:
-        corners = vertices @ pose.rotation.T + pose.position_m
-        if any(np.linalg.norm(corners[:, None] - other[None], axis=2).min(1).max() < near for other in drawn):
-            continue
-        kept.append((score, pose))
-        drawn.append(corners)
+        here = pose.position_m, pose.rotation
+        if not any(same_picture(view, here, (other.position_m, other.rotation)) for _, other in kept):
+            kept.append((score, pose))
     return kept
+
+
+def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array]) -> bool:
+    """Whether two poses (position [m], rotation) draw the same die: every corner of the one within a twentieth of an edge
+    of some corner of the other, which the die's symmetry makes likely."""
+    vertices = view.die.solid.vertices
+    corners, others = (vertices @ rotation.T + position_m for position_m, rotation in (here, there))
+    apart = np.linalg.norm(corners[:, None] - others[None], axis=2).min(1).max()
+    return bool(apart < 0.05 * view.die.solid.edge_m)
 
 
 def _ray(matrix: Array, pixel: Array) -> Array:

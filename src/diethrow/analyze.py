@@ -7,20 +7,21 @@ and puts the records into a folder that appears whole or not at all.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .account import account_of
+from .executors import one_thread
 from .fitting.growing import Estimate, estimates
 from .fitting.results import Fit
-from .fitting.whole_throw import fit_throw
+from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
 from .outputs import whole_folder
-from .provenance import Stopwatch, add_timings, write_provenance
+from .provenance import InputFile, Stopwatch, add_timings, steady, write_provenance
 from .records import (
     covariance_path,
     read_json,
@@ -43,12 +44,13 @@ from .settings import SceneError, refuse
 from .tracking.background import load_background
 from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
-from .tracking.clip import Clip, open_clip
+from .tracking.clip import Clip, clip_files, open_clip
+from .tracking.coarser import WHOLE, Coarseness
 from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
 from .tracking.offsets import Offsets
-from .tracking.quality import STANDARD, Quality
+from .tracking.quality import QUALITIES, STANDARD, Quality
 from .tracking.rest import flown, frames_in_flight
 from .tracking.smooth import smooth
 from .tracking.track import ABSENT, LOST, Track
@@ -79,7 +81,8 @@ class Tracking:
     """What the footage says, before any model of an impact."""
 
     clips: tuple[Clip, ...]
-    """One a camera."""
+    """One a camera, as they were looked through."""
+    cameras: tuple[Camera, ...]
     die: Die
     """The scene's, with its faces in the order of the numbers on them where those could be read."""
     faces: FaceNumbers
@@ -135,21 +138,25 @@ def analyze(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
+    intervals: IntervalMethod = "profile",
     shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
-    `command` is repeated in the provenance, `shown` says what is drawn besides. Raises SceneError for a scene that cannot
-    be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then no
-    folder is left.
+    `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
+    from; `shown` what is drawn besides; `command` is repeated in the provenance, and left out it is the one that would do
+    the same. Raises SceneError for a scene that cannot be analysed, RunError for a clip without a die, OutputExistsError
+    for a folder that exists (unless `force`); then no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
-    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch, quality)
-        fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch)
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
+        fit = _fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = _write_model(folder, fit, tracking.frames)
@@ -160,14 +167,15 @@ def analyze(
             measured=tracking.measured,
             fps=_rate_hz(tracking.frames),
             clip=tracking.clips[0],
-            camera=scene.views()[0].camera,
+            camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
             estimates=_growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
         _write_recording(folder, record, progress, watch)
-        _write_origin(folder, scene, command, input_paths(scene), watch)
+        command = command or _same_command("analyze", scene, out, quality, coarseness, intervals)
+        _write_origin(folder, scene, command, inputs, watch)
         account = account_of(scene, tracking, read_json(folder / "provenance.json"))
         _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
@@ -179,16 +187,19 @@ def track_only(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Tracking:
     """The tracking stage alone, written to the folder `out`. Raises as `analyze`."""
     watch = Stopwatch()
     check_scene(scene)
-    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        tracking = track_scene(scene, progress, watch, quality)
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         write_tracking(folder, scene, tracking)
-        _write_origin(folder, scene, command, input_paths(scene), watch)
+        command = command or _same_command("track", scene, out, quality, coarseness)
+        _write_origin(folder, scene, command, inputs, watch)
     return tracking
 
 
@@ -198,6 +209,7 @@ def fit_track(
     out: Path,
     *,
     force: bool = False,
+    intervals: IntervalMethod = "profile",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -205,10 +217,10 @@ def fit_track(
     watch = Stopwatch()
     scene.still_table()
     frames = read_track(track_path)
-    inputs = (scene.path, track_path, *_if_there(covariance_path(track_path)))
-    with whole_folder(out, force=force, inputs=inputs) as folder:
+    paths = (scene.path, track_path, *_if_there(covariance_path(track_path)))
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
-        fit = _fit(frames, measured, scene.die, progress, watch)
+        fit = _fit(frames, measured, scene.die, progress, watch, intervals)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = _write_model(folder, fit, frames)
@@ -253,6 +265,7 @@ def track_scene(
     watch: Stopwatch | None = None,
     quality: Quality = STANDARD,
     clips: Sequence[Clip] | None = None,
+    coarseness: Coarseness = WHOLE,
 ) -> Tracking:
     """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
 
@@ -264,19 +277,23 @@ def track_scene(
     with watch.stage("open"):
         clips = [open_footage(scene, view) for view in views] if clips is None else clips
         backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+    cameras = tuple(view.camera for view in views)
+    if not coarseness.is_whole:
+        scene, clips, backgrounds, cameras = _coarser(scene, clips, backgrounds, coarseness)
     try:
         with watch.stage("track"):
             progress("Following the die", 0, len(clips[0]))
-            followed = _follow(scene, clips, backgrounds, quality, progress)
+            followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
         faces = read_faces(scene.die, followed.marks)
-        die, frames = with_numbers(scene.die, faces), followed.track
-        straight, measured, smoothed = _bounces(frames, scene.path, die, views[0].camera, progress, watch)
+        die = with_numbers(scene.die, faces)
+        frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
+        straight, measured, smoothed = _bounces(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(tuple(clips), die, faces, frames, straight, measured, smoothed, followed.offsets)
+    return Tracking(tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets)
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -295,9 +312,10 @@ def open_footage(scene: Scene, view: View) -> Clip:
 
 
 def input_paths(scene: Scene) -> tuple[Path, ...]:
-    """Every file or folder that an analysis of this scene reads."""
-    views = [path for view in scene.cameras for path in (view.path, view.background_path) if path is not None]
-    return (scene.path, *views)
+    """Every file that an analysis of this scene reads."""
+    clips = [file for view in scene.cameras if view.path is not None for file in clip_files(view.path)]
+    backgrounds = [view.background_path for view in scene.cameras if view.background_path is not None]
+    return tuple(dict.fromkeys((scene.path, *clips, *backgrounds)))
 
 
 def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
@@ -318,9 +336,31 @@ def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | N
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
+def _coarser(
+    scene: Scene,
+    clips: Sequence[Clip],
+    backgrounds: Sequence[NDArray[np.float32] | None],
+    coarseness: Coarseness,
+) -> tuple[Scene, list[Clip], list[NDArray[np.float32] | None], tuple[Camera, ...]]:
+    """Everything that a scene says of its footage, for the part of it that is used."""
+    if scene.start is not None:
+        wanted = "a first pose by hand goes with the whole clip: leave out [start], or use every frame at its own size"
+        raise refuse(scene.path, "start.frame", scene.start.frame, wanted)
+    first = clips[0].first_frame
+    source = replace(scene.clip, excluded=coarseness.rows(first, scene.clip.excluded))
+    try:
+        fewer = [coarseness.clip(clip) for clip in clips]
+    except ValueError as error:
+        raise SceneError(f"{scene.path}: {error}") from error
+    smaller = [None if picture is None else coarseness.picture(picture) for picture in backgrounds]
+    cameras = tuple(coarseness.camera(view.camera) for view in scene.views())
+    return replace(scene, clip=source), fewer, smaller, cameras
+
+
 def _follow(
     scene: Scene,
     clips: Sequence[Clip],
+    cameras: Sequence[Camera],
     backgrounds: Sequence[NDArray[np.float32] | None],
     quality: Quality,
     progress: Progress,
@@ -328,7 +368,7 @@ def _follow(
     try:
         return look_through(
             clips,
-            [view.camera for view in scene.views()],
+            cameras,
             scene.die,
             background=backgrounds,
             exposure_s=scene.clip.exposure_s,
@@ -371,10 +411,12 @@ def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
         )
 
 
-def _fit(frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch) -> Fit:
+def _fit(
+    frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch, intervals: IntervalMethod
+) -> Fit:
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames_in_flight(frames, measured), measured, die)
+        return fit_throw(frames_in_flight(frames, measured), measured, die, intervals=intervals)
 
 
 def _growing(
@@ -417,8 +459,25 @@ def _write_pages(
     add_timings(folder / "provenance.json", watch.seconds)
 
 
+def _same_command(
+    name: str,
+    scene: Scene,
+    out: Path,
+    quality: Quality,
+    coarseness: Coarseness,
+    intervals: IntervalMethod = "profile",
+) -> tuple[str, ...]:
+    """The command line that does the same; empty for a quality that has no name there."""
+    if quality not in QUALITIES.values():
+        return ()
+    less = ("--every", str(coarseness.every), "--shrink", str(coarseness.shrink)) if not coarseness.is_whole else ()
+    other = ("--intervals", intervals) if intervals != "profile" else ()
+    start = ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside")
+    return (*start, "--quality", quality.name, *less, *other)
+
+
 def _write_origin(
-    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[Path, ...], watch: Stopwatch
+    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[InputFile, ...], watch: Stopwatch
 ) -> None:
     write_provenance(
         folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from .executors import width
 from .model.basins import FIG_6, Axis, Window, map_rows, outcomes
 from .model.ensembles import ENDING_OF_INDEX, Stage
 from .model.predictability import (
@@ -44,6 +46,8 @@ SIGNIFICANT = 0.01
 """A ball is counted as unfair where chance alone would give its counts more rarely."""
 CHUNK_PIXELS = 8192
 """Pixels that a thread takes at once, in whole rows."""
+PIXELS_SENT = 4 * CHUNK_PIXELS
+"""The same for a worker of a cluster: a second of work."""
 
 
 @dataclass(frozen=True)
@@ -121,19 +125,20 @@ def basins(
     force: bool = False,
     resume: bool = False,
     threads: int = 1,
+    executor: Executor | None = None,
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
 ) -> tuple[BasinMap, Predictability | None]:
     """Throw from every pixel of a window and write picture, data and tables to the folder `out`.
 
     A map that is stopped leaves a work file beside `out`, from which `resume` goes on. The number of `threads` changes
-    no pixel. Raises OutputExistsError for a folder that exists (unless `force`), ValueError for a work file of other
-    settings.
+    no pixel, nor does an `executor`, which maps in their place. Raises OutputExistsError for a folder that exists (unless
+    `force`), ValueError for a work file of other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
     with whole_folder(out, force=force) as folder:
         with watch.stage("map"):
-            mapped = _mapped(plan, work, resume, threads, progress)
+            mapped = _mapped(plan, work, resume, threads, executor, progress)
         measured = None
         if plan.predictability:
             work.write(_kept(mapped, plan.y.pixels))  # a stop from here on must not cost the map
@@ -319,16 +324,24 @@ def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) 
     figure.savefig(path)
 
 
-def _mapped(plan: BasinsPlan, work: WorkFile, resume: bool, threads: int, progress: Progress) -> BasinMap:
+def _mapped(
+    plan: BasinsPlan, work: WorkFile, resume: bool, threads: int, executor: Executor | None, progress: Progress
+) -> BasinMap:
     """The map, from where the work file ends."""
     rows, columns = plan.y.pixels, plan.x.pixels
     kept = work.read() if resume else None
     mapped = BasinMap(kept["face"], kept["impacts"], kept["ending"]) if kept else BasinMap.empty(rows, columns)
     first = int(kept["rows"]) if kept else 0
-    at_once = max(1, CHUNK_PIXELS // columns)
+    at_once = max(1, (CHUNK_PIXELS if executor is None else PIXELS_SENT) // columns)
     with work.keeping() as keep:
         landings = map_rows(
-            plan.stage, plan.window, first=first, after=plan.at_impact or 0, rows=at_once, threads=threads
+            plan.stage,
+            plan.window,
+            first=first,
+            after=plan.at_impact or 0,
+            rows=at_once,
+            threads=threads if executor is None else width(executor),
+            executor=executor,
         )
         for i, j, part in landings:
             face = part.face if plan.at_impact is None else part.lowest[:, -1] * (part.ending >= 0)

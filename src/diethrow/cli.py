@@ -16,10 +16,14 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from .analyze import Analysis
+    from .batch import Standing
     from .check import Check
     from .fit_many import FitOfMany
     from .fitting.results import Parameter
+    from .fitting.whole_throw import IntervalMethod
     from .replays import ThrowRecording
     from .tracking.quality import Quality
 
@@ -38,6 +42,15 @@ app = typer.Typer(
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Work on a Dask cluster, tcp://host:port of its scheduler; needs pip install 'diethrow[distributed]'.",
+    ),
+]
+AllowOutside = Annotated[bool, typer.Option("--allow-outside", help="Let the scene name files outside its own folder.")]
 OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to make.")]
 Fineness = Annotated[
     str,
@@ -45,6 +58,18 @@ Fineness = Annotated[
         "--quality",
         metavar="fast|standard|fine",
         help="fast: each frame once, edges alone; standard: twice, and the marks on the faces; fine: the same with more steps.",
+    ),
+]
+Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
+Shrink = Annotated[
+    int, typer.Option("--shrink", min=1, metavar="F", help="Make pictures smaller: the mean of F × F pixels.")
+]
+Intervals = Annotated[
+    str,
+    typer.Option(
+        "--intervals",
+        metavar="profile|covariance|bootstrap",
+        help="Where intervals come from: the profile of the likelihood, the covariance, or residuals drawn anew.",
     ),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
@@ -85,41 +110,73 @@ def analyze(
     scene: SceneFile,
     out: OutFolder,
     quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    intervals: Intervals = "profile",
     embed_replay: EmbedReplay = False,
     figures: Figures = False,
+    allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
     """From clip to replay: track the die, find its bounces, fit the model, write tables, a recording and a report."""
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(scene)  # before the stages are imported: a mistake in a scene is told at once
+        # Before the stages are imported: a mistake in a scene is told at once.
+        checked = read_scene(scene, allow_outside=allow_outside)
         from .analyze import Shown
         from .analyze import analyze as analyze_scene
+        from .tracking.coarser import Coarseness
 
+        with _options_that_fit():
+            chosen, method = _quality(quality), _interval_method(intervals)
+        how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
+        how = (*how, *_given("--intervals", intervals, "profile"))
+        drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
         with _progress() as progress:
-            drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
-            command = (*_command("analyze", scene, out, force), "--quality", quality, *drawn)
-            chosen, shown = _quality(quality), Shown(embed_replay, figures)
             result = analyze_scene(
-                checked, out, force=force, quality=chosen, shown=shown, progress=progress, command=command
+                checked,
+                out,
+                force=force,
+                quality=chosen,
+                coarseness=Coarseness(every, shrink),
+                intervals=method,
+                shown=Shown(embed_replay, figures),
+                progress=progress,
+                command=(*_command("analyze", scene, out, force, allow_outside), *how, *drawn),
             )
         _print_analysis(result)
 
 
 @app.command(epilog="Example:  diethrow track clips/cube_wood/scene.toml --out out/track")
-def track(scene: SceneFile, out: OutFolder, quality: Fineness = "standard", force: Force = False) -> None:
+def track(
+    scene: SceneFile,
+    out: OutFolder,
+    quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
     """The tracking stage alone: poses with covariances, and bounces."""
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(scene)
+        checked = read_scene(scene, allow_outside=allow_outside)
         from .analyze import track_only
+        from .tracking.coarser import Coarseness
 
+        how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         with _progress() as progress:
-            command = (*_command("track", scene, out, force), "--quality", quality)
-            chosen = _quality(quality)
-            result = track_only(checked, out, force=force, quality=chosen, progress=progress, command=command)
+            result = track_only(
+                checked,
+                out,
+                force=force,
+                quality=_quality(quality),
+                coarseness=Coarseness(every, shrink),
+                progress=progress,
+                command=(*_command("track", scene, out, force, allow_outside), *how),
+            )
         _print_notices(result.notices)
         tracked, total = int(result.frames.tracked.sum()), len(result.frames)
         typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
@@ -142,7 +199,7 @@ def fit(
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(scene)
+        checked = read_scene(scene, allow_outside=True)  # no footage is opened
         if len(tracks) > 1:
             from .fit_many import fit_tracks
 
@@ -191,7 +248,7 @@ def predict(
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(scene)
+        checked = read_scene(scene, allow_outside=True)  # no footage is opened
         from .fitting.prediction import DRAWS
         from .predict import predict_tracks, summary
 
@@ -272,7 +329,7 @@ def film(
         from .scene import read_scene
 
         checked = read_plan(plan)
-        seen = read_scene(scene) if scene else None
+        seen = read_scene(scene, allow_outside=True) if scene else None  # no footage is opened
         from .film import FilmSettings
         from .film import film as shoot
 
@@ -353,7 +410,7 @@ def replay(
         if look:
             from .viewer import open_viewer
 
-            raise typer.Exit(open_viewer(shown))
+            open_viewer(shown)
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
@@ -398,6 +455,7 @@ def odds(
     phase: Phase = 0.0,
     seed: Annotated[int, typer.Option("--seed", help="Of the releases.")] = 1,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
@@ -424,13 +482,14 @@ def odds(
         from .odds import odds as throw_often
         from .odds import summary
 
-        with _progress() as progress:
+        with _executor(scheduler) as executor, _progress() as progress:
             tallies = throw_often(
                 plan,
                 out,
                 force=force,
                 resume=resume,
                 threads=threads or _cores(),
+                executor=executor,
                 progress=progress,
                 command=_as_typed(),
             )
@@ -489,6 +548,7 @@ def basins(
     samples: Annotated[int, typer.Option("--samples", help="Conditions drawn for --predictability.")] = 8192,
     seed: Annotated[int, typer.Option("--seed", help="Of those conditions.")] = 1,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
@@ -517,13 +577,14 @@ def basins(
         from .basins import basins as map_basins
         from .basins import summary
 
-        with _progress() as progress:
+        with _executor(scheduler) as executor, _progress() as progress:
             mapped, measured = map_basins(
                 plan,
                 out,
                 force=force,
                 resume=resume,
                 threads=threads or _cores(),
+                executor=executor,
                 progress=progress,
                 command=_as_typed(),
             )
@@ -621,6 +682,78 @@ def paper(
         typer.echo(f"Look at it:  {out / 'paper.html'}")
 
 
+@app.command(epilog="Example:  diethrow batch clips/*/scene.toml --out out/all --workers 4")
+def batch(
+    scenes: Annotated[list[Path], typer.Argument(metavar="SCENES...", help="Scene files; each makes a folder in DIR.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="The folder of all results; begun again, it goes on.")
+    ],
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes of this machine; left out: one for each core.")
+    ] = None,
+    scheduler: Scheduler = None,
+    quality: Fineness = "standard",
+    only_track: Annotated[
+        bool, typer.Option("--only-track", help="The tracking stage alone, as diethrow track.")
+    ] = False,
+    allow_outside: AllowOutside = False,
+) -> None:
+    """Analyse many scenes: results.csv, failures.csv, and a folder for each. A finished clip is done again only where its
+    files, the version or the quality changed.
+
+    The exit status is 1 where a clip failed. Ctrl-C and kill cost the clips in hand; the same command goes on.
+    """
+    with _one_sentence_errors(), _whose_finished_clips_stay():
+        from .batch import run_batch
+
+        _quality(quality)
+        with _executor(scheduler) as executor, _batch_progress() as progress:
+            result = run_batch(
+                scenes,
+                out,
+                executor=executor,
+                workers=workers,
+                stage="track" if only_track else "analyze",
+                quality=quality,
+                allow_outside=allow_outside,
+                progress=progress,
+            )
+        for failure in result.failures:
+            typer.echo(f"failed: {failure.scene}: {failure.reason.removeprefix(failure.scene + ': ')}", err=True)
+        finished = f"{len(result.results)} of {len(result.results) + len(result.failures)} clips finished"
+        typer.echo(f"{finished}, {result.kept} of them before; see {out / 'results.csv'}")
+        if result.failures:
+            typer.echo(f"{len(result.failures)} failed; see {out / 'failures.csv'}")
+            raise typer.Exit(FAILED)
+
+
+@app.command(epilog="Example:  diethrow rerun out/cube_wood")
+def rerun(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Results of any command, with their provenance.json.")],
+    within: Annotated[
+        float,
+        typer.Option(
+            "--within",
+            min=0.0,
+            help="Largest difference, as a share of the largest number of a column; 0: bit for bit.",
+        ),
+    ] = 1e-6,
+) -> None:
+    """Make results again from their provenance, and say whether the numbers agree. Nothing is written.
+
+    The exit status is 0 where they do, 1 where they do not or cannot be made again.
+    """
+    with _one_sentence_errors():
+        from .repeat import rerun as make_again
+        from .repeat import summary
+
+        comparison = make_again(folder, within=within)
+        for line in summary(comparison):
+            typer.echo(line)
+        if not comparison.agree:
+            raise typer.Exit(FAILED)
+
+
 @app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
 def check(
     scene: SceneFile,
@@ -628,6 +761,7 @@ def check(
         Path | None,
         typer.Option("--out", metavar="DIR", help="A folder for check.json and check.html; left out: none."),
     ] = None,
+    allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
     """Before tracking: is the clip fit for it? Timing, blur, pixels, background, scale and vertical, with verdicts.
@@ -637,7 +771,7 @@ def check(
     with _one_sentence_errors():
         from .scene import read_scene
 
-        checked = read_scene(scene)
+        checked = read_scene(scene, allow_outside=allow_outside)
         from .check import check_clip
 
         result = check_clip(checked, out, force=force, command=_as_typed())
@@ -740,6 +874,27 @@ def _that_can_go_on() -> Iterator[None]:
         _stop("stopped; no output was left behind, and --resume goes on with what was done", INTERRUPTED)
 
 
+@contextmanager
+def _whose_finished_clips_stay() -> Iterator[None]:
+    """A batch that is stopped keeps what is finished, and says how to go on."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        _stop("stopped; what is finished stays, and the same command does the rest", INTERRUPTED)
+
+
+@contextmanager
+def _executor(scheduler: str | None) -> Iterator[Executor | None]:
+    """A Dask cluster as an executor; None where no scheduler is named."""
+    if scheduler is None:
+        yield None
+        return
+    from .executors import cluster_at
+
+    with cluster_at(scheduler) as executor:
+        yield executor
+
+
 def _two_counts(name: str, text: str) -> tuple[int, int]:
     """`7x5` as two numbers."""
     first, cross, second = text.lower().replace("×", "x").partition("x")
@@ -750,7 +905,9 @@ def _two_counts(name: str, text: str) -> tuple[int, int]:
 
 def _cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    from .executors import cores
+
+    return cores()
 
 
 def _as_typed() -> tuple[str, ...]:
@@ -793,6 +950,41 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
             bars.update(task, total=1, completed=1)
 
 
+@contextmanager
+def _batch_progress() -> Iterator[Callable[[Standing], None]]:
+    """A bar with the time left on standard error; a line for each clip where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("Clips"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        clips = bars.add_task("", total=None)
+
+        def tell(standing: Standing) -> None:
+            failed = f"{standing.failed} failed, " if standing.failed else ""
+            left = "" if standing.left_s is None else f"about {_duration(standing.left_s)} left"
+            bars.update(clips, completed=standing.done, total=standing.total, description=f"{failed}{left}")
+            if not console.is_terminal:
+                told = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
+                typer.echo(f"{told}: {standing.last}", err=True)
+
+        yield tell
+
+
+def _duration(seconds: float) -> str:
+    """`40 s`, `12 min`, `3.5 h`."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
 def _print_analysis(result: Analysis) -> None:
     """What came out, in a few lines."""
     from rich.console import Console
@@ -831,7 +1023,7 @@ def _print_throws(found: Sequence[ThrowRecording]) -> None:
 
     table = Table(box=None, pad_edge=False)
     for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
-        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right")
+        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right", no_wrap=True)
     for one in found:
         said = one.properties
         chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
@@ -903,8 +1095,24 @@ def _quality(name: str) -> Quality:
     return QUALITIES[name]
 
 
-def _command(name: str, file: Path, out: Path, force: bool) -> tuple[str, ...]:
-    return ("diethrow", name, str(file), *_options(out, force))
+def _interval_method(name: str) -> IntervalMethod:
+    """The method of that name. Raises ValueError, in a sentence, where there is none."""
+    from .fitting.whole_throw import INTERVAL_METHODS
+
+    for method in INTERVAL_METHODS:
+        if name == method:
+            return method
+    raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
+
+
+def _given(name: str, value: int | str, default: int | str) -> tuple[str, ...]:
+    """An option as typed; nothing where it says what goes without saying."""
+    return () if value == default else (name, str(value))
+
+
+def _command(name: str, file: Path, out: Path, force: bool, allow_outside: bool = False) -> tuple[str, ...]:
+    outside = ("--allow-outside",) if allow_outside else ()
+    return ("diethrow", name, str(file), *_options(out, force), *outside)
 
 
 def _flag(name: str, given: bool) -> tuple[str, ...]:

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from .analyze import Progress, RunError, silent
-from .fitting.joint import Entry, Foretold, JointFit, entry_of, fit_jointly
+from .fitting.crowd import Entry, entry_of
+from .fitting.joint import Foretold, JointFit, fit_jointly
 from .model.solids import Die
 from .outputs import whole_folder
 from .provenance import Stopwatch, write_provenance

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
+from .executors import width
 from .model.ensembles import (
     BLOCK,
     ENDING_OF_INDEX,
@@ -40,6 +42,8 @@ Progress = Callable[[str, int, int], None]
 CONDITIONS = ("paper", "uniform")
 HEIGHT_EDGES = (15.0, 20.0)
 """Range of the release in edges of the die, where none is given: the paper's."""
+BLOCKS_SENT = 8
+"""Blocks that a worker of a cluster gets at once: a second of work, so that sending it does not count."""
 MOST_AFTER = 1000
 """Impacts at which the lowest face can be counted."""
 
@@ -107,20 +111,22 @@ def odds(
     force: bool = False,
     resume: bool = False,
     threads: int = 1,
-    chunk: int = BLOCK,
+    chunk: int | None = None,
+    executor: Executor | None = None,
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
 ) -> tuple[Tally, ...]:
     """Throw as planned and write counts, odds and a picture to the folder `out`; one tally for each χ.
 
     A run that is stopped leaves a work file beside `out`, from which `resume` goes on; it gives the same counts as one
-    that never was. So do all numbers of `threads` and sizes of a `chunk`. Raises OutputExistsError for a folder that
-    exists (unless `force`), ValueError for a work file of other settings.
+    that never was. So do all numbers of `threads` and sizes of a `chunk`, and any `executor` in place of the threads.
+    Raises OutputExistsError for a folder that exists (unless `force`), ValueError for a work file of other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
     with whole_folder(out, force=force) as folder:
         with watch.stage("throws"):
-            tallies = _thrown(plan, work, resume, threads, chunk, progress)
+            many = BLOCK if executor is None else BLOCKS_SENT * BLOCK
+            tallies = _thrown(plan, work, resume, threads, executor, chunk or many, progress)
         with watch.stage("records"):
             write_json(folder / "odds.json", odds_table(plan, tallies))
             write_rows(folder / "odds.csv", plan, tallies)
@@ -204,7 +210,13 @@ def _again(tally: Tally) -> list[Share]:
 
 
 def _thrown(
-    plan: OddsPlan, work: WorkFile, resume: bool, threads: int, chunk: int, progress: Progress
+    plan: OddsPlan,
+    work: WorkFile,
+    resume: bool,
+    threads: int,
+    executor: Executor | None,
+    chunk: int,
+    progress: Progress,
 ) -> tuple[Tally, ...]:
     """The tallies of all series, from where the work file ends."""
     done = _unpacked(work.read() or {}) if resume else []
@@ -213,7 +225,15 @@ def _thrown(
         for number, stage in enumerate(plan.stages):
             begun = done[number] if number < len(done) else None
             tallies = tally_throws(
-                stage, plan.drawn, plan.throws, plan.seed, after=plan.after, begun=begun, chunk=chunk, threads=threads
+                stage,
+                plan.drawn,
+                plan.throws,
+                plan.seed,
+                after=plan.after,
+                begun=begun,
+                chunk=chunk,
+                threads=threads if executor is None else width(executor),
+                executor=executor,
             )
             for tally in tallies:
                 done[number:] = [tally, *done[number + 1 :]]

@@ -114,7 +114,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
     """One throw. Raises ValueError for a track that cannot be foretold from there, with the reason."""
     track = read_track(path)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
-    outset = outset_before(track, physics.die, row)
+    outset = outset_before(track, physics.body, row)
     simulated = foretell(physics, track, outset)
     seen = track.tracked & simulated.tracked
     seen[:row] = False

@@ -19,6 +19,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import tokenize
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -61,6 +62,12 @@ BOUNCE_COLUMNS = (
     "lowest_face_after",
 )
 CONTACTS = ("vertex", "edge", "face", "unresolved")
+LARGEST_FILE_BYTES = 2**27
+"""A table of a track of 300 000 frames; what is larger would fill memory before it is refused."""
+LARGEST_FRAME = 2**53
+"""Frame numbers are whole numbers that a double holds."""
+NPY_DAMAGE = (ValueError, KeyError, TypeError, EOFError, OSError, SyntaxError, RecursionError, tokenize.TokenError)
+"""What numpy raises on a damaged header, depending on where the damage is."""
 LONGEST_CELL = 1000
 """Characters of one cell; no number needs more, and a file that is no table is refused before it fills memory."""
 
@@ -388,11 +395,19 @@ def write_json(path: Path, data: Any) -> None:
 def read_json(path: Path) -> Any:
     """The JSON of a file. Raises FileNotFoundError, and ValueError for what is not JSON."""
     try:
+        _demand_small(path)
         return json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{path}: there is no such file; wanted a JSON file") from error
     except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
         raise ValueError(f"{path}: not valid JSON ({error})") from error
+
+
+def _demand_small(path: Path) -> None:
+    """Raises ValueError for a file that cannot be one of these records."""
+    size = path.stat().st_size
+    if size > LARGEST_FILE_BYTES:
+        raise ValueError(f"{path}: {size} bytes; wanted {LARGEST_FILE_BYTES} at most, is this another kind of file?")
 
 
 def plain(data: Any) -> Any:
@@ -428,6 +443,7 @@ def _read_table(path: Path, required: Sequence[str], *, allowed: Sequence[str] |
     """Rows of a CSV file with at least the columns `required`, and cells for all of `allowed` (empty if not there)."""
     csv.field_size_limit(LONGEST_CELL)
     try:
+        _demand_small(path)
         with path.open(newline="", encoding="utf-8-sig") as file:
             reader = csv.DictReader(file, restval="")
             names = tuple(reader.fieldnames or ())
@@ -461,20 +477,31 @@ def _covariance(path: Path, rows: Sequence[Mapping[str, str]], known: NDArray[np
     """(n, 6, 6) from the file beside the track, else from its sigmas; NaN where neither is there."""
     beside = covariance_path(path)
     if beside.exists():
-        try:
-            covariance = np.load(beside, allow_pickle=False)
-        except (ValueError, EOFError, OSError) as error:
-            raise ValueError(f"{beside}: not an array of numbers ({error}); wanted ({len(rows)}, 6, 6)") from error
-        if covariance.shape != (len(rows), 6, 6) or covariance.dtype.kind != "f":
-            raise ValueError(
-                f"{beside}: {covariance.dtype} of shape {covariance.shape}; wanted float64 ({len(rows)}, 6, 6)"
-            )
-        return np.where(known[:, None, None], covariance.astype(np.float64), np.nan)
+        return np.where(known[:, None, None], _covariance_beside(beside, len(rows)), np.nan)
     covariance = np.full((len(rows), 6, 6), np.nan)
     for k, row in enumerate(rows):
         if known[k] and all(row[name] != "" for name in SIGMA_COLUMNS):
             covariance[k] = np.diag([_number(path, k, row, name) ** 2 for name in SIGMA_COLUMNS])
     return covariance
+
+
+def _covariance_beside(path: Path, count: int) -> Array:
+    """(count, 6, 6) of a file; its header is asked before memory is taken for what it declares."""
+    wanted = f"wanted float64 ({count}, 6, 6)"
+    try:
+        with path.open("rb") as file:
+            version = np.lib.format.read_magic(file)
+            read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+            shape, _, dtype = read_header[version](file)
+        if shape != (count, 6, 6) or dtype.kind != "f":
+            raise ValueError(f"{path}: {dtype} of shape {shape}; {wanted}")
+        covariance = np.load(path, allow_pickle=False)
+    except NPY_DAMAGE as error:
+        told = str(error)
+        raise ValueError(
+            told if told.startswith(str(path)) else f"{path}: not an array of numbers ({told}); {wanted}"
+        ) from error
+    return np.asarray(covariance, np.float64)
 
 
 def _columns(path: Path, rows: Sequence[Mapping[str, str]], names: Sequence[str], known: NDArray[np.bool_]) -> Array:
@@ -504,7 +531,7 @@ def _number(path: Path, k: int, row: Mapping[str, str], name: str, *, empty: flo
 
 def _whole(path: Path, k: int, row: Mapping[str, str], name: str) -> int:
     value = _number(path, k, row, name)
-    if value != int(value):
+    if value != int(value) or abs(value) > LARGEST_FRAME:
         raise _wrong(path, k, name, row[name], "a whole number")
     return int(value)
 

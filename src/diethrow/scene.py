@@ -19,6 +19,7 @@ from pydantic import AfterValidator, Field
 from .model.solids import ROUNDEST, SHAPES, Die, make_die
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
+from .tracking.footage import MOST_PIXELS
 from .tracking.hints import FEWEST_CLICKS, Click, HandStart
 
 __all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
@@ -112,17 +113,20 @@ class Scene:
         return self.table
 
 
-def read_scene(path: Path) -> Scene:
-    """The scene in a TOML file; paths in it are relative to the file. Raises SceneError, one sentence a mistake."""
+def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
+    """The scene in a TOML file; paths in it are relative to the file, and lead out of its folder only where that is
+    allowed: a scene may come from a stranger. Raises SceneError, one sentence a mistake."""
     path = Path(path)
     data, text = read_toml(path)
     if isinstance(data.get("camera"), dict):
         data["camera"] = [data["camera"]]
     checked = validate(_SceneFile, data, path)
-    clip = _clip(checked.clip, path)
+    files = _Surroundings(path, allow_outside)
+    clip = _clip(checked.clip, path, files)
     several = len(checked.camera) > 1
     views = tuple(
-        _view(table, f"camera[{k + 1}]" if several else "camera", clip, path) for k, table in enumerate(checked.camera)
+        _view(table, f"camera[{k + 1}]" if several else "camera", clip, path, files)
+        for k, table in enumerate(checked.camera)
     )
     die = die_from(checked.die, path)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
@@ -273,17 +277,17 @@ class _SceneFile(TomlTable):
 # --- from tables to values ---
 
 
-def _clip(table: _ClipTable, path: Path) -> ClipSource:
+def _clip(table: _ClipTable, path: Path, files: _Surroundings) -> ClipSource:
     frame_s = 1.0 / table.fps if table.fps else np.inf
     if table.exposure_s and table.exposure_s > frame_s:
         guess = _unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
         wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
         raise refuse(path, "clip.exposure_s", table.exposure_s, wanted)
     return ClipSource(
-        _existing(table.path, "clip.path", path, PATH_WANTED),
+        files.existing(table.path, "clip.path", PATH_WANTED),
         table.fps,
         table.exposure_s,
-        _existing(table.background, "clip.background", path, _BACKGROUND_WANTED),
+        files.existing(table.background, "clip.background", _BACKGROUND_WANTED),
         (table.frames[0], table.frames[1]) if table.frames else None,
         tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
     )
@@ -324,19 +328,52 @@ def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, 
             raise refuse(path, "start.corners.px", click.px, "wanted a place inside the picture, [x, y] in pixels")
 
 
-def _existing(text: str | None, key: str, scene_path: Path, wanted: str) -> Path | None:
-    """The path that `text` means beside the scene file; a pattern such as `frames/*.png` must match something."""
-    if text is None:
-        return None
-    found = scene_path.parent / text
-    if found.exists():
-        return found
-    if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
-        return found
-    raise refuse(scene_path, key, text, f"{found} does not exist; wanted {wanted}")
+@dataclass(frozen=True)
+class _Surroundings:
+    """The files about a scene file."""
+
+    scene_path: Path
+    allow_outside: bool
+
+    def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
+        """The path that `text` means beside the scene file; a pattern such as `frames/*.png` must match something."""
+        if text is None:
+            return None
+        found = self.scene_path.parent / text
+        if not self.allow_outside and self._leaves(found):
+            told = (
+                f"this leads out of the folder of the scene; wanted {wanted} and inside its folder, or --allow-outside"
+            )
+            raise refuse(self.scene_path, key, text, told)
+        try:
+            there = found.exists()
+        except OSError as error:
+            raise refuse(self.scene_path, key, text, f"{error.strerror}; wanted {wanted}") from error
+        if there:
+            return found
+        if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
+            return found
+        raise refuse(self.scene_path, key, text, f"{found} does not exist; wanted {wanted}")
+
+    def _leaves(self, found: Path) -> bool:
+        """Whether a path leads out of the folder by what it says. A link inside the folder is the doing of whoever keeps
+        the folder, who may have the films on another disk, and is followed."""
+        folder = self.scene_path.parent
+        if ".." in found.parts:  # a link before it decides where it leads
+            return not found.resolve().is_relative_to(folder.resolve())
+        inside = found.absolute()
+        return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))
 
 
-def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path) -> View:
+def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
+    """Before anything of that size is made."""
+    if table.width * table.height > MOST_PIXELS:
+        size = [table.width, table.height]
+        raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MOST_PIXELS} pixels at most")
+
+
+def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _Surroundings) -> View:
+    _check_picture(table, key, path)
     matrix = np.array(table.matrix, float)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and (matrix[2] == (0.0, 0.0, 1.0)).all()):
         wanted = "wanted [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with fx and fy above 0"
@@ -346,10 +383,10 @@ def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path) -> View:
         table.width, table.height, matrix, np.array(table.distortion, float), _rotation(table, key, path), translation
     )
     _check_outlook(camera, key, path)
-    own_background = _existing(table.background, f"{key}.background", path, _BACKGROUND_WANTED)
+    own_background = files.existing(table.background, f"{key}.background", _BACKGROUND_WANTED)
     return View(
         camera,
-        _existing(table.path, f"{key}.path", path, PATH_WANTED) or clip.path,
+        files.existing(table.path, f"{key}.path", PATH_WANTED) or clip.path,
         own_background or clip.background_path,
     )
 

@@ -20,6 +20,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 Array = NDArray[np.float64]
 AnyTable = TypeVar("AnyTable", bound="TomlTable")
 
+LARGEST_FILE_BYTES = 2**20
+"""A hundred times a long scene; what is larger is something else."""
 LONGEST_VALUE = 90
 """Characters of a value that an error repeats before it is cut."""
 
@@ -59,6 +61,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder; wanted a TOML file, for example {path / 'scene.toml'}")
     try:
+        if path.stat().st_size > LARGEST_FILE_BYTES:
+            raise SceneError(f"{path}: {path.stat().st_size} bytes; wanted a TOML file of {LARGEST_FILE_BYTES} at most")
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: byte {error.start} is not UTF-8; wanted a TOML file in UTF-8") from error
@@ -66,7 +70,7 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); wanted a TOML file") from error
     try:
         return tomllib.loads(text), text
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # beside its own error: numbers too long, tables too deep
         raise SceneError(f"{path}: not valid TOML, {_lower_first(str(error))}") from error
 
 

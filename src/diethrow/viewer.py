@@ -1,24 +1,23 @@
-"""The Rerun viewer, started so that it talks to nobody: no usage statistics, and servers that only this machine reaches.
+"""The Rerun viewer, started so that it talks to nobody.
 
-The viewer that `rerun` starts sends statistics unless a file in the home folder forbids it, and listens on all network
-interfaces. Here its configuration lies in a folder of its own that forbids them, the home folder is left alone, and
-everything is bound to the loopback interface.
+By itself the viewer sends usage statistics, asks GitHub for a newer version, and listens on all network interfaces. The
+environment made here turns the first off, leads whatever it would fetch to a port of this machine where nobody answers,
+and leaves the home folder alone; the options bind its servers to the loopback interface.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 
 LOOPBACK = "127.0.0.1"
-_REMOTE = ("RERUN_TELEMETRY_ENDPOINT", "TELEMETRY_ENABLED", "FORCE_RERUN_ANALYTICS", "OTEL_EXPORTER_OTLP_ENDPOINT")
-"""Variables that would have the viewer talk to somebody."""
+NOBODY = f"http://{LOOPBACK}:9"
+"""Port 9 discards, on the few machines where anything listens there at all."""
+TALKATIVE = ("FORCE_RERUN_ANALYTICS", "RERUN_TELEMETRY_ENDPOINT", "TELEMETRY_ENABLED", "OTEL_EXPORTER_OTLP_ENDPOINT")
+"""Variables that would have the viewer talk to somebody all the same."""
 
 
 def viewer_program() -> list[str]:
@@ -26,43 +25,36 @@ def viewer_program() -> list[str]:
     return [sys.executable, "-c", "import sys; from rerun_cli.__main__ import main; sys.exit(main())"]
 
 
-@contextmanager
-def silent_environment() -> Iterator[dict[str, str]]:
-    """The environment of a viewer without statistics.
+def viewer_options(port: int | None = None) -> list[str]:
+    """Options of a viewer that only this machine reaches, on a port of its own."""
+    return ["--bind", LOOPBACK, "--port", "auto" if port is None else str(port)]
 
-    Two things forbid them, each alone: a configuration in a temporary folder that says so, and the variable `CI`, which
-    the viewer takes for a run that nobody looks at; the second holds on systems whose configuration has a fixed place.
+
+def silent_environment() -> dict[str, str]:
+    """The environment of a viewer that sends and fetches nothing.
+
+    `CI` is what the viewer takes for a run that nobody looks at: then it keeps no statistics, and writes no
+    configuration. The proxies are for what it asks for besides; connections within this machine need none.
     """
-    with tempfile.TemporaryDirectory(prefix="diethrow_viewer_", ignore_cleanup_errors=True) as home:
-        folder = Path(home)
-        settings = {
-            "analytics_enabled": False,
-            "analytics_id": "",
-            "metadata": {},
-            "config_file_path": str(folder / "rerun" / "analytics.json"),
-            "data_dir_path": str(folder / "rerun" / "analytics"),
-        }
-        (folder / "rerun").mkdir()
-        (folder / "rerun" / "analytics.json").write_text(json.dumps(settings), encoding="utf-8")
-        kept = {name: value for name, value in os.environ.items() if name not in _REMOTE}
-        yield {**kept, "XDG_CONFIG_HOME": home, "XDG_DATA_HOME": home, "CI": "1"}
+    kept = {name: value for name, value in os.environ.items() if name not in TALKATIVE}
+    proxies = {name: NOBODY for proxy in ("http_proxy", "https_proxy", "all_proxy") for name in (proxy, proxy.upper())}
+    within = dict.fromkeys(("no_proxy", "NO_PROXY"), f"{LOOPBACK},localhost,::1")
+    return {**kept, **proxies, **within, "CI": "1"}
 
 
-def open_viewer(recordings: Sequence[Path]) -> int:
-    """Show recordings in the viewer until it is closed; its exit status. Raises FileNotFoundError for one that is missing."""
+def open_viewer(recordings: Sequence[Path]) -> None:
+    """Show recordings in the viewer until it is closed.
+
+    Raises FileNotFoundError for a recording that is missing, OSError where the viewer does not open.
+    """
     for path in recordings:
         if not path.is_file():
-            raise FileNotFoundError(f"{path}: there is no such recording; make it with --out first")
-    with silent_environment() as environment:
-        return _run([*viewer_options(), *map(str, recordings)], environment)
-
-
-def viewer_options() -> list[str]:
-    """Options of a viewer that only this machine reaches, on a port of its own."""
-    return ["--bind", LOOPBACK, "--port", "auto"]
-
-
-def _run(arguments: Sequence[str], environment: Mapping[str, str]) -> int:
-    # What the viewer says of servers and graphics on its standard error is of no use to who looks at a throw.
-    done = subprocess.run([*viewer_program(), *arguments], env=environment, stderr=subprocess.DEVNULL, check=False)
-    return done.returncode
+            raise FileNotFoundError(f"{path}: there is no such recording; wanted the replay.rrd that analyze writes")
+    command = [*viewer_program(), *viewer_options(), *map(str, recordings)]
+    # What the viewer says of servers and graphics is of no use to who looks at a throw, unless it ends with an error.
+    done = subprocess.run(
+        command, env=silent_environment(), stderr=subprocess.PIPE, text=True, errors="replace", check=False
+    )
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()] or ["it does not say why"]
+        raise OSError(f"the viewer ended with status {done.returncode} ({said[-1].strip()}); it wants a screen")

@@ -77,7 +77,7 @@ def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
     other.write_text(text.replace(table, twice + twice.replace('background.png"', 'nothing.png"')))
     cv2.imwrite(str(scene.parent / "nothing.png"), np.rint(ROOM.table + 60).astype(np.uint8))
     out = tmp_path / "check"
-    status, said, _ = invoke(other, "--out", out)
+    status, said, _ = invoke(other, "--allow-outside", "--out", out)
     assert status == 1
     record = json.loads((out / "check.json").read_text())
     verdicts = {each["name"]: each["verdict"] for each in record["findings"]}
@@ -94,7 +94,7 @@ def test_something_bad_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(bright), np.rint(ROOM.table + 60).astype(np.uint8))
     other = tmp_path / "scene.toml"
     other.write_text(text.replace('"background.png"', f'"{bright}"'))
-    status, said, _ = invoke(other)
+    status, said, _ = invoke(other, "--allow-outside")
     assert status == 1
     assert "bad" in said
 

@@ -107,6 +107,13 @@ MISTAKES = {
     ),
     "footage that is not there": ("clip.avi", "klip.avi", ["clip.path", "klip.avi", "does not exist"]),
     "background that is not there": ('"background.png"', '"b.png"', ["clip.background", "b.png", "does not exist"]),
+    "absolute path": ('"clip.avi"', '"/etc/hostname"', ["clip.path", "/etc/hostname", "--allow-outside"]),
+    "path that leaves": ('"clip.avi"', '"../clip.avi"', ["clip.path", "../clip.avi", "out of the folder"]),
+    "path that leaves by a bend": ('"background.png"', '"x/../../b.png"', ["clip.background", "--allow-outside"]),
+    "pattern that leaves": ('"clip.avi"', '"../*/frame_*.png"', ["clip.path", "--allow-outside"]),
+    "path too long": ('"clip.avi"', '"' + "a" * 300 + '"', ["clip.path", "too long"]),
+    "number too long": ("fps = 1500.0", "fps = " + "9" * 5000, ["not valid TOML"]),
+    "tables too deep": ("fps = 1500.0", "fps = " + "[" * 9000, ["not valid TOML"]),
     "empty path": ('"clip.avi"', '""', ["clip.path", '""', "path of the footage"]),
     "unknown shape": ('"cube"', '"qube"', ["die.shape", "qube", "tetrahedron, cube, octahedron"]),
     "pips on a tetrahedron": ('shape = "cube"', 'shape = "tetrahedron"', ["die.marks", "pips", "tetrahedron"]),
@@ -255,3 +262,26 @@ def test_frames_and_ranges_to_exclude_and_a_start_are_read(folder: Path) -> None
     assert (scene.start.frame, scene.start.position_m) == (12, None)
     assert [(click.vertex, *click.px) for click in scene.start.clicks] == [(k, 10 * k, 20.5) for k in range(4)]
     assert read_scene(scene_file(folder, SCENE)).start is None
+
+
+def test_a_path_leaves_the_folder_only_where_that_is_allowed(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    elsewhere = tmp_path_factory.mktemp("elsewhere") / "clip.avi"
+    elsewhere.write_bytes(b"")
+    path = scene_file(folder, SCENE.replace('"clip.avi"', f'"{elsewhere}"'))
+    with pytest.raises(SceneError, match="--allow-outside"):
+        read_scene(path)
+    assert read_scene(path, allow_outside=True).clip.path == elsewhere
+    # Inside by another spelling; and a link, which whoever keeps the folder has put there.
+    (folder / "link.avi").symlink_to(elsewhere)
+    for text in (str(folder / "clip.avi"), "link.avi", f"../{folder.name}/clip.avi"):
+        assert read_scene(scene_file(folder, SCENE.replace("clip.avi", text))).clip.path is not None
+
+
+def test_a_file_too_large_for_a_scene_is_not_read(folder: Path) -> None:
+    path = scene_file(folder)
+    with path.open("r+b") as file:
+        file.truncate(2**40)  # a hole: a terabyte on no disk
+    with pytest.raises(SceneError, match="1099511627776 bytes"):
+        read_scene(path)

@@ -11,7 +11,9 @@ from throws import random_release, roughly_measured, seen, true_throw
 from diethrow.fitting.flights import fit_flights, moved_state
 from diethrow.fitting.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
 from diethrow.fitting.sightings import sight
+from diethrow.model.impacts import CoulombImpact
 from diethrow.model.motion import Flight, Throw
+from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import make_die
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -56,6 +58,27 @@ def test_the_interval_of_a_ratio_holds_as_often_as_it_says() -> None:
     assert sum(held) >= 53
     # The mean of 60 values of χ² with five degrees of freedom, over five, strays by 0.08 (sigma).
     assert np.mean(sideways) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.2])
+def test_intervals_of_friction_and_energy_hold_as_often_as_they_say(mu: float) -> None:
+    rng = np.random.default_rng(4)
+    law = CoulombImpact(0.5, mu)
+    throw = throw_die(CUBE, random_release(CUBE, rng), law, until=Until(impacts=1)).throw
+    impact = throw.impacts[0]
+    push = impact.impulse_N_s
+    ratio = float(np.hypot(push[0], push[1]) / push[2])
+    lost = impact.energy_before_J - impact.energy_after_J
+    held = np.zeros(2, int)
+    for _ in range(100):
+        flights = [measured(f, impact.time_s, rng) for f in throw.flights]
+        bounce = apparent_restitution(CUBE, flights[0], flights[1], impact.time_s, impact.vertices[0])
+        held += [
+            bounce.impulse_ratio_low <= ratio <= bounce.impulse_ratio_high,
+            bounce.energy_lost_low_J <= lost <= bounce.energy_lost_high_J,
+        ]
+    # Fewer than 89 of 100 at a true 95 % has odds of 1 in 200.
+    assert held.min() >= 89
 
 
 def test_flights_without_covariance_give_a_ratio_without_interval() -> None:

@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen, true_throw
 
+from diethrow.fitting.flights import fit_flights
+from diethrow.fitting.loaded import LOAD, load_in_flight
 from diethrow.fitting.physics import EFFECTS, Physics
 from diethrow.fitting.results import Fit
+from diethrow.fitting.sightings import sight
 from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
 from diethrow.model.motion import State, Throw
@@ -93,6 +96,46 @@ def test_another_inertia_is_found() -> None:
     fit = fit_throw(*thrown(SmoothImpact(0.5), 5, die=heavy), CUBE)
     assert "inertia" in fit.chosen
     assert_inside(fit, "inertia_kg_m2", heavy.inertia_kg_m2, 0.02 * CUBE.inertia_kg_m2)
+
+
+def loaded(centre_of_mass_m: tuple[float, float, float], seed: int) -> tuple[Track, Throw]:
+    """Track and measured throw of a cube whose centre of mass is not its centroid."""
+    die = replace(CUBE, centre_of_mass_m=np.array(centre_of_mass_m))
+    return thrown(SmoothImpact(0.5), seed, die=die)
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_a_loaded_die_is_told_and_its_centre_of_mass_found(seed: int) -> None:
+    centre = (1.2e-4, -0.8e-4, 1.4e-4)
+    fit = fit_throw(*loaded(centre, seed), CUBE)
+    assert fit.chosen == ("smooth impact", "loaded die")
+    assert fit.bounces_fitted == 3
+    assert_inside(fit, "chi", 0.5, 1e-3)
+    for name, truth in zip(LOAD, centre, strict=True):
+        assert_inside(fit, name, truth, 2e-5)
+
+
+def test_free_flights_alone_tell_a_centre_of_mass() -> None:
+    centre = np.array([1.2e-4, -0.8e-4, 1.4e-4])
+    track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
+    load = load_in_flight(fit_flights(sight(track, measured), measured))
+    assert load is not None
+    error = load.centre_of_mass_m - centre
+    # Three numbers: chi-square exceeds 21 in one of ten thousand cases.
+    assert error @ np.linalg.solve(load.covariance_m2, error) < 21.0
+
+
+def test_flights_too_short_to_turn_leave_a_load_open() -> None:
+    track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
+    few = sight(track, measured).where(np.arange(2))
+    assert load_in_flight(fit_flights(few, measured)) is None
+
+
+def test_a_die_that_is_no_spherical_top_is_simulated_with_smooth_impacts_only() -> None:
+    physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("loaded die")
+    assert not physics.goes_with("friction")
+    assert physics.goes_with("tilted table")
+    assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").goes_with("loaded die")
 
 
 def test_the_kind_of_restitution_is_told_where_slip_stops() -> None:

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from throws import random_release, seen
 
-from diethrow.fitting.joint import Entry, JointFit, entry_of, fit_jointly
+from diethrow.fitting.crowd import Entry, entry_of
+from diethrow.fitting.joint import JointFit, fit_jointly
 from diethrow.fitting.physics import Physics
 from diethrow.model.simulate import Until
 from diethrow.model.solids import make_die

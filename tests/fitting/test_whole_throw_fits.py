@@ -280,3 +280,14 @@ def clapping_throw() -> tuple[Throw, Track, Throw]:
         if clapped and (throw.flights[-1].end_s - throw.impacts[-1].time_s) * 1500.0 > 10.0:
             return throw, seen(throw, rng), roughly_measured(throw, rng)
     raise AssertionError("no such throw")
+
+
+def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
+    """A bootstrap of 200 draws places each end of an interval to a tenth of its width, so that twice as far is far."""
+    _, track, measured = cube_throw(impacts=2)
+    profile, covariance, bootstrap = (
+        chi_of(fit_throw(track, measured, CUBE, intervals=kind)) for kind in ("profile", "covariance", "bootstrap")
+    )
+    width = profile[2] - profile[1]
+    assert covariance == pytest.approx(profile, abs=0.02 * width)
+    assert bootstrap == pytest.approx(profile, abs=0.25 * width)

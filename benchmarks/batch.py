@@ -1,0 +1,63 @@
+"""How much faster two workers are than one, over clips that are analysed whole.
+
+    python benchmarks/batch.py --clips 12 --repeats 2
+
+Analyses copies of the short sample with one worker and with two, by turns, and prints the ratio of the times. The machine
+should have nothing else to do; the load that was there before is printed beside the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import tempfile
+import time
+from pathlib import Path
+
+from diethrow.batch import run_batch
+
+SAMPLE = Path(__file__).parents[1] / "data_samples" / "cube_wood_photron"
+
+
+def main() -> None:
+    """Copy, analyse, compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=12)
+    parser.add_argument("--repeats", type=int, default=2)
+    parser.add_argument("--workers", type=int, nargs=2, default=(1, 2))
+    parser.add_argument("--only-track", action="store_true")
+    options = parser.parse_args()
+    print(f"load before: {os.getloadavg()[0]:.2f} on {os.cpu_count()} cores")
+    with tempfile.TemporaryDirectory() as temporary:
+        root = Path(temporary)
+        scenes = [copied(root / f"clip_{k:02d}") for k in range(options.clips)]
+        few, many = options.workers
+        for repeat in range(options.repeats):
+            seconds = {}
+            for workers in (few, many):
+                seconds[workers] = timed(scenes, root / f"out_{repeat}_{workers}", workers, options.only_track)
+            print(
+                f"{options.clips} clips: {few} worker {seconds[few]:.1f} s, {many} workers {seconds[many]:.1f} s, "
+                f"ratio {seconds[few] / seconds[many]:.2f}",
+                flush=True,
+            )
+
+
+def copied(folder: Path) -> Path:
+    """The scene of a copy of the sample."""
+    shutil.copytree(SAMPLE, folder)
+    return folder / "scene.toml"
+
+
+def timed(scenes: list[Path], out: Path, workers: int, only_track: bool) -> float:
+    """Seconds of a whole batch, the start of the workers among them."""
+    begin = time.perf_counter()
+    batch = run_batch(scenes, out, workers=workers, stage="track" if only_track else "analyze")
+    took = time.perf_counter() - begin
+    assert len(batch.results) == len(scenes), batch.failures
+    return took
+
+
+if __name__ == "__main__":
+    main()

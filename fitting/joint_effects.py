@@ -1,0 +1,148 @@
+"""Which effects throws share: those with which throws are foretold better that were not in the fit.
+
+From the paper's law on, one at a time (`selection` does the same for one throw). Throws are dealt into five folds, and
+each is foretold with parameters fitted to the other folds (one step of the same method from the common fit, by the blocks
+of those throws). The effect that lowers the cost of throws most is taken in if, compared throw by throw, it does so by
+more than Student's t allows chance; one that raises it by as much is not asked again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from ..model.motion import GRAVITY_M_S2
+from ..model.rotations import matrix_from_quat
+from .crowd import Crowd, Entry, crowd_of
+from .joint_descent import CONVERGED_ENOUGH, Point, descended, left_out_misses, seen_from
+from .physics import LOAD, Physics
+from .results import Effect
+
+Array = NDArray[np.float64]
+
+EFFECTS: dict[str, tuple[str, ...]] = {
+    "friction": ("mu",),
+    "loaded die": LOAD,
+    "rounded corners": ("corner_radius_m",),
+    "inertia": ("inertia_kg_m2",),
+    "fading restitution": ("chi_fade_s_per_m",),
+    "fading friction": ("mu_fade_s_per_m",),
+    "clock": ("clock_scale",),
+}
+"""Effects on trial and their parameters."""
+
+_NEEDS = {"fading friction": "mu"}
+"""Parameters without which an effect is none."""
+
+FIRST_CHI = (0.2, 0.35, 0.5, 0.65, 0.8, 0.95)
+_FIRST_MU = (0.1, 0.2, 0.4)
+_FIRST_RADII = (0.02, 0.08, 0.2)
+"""Of the inscribed radius."""
+_FIRST_FADES_S_PER_M = (0.1, 1.0)
+"""Where fits look first, so that no start is asked for."""
+
+FOR_FIRST = 8
+"""Throws by which such values are compared."""
+
+_SURE = 0.95
+"""Confidence with which an effect must pay."""
+
+
+def with_effects(
+    crowd: Crowd, point: Point, effects: Sequence[str], step: Callable[[], None]
+) -> tuple[Point, list[Effect], list[Effect]]:
+    """Effects taken in while they pay, the one that pays most first; then what was chosen and what was not. `step` is
+    called after every trial."""
+    chosen: list[Effect] = []
+    left = list(effects)
+    refused: dict[str, Effect] = {}
+    while left:
+        # What errors of the start do depends on the law: tell it anew.
+        crowd = crowd_of(crowd.entries, point.physics, crowd.pool)
+        point = seen_from(crowd, point.physics)
+        before = crowd.costs(left_out_misses(crowd, point))
+        trials: dict[str, tuple[Point, Array]] = {}
+        for effect in left:
+            if _NEEDS.get(effect, "chi") not in point.physics.values:
+                refused[effect] = Effect(effect, None, f"Not tried: there is no {_NEEDS[effect]} for it to act on.")
+                continue
+            wider = _widened(crowd, point, effect)
+            gains = before - crowd.costs(left_out_misses(crowd, wider))
+            trials[effect] = (wider, gains)
+            refused[effect] = _refusal(effect, gains, before)
+            step()
+        paying = [effect for effect, (_, gains) in trials.items() if gains.mean() > _price(gains)]
+        if not paying:
+            break
+        best = max(paying, key=lambda effect: float(trials[effect][1].mean()))
+        point = trials[best][0]
+        chosen.append(Effect(best, _evidence(trials[best][1]), None))
+        hopeless = [effect for effect, (_, gains) in trials.items() if gains.mean() < -_price(gains)]
+        left = [effect for effect in left if effect != best and effect not in hopeless]
+    taken = {effect.name for effect in chosen}
+    return point, chosen, [refused[effect] for effect in effects if effect in refused and effect not in taken]
+
+
+def load_in_flight(entries: Sequence[Entry]) -> Array:
+    """The centre of mass (3,) [m] that the flights before the first bounce show: the one about which the centroid
+    circles while it falls freely."""
+    matrix, right = np.zeros((3, 3)), np.zeros(3)
+    for entry in entries:
+        rows, state = entry.outset.rows, entry.outset.fair_state
+        times = entry.track.time_s[rows] - state.time_s
+        line = np.stack([np.ones_like(times), times], 1)
+        rest = np.eye(len(rows)) - line @ np.linalg.pinv(line)
+        circled = np.einsum("mn,nij->mij", rest, matrix_from_quat(entry.track.quaternion[rows])).reshape(-1, 3)
+        fallen = state.position_m + np.outer(times, state.velocity_m_s)
+        fallen[:, 2] -= 0.5 * GRAVITY_M_S2 * times**2
+        weight = 1.0 / entry.outset.sigma_m**2
+        matrix += weight * circled.T @ circled
+        right -= weight * circled.T @ (rest @ (entry.track.position_m[rows] - fallen)).ravel()
+    return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0], dtype=np.float64)
+
+
+def _widened(crowd: Crowd, point: Point, effect: str) -> Point:
+    """The fit with one effect more, from the best of a few starts."""
+    physics = point.physics.with_values(**{name: point.physics.off(name) for name in EFFECTS[effect]})
+    starts = _starts(physics, effect, crowd.entries)
+    few = crowd.some(FOR_FIRST)
+    best = min(starts, key=few.mean_cost) if len(starts) > 1 else starts[0]
+    return descended(crowd, best, CONVERGED_ENOUGH)
+
+
+def _starts(physics: Physics, effect: str, entries: Sequence[Entry]) -> list[Physics]:
+    if effect == "friction":
+        return [physics.with_values(mu=mu, chi=chi) for mu in _FIRST_MU for chi in FIRST_CHI[:-1]]
+    if effect == "rounded corners":
+        return [physics.with_values(corner_radius_m=part * physics.die.solid.inradius) for part in _FIRST_RADII]
+    if effect == "loaded die":
+        return [physics, physics.with_values(**dict(zip(LOAD, load_in_flight(entries).tolist(), strict=True)))]
+    if effect in ("fading restitution", "fading friction"):
+        return [physics.with_values(**{EFFECTS[effect][0]: fade}) for fade in _FIRST_FADES_S_PER_M]
+    return [physics]
+
+
+def _price(gains: Array) -> float:
+    """What gains (throws,) must have as their mean not to be chance."""
+    return float(student.ppf(_SURE, len(gains) - 1) * gains.std(ddof=1) / np.sqrt(len(gains)))
+
+
+def _evidence(gains: Array) -> float:
+    """Units of log-likelihood by which throws left out are foretold better, were the mean gain normally distributed."""
+    error = float(gains.std(ddof=1)) / np.sqrt(len(gains))
+    return 0.5 * (float(gains.mean()) / max(error, 1e-300)) ** 2 * float(np.sign(gains.mean()))
+
+
+def _refusal(effect: str, gains: Array, before: Array) -> Effect:
+    part, error = gains.mean() / before.mean(), gains.std(ddof=1) / np.sqrt(len(gains)) / before.mean()
+    if gains.mean() <= 0.0:
+        why = f"It foretells throws left out of the fit worse, by {-100 * part:.2g} % of their error."
+    else:
+        why = (
+            f"It foretells throws left out of the fit better by {100 * part:.2g} % of their error, with a standard error "
+            f"of {100 * error:.2g} %: no more than chance."
+        )
+    return Effect(effect, _evidence(gains), why)

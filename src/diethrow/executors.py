@@ -1,0 +1,284 @@
+"""Where work is done: processes of this machine that may be killed one by one, or a Dask cluster.
+
+Nothing that computes is imported here, because a worker must set its limits before the libraries read them.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+"""What the libraries under numpy, scipy and numba read when they are loaded."""
+ANSWER_S = 10.0
+"""For a scheduler to answer."""
+SECONDS_TO_STOP = 5.0
+"""For a worker to sweep up after itself before it is killed."""
+
+
+class WorkerLostError(RuntimeError):
+    """The process that worked on a call died, by a signal or for want of memory."""
+
+
+class Processes(Executor):
+    """Single processes of this machine, one core each.
+
+    Unlike in a `ProcessPoolExecutor`, the death of a worker costs the call that it had in hand and no other: that call
+    raises WorkerLostError, and a new process takes the place. Workers die with their parent, however it ends, and ignore
+    Ctrl-C, which is their parent's affair.
+    """
+
+    def __init__(self, workers: int) -> None:
+        """`workers` processes, started when they are first needed. Raises ValueError below 1."""
+        if workers < 1:
+            raise ValueError(f"{workers} workers: wanted 1 or more")
+        self.workers = workers
+        self._own = threading.local()
+        self._all: set[_Worker] = set()
+        self._stopped = False
+        # One thread waits for each process; what is submitted queues up in front of them.
+        self._threads = ThreadPoolExecutor(workers)
+
+    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
+        """As `Executor.submit`; function, arguments and result are pickled between processes of this machine."""
+        return self._threads.submit(self._ask, fn, args, kwargs)
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """As `Executor.shutdown`."""
+        self._threads.shutdown(wait=wait, cancel_futures=cancel_futures)
+        if wait:
+            for worker in self._all:
+                worker.end()
+            self._all.clear()
+
+    def stop(self) -> None:
+        """End the workers, also those at work: their calls raise WorkerLostError, and later ones are refused."""
+        self._stopped = True
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        workers = list(self._all)
+        for worker in workers:
+            worker.process.terminate()
+
+        def kill() -> None:
+            for worker in workers:
+                worker.process.kill()
+
+        slow = threading.Timer(SECONDS_TO_STOP, kill)
+        slow.start()
+        self._threads.shutdown(wait=True)
+        slow.cancel()
+
+    def __exit__(self, *failure: object) -> None:
+        if any(failure):
+            self.stop()
+        self.shutdown(wait=True)
+
+    def _ask(self, fn: Callable[..., T], args: Any, kwargs: Any) -> T:
+        """Run one call in the process of this thread, and replace the process where it dies."""
+        worker: _Worker | None = getattr(self._own, "worker", None)
+        if worker is None or not worker.process.is_alive():
+            if self._stopped:
+                raise WorkerLostError("the workers were stopped")
+            worker = _Worker()
+            self._own.worker = worker
+            self._all.add(worker)
+        try:
+            done, value = worker.ask((fn, args, kwargs))
+        except (EOFError, OSError) as error:
+            self._all.discard(worker)
+            self._own.worker = None
+            raise WorkerLostError(f"the worker process died ({worker.end()})") from error
+        if not done:
+            raise value
+        result: T = value
+        return result
+
+
+class _Worker:
+    """A process and the pipe to it."""
+
+    def __init__(self) -> None:
+        # Spawned, not forked: the threads of the libraries in this process do not survive a fork.
+        context = get_context("spawn")
+        self._pipe, far_end = context.Pipe()
+        self.process: BaseProcess = context.Process(target=_serve, args=(far_end,), daemon=True)
+        with _limits_in_environment():
+            self.process.start()
+        far_end.close()
+
+    def ask(self, call: tuple[Any, ...]) -> tuple[bool, Any]:
+        """Whether the call came to its end, and its result or its exception. Raises EOFError or OSError where it died."""
+        self._pipe.send(call)
+        done, value = self._pipe.recv()
+        return bool(done), value
+
+    def end(self) -> str:
+        """Close the pipe, wait for the process, and tell how it ended."""
+        self._pipe.close()
+        self.process.join(SECONDS_TO_STOP)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+        code = self.process.exitcode or 0
+        if code >= 0:
+            return f"exit status {code}"
+        hint = ", perhaps for want of memory" if -code == 9 else ""
+        return f"{signal.Signals(-code).name}{hint}"
+
+
+def _serve(pipe: Connection) -> None:
+    """The life of a worker: take a call, do it, give the result back, until the pipe is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    while True:
+        try:
+            fn, args, kwargs = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer: tuple[bool, Any] = True, fn(*args, **kwargs)
+        except KeyboardInterrupt:  # what SIGTERM is turned into while an output is written
+            return
+        except Exception as error:  # handed on to whoever asked
+            answer = False, error
+        pipe.send(answer)
+
+
+def _die_with_parent() -> None:
+    """A killed parent cannot tell its workers to stop; at once, so that the next run finds no lock of theirs."""
+    parent = parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
+
+
+@contextmanager
+def _limits_in_environment() -> Iterator[None]:
+    """One thread for each library, in the processes that are started within the block."""
+    before = {name: os.environ.get(name) for name in THREAD_LIMITS}
+    os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+class _OneThread:
+    """How many blocks want one thread at the moment, and what was there before the first."""
+
+    lock = threading.Lock()
+    blocks = 0
+    undo: Callable[[], None]
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Linear algebra and OpenCV on one thread within the block, whatever the process was started with.
+
+    Sums over several threads are rounded in another order: results must not depend on the machine they were made on.
+    """
+    with _OneThread.lock:
+        if _OneThread.blocks == 0:
+            _OneThread.undo = _limit_to_one_thread()
+        _OneThread.blocks += 1
+    try:
+        yield
+    finally:
+        with _OneThread.lock:
+            _OneThread.blocks -= 1
+            if _OneThread.blocks == 0:
+                _OneThread.undo()
+
+
+def _limit_to_one_thread() -> Callable[[], None]:
+    """Set the limits of this process; returns what takes them back."""
+    import cv2
+    from threadpoolctl import threadpool_limits
+
+    before = cv2.getNumThreads()
+    limits = threadpool_limits(limits=1, user_api="blas")
+    cv2.setNumThreads(1)
+
+    def undo() -> None:
+        limits.restore_original_limits()
+        cv2.setNumThreads(before)
+
+    return undo
+
+
+@contextmanager
+def cluster_at(address: str) -> Iterator[Executor]:
+    """A Dask cluster, by the address of its scheduler (tcp://host:port), as an executor.
+
+    Every worker must see the same files under the same paths, and have this version installed. Raises ValueError where
+    Dask is not installed, ConnectionError where nobody answers.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise ValueError("--scheduler needs Dask; try pip install 'diethrow[distributed]'") from error
+    try:
+        client = Client(address, timeout=ANSWER_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        reason = " ".join(str(error).split())
+        raise ConnectionError(f"no Dask scheduler answers at {address} ({reason}); try dask scheduler there") from error
+    try:
+        _demand_same_version(client, address)
+        yield client.get_executor(pure=False)
+    except KilledWorker as error:
+        raise ConnectionError(
+            f"workers of the cluster at {address} died of their work ({error}); see their logs"
+        ) from error
+    finally:
+        client.close()
+
+
+def _demand_same_version(client: Any, address: str) -> None:
+    """Raises ValueError for a cluster without workers, or with other versions than this one's."""
+    from . import __version__
+
+    versions = client.run(_version)
+    if not versions:
+        raise ValueError(f"the cluster at {address} has no workers; start some with dask worker {address}")
+    for worker, version in versions.items():
+        if version != __version__:
+            raise ValueError(f"{worker} has diethrow {version}, and this is {__version__}; install the same everywhere")
+
+
+def _version() -> str:
+    from . import __version__
+
+    return __version__
+
+
+def width(executor: Executor) -> int:
+    """Calls that an executor can work on at the same time; the cores of this machine where it does not say."""
+    client = getattr(executor, "_client", None)
+    if client is not None and hasattr(client, "nthreads"):
+        return max(1, sum(client.nthreads().values()))
+    for name in ("workers", "_max_workers"):
+        count = getattr(executor, name, None)
+        if isinstance(count, int):
+            return max(1, count)
+    return cores()
+
+
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

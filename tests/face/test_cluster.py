@@ -1,0 +1,85 @@
+"""A Dask cluster gives what this machine gives: the same clips, the same counts, the same maps."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+
+pytest.importorskip("distributed")
+
+SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a scheduler with one worker, both processes of their own as on a real cluster."""
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+    scheduler_words = ["-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    worker_words = ["-m", "distributed.cli.dask_worker", "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+    named = ["--scheduler-file", str(file)]
+    with (
+        subprocess.Popen([sys.executable, *scheduler_words, *named], **quiet) as scheduler,  # type: ignore[call-overload]
+        subprocess.Popen([sys.executable, *worker_words, *named], **quiet) as worker,  # type: ignore[call-overload]
+    ):
+        try:
+            for _ in range(600):
+                if file.exists() and file.stat().st_size:
+                    break
+                time.sleep(0.1)
+            time.sleep(0.1)
+            yield json.loads(file.read_text())["address"]
+        finally:
+            worker.terminate()
+            scheduler.terminate()
+
+
+def invoke(*words: object) -> tuple[int, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.output
+
+
+def test_odds_maps_and_clips_of_a_cluster_are_those_of_this_machine(cluster: str, tmp_path: Path) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    odds = ("odds", "--throws", "9000", "--chi", "0.3", "--after", "1", "--threads", "1")
+    basins = ("basins", "--pixels", "40", "30", "--threads", "1")
+    for words in (odds, basins):
+        name = words[0]
+        assert invoke(*words, "--out", here / name)[0] == 0
+        status, said = invoke(*words, "--out", there / name, "--scheduler", cluster)
+        assert status == 0, said
+    assert (here / "odds" / "odds.csv").read_bytes() == (there / "odds" / "odds.csv").read_bytes()
+    maps = [np.load(folder / "basins" / "basins.npz") for folder in (here, there)]
+    for name in ("face", "impacts", "ending"):
+        np.testing.assert_array_equal(maps[0][name], maps[1][name])
+    for each in maps:
+        each.close()
+
+    scene = shutil.copytree(SAMPLE, tmp_path / "clip") / "scene.toml"
+    track = ("--only-track", "--quality", "fast")
+    assert invoke("track", scene, "--quality", "fast", "--out", here / "clip")[0] == 0
+    status, said = invoke("batch", scene, *track, "--out", there / "clips", "--scheduler", cluster)
+    assert status == 0, said
+    for name in ("track.csv", "track_covariance.npy", "bounces.csv"):
+        assert (here / "clip" / name).read_bytes() == (there / "clips" / "clip" / name).read_bytes()
+
+
+def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.executors.ANSWER_S", 0.5)
+    status, said = invoke("odds", "--out", tmp_path / "out", "--throws", "10", "--scheduler", "tcp://127.0.0.1:9")
+    assert status == 1
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in said
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,179 @@
+"""Where following begins: on the first frame that shows the die whole, with the start that the next frames bear out.
+
+One picture often leaves several poses open. A plain tetrahedron that turns one face to the camera is a triangle, and up to
+four poses draw the same triangle (the three-point problem: Haralick et al., Int. J. Comput. Vis. 13, 331, 1994). What
+tells them apart is the motion: only the true pose falls with g and turns evenly, and the others sooner or later do not fit
+the picture either. So all starts race each other over ever more frames, and whoever falls behind clearly is out. Where one
+picture is enough the race ends at its first stage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..model.motion import GRAVITY_M_S2
+from ..model.rotations import quat_from_matrix, rotation_between
+from .chase import Chase, Seen
+from .hints import HandStart
+from .pose import Pose, View
+from .reel import Reel
+from .start import die_blobs, find_start, same_picture
+from .start_by_hand import start_by_hand
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+START_FRAMES = 14
+"""Frames on which a start is looked for, a few frames apart, before the clip is given up."""
+SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
+"""Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
+that, as with a die of little contrast, the best start above the second is taken."""
+STAGES = (4, 8, 16, 32, 64)
+"""Frames over which the starts race each other; a start must be followed over the second to be believed."""
+BEHIND = 0.3
+"""By how much a start may be worse than the best and still stay in the race, in `Runner.badness`."""
+UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
+"""Departure (rms) from a parabola, in edges, and from an even turn that no die in flight shows. A wrong start jumps about,
+and so does the pose drawn into a shadow."""
+
+
+@dataclass(eq=False)
+class Runner:
+    """A start and how far it has been followed."""
+
+    chase: Chase
+    seen: Seen
+    """The frames of the race alone, the first of them the frame of the start."""
+    badness: float
+    """What the pictures leave over on the mean, and how unevenly the die would move, in units of what none does."""
+    unevenness: float
+
+
+def find_beginning(
+    view: View, reel: Reel, unused: Mask, reached: Callable[[int], None] = lambda frame: None
+) -> tuple[Chase, Seen] | None:
+    """The chase from the first frame that shows the die whole, and what it has seen so far; None where no die is found.
+
+    Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at.
+    """
+    tried, k = 0, 0
+    spare: tuple[float, int, Runner] | None = None
+    while tried < START_FRAMES and k < len(reel):
+        reached(k)
+        image = np.asarray(reel.frame(k), np.float32)
+        if unused[k] or not die_blobs(view, image[0]):
+            k += 1
+            continue
+        tried += 1
+        best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
+        if best is not None:
+            support = float(best.seen.support[best.seen.known].mean())
+            if support > SURE_SUPPORT:
+                return _begun(best, reel, k, unused)
+            if spare is None or support > spare[0]:
+                spare = support, k, best
+        # Ever wider apart: a shadow alone may fill many frames before the die that casts it comes into view.
+        k += 4 + tried
+    return _begun(spare[2], reel, spare[1], unused) if spare is not None and spare[0] > FAIR_SUPPORT else None
+
+
+def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[Chase, Seen]:
+    """The chase from the pose that a person gave. Raises ValueError for a frame that is not there or not used."""
+    k = by_hand.frame - reel.first_frame
+    if not 0 <= k < len(reel) or unused[k]:
+        last = reel.first_frame + len(reel) - 1
+        raise ValueError(
+            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({reel.first_frame} to {last}), none that is "
+            "excluded"
+        )
+    pose = start_by_hand(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
+    return _begun(_at_the_line(view, reel, k, pose, unused), reel, k, unused)
+
+
+def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
+    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k."""
+    seen, chase = Seen.empty(len(reel)), runner.chase
+    rows = np.flatnonzero(runner.seen.known)
+    seen.take(k + rows, runner.seen, rows)
+    chase.next_frame, chase.unused = k + chase.next_frame, unused
+    return chase, seen
+
+
+def _race(view: View, reel: Reel, k: int, starts: list[Pose], unused: Mask) -> Runner | None:
+    """The start on frame k that the frames after it bear out best; None where they bear out none."""
+    left = min(STAGES[-1], len(reel) - k)
+    runners = [_at_the_line(view, reel, k, pose, unused) for pose in starts]
+    for stage in sorted({min(stage, left) for stage in STAGES}):
+        followed = [r for r in runners if _followed(r, view, reel, k, stage)]
+        # Past an impact nobody moves evenly any more, and who led before it has won.
+        even = [r for r in followed if r.unevenness < 1.0] if stage >= min(STAGES[1], left) else followed
+        if not even:
+            return min(runners, key=lambda r: r.badness) if stage > STAGES[1] else None
+        best = min(r.badness for r in even)
+        runners = _apart(view, sorted((r for r in even if r.badness < best + BEHIND), key=lambda r: r.badness))
+        if len(runners) == 1 and stage >= STAGES[1]:
+            break
+    return runners[0] if runners else None
+
+
+def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
+    """A start that has not been followed yet."""
+    seen = Seen.empty(min(STAGES[-1], len(reel) - k))
+    seen.put(0, pose, np.zeros(6))
+    chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
+    return Runner(chase, seen, pose.cost, 0.0)
+
+
+def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> bool:
+    """Follow a start up to so many frames; whether the die was not lost on the way."""
+    chase, seen, times_s = runner.chase, runner.seen, reel.times_s[k:]
+    for j in range(chase.next_frame, stage):
+        chase.over(reel.frame(k + j)[None], times_s, j, seen)
+        if chase.misses > 1:
+            return False
+    known = seen.known[:stage]
+    if known.sum() < stage - 1:
+        return False
+    runner.unevenness = _unevenness(view, seen, times_s)
+    runner.badness = float(seen.cost[seen.known].mean()) + runner.unevenness
+    return True
+
+
+def _unevenness(view: View, seen: Seen, times_s: Array) -> float:
+    """How far the poses depart from a parabola and an even turn; 1 where no die in flight does."""
+    known = np.flatnonzero(seen.known)
+    if len(known) < 3:
+        return 0.0
+    middle = int(known[len(known) // 2])
+    t = times_s[known] - times_s[middle]
+    fall = seen.position_m[known] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
+    turns = rotation_between(quat_from_matrix(seen.rotation[middle]), quat_from_matrix(seen.rotation[known]))
+    return max(_departure(t, fall) / (UNEVEN_EDGE * view.die.solid.edge_m), _departure(t, turns) / UNEVEN_RAD)
+
+
+def _departure(t: Array, values: Array) -> float:
+    """Root mean square distance of values (n, 3) from a straight line over t (n,)."""
+    line = np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1)
+    return float(np.sqrt(((values - line) ** 2).sum(1).mean()))
+
+
+def _apart(view: View, runners: list[Runner]) -> list[Runner]:
+    """The best of those that ended up on the same pose."""
+    kept: list[Runner] = []
+    for runner in runners:
+        last = int(np.flatnonzero(runner.seen.known)[-1])
+        if not any(
+            other.seen.known[last]
+            and same_picture(
+                view,
+                (runner.seen.position_m[last], runner.seen.rotation[last]),
+                (other.seen.position_m[last], other.seen.rotation[last]),
+            )
+            for other in kept
+        ):
+            kept.append(runner)
+    return kept
