@@ -32,6 +32,9 @@ templates_path = ["_templates"]
 exclude_patterns = ["_build", "_build_steps", "_templates", "gallery", "commands/notes", "Thumbs.db"]
 myst_heading_anchors = 3
 
+# Two stages have a Table each, that of the scene file and that of the model; a short name in a signature cannot say which.
+suppress_warnings = ["ref.python"]
+
 autosummary_generate = True
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"

@@ -169,4 +169,4 @@ def test_the_provenance_names_every_input(folder: Path) -> None:
     assert view.path is not None
     assert view.background_path is not None
     assert named == {"scene.toml", view.path.name, view.background_path.name}
-    assert set(origin["timings_s"]) == {"open", "track", "bounces", "fit", "replay", "report"}
+    assert set(origin["timings_s"]) == {"open", "track", "bounces", "fit", "estimates", "replay", "report"}
