@@ -7,6 +7,7 @@ from typing import Any
 
 SPECIAL = re.compile(r"([*|\\]|(?<=\w)_(?!\w))")
 """What reStructuredText would take for emphasis, a substitution or a reference."""
+BOLD = re.compile(r"(\*\*\w[^*`]*\*\*)")
 
 
 def as_rest(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
@@ -47,4 +48,9 @@ def _prose(rows: list[str]) -> list[str]:
 
 def _escaped(text: str) -> str:
     parts = text.split("`")
-    return "".join(SPECIAL.sub(r"\\\1", part) if k % 2 == 0 else f"``{part}``" for k, part in enumerate(parts))
+    return "".join(f"``{part}``" if k % 2 else _escaped_prose(part) for k, part in enumerate(parts))
+
+
+def _escaped_prose(text: str) -> str:
+    """What is bold stays so."""
+    return "".join(part if k % 2 else SPECIAL.sub(r"\\\1", part) for k, part in enumerate(BOLD.split(text)))
