@@ -75,3 +75,6 @@ class Fit:
     """The model's throw, from `initial` through every impact that the fit reached."""
     restitution: Restitution = "stronge"
     """What χ means where something rubs; see `model.impacts.CoulombImpact`."""
+    covariance: Array | None = None
+    """(12 + k, 12 + k) of `initial` and, behind it, of the k free parameters in the order of `parameters`; None where no
+    such fit was made."""

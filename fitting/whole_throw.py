@@ -186,6 +186,7 @@ def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: li
         messages=(*messages, *landing_words),
         throw=throw,
         restitution=shot.physics.restitution,
+        covariance=covariance,
     )
 
 

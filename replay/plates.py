@@ -186,14 +186,16 @@ def of_fit(record: Record) -> Iterator[Plate]:
     fit = record.fit
     if fit is None:
         return
-    covariance = fit.initial_covariance
+    covariance, names = fit.covariance, (*STATE_NAMES, *(name for name, p in fit.parameters.items() if p.free))
+    if covariance is None or len(covariance) != len(names):
+        covariance, names = fit.initial_covariance, STATE_NAMES
     if covariance is not None and np.isfinite(covariance).all():
         yield Plate(
             "correlations",
             (NARROW, 4.5),
-            "Correlations of the fitted initial conditions in hundredths: position, rotation vector, velocity and angular "
-            "velocity in world axes.",
-            lambda ax: figures.correlations(ax, covariance, STATE_NAMES),
+            "Correlations of what was fitted, in hundredths: position, rotation vector, velocity and angular velocity at the "
+            "beginning, in world axes, and the free parameters.",
+            lambda ax: figures.correlations(ax, covariance, names),
         )
     odds = fit.face_odds
     if odds:

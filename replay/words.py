@@ -215,7 +215,7 @@ def settled_sentence(estimates: Sequence[Estimate]) -> list[str]:
         return ["No face was settled by the frames at hand."]
     first = known[open_to + 1]
     return [
-        f"Face {face} was settled after {plural(first.bounces, 'bounce')}, with the frames up to "
+        f"Face {face} was settled by the flight after bounce {first.bounces}, which began at "
         f"{fixed(1e3 * first.time_s, 1)} ms."
     ]
 

@@ -210,7 +210,6 @@ def fit_track(
     *,
     force: bool = False,
     intervals: IntervalMethod = "profile",
-    shown: Shown = PLAIN,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
@@ -239,7 +238,7 @@ def fit_track(
         _write_recording(folder, record, progress, watch)
         _write_origin(folder, scene, command, inputs, watch)
         account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
-        _write_pages(folder, record, account, shown, progress, watch)
+        _write_pages(folder, record, account, PLAIN, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
 

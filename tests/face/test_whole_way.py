@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("whole_way") / "out"
-    result = CliRunner().invoke(app, ["analyze", str(SCENE), "--out", str(out)])
+    result = CliRunner().invoke(app, ["analyze", str(SCENE), "--figures", "--out", str(out)])
     assert result.exit_code == 0, result.stderr
     return out
 
@@ -74,6 +74,30 @@ def test_every_file_is_there_and_none_is_empty(folder: Path) -> None:
     assert {file.name for file in folder.iterdir()} >= CONTRACT_FILES
     assert all(file.stat().st_size > 0 for file in folder.iterdir())
     assert [path.name for path in folder.parent.iterdir()] == ["out"]
+
+
+def test_the_figures_are_there_when_they_are_asked_for(folder: Path) -> None:
+    names = {file.stem for file in (folder / "figures").iterdir()}
+    assert names >= {
+        "stroboscope",
+        "bounces",
+        "heights",
+        "restitution",
+        "residuals_position_sigmas",
+        "correlations",
+        "odds",
+    }
+    assert {file.name for file in (folder / "figures").iterdir()} == {
+        f"{n}.{kind}" for n in names for kind in ("png", "svg")
+    }
+
+
+def test_the_report_tells_its_own_provenance_and_checks(folder: Path) -> None:
+    text = (folder / "report.html").read_text(encoding="utf-8")
+    origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
+    assert all(file["sha256"] in text for file in origin["inputs"])
+    assert "The die falls with" in text
+    assert "The die bounces at z =" in text
 
 
 def test_every_frame_has_a_row_in_every_track(folder: Path, truth: dict[str, Array]) -> None:

@@ -17,7 +17,7 @@ from diethrow.fitting.growing import Estimate
 from diethrow.replay import figures
 from diethrow.replay.account import Account
 from diethrow.replay.palette import MEASURED, SIMULATED, hex_colour
-from diethrow.replay.plates import STATE_NAMES, plates, write_figures
+from diethrow.replay.plates import STATE_NAMES, of_fit, plates, write_figures
 from diethrow.replay.record import motions_of, residuals
 from diethrow.replay.stroboscope import COLUMNS, bounce_strip, rows_of_strip, stroboscope
 
@@ -173,3 +173,11 @@ def test_every_figure_is_written_as_png_and_svg(tmp_path: Path) -> None:
 def test_what_a_record_lacks_has_no_figure() -> None:
     bare = made.record(clip=None, camera=None, fit=None, simulated=None)
     assert [plate.name for plate in plates(bare, Account())] == ["heights", "restitution"]
+
+
+def test_correlations_are_shown_with_the_free_parameters_where_the_fit_has_them() -> None:
+    fit = made.fit(covariance=1e-8 * np.eye(13))
+    for given, wanted in ((fit, (*STATE_NAMES, "chi")), (made.fit(), STATE_NAMES)):
+        plate = next(plate for plate in of_fit(made.record(fit=given)) if plate.name == "correlations")
+        ax = plate.draw(axes())
+        assert tuple(label.get_text() for label in ax.get_yticklabels()) == wanted

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import re
 import time
 from pathlib import Path
 
@@ -12,8 +14,9 @@ import replay_records as made
 from browser import Page, opened
 
 from diethrow.replay.embedded import viewer_files
-from diethrow.replay.recording import write_recording
+from diethrow.replay.recording import write_recording, write_throw_recording
 from diethrow.replay.report import write_report
+from diethrow.replay.throw_page import throw_page
 
 PHONE_PX = 390
 HOSTILE = "</script></style><script>window.fooled = 1</script><img src=x onerror='window.fooled = 1'>"
@@ -70,6 +73,17 @@ def test_the_viewer_is_the_installed_one() -> None:
     script, code = viewer_files()
     assert b"wasm_bindgen" in script
     assert code.startswith(b"\0asm")
+
+
+def test_a_modelled_throw_has_a_page_with_its_recording_in_it(tmp_path: Path) -> None:
+    recording = tmp_path / "replay.rrd"
+    write_throw_recording(recording, made.die(), made.throw(), made.FPS, "a throw")
+    text = throw_page(HOSTILE, made.die(), made.throw(), (HOSTILE,), recording)
+    packed = re.search('id="viewer-recording">([^<]*)</script>', text)
+    assert packed is not None
+    assert base64.b64decode(packed[1]) == recording.read_bytes()
+    assert "window.fooled = 1</script>" not in text
+    assert "bounce 1 at 23.457 ms, vertex 0" in text
 
 
 def test_a_page_without_a_recording_is_not_written(tmp_path: Path) -> None:

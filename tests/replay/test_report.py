@@ -145,8 +145,8 @@ def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
         known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
         return " ".join(words.settled_sentence(known))
 
-    assert "Face 1 was settled after 2 bounces, with the frames up to 20.0 ms" in told(0.5, 0.97, 1.0)
-    assert "after 3 bounces" in told(0.99, 0.1, 1.0)
+    assert "Face 1 was settled by the flight after bounce 2, which began at 20.0 ms" in told(0.5, 0.97, 1.0)
+    assert "after bounce 3" in told(0.99, 0.1, 1.0)
     assert "No face was settled" in told(0.99, 0.6)
     assert told(1.0) == ""
 
