@@ -493,7 +493,9 @@ def _covariance_beside(path: Path, count: int) -> Array:
             version = np.lib.format.read_magic(file)
             read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
             shape, _, dtype = read_header[version](file)
-        if shape != (count, 6, 6) or dtype.kind != "f":
+        if dtype.kind != "f":
+            raise ValueError(f"{path}: not an array of numbers ({dtype}); {wanted}")
+        if shape != (count, 6, 6):
             raise ValueError(f"{path}: {dtype} of shape {shape}; {wanted}")
         covariance = np.load(path, allow_pickle=False)
     except NPY_DAMAGE as error:
