@@ -820,9 +820,14 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
+    from .compiling import announced
+
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars:
+    with (
+        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
+        announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)),
+    ):
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, done: int, total: int) -> None:
