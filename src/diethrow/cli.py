@@ -142,6 +142,7 @@ def fit(
     scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
     out: OutFolder,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     force: Force = False,
 ) -> None:
     """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
@@ -152,13 +153,14 @@ def fit(
         if len(tracks) > 1:
             from .fit_many import fit_tracks
 
-            with _progress() as progress:
+            with _executor(scheduler) as executor, _progress() as progress:
                 many = fit_tracks(
                     tracks,
                     checked,
                     out,
                     force=force,
                     threads=threads or _cores(),
+                    executor=executor,
                     progress=progress,
                     command=_as_typed(),
                 )
