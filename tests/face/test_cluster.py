@@ -59,8 +59,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             time.sleep(0.1)
             yield json.loads(file.read_text())["address"]
         finally:
-            worker.terminate()
-            scheduler.terminate()
+            for process in (worker, scheduler):
+                process.kill()  # at once: they would wait for each other
 
 
 def invoke(*words: object) -> tuple[int, str]:
