@@ -227,7 +227,8 @@ def throw(
         checked = read_plan(plan)
         from .throw import throw as simulate
 
-        result = simulate(checked, out, force=force, command=_command("throw", plan, out, force))
+        with _announcing():
+            result = simulate(checked, out, force=force, command=_command("throw", plan, out, force))
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
         typer.echo(f"Look at it:  rerun {out / 'replay.rrd'}")
@@ -663,7 +664,8 @@ def check(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .check import check_clip
 
-        result = check_clip(checked, out, force=force, command=_as_typed())
+        with _announcing():
+            result = check_clip(checked, out, force=force, command=_as_typed())
         _print_check(result)
         if out is not None:
             typer.echo(f"See {out / 'check.html'}")
@@ -822,13 +824,11 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-    from .compiling import announced
-
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
     with (
         Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
-        announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)),
+        _announcing(),
     ):
         tasks: dict[str, TaskID] = {}
 
@@ -842,6 +842,15 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tell
         for task in tasks.values():
             bars.update(task, total=1, completed=1)
+
+
+@contextmanager
+def _announcing() -> Iterator[None]:
+    """Say in one line that kernels are compiled, in the first run of an installation."""
+    from .compiling import announced
+
+    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
+        yield
 
 
 @contextmanager
