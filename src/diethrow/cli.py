@@ -210,6 +210,7 @@ def fit(
     scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
     out: OutFolder,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     force: Force = False,
 ) -> None:
     """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
@@ -220,13 +221,14 @@ def fit(
         if len(tracks) > 1:
             from .fit_many import fit_tracks
 
-            with _progress() as progress:
+            with _executor(scheduler) as executor, _progress() as progress:
                 many = fit_tracks(
                     tracks,
                     checked,
                     out,
                     force=force,
                     threads=threads or _cores(),
+                    executor=executor,
                     progress=progress,
                     command=_as_typed(),
                 )
@@ -298,7 +300,8 @@ def throw(
         from .throw import throw as simulate
 
         command = (*_command("throw", plan, out, force), *_flag("--embed-replay", embed_replay))
-        result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
+        with _announcing():
+            result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
         typer.echo(f"Look at it:  diethrow replay {out} --open")
@@ -828,7 +831,8 @@ def check(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .check import check_clip
 
-        result = check_clip(checked, out, force=force, command=_as_typed())
+        with _announcing():
+            result = check_clip(checked, out, force=force, command=_as_typed())
         _print_check(result)
         if out is not None:
             typer.echo(f"See {out / 'check.html'}")
@@ -989,7 +993,10 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars:
+    with (
+        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
+        _announcing(),
+    ):
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, done: int, total: int) -> None:
@@ -1002,6 +1009,15 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tell
         for task in tasks.values():
             bars.update(task, total=1, completed=1)
+
+
+@contextmanager
+def _announcing() -> Iterator[None]:
+    """Say in one line that kernels are compiled, in the first run of an installation."""
+    from .compiling import announced
+
+    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
+        yield
 
 
 @contextmanager
