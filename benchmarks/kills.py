@@ -23,6 +23,8 @@ from pathlib import Path
 import numpy as np
 
 SAMPLE = Path(__file__).parents[1] / "data_samples" / "cube_wood_photron"
+SLOWEST_S = 60.0
+"""Of a whole batch, as far as the moments of the kills are drawn over it: a busy machine must not make them rare."""
 TABLES = ("track.csv", "track_frames.csv", "bounces.csv", "faces.csv", "vertices.csv", "track_covariance.npy")
 
 
@@ -40,13 +42,13 @@ def main() -> int:
         scenes = [shutil.copytree(SAMPLE, root / f"clip_{k}") / "scene.toml" for k in range(options.clips)]
         begin = time.monotonic()
         subprocess.run(batch(scenes, root / "whole", options.workers), check=True, capture_output=True)
-        whole_s = time.monotonic() - begin
+        whole_s = min(time.monotonic() - begin, SLOWEST_S)
         tally = dict.fromkeys(("batches killed", "workers killed", "batches done", "clips done", "faults"), 0)
         made = 0
         while made < options.kills:
             made += one_batch(scenes, root, options.kills - made, options.workers, whole_s, random, tally)
             shutil.rmtree(root / "out")
-            print(f"{made} kills: {tally}", flush=True)
+            print(f"{made} kills, a whole batch takes {whole_s:.0f} s: {tally}", flush=True)
     return 1 if tally["faults"] else 0
 
 

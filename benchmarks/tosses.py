@@ -1,6 +1,6 @@
 """Real tosses: single impacts and whole throws foretold, by this model and by MuJoCo tuned on the same tosses.
 
-    python benchmarks/tosses.py DATA [--tosses 360] [--folds 2] [--mujoco] [--threads 2]
+    python benchmarks/tosses.py DATA [--tosses 360] [--folds 2] [--parts impacts throws mujoco] [--threads 2]
 
 DATA holds `scene.toml` and `toss_*.csv` (columns of track.csv). Every figure is of tosses that were not in the fit: they
 are dealt into folds, and each fold is foretold with what was fitted to the others.
@@ -13,7 +13,7 @@ are dealt into folds, and each fold is foretold with what was fitted to the othe
 3. Where the last of these throws miss: the same by the time since the first bounce.
 
 MuJoCo (`pip install mujoco`) gets a box, or a sphere in each corner, with solref, friction, size and inertia tuned by
-Nelder and Mead's method, and then the spheres once more with their centre of mass where the fit of the same throws has it.
+Nelder and Mead's method, and then the spheres once more with the centre of mass that the flights show.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from scipy.optimize import least_squares, minimize
 
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import fit_jointly
-from diethrow.fitting.joint_effects import EFFECTS
+from diethrow.fitting.joint_effects import EFFECTS, load_in_flight
 from diethrow.fitting.outset import Outset, outset_before
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
@@ -55,6 +55,9 @@ CLEAR_M = 0.004
 """Height of the second lowest corner above which an impact is that of one corner alone."""
 
 
+PARTS = ("impacts", "throws", "mujoco")
+
+
 @dataclass(frozen=True, eq=False)
 class FirstImpact:
     """The flights before and after, told from frames on their own side."""
@@ -69,16 +72,18 @@ def main() -> None:
     parser.add_argument("--tosses", type=int, default=None, help="use only so many, evenly spread")
     parser.add_argument("--folds", type=int, default=2)
     parser.add_argument("--threads", type=int, default=2)
-    parser.add_argument("--mujoco", action="store_true")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS[:2])
     options = parser.parse_args()
     die = read_scene(options.data / "scene.toml").die
     entries = read_entries(options.data, die, options.tosses)
     print(f"{len(entries)} tosses")
-    first_impacts(entries, die, options.folds)
-    fits = whole_throws(entries, die, options.folds, options.threads)
-    where_they_miss(entries, fits)
-    if options.mujoco:
-        mujoco_throws(entries, die, fits)
+    if "impacts" in options.parts:
+        first_impacts(entries, die, options.folds)
+    if "throws" in options.parts:
+        fits = whole_throws(entries, die, options.folds, options.threads)
+        where_they_miss(entries, fits)
+    if "mujoco" in options.parts:
+        mujoco_throws(entries, die, options.folds)
 
 
 def read_entries(folder: Path, die: Die, count: int | None) -> list[Entry]:
@@ -188,9 +193,12 @@ def cross_validated(impacts: Sequence[FirstImpact], start: Physics, folds: int) 
 # --- whole throws ---
 
 
+HEADING = f"\nwhole throws                    {'after the bounce':>22} {'all frames':>20}   fit [s]"
+
+
 def whole_throws(entries: Sequence[Entry], die: Die, folds: int, threads: int) -> list[Physics]:
     """The second table; returns the last of its laws for each fold."""
-    print(f"\nwhole throws                    {'after the bounce':>22} {'all frames':>20}   fit [s]")
+    print(HEADING)
     fair = tuple(effect for effect in EFFECTS if effect != "loaded die")
     for name, effects in (
         ("frictionless", ()),
@@ -269,18 +277,20 @@ MUJOCO_STEP_S = 1e-3
 MUJOCO_TRIALS = 120
 
 
-def mujoco_throws(entries: Sequence[Entry], die: Die, fits: Sequence[Physics]) -> None:
-    """The same tosses in MuJoCo, each fold with what was tuned on the others."""
+def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
+    """The same tosses in MuJoCo, each fold with what was tuned on the others; the load as the flights of those show it."""
+    print(HEADING)
     spheres = MUJOCO_STARTS["MuJoCo, a sphere in each corner"]
-    for name, start in {**MUJOCO_STARTS, "the same, loaded as fitted here": spheres}.items():
+    for name, start in {**MUJOCO_STARTS, "the same, loaded": spheres}.items():
         errors, seconds = [], 0.0
-        for k, physics in enumerate(fits):
-            load = physics.body.centre_of_mass_m if name.startswith("the same") else None
+        for k in range(folds):
+            rest = others(entries, k, folds)
+            load = load_in_flight(rest) if name.startswith("the same") else None
             begin = time.perf_counter()
-            tuned = mujoco_tuned(others(entries, k, len(fits)), die, start, load)
+            tuned = mujoco_tuned(rest, die, start, load)
             seconds += time.perf_counter() - begin
-            errors += mujoco_errors(entries[k :: len(fits)], die, tuned, load)
-        print_errors(name, errors, seconds / len(fits))
+            errors += mujoco_errors(entries[k::folds], die, tuned, load)
+        print_errors(name, errors, seconds / folds)
         print("   ", np.array2string(tuned, precision=4), flush=True)
 
 

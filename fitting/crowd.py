@@ -51,7 +51,7 @@ def entry_of(name: str, track: Track, die: Die) -> Entry:
     """A throw as a joint fit wants it. Raises ValueError, with the name, where its track does not allow it."""
     try:
         row = first_bounce_row(track, die)
-        rows = usable_rows(track)
+        rows = usable_rows(track, die)
         outset = outset_before(track, die, row)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error

@@ -49,6 +49,10 @@ _NEAR_TABLE = 0.5
 _LEAST = (1e-6, 1e-5)
 """[m], [rad] smallest scatter believed: a track printed with six digits has no less."""
 
+_SUNK = 0.25
+"""Part of the inscribed radius by which a pose may have its lowest corner below the table: what rounding of corners and
+depth errors of a camera do; a pose that is worse is none."""
+
 _AHEAD = 1.25
 """How many times its own frames a flight may foretell before it is fitted anew. A frame that misses by half of what ends
 a flight is asked again of all before it."""
@@ -117,26 +121,38 @@ class Outset:
         )
 
 
-def usable_rows(track: Track) -> Indices:
-    """Rows of a track that carry a pose. Raises ValueError for times that do not rise."""
+def usable_rows(track: Track, die: Die) -> Indices:
+    """Rows of a track that carry a pose over the table. Raises ValueError for times that do not rise.
+
+    A die that only comes into view is at times seen deep in the table, by frames that agree with each other.
+    """
     poses = np.hstack([track.position_m, track.quaternion])
     rows = np.flatnonzero(track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s))
     back = np.flatnonzero(np.diff(track.time_s[rows]) <= 0.0)
     if len(back):
         at = track.time_s[rows[back[0] + 1]]
         raise ValueError(f"t_s = {at:g} does not rise; wanted times in order, so sort the track or cut it there")
-    return rows
+    turned = matrix_from_quat(track.quaternion[rows])[:, 2] @ touching_vertices(die).T
+    lowest = turned.min(axis=1, initial=np.inf) + track.position_m[rows, 2] - die.corner_radius_m
+    return rows[lowest > -_SUNK * die.solid.inradius]
 
 
 def first_bounce_row(track: Track, die: Die) -> int:
     """Row of the first frame after the first bounce. Raises ValueError where the track shows none, or begins too late."""
-    rows = usable_rows(track)
+    rows = usable_rows(track, die)
     if len(rows) < FEWEST + 1:
         raise ValueError(f"{len(rows)} frames carry a pose; wanted at least {FEWEST + 1}, before a bounce and after it")
-    ended = flight_length(track, die, rows)
-    if ended == len(rows):
-        raise ValueError("the die never bounces: all frames make one flight; wanted a track that reaches the table")
-    return int(rows[ended])
+    begin = 0
+    while len(rows) - begin > FEWEST:
+        end = begin + flight_length(track, die, rows[begin:])
+        if end == len(rows):
+            break
+        if not _gap_after(track, rows, end - 1):
+            return int(rows[end])
+        begin = end
+    raise ValueError(
+        "the die never bounces: frames show no flight that ends at the table; wanted a track that reaches it"
+    )
 
 
 def outset_before(track: Track, die: Die, row: int) -> Outset:
@@ -146,7 +162,7 @@ def outset_before(track: Track, die: Die, row: int) -> Outset:
 
     Raises ValueError where the flight shows fewer than three frames, and where the die no longer flies.
     """
-    rows = usable_rows(track)
+    rows = usable_rows(track, die)
     rows = rows[rows < row]
     begin, first = 0, None
     # Forwards from the first frame: three frames that a bounce parts would pass for a flight of their own.
@@ -182,10 +198,9 @@ def outset_of(track: Track, rows: Indices) -> Outset:
 
 def flight_length(track: Track, die: Die, rows: Indices) -> int:
     """How many of `rows` (three or more) the flight at their beginning lasts."""
-    interval = float(np.median(np.abs(np.diff(track.time_s[rows]))))
     motion, ended = _Motion.through(track, rows[:FEWEST]), len(rows)
     for n in range(FEWEST, len(rows)):
-        if abs(track.time_s[rows[n]] - track.time_s[rows[n - 1]]) > _GAP * interval:
+        if _gap_after(track, rows, n - 1):
             return n
         if n > _AHEAD * motion.frames:
             motion = _Motion.through(track, rows[:n], motion)
@@ -205,6 +220,12 @@ def flight_length(track: Track, die: Die, rows: Indices) -> int:
     return ended
 
 
+def _gap_after(track: Track, rows: Indices, k: int) -> bool:
+    """Whether frames are missing between one of the rows and the next."""
+    interval = float(np.median(np.diff(track.time_s[rows])))
+    return bool(track.time_s[rows[k + 1]] - track.time_s[rows[k]] > _GAP * interval)
+
+
 @dataclass(frozen=True, eq=False)
 class _Motion:
     """The flight nearest to some frames, and how well they know it."""
@@ -221,7 +242,7 @@ class _Motion:
         """The flight of these rows; a guess is that of fewer of them."""
         state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
         known = [jacobian[:, part][:, :, columns].reshape(-1, 6) for part, columns in _PARTS]
-        spreads = [np.linalg.pinv(k.T @ k, hermitian=True) for k in known]
+        spreads = [np.asarray(np.linalg.pinv(k.T @ k, hermitian=True), dtype=np.float64) for k in known]
         return cls(state, len(rows), _scatter(errors), (spreads[0], spreads[1]))
 
     def miss(self, track: Track, row: np.int64) -> float:

@@ -24,7 +24,7 @@ from ..model.bodies import body_of, kernel_starts, touching_vertices, world_pose
 from ..model.ensembles import Stage
 from ..model.motion import State
 from ..model.rotations import matrix_from_quat
-from ..model.simulate import BOUNCING_CAP, IMPACT_CAP, Until
+from ..model.simulate import BOUNCING_CAP, IMPACT_CAP, Precision, Until
 from ..model.solids import Die
 from ..model.touch import packed_state
 from ..tracking.track import ABSENT, TRACKED, Track
@@ -213,7 +213,7 @@ def decided_at(
     rested = resting_face(track, physics.die)
     if rested is not None:
         lies = {face: float(face == rested) for face in range(1, len(physics.die.solid.faces) + 1)}
-        end_s = float(track.time_s[usable_rows(track)[-1]])
+        end_s = float(track.time_s[usable_rows(track, physics.die)[-1]])
         steps.append(Odds(flights[-1][0] + 1, end_s, 0, lies, 0.0))
     settled = None
     for step in reversed(steps):
@@ -233,7 +233,7 @@ def _flights_from(track: Track, physics: Physics, row: int) -> list[tuple[int, O
     """
     first = outset_before(track, physics.body, row)
     found = [(0, first)]
-    rows = usable_rows(track)
+    rows = usable_rows(track, physics.die)
     begin, bounces = int(np.searchsorted(rows, row)), 1
     while len(rows) - begin >= FEWEST:
         end = begin + flight_length(track, physics.die, rows[begin:])
@@ -261,5 +261,5 @@ def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Ge
 def _landing(physics: Physics, state: State) -> int:
     """The face on which one throw lands; 0 for none."""
     start = lifted(physics, in_true_units(physics, state))
-    stage = Stage(physics.body, physics.law, physics.plane)
+    stage = Stage(physics.body, physics.law, physics.plane, Precision(switch=QUICK.switch, turn_rad=QUICK.turn))
     return int(stage.throw(packed_state(start)[None]).face[0])

@@ -288,16 +288,16 @@ class _Move:
     def _entity(self, path: str) -> str | None:
         if path == "/world" or path.startswith(SHARED):
             return None
-        if not self.same_throw:
-            root, _, rest = path.removeprefix("/").partition("/")
-            return f"/report/{self.read.name}" if root == "report" else f"/{root}/{self.read.name}/{rest}"
         parts = path.split("/")
+        if path.startswith("/report"):
+            return f"/report/{self.read.name}"
+        if not self.same_throw:
+            kind = 3 if path.startswith("/plots") else 2
+            return "/".join([*parts[:kind], self.read.name, *parts[kind:]])
         if "simulated" in parts:
             return "/".join(self.read.name if part == "simulated" else part for part in parts)
         if path.startswith(("/plots/residual", "/plots/chi/estimate", "/plots/odds", "/events/told")):
             return "/".join([*parts[:3], self.read.name, *parts[3:]])
-        if path.startswith("/report"):
-            return f"/report/{self.read.name}"
         return path if self.first else None
 
     def _colours(self, values: list[int]) -> list[int]:
@@ -371,7 +371,7 @@ def _send_lowest(
             )
             recording.log(entity, rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
             times, frames = _times(batch, "t") + shift[0], _times(batch, "frame") + shift[1]
-            index = on_frames(frames, np.asarray(1e-9 * times, np.float64))
+            index = on_frames(frames, 1e-9 * times.astype(np.float64))
             lowest = [min(row) for row in batch.column("Scalars:scalars").to_pylist()]
             columns = rr.Scalars.columns(scalars=lowest)
             recording.send_columns(entity, index if keeps_frames else index[1:], columns)

@@ -115,7 +115,7 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
         rrb.Horizontal(
             *(
                 plot(
-                    f"plots/residual/{_residual(joined, cast, f'{what}_sigmas')}",
+                    f"plots/residual/{cast.name}/{what}_sigmas",
                     f"{cast.title}: {what} [standard errors]",
                     (-5, 5),
                 )
@@ -127,15 +127,11 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
     ]
     together = rrb.TimeSeriesView(
         origin="plots/residual",
-        contents=[f"+ plots/residual/{_residual(joined, cast, 'rms_sigmas')}" for cast in joined.cast],
+        contents=[f"+ plots/residual/{cast.name}/rms_sigmas" for cast in joined.cast],
         name="All six, whitened: root mean square [standard errors]; noise alone gives 1",
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
     return rrb.Vertical(together, *rows, name="Residuals")
-
-
-def _residual(joined: Joined, cast: Cast, what: str) -> str:
-    return f"{what}/{cast.name}" if joined.same_throw else f"{cast.name}/{what}"
 
 
 def _fit_tab(joined: Joined) -> rrb.Container:

@@ -71,8 +71,7 @@ def short_verdict(record: Record) -> str:
         return "no model fitted"
     if not bounces or not fit.bounces_fitted:
         return "no bounce explained" if bounces else "no bounce seen"
-    share = "all" if fit.bounces_fitted == bounces else f"{fit.bounces_fitted} of"
-    return f"{share} {plural(bounces, 'bounce')} explained"
+    return f"{fit.bounces_fitted} of {plural(bounces, 'bounce')} explained"
 
 
 def bounce_sentence(number_: int, impact: Impact) -> str:
@@ -94,29 +93,26 @@ def impulse_of(impact: Impact) -> str:
 
 def estimate_sentence(estimate: Estimate) -> str:
     """What is known after so many bounces, on one line of the event log."""
-    text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(estimate.chi)}"
+    chi = estimate.chi
+    text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(chi.value, chi.low, chi.high)}"
     if odds := estimate.face_odds:
         likeliest = max(odds, key=lambda face: odds[face])
         text += f", lands on face {likeliest} with odds of {odds[likeliest]:.2f}"
     return text
 
 
-def short_interval(parameter: Parameter) -> str:
+def short_interval(value: float | None, low: float | None, high: float | None) -> str:
     """`0.583 (0.580 to 0.586)`, with the decimals that the interval deserves."""
-    if parameter.value is None or parameter.low is None or parameter.high is None:
-        return number(parameter.value)
-    decimals = decimals_for(parameter.high - parameter.low)
-    low, high = fixed(parameter.low, decimals), fixed(parameter.high, decimals)
-    return f"{fixed(parameter.value, decimals)} ({low} to {high})"
+    if value is None or low is None or high is None or not np.isfinite([value, low, high]).all():
+        return number(value)
+    decimals = decimals_for(high - low)
+    return f"{fixed(value, decimals)} ({fixed(low, decimals)} to {fixed(high, decimals)})"
 
 
 def chi_of(impact: Impact) -> str:
     """The apparent restitution of one bounce with its interval, short."""
-    if not np.isfinite([impact.chi, impact.chi_low, impact.chi_high]).all():
-        return number(impact.chi, 3)
-    decimals = decimals_for(impact.chi_high - impact.chi_low)
-    low, high = fixed(impact.chi_low, decimals), fixed(impact.chi_high, decimals)
-    return f"{fixed(impact.chi, decimals)} ({low} to {high})"
+    known = np.isfinite([impact.chi_low, impact.chi_high]).all()
+    return short_interval(impact.chi, impact.chi_low, impact.chi_high) if known else number(impact.chi, 3)
 
 
 def markdown(record: Record, display: tuple[str, ...] = ()) -> str:

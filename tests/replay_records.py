@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from diethrow.fitting.growing import Estimate
 from diethrow.fitting.results import Effect, Fit, Parameter
 from diethrow.model.motion import Flight, Impact, State, Throw, energy_J
 from diethrow.model.rotations import continuous_sign, quat_from_matrix, quat_from_rotvec, quat_multiply
@@ -160,6 +161,11 @@ def fit(**changes: Any) -> Fit:
     return replace(found, **changes)
 
 
+def estimates() -> tuple[Estimate, ...]:
+    """What was known after the one bounce."""
+    return (Estimate(1, IMPACT_S, Parameter(0.583, 0.58, 0.586, 0.95, True, False), {1: 0.0, 2: 0.25, 3: 0.75}),)
+
+
 def record(**changes: Any) -> Record:
     """Everything at once: clip, camera, fit and both tracks."""
     whole = Record(
@@ -172,6 +178,7 @@ def record(**changes: Any) -> Record:
         camera=camera(),
         fit=fit(),
         simulated=track(1e-5, gaps=False),
+        estimates=estimates(),
         notices=("The last frame is cut off.",),
     )
     return replace(whole, **changes)

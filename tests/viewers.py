@@ -33,7 +33,7 @@ from rerun.experimental import ViewerClient
 from diethrow.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
 
 NEEDED = "DIETHROW_NEEDS_VIEWERS"
-WINDOW = (1200, 800)
+WINDOW = (1000, 700)
 PATIENCE_S = 60.0
 """Drawing takes seconds on one core that nothing else wants, and many times that on a busy machine."""
 

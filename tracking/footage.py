@@ -154,7 +154,7 @@ def check_size(path: Path, width_px: int, height_px: int) -> None:
 def check_count(path: Path, count: int) -> None:
     """Raise ValueError for more frames than any camera holds, before memory is taken for their times."""
     if count > MOST_FRAMES:
-        raise ValueError(f"{path.name}: {count} frames; the header is broken, or this is not a film")
+        raise ValueError(f"{path.name}: the header declares {count} frames; it is broken, or this is not a film")
 
 
 def cut_off(path: Path, number: int) -> ValueError:

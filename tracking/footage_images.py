@@ -32,17 +32,8 @@ LARGEST_PICTURE_BYTES = 2**29
 MOST_SQUEEZED = 5000
 """Pixels that one byte of a file can stand for at most: no codec of TIFF packs a flat picture tighter."""
 PNG_START = b"\x89PNG\r\n\x1a\n"
-TIFF_DAMAGE = (
-    tifffile.TiffFileError,
-    ValueError,
-    IndexError,
-    KeyError,
-    TypeError,
-    NotImplementedError,
-    struct.error,
-    zlib.error,
-)
-"""What tifffile raises on a damaged file, depending on which tag is missing."""
+TIFF_DAMAGE = Exception
+"""What tifffile raises on a damaged file: whatever its arithmetic on damaged tags comes to, division by zero among it."""
 
 
 def open_pictures(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
@@ -270,7 +261,7 @@ def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
     with path.open("rb") as file:
         try:
             tiff = _first_page_read(file, path.name)
-        except (*TIFF_DAMAGE, OSError) as error:
+        except TIFF_DAMAGE as error:
             raise ValueError(f"{path.name}: the TIFF is damaged from its first page on; save it again") from error
         yield tiff
 
@@ -278,9 +269,12 @@ def _opened_tiff(path: Path) -> Iterator[tifffile.TiffFile]:
 @_quiet()
 def _page_count(tiff: tifffile.TiffFile) -> int:
     """Pages, or the pictures behind one page (ImageJ describes a stack above 4 GB by its first page only)."""
-    pages = len(tiff.pages)
-    if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
-        return max(1, int(tiff.series[0].size // tiff.pages.first.size))
+    try:
+        pages = len(tiff.pages)
+        if pages == 1 and tiff.is_imagej and tiff.series[0].dataoffset is not None:
+            return max(1, int(tiff.series[0].size // tiff.pages.first.size))
+    except TIFF_DAMAGE as error:
+        raise ValueError(f"{tiff.filename}: the TIFF is damaged, its pages cannot be counted; save it again") from error
     return pages
 
 
@@ -304,19 +298,22 @@ def _page_end(tiff: tifffile.TiffFile, number: int) -> float:
     try:
         page = tiff.pages[number]
         return max((o + n for o, n in zip(page.dataoffsets, page.databytecounts, strict=True)), default=np.inf)
-    except (*TIFF_DAMAGE, OSError):
+    except TIFF_DAMAGE:
         return np.inf
 
 
 @_quiet()
 def _chain_ends(tiff: tifffile.TiffFile) -> bool:
     """Whether the last page says that no page follows, as it does in a whole file."""
-    last, form = tiff.pages[-1], tiff.tiff
-    file = tiff.filehandle
-    file.seek(last.offset)
-    tags = int.from_bytes(file.read(form.tagnosize), "little" if tiff.byteorder == "<" else "big")
-    file.seek(last.offset + form.tagnosize + tags * form.tagsize)
-    return not any(file.read(form.offsetsize))
+    try:
+        last, form = tiff.pages[-1], tiff.tiff
+        file = tiff.filehandle
+        file.seek(last.offset)
+        tags = int.from_bytes(file.read(form.tagnosize), "little" if tiff.byteorder == "<" else "big")
+        file.seek(last.offset + form.tagnosize + tags * form.tagsize)
+        return not any(file.read(form.offsetsize))
+    except TIFF_DAMAGE:
+        return False
 
 
 @_quiet()
@@ -331,13 +328,16 @@ def _page_pixels(path: Path, tiff: tifffile.TiffFile, number: int) -> Frame:
         if len(pixels) < np.prod(first.shape):
             raise cut_off(path, number)
         return to_grey(path, pixels.reshape(first.shape), bgr=False)
-    page = tiff.pages[number]
+    try:
+        page = tiff.pages[number]
+    except TIFF_DAMAGE as error:
+        raise ValueError(f"{path.name}: page {number} is damaged or was cut off; save the TIFF again") from error
     _check_page_size(path, page)
     try:
         pixels = page.asarray()
-    except (*TIFF_DAMAGE, OSError) as error:
+    except TIFF_DAMAGE as error:
         return _page_by_opencv(path, number, error)
-    if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE:
+    if page.photometric == tifffile.PHOTOMETRIC.MINISWHITE and pixels.dtype.kind == "u":
         pixels = np.iinfo(pixels.dtype).max - pixels
     return to_grey(path, pixels, bgr=False)
 
@@ -349,11 +349,17 @@ def _check_page_size(path: Path, page: Any) -> None:
             f"{path.name}: a page of {page.imagewidth} × {page.imagelength} px; the TIFF is damaged, save it again"
         )
     check_size(path, page.imagewidth, page.imagelength)
-    if not 0 < page.nbytes <= MOST_SQUEEZED * path.stat().st_size:
+    asked = page.imagewidth * page.imagelength * max(_number_of(page.samplesperpixel), _number_of(page.imagedepth))
+    if not 0 < asked <= MOST_SQUEEZED * path.stat().st_size:
         raise ValueError(
-            f"{path.name}: a page asks for {page.nbytes} bytes, and the file has {path.stat().st_size}; the TIFF is damaged, "
+            f"{path.name}: a page asks for {asked} numbers, and the file has {path.stat().st_size} bytes; the TIFF is damaged, "
             "save it again"
         )
+
+
+def _number_of(tag: Any) -> int:
+    """The value of a tag that holds one number above zero; 1 for what damage has made of it."""
+    return tag if isinstance(tag, int) and tag > 0 else 1
 
 
 def _page_by_opencv(path: Path, number: int, error: Exception) -> Frame:

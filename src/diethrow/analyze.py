@@ -20,7 +20,7 @@ from .fitting.results import Fit
 from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
-from .outputs import whole_folder
+from .outputs import ROOM_BYTES, demand_room, whole_folder
 from .provenance import InputFile, Stopwatch, add_timings, steady, write_provenance
 from .records import (
     covariance_path,
@@ -441,6 +441,7 @@ def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:
 
 
 def _write_recording(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+    demand_room(folder, _replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
         write_recording(folder / "replay.rrd", record)
@@ -457,6 +458,12 @@ def _write_pages(
         if shown.figures:
             write_figures(folder / "figures", record, account)
     add_timings(folder / "provenance.json", watch.seconds)
+
+
+def _replay_bytes(record: Record) -> int:
+    """More than a recording and a report take: 2 kB a frame beside the film, and a twentieth of its pixels."""
+    film = record.clip.width_px * record.clip.height_px * len(record.clip) // 20 if record.clip is not None else 0
+    return ROOM_BYTES + 2048 * len(record.track) + film
 
 
 def _same_command(

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .fit_many import FitOfMany
     from .fitting.results import Parameter
     from .fitting.whole_throw import IntervalMethod
+    from .replay.trade_page import Trade
     from .replays import ThrowRecording
     from .tracking.quality import Quality
 
@@ -113,6 +114,14 @@ def analyze(
     every: Every = 1,
     shrink: Shrink = 1,
     intervals: Intervals = "profile",
+    chi_within: Annotated[
+        float | None,
+        typer.Option("--chi-within", metavar="WIDTH", help="Use the fastest setting that gives χ to ± so much."),
+    ] = None,
+    trade_file: Annotated[
+        Path | None,
+        typer.Option("--trade", metavar="TRADE.json", help="What diethrow trade measured on such a scene."),
+    ] = None,
     embed_replay: EmbedReplay = False,
     figures: Figures = False,
     allow_outside: AllowOutside = False,
@@ -130,6 +139,14 @@ def analyze(
 
         with _options_that_fit():
             chosen, method = _quality(quality), _interval_method(intervals)
+        with _progress() as progress:
+            if chi_within is not None:
+                from .trade import setting_for
+
+                quality, less = setting_for(checked, chi_within, trade_file, progress)
+                chosen, every, shrink = _quality(quality), less.every, less.shrink
+                told = f"--quality {quality} --every {every} --shrink {shrink}"
+                typer.echo(f"diethrow: for χ to ±{chi_within:g} chosen: {told}", err=True)
         how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         how = (*how, *_given("--intervals", intervals, "profile"))
         drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
@@ -193,6 +210,7 @@ def fit(
     scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
     out: OutFolder,
     threads: Threads = None,
+    scheduler: Scheduler = None,
     force: Force = False,
 ) -> None:
     """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
@@ -203,13 +221,14 @@ def fit(
         if len(tracks) > 1:
             from .fit_many import fit_tracks
 
-            with _progress() as progress:
+            with _executor(scheduler) as executor, _progress() as progress:
                 many = fit_tracks(
                     tracks,
                     checked,
                     out,
                     force=force,
                     threads=threads or _cores(),
+                    executor=executor,
                     progress=progress,
                     command=_as_typed(),
                 )
@@ -281,7 +300,8 @@ def throw(
         from .throw import throw as simulate
 
         command = (*_command("throw", plan, out, force), *_flag("--embed-replay", embed_replay))
-        result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
+        with _announcing():
+            result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
         face = "open" if result.landed_face is None else result.landed_face
         typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
         typer.echo(f"Look at it:  diethrow replay {out} --open")
@@ -754,6 +774,43 @@ def rerun(
             raise typer.Exit(FAILED)
 
 
+@app.command(
+    epilog="Example:  diethrow trade clips/cube_wood/scene.toml --chi-within 0.01 --out out/trade; then  "
+    "diethrow analyze clips/another/scene.toml --chi-within 0.01 --trade out/trade/trade.json --out out/another"
+)
+def trade(
+    scene: SceneFile,
+    out: OutFolder,
+    chi_within: Annotated[
+        float, typer.Option("--chi-within", metavar="WIDTH", help="How well χ is wanted: ± so much.")
+    ] = 0.01,
+    coverage: Annotated[
+        int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks for each coverage; 0: none.")
+    ] = 20,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """Speed against accuracy on one scene, measured: tracking, fit and model from coarse to fine, and what to use."""
+    with _one_sentence_errors():
+        from .scene import read_scene
+
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from .trade import trade as measure_trade
+
+        with _progress() as progress:
+            result = measure_trade(
+                checked,
+                out,
+                within=chi_within,
+                draws=coverage,
+                force=force,
+                progress=progress,
+                command=(*_command("trade", scene, out, force, allow_outside), "--chi-within", str(chi_within)),
+            )
+        _print_trade(result)
+        typer.echo(f"See {out / 'trade.html'}")
+
+
 @app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
 def check(
     scene: SceneFile,
@@ -774,7 +831,8 @@ def check(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .check import check_clip
 
-        result = check_clip(checked, out, force=force, command=_as_typed())
+        with _announcing():
+            result = check_clip(checked, out, force=force, command=_as_typed())
         _print_check(result)
         if out is not None:
             typer.echo(f"See {out / 'check.html'}")
@@ -935,7 +993,10 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars:
+    with (
+        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
+        _announcing(),
+    ):
         tasks: dict[str, TaskID] = {}
 
         def tell(stage: str, done: int, total: int) -> None:
@@ -948,6 +1009,15 @@ def _progress() -> Iterator[Callable[[str, int, int], None]]:
         yield tell
         for task in tasks.values():
             bars.update(task, total=1, completed=1)
+
+
+@contextmanager
+def _announcing() -> Iterator[None]:
+    """Say in one line that kernels are compiled, in the first run of an installation."""
+    from .compiling import announced
+
+    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
+        yield
 
 
 @contextmanager
@@ -1021,21 +1091,17 @@ def _print_throws(found: Sequence[ThrowRecording]) -> None:
     from rich.console import Console
     from rich.table import Table
 
+    from .replay.words import short_interval
+
     table = Table(box=None, pad_edge=False)
-    for name in ("throw", "χ", "95 % interval", "bounces", "σ", "face", "verdict"):
-        table.add_column(name, justify="left" if name in ("throw", "verdict") else "right", no_wrap=True)
+    for name in ("throw", "χ (95 % interval)", "σ", "face", "verdict"):
+        table.add_column(name, no_wrap=name != "throw", overflow="fold")
     for one in found:
         said = one.properties
-        chi, low, high, rms = (said.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
-        table.add_row(
-            one.name,
-            "" if chi is None else f"{chi:.5g}",
-            "" if low is None or high is None else f"{low:.5g} to {high:.5g}",
-            str(said.get("bounces", "")),
-            "" if rms is None else f"{rms:.2f}",
-            str(said.get("landed_face", "")),
-            str(said.get("verdict", "")),
-        )
+        chi = short_interval(*(said.get(name) for name in ("chi", "chi_low", "chi_high")))
+        rms = said.get("residual_rms")
+        cells = ("" if rms is None else f"{rms:.2f}", str(said.get("landed_face", "")), str(said.get("verdict", "")))
+        table.add_row(one.name, chi if "chi" in said else "", *cells)
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
@@ -1044,6 +1110,26 @@ def _with_interval(parameter: Parameter) -> str:
     if parameter.low is None or parameter.high is None or parameter.level is None:
         return f"{parameter.value:.4g}, no interval"
     return f"{parameter.value:.4g}  ({100 * parameter.level:.0f} %: {parameter.low:.4g} to {parameter.high:.4g})"
+
+
+def _print_trade(result: Trade) -> None:
+    """Every setting in a line, those on the front marked, and the one to use."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "setting", "a second", "χ", "±", "off by", "coverage"):
+        table.add_column(heading)
+    for s in result.settings:
+        chi = "" if s.chi is None else f"{s.chi:.5f}"
+        width = "" if s.half_width is None else f"{s.half_width:.1e}"
+        off = s.error if s.kind == "model" else s.chi_error
+        covered = "" if s.coverage is None else f"{s.coverage:.0%}"
+        wrong = "" if off is None else f"{off:.1e}"
+        table.add_row("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console.print(table)
+    console.print(result.advice)
 
 
 def _print_check(result: Check) -> None:

@@ -16,7 +16,7 @@ def announced(say: Callable[[str], None]) -> Iterator[None]:
     from numba.core import event
     from numba.core.caching import NullCache
 
-    class Announcement(event.Listener):  # type: ignore[misc]
+    class Announcement(event.Listener):
         def __init__(self) -> None:
             self.said = False
 

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
@@ -70,12 +70,7 @@ class Processes(Executor):
         workers = list(self._all)
         for worker in workers:
             worker.process.terminate()
-
-        def kill() -> None:
-            for worker in workers:
-                worker.process.kill()
-
-        slow = threading.Timer(SECONDS_TO_STOP, kill)
+        slow = threading.Timer(SECONDS_TO_STOP, _kill, [workers])
         slow.start()
         self._threads.shutdown(wait=True)
         slow.cancel()
@@ -136,6 +131,11 @@ class _Worker:
             return f"exit status {code}"
         hint = ", perhaps for want of memory" if -code == 9 else ""
         return f"{signal.Signals(-code).name}{hint}"
+
+
+def _kill(workers: Iterable[_Worker]) -> None:
+    for worker in workers:
+        worker.process.kill()
 
 
 def _serve(pipe: Connection) -> None:

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,13 @@ def fit_tracks(
     *,
     force: bool = False,
     threads: int = 1,
+    executor: Executor | None = None,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> FitOfMany:
     """Fit what several tracks share, and write it to the folder `out`.
+
+    With an `executor`, one of its workers makes the fit, on so many threads; the numbers are the same.
 
     Tracks without a bounce, with times that do not rise or with too few frames are left out and named. Raises RunError
     where fewer than two remain, SceneError for a scene that cannot be fitted, OutputExistsError for a folder that exists.
@@ -60,12 +64,16 @@ def fit_tracks(
                 error.add_note(sentence)
             raise error
         with watch.stage("fit"):
-            fit = fit_jointly(
-                entries,
-                scene.die,
-                threads=threads,
-                progress=lambda done, total: progress("Fitting all throws", done, total),
-            )
+            if executor is None:
+                fit = fit_jointly(
+                    entries,
+                    scene.die,
+                    threads=threads,
+                    progress=lambda done, total: progress("Fitting all throws", done, total),
+                )
+            else:
+                progress("Fitting all throws", 0, 0)
+                fit = executor.submit(fit_jointly, entries, scene.die, threads=threads).result()
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_json(folder / "fit.json", joint_tables(fit, left_out))
         write_provenance(

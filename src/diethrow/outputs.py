@@ -34,6 +34,8 @@ DISK_ERRORS = {
     errno.EFBIG: "the file is larger than allowed here",
     errno.EROFS: "the disk can only be read",
 }
+ROOM_BYTES = 2**24
+"""A disk with less room than this is full: small results fit, and nothing is half-written."""
 LOCKLESS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 """What file systems say that know no locks; there, runs are not kept apart."""
 
@@ -180,8 +182,22 @@ def refuse_existing(folder: Path, *, force: bool = False, inputs: Iterable[Path]
             raise OutputExistsError(f"{folder} holds {kept}, which must stay; wanted another folder, try another --out")
 
 
+def demand_room(output: Path, room_bytes: int) -> None:
+    """Raises OutputPlaceError where the disk of `output`, which is being made, has less room than that.
+
+    Asked before much is written: not every library says that the disk is full, the one that writes recordings waits.
+    """
+    free = shutil.disk_usage(output.parent).free
+    if free < room_bytes:
+        raise OutputPlaceError(
+            f"{output} was not written: the disk is full, {1e-6 * free:.0f} MB are free and {1e-6 * room_bytes:.0f} MB are "
+            "wanted; make room, or try another --out"
+        )
+
+
 def _folder_beside(output: Path) -> Path:
     """A new, empty folder next to an output, on the same disk."""
+    demand_room(output, ROOM_BYTES)
     with _place_errors_told(output):
         return Path(tempfile.mkdtemp(prefix=f".{output.name}.", suffix=".part", dir=output.parent))
 

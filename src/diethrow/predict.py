@@ -60,8 +60,8 @@ def predict_tracks(
     """Foretell every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write what came out.
 
     One track: `out` is a CSV, and a JSON beside it. Several: a folder with both for each. Returns the predictions and a
-    sentence for each track that could not be foretold; raises RunError where none could, ValueError for a fit that is
-    none or a frame that is no number.
+    sentence for what they leave out, effects of the fit and tracks that could not be foretold; raises RunError where
+    none could, ValueError for a fit that is none or a frame that is no number.
     """
     physics, parameters = physics_of(fit_path, scene)
     if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
@@ -86,7 +86,15 @@ def predict_tracks(
             made, left_out = foretold()
             for one in made:
                 _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
-    return tuple(made), tuple(left_out)
+    return tuple(made), (*_notices(physics), *left_out)
+
+
+def _notices(physics: Physics) -> tuple[str, ...]:
+    """What of the fit has no part in a prediction."""
+    drag = physics.values.get("drag_per_m", 0.0)
+    if not drag:
+        return ()
+    return (f"The air drag of the fit, {drag:.3g} per metre, is left out: throws are simulated in a vacuum.",)
 
 
 def _foretold(

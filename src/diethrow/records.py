@@ -64,6 +64,8 @@ BOUNCE_COLUMNS = (
 CONTACTS = ("vertex", "edge", "face", "unresolved")
 LARGEST_FILE_BYTES = 2**27
 """A table of a track of 300 000 frames; what is larger would fill memory before it is refused."""
+LARGEST_NUMBER = 1e100
+"""In SI units; its square is still a number."""
 LARGEST_FRAME = 2**53
 """Frame numbers are whole numbers that a double holds."""
 NPY_DAMAGE = (ValueError, KeyError, TypeError, EOFError, OSError, SyntaxError, RecursionError, tokenize.TokenError)
@@ -493,11 +495,13 @@ def _covariance_beside(path: Path, count: int) -> Array:
             version = np.lib.format.read_magic(file)
             read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
             shape, _, dtype = read_header[version](file)
-        if shape != (count, 6, 6) or dtype.kind != "f":
+        if dtype.kind != "f":
+            raise ValueError(f"{path}: not an array of numbers ({dtype}); {wanted}")
+        if shape != (count, 6, 6):
             raise ValueError(f"{path}: {dtype} of shape {shape}; {wanted}")
         covariance = np.load(path, allow_pickle=False)
     except NPY_DAMAGE as error:
-        told = str(error)
+        told = str(error)[:200]
         raise ValueError(
             told if told.startswith(str(path)) else f"{path}: not an array of numbers ({told}); {wanted}"
         ) from error
@@ -524,7 +528,7 @@ def _number(path: Path, k: int, row: Mapping[str, str], name: str, *, empty: flo
         value = float(row[name])
     except ValueError:
         value = math.nan
-    if not math.isfinite(value):
+    if not abs(value) <= LARGEST_NUMBER:
         raise _wrong(path, k, name, row[name], "a finite number")
     return value
 
@@ -538,4 +542,4 @@ def _whole(path: Path, k: int, row: Mapping[str, str], name: str) -> int:
 
 def _wrong(path: Path, k: int, name: str, value: str, wanted: str) -> ValueError:
     """The error for a cell; rows are counted from 1 below the header."""
-    return ValueError(f"{path}: {name} = {value!r} in row {k + 1}; wanted {wanted}")
+    return ValueError(f"{path}: {name} = {value[:60]!r} in row {k + 1}; wanted {wanted}")

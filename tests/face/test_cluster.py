@@ -13,12 +13,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from throws import random_release, seen
 from typer.testing import CliRunner
 
 from diethrow.cli import app
+from diethrow.fitting.physics import Physics
+from diethrow.model.simulate import Until
+from diethrow.model.solids import make_die
+from diethrow.model.tables import LEVEL
+from diethrow.records import write_track
 
 pytest.importorskip("distributed")
 
+SCENE = """
+[clip]
+fps = 1500.0
+[table]
+surface = "wood"
+[die]
+shape = "cube"
+edge_m = 0.016
+mass_kg = 0.0048
+"""
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
 
 
@@ -43,8 +59,8 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
             time.sleep(0.1)
             yield json.loads(file.read_text())["address"]
         finally:
-            worker.terminate()
-            scheduler.terminate()
+            for process in (worker, scheduler):
+                process.kill()  # at once: they would wait for each other
 
 
 def invoke(*words: object) -> tuple[int, str]:
@@ -75,6 +91,20 @@ def test_odds_maps_and_clips_of_a_cluster_are_those_of_this_machine(cluster: str
     assert status == 0, said
     for name in ("track.csv", "track_covariance.npy", "bounces.csv"):
         assert (here / "clip" / name).read_bytes() == (there / "clips" / "clip" / name).read_bytes()
+
+
+def test_a_joint_fit_on_a_cluster_is_that_of_this_machine(cluster: str, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    die, random = make_die("cube", 0.016, 0.0048), np.random.default_rng(2)
+    tracks = [tmp_path / f"throw_{k}.csv" for k in range(2)]
+    for path in tracks:
+        throw = Physics(die, LEVEL, {"chi": 0.6}).throw(random_release(die, random), Until(time_s=0.12)).throw
+        write_track(path, seen(throw, random, noise=0.05))
+    words = ("fit", *tracks, "--scene", tmp_path / "scene.toml", "--threads", "1")
+    for out, more in (("here", ()), ("there", ("--scheduler", cluster))):
+        status, said = invoke(*words, "--out", tmp_path / out, *more)
+        assert status == 0, said
+    assert (tmp_path / "here" / "fit.json").read_bytes() == (tmp_path / "there" / "fit.json").read_bytes()
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

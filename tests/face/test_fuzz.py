@@ -74,7 +74,7 @@ def test_a_header_that_asks_for_a_terabyte_is_refused(by_name: dict[str, tuple[P
         file.truncate(2**40)
     content = (tmp_path / "a.cih").read_bytes().replace(b"Total Frame : 3", b"Total Frame : 300000000000")
     (tmp_path / "a.cih").write_bytes(content)
-    with pytest.raises(ValueError, match="300000000000 frames; the header is broken"):
+    with pytest.raises(ValueError, match="declares 300000000000 frames"):
         open_clip(tmp_path / "a.cih", fps=1500.0)
     # A covariance of a terabyte beside a track of three frames.
     (tmp_path / "t.csv").write_bytes(by_name["track"][1].seeds[0])

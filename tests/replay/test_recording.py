@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-import subprocess
-import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,42 +13,19 @@ import numpy as np
 import pytest
 import replay_records as made
 from rerun.chunk import RrdReader
+from rrd_files import entities, rows, verify
 
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.replay import recording, scenery, video
 from diethrow.replay.palette import MEASURED, SIMULATED
 from diethrow.replay.record import residuals
 from diethrow.replay.recording import write_recording, write_throw_recording
+from diethrow.replay.together import properties_of
 from diethrow.tracking.track import ABSENT
 
 
 def nanoseconds(times_s: Any) -> list[int]:
     return [round(float(t) * 1e9) for t in np.atleast_1d(times_s)]
-
-
-def rows(path: Path, entity: str, component: str, timeline: str = "t") -> list[tuple[int, Any]]:
-    """(time, value) of every row of one component on one timeline, in order; the static row at time -1."""
-    found = []
-    for chunk in RrdReader(path).stream().filter(content=entity):
-        batch = chunk.to_record_batch()
-        if component not in batch.schema.names:
-            continue
-        values = batch.column(component).to_pylist()
-        if timeline in batch.schema.names:
-            times = np.asarray(batch.column(timeline)).astype(np.int64).tolist()
-            found += list(zip(times, values, strict=True))
-        elif not {"t", "frame"} & set(batch.schema.names):
-            found += [(-1, value) for value in values]
-    return sorted(found, key=lambda row: row[0])
-
-
-def entities(path: Path) -> set[str]:
-    return {chunk.entity_path for chunk in RrdReader(path).stream()}
-
-
-def verify(path: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(path)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +38,13 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_viewer_accepts_the_file(written: Path) -> None:
     done = verify(written)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_file_that_lost_its_end_is_not_accepted(written: Path, tmp_path: Path) -> None:
+    """Else the test above would say nothing."""
+    torso = tmp_path / "torso.rrd"
+    torso.write_bytes(written.read_bytes()[:-2000])
+    assert verify(torso).returncode != 0
 
 
 def test_the_file_carries_its_own_views(written: Path) -> None:
@@ -104,6 +87,32 @@ def test_a_bounce_stands_at_its_own_instant_and_on_the_first_frame_that_shows_it
         assert frame == int(np.ceil(made.IMPACT_S * made.FPS))
 
 
+def test_a_bounce_is_a_point_with_its_impulse_and_a_line_in_the_plot(written: Path) -> None:
+    """Of 5 mN s, upwards: 3 radii long, since it is the strongest. The line runs from the table up, then ends (NaN)."""
+    instant = nanoseconds(made.IMPACT_S)[0]
+    for name in ("measured", "simulated"):
+        assert [time for time, _ in rows(written, f"/world/{name}/impacts", "Points3D:positions")] == [instant]
+        ((time, arrows),) = rows(written, f"/world/{name}/impulses", "Arrows3D:vectors")
+        assert time == instant
+        np.testing.assert_allclose(arrows, [[0.0, 0.0, 3.0 * made.die().solid.circumradius]], rtol=1e-6)
+        ((_, labels),) = rows(written, f"/world/{name}/impulses/strength", "Points3D:labels")
+        assert labels == ["1: 5 mN s"]
+        line = rows(written, f"/plots/height/bounces/{name}", "Scalars:scalars")
+        assert [time for time, _ in line] == [instant] * 3
+        assert line[0][1] == [0.0]
+        assert np.isnan(line[2][1][0])
+
+
+def test_an_impulse_that_is_not_known_leaves_the_number_of_the_bounce(tmp_path: Path) -> None:
+    throw = made.throw()
+    silent = replace(throw, impacts=(replace(throw.impacts[0], impulse_N_s=np.full(3, np.nan)),))
+    path = tmp_path / "silent.rrd"
+    write_recording(path, made.record(clip=None, measured=silent, fit=None, simulated=None, estimates=()))
+    assert rows(path, "/world/measured/impulses", "Arrows3D:vectors") == []
+    ((_, labels),) = rows(path, "/world/measured/impulses/strength", "Points3D:labels")
+    assert labels == ["1"]
+
+
 def test_heights_are_those_of_the_corners(written: Path) -> None:
     track, solid = made.track(), made.die().solid
     known = track.tracked
@@ -136,6 +145,48 @@ def test_residuals_are_measured_minus_simulated(written: Path) -> None:
     back = [value[0] for _, value in rows(written, "/plots/residual/position_mm/x", "Measurements:values")]
     # The simulated track was set off by +0.01 mm.
     np.testing.assert_allclose(back, np.full(known.sum(), -0.01), atol=1e-9)
+
+
+def test_residuals_stand_beside_their_standard_errors(written: Path) -> None:
+    """Sigmas of 0.01 mm and 1 mrad; the simulated track was set off by one of the former."""
+    variances = [value[0] for _, value in rows(written, "/plots/residual/position_mm/x", "Measurements:variances")]
+    np.testing.assert_allclose(variances, 1e-4, rtol=1e-9)
+    variances = [value[0] for _, value in rows(written, "/plots/residual/turn_deg/z", "Measurements:variances")]
+    np.testing.assert_allclose(variances, np.rad2deg(1e-3) ** 2, rtol=1e-9)
+    sigmas = [value[0] for _, value in rows(written, "/plots/residual/position_sigmas/x", "Scalars:scalars")]
+    np.testing.assert_allclose(sigmas, -1.0, atol=1e-6)
+    band = rows(written, "/plots/residual/position_sigmas/band_2", "Measurements:variances")
+    assert [value for _, value in band] == [[4.0], [4.0]]
+
+
+def test_what_is_known_of_chi_and_of_the_faces_holds_from_the_bounce_to_the_end(written: Path) -> None:
+    begin, end = nanoseconds(made.IMPACT_S)[0], nanoseconds((made.FIRST_FRAME + made.FRAMES - 1) / made.FPS)[0]
+    chi = rows(written, "/plots/chi/estimate", "Measurements:values")
+    assert chi == [(begin, [0.583]), (end, [0.583])]
+    variances = [value[0] for _, value in rows(written, "/plots/chi/estimate", "Measurements:variances")]
+    np.testing.assert_allclose(np.sqrt(variances), 0.006 / (2 * 1.96), rtol=1e-9)
+    assert rows(written, "/plots/odds/face_3", "Scalars:scalars") == [(begin, [0.75]), (end, [0.75])]
+    assert "/plots/odds/face_1" not in entities(written)
+    ((time, said),) = rows(written, "/events/told", "TextLog:text")
+    assert time == begin
+    assert said == ["fit after 1 bounce: χ = 0.5830 (0.5800 to 0.5860), lands on face 3 with odds of 0.75"]
+
+
+def test_the_recording_says_of_itself_what_a_table_shows(written: Path) -> None:
+    said = properties_of(written)
+    assert (said["chi"], said["chi_low"], said["chi_high"]) == (0.5831, 0.5802, 0.5859)
+    assert (said["bounces"], said["bounces_fitted"], said["verdict"]) == (1, 1, "1 of 1 bounce explained")
+
+
+def test_one_throw_keeps_its_identity_and_another_model_has_its_own(tmp_path: Path) -> None:
+    """The viewer takes recordings of one identity for one."""
+    names = []
+    for k, shift_m in enumerate((1e-5, 1e-5, 2e-5)):
+        path = tmp_path / f"{k}.rrd"
+        write_recording(path, made.record(clip=None, simulated=made.track(shift_m, gaps=False)))
+        names.append(RrdReader(path).recordings()[0].recording_id)
+    assert names[0] == names[1] != names[2]
+    assert all(name.startswith("a throw-") for name in names)
 
 
 def test_measured_and_simulated_keep_their_colours_everywhere(written: Path) -> None:
@@ -193,10 +244,10 @@ def test_eight_bits_are_shown_as_they_are() -> None:
 
 def test_what_is_missing_is_absent(tmp_path: Path) -> None:
     path = tmp_path / "bare.rrd"
-    write_recording(path, made.record(clip=None, camera=None, fit=None, simulated=None))
+    write_recording(path, made.record(clip=None, camera=None, fit=None, simulated=None, estimates=()))
     assert verify(path).returncode == 0
     there = entities(path)
-    for prefix in ("/world/camera", "/world/simulated", "/plots/residual", "/plots/chi/estimate"):
+    for prefix in ("/world/camera", "/world/simulated", "/plots/residual", "/plots/chi/estimate", "/plots/odds"):
         assert not any(entity.startswith(prefix) for entity in there)
     ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
     assert "No model was fitted" in text[0]

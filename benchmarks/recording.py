@@ -1,0 +1,93 @@
+"""How long a recording takes to write, and how large it is: 260 frames as in a usual clip, and 600.
+
+    PYTHONPATH=tests python benchmarks/recording.py
+
+The film is grey noise of a wooden board's contrast with a square that moves, which AV1 shrinks about as well as a clip.
+The time beyond the film is that of the same recording without it; each is the best of three.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import replay_records as made
+
+from diethrow.fitting.results import Fit
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.motion import State
+from diethrow.model.simulate import Until, throw_die
+from diethrow.records import simulated_track
+from diethrow.replay.record import Record
+from diethrow.replay.recording import write_recording
+from diethrow.tracking.track import Track
+
+FPS = 1500.0
+SIDE_PX = 384
+SQUARE_PX = 60
+
+
+def record_of(frames: int) -> Record:
+    """A cube that falls and bounces over so many frames, with a model beside it and a film."""
+    die = made.die()
+    release = State(
+        0.0,
+        np.array([0.0, 0.0, 0.05]),
+        np.array([1.0, 0.0, 0.0, 0.0]),
+        np.array([0.2, 0.1, -1.0]),
+        np.array([30.0, 20, 5]),
+    )
+    throw = throw_die(die, release, SmoothImpact(0.6), until=Until(time_s=frames / FPS)).throw
+    number = np.arange(frames)
+    track = simulated_track(throw, number, number / FPS)
+    covariance = np.tile(np.diag([1e-5**2] * 3 + [1e-3**2] * 3), (frames, 1, 1))
+    seen = Track(number, track.time_s, track.position_m, track.quaternion, covariance, track.status)
+    fit: Fit = made.fit(throw=throw)
+    record = made.record(track=seen, measured=throw, simulated=track, fit=fit, fps=FPS)
+    return replace(record, clip=film(frames), camera=record.camera)
+
+
+def film(frames: int) -> made.ArrayClip:
+    """Noise that stands still, a little that does not, and a bright square on its way across."""
+    rng = np.random.default_rng(1)
+    board = np.kron(rng.normal(70.0, 12.0, (SIDE_PX // 4, SIDE_PX // 4)), np.ones((4, 4)))
+    pictures = np.empty((frames, SIDE_PX, SIDE_PX), np.uint8)
+    for k in range(frames):
+        picture = board + rng.normal(0.0, 2.0, board.shape)
+        left = int((SIDE_PX - SQUARE_PX) * k / frames)
+        picture[160 : 160 + SQUARE_PX, left : left + SQUARE_PX] += 120.0
+        pictures[k] = np.clip(picture, 0, 255)
+    return made.ArrayClip(pictures, np.arange(frames) / FPS)
+
+
+def seconds_for(record: Record, path: Path) -> float:
+    """The best of three."""
+    taken = []
+    for _ in range(3):
+        begin = time.perf_counter()
+        write_recording(path, record)
+        taken.append(time.perf_counter() - begin)
+    return min(taken)
+
+
+def main() -> None:
+    """A line for each length."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "replay.rrd"
+        for frames in (260, 600):
+            record = record_of(frames)
+            beyond = seconds_for(replace(record, clip=None), path)
+            rest = path.stat().st_size
+            whole = seconds_for(record, path)
+            size = path.stat().st_size
+            print(
+                f"{frames} frames: {whole:.2f} s, of which {beyond:.2f} s beyond the film; "
+                f"{1e-6 * size:.2f} MB, of which {1e-6 * rest:.2f} MB beyond the film"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+"""Disks that fill up, files that change or shrink under the reader, and what cannot be read: one sentence each."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import subprocess
+import sys
+from collections import namedtuple
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from footage_files import noisy_frames, write_cine, write_photron, write_pictures, write_tiff
+from numba import njit
+
+import diethrow.provenance
+from diethrow.analyze import track_only
+from diethrow.compiling import SENTENCE, announced
+from diethrow.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
+from diethrow.provenance import InputChangedError, files_read, steady
+from diethrow.scene import read_scene
+from diethrow.tracking.clip import clip_files, open_clip
+from diethrow.tracking.quality import FAST
+
+SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
+FRAMES = noisy_frames(12, bits=12)
+
+
+def fill(output: Path, number: int) -> None:
+    """Write a folder, and meet what the system says of a disk."""
+    with whole_folder(output) as aside:
+        (aside / "track.csv").write_text("half")
+        raise OSError(number, os.strerror(number), "track.csv")
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(errno.ENOSPC, "the disk is full"), (errno.EDQUOT, "quota"), (errno.EFBIG, "larger than allowed")],
+)
+def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing(tmp_path: Path, number: int, said: str) -> None:
+    with pytest.raises(OutputPlaceError, match=f"out was not written: .*{said}.*; make room"):
+        fill(tmp_path / "out", number)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_before_anything_is_computed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
+    with (
+        pytest.raises(OutputPlaceError, match="the disk is full, 1 MB are free and 17 MB are wanted"),
+        whole_folder(tmp_path / "out"),
+    ):
+        pytest.fail("the work was begun")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- inputs ---
+
+
+def test_an_input_that_changes_meanwhile_is_refused_and_a_copy_of_it_is_not(tmp_path: Path) -> None:
+    clip = tmp_path / "clip.avi"
+    clip.write_bytes(b"as it was")
+    with steady([clip]) as files:
+        shutil.copy(clip, tmp_path / "copy")
+        (tmp_path / "copy").replace(clip)
+    assert [file.bytes for file in files] == [9]
+    with pytest.raises(InputChangedError, match=r"clip\.avi changed while it was read"), steady([clip]):
+        clip.write_bytes(b"otherwise")
+    with pytest.raises(InputChangedError, match=r"clip\.avi vanished"), steady([clip]):
+        clip.unlink()
+
+
+def test_a_change_explains_the_error_that_it_caused(tmp_path: Path) -> None:
+    clip = tmp_path / "clip.avi"
+    clip.write_bytes(b"as it was")
+
+    def fail(meanwhile: Callable[[], object]) -> None:
+        with steady([clip]):
+            meanwhile()
+            raise ValueError("frame 3 cannot be decoded")
+
+    with pytest.raises(ValueError, match="frame 3"):
+        fail(lambda: None)
+    with pytest.raises(InputChangedError, match="changed while it was read"):
+        fail(lambda: clip.write_bytes(b"as"))
+
+
+def test_an_input_that_cannot_be_read_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "clip.avi").write_bytes(b"mine")
+
+    def refuse(path: Path) -> str:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(diethrow.provenance, "sha256", refuse)
+    with pytest.raises(OSError, match=r"clip\.avi cannot be read \(permission denied\); wanted a file that"):
+        files_read([tmp_path / "clip.avi"])
+
+
+def test_a_clip_that_is_replaced_under_way_gives_no_result(tmp_path: Path) -> None:
+    scene = shutil.copytree(SAMPLE, tmp_path / "clip") / "scene.toml"
+    pixels = tmp_path / "clip" / "clip.mraw"
+
+    def replace(stage: str, done: int, total: int) -> None:
+        if stage == "Finding the bounces":
+            pixels.write_bytes(pixels.read_bytes()[::-1])
+
+    with pytest.raises(InputChangedError, match=r"clip\.mraw changed while it was read"):
+        track_only(read_scene(scene), tmp_path / "out", quality=FAST, progress=replace)
+    assert [path.name for path in tmp_path.iterdir()] == ["clip"]
+
+
+@pytest.mark.parametrize("kind", ["Photron", "Phantom", "TIFF", "pictures"])
+def test_a_film_that_shrinks_while_it_is_read_is_one_sentence(kind: str, tmp_path: Path) -> None:
+    path, pixels = {
+        "Photron": lambda: (write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=16), tmp_path / "x.mraw"),
+        "Phantom": lambda: (write_cine(tmp_path / "x.cine", FRAMES, stored_bits=16), tmp_path / "x.cine"),
+        "TIFF": lambda: (write_tiff(tmp_path / "x.tif", FRAMES), tmp_path / "x.tif"),
+        "pictures": lambda: (write_pictures(tmp_path / "x", FRAMES), tmp_path / "x" / "frame_12.png"),
+    }[kind]()
+    clip = open_clip(path, fps=1500.0)
+    np.testing.assert_array_equal(clip.frame(0), FRAMES[0])
+    os.truncate(pixels, pixels.stat().st_size // 3)
+    with pytest.raises(ValueError, match=r"^(x|frame_12)\..*(cut off|ends before|damaged)"):
+        clip.frame(11)
+
+
+def test_every_file_of_a_film_is_an_input(tmp_path: Path) -> None:
+    """Once the pixels beside a Photron header were not: they could change, and nothing showed it."""
+    header = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=16)
+    assert set(clip_files(header)) == set(clip_files(tmp_path / "x.mraw")) == {header, tmp_path / "x.mraw"}
+    pictures = write_pictures(tmp_path / "x", FRAMES)
+    assert len(clip_files(pictures)) == len(clip_files(pictures / "frame_*.png")) == len(FRAMES)
+    assert clip_files(tmp_path / "nothing.avi") == (tmp_path / "nothing.avi",)
+
+
+# --- locks ---
+
+HOLDER = """
+import os, sys
+from pathlib import Path
+from diethrow.outputs import whole_folder
+with whole_folder(Path(sys.argv[1])) as aside:
+    (aside / "track.csv").write_text("half")
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_killed_run_leaves_no_lock_and_the_next_one_sweeps_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    words = [sys.executable, "-c", HOLDER, str(out)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with monkeypatch.context() as impatient:
+            impatient.setattr("diethrow.outputs.PATIENCE_S", 0.0)
+            with pytest.raises(OutputBusyError, match="another run is writing"), whole_folder(out):
+                pytest.fail("two runs write one folder")
+        holder.kill()
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left[0].startswith(".out.")
+    assert not out.exists()
+    with whole_folder(out) as aside:
+        (aside / "track.csv").write_text("whole")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_run_that_was_killed_between_two_renamings_has_lost_nothing(tmp_path: Path) -> None:
+    moved = tmp_path / ".out.abcd_123.old" / "old"
+    moved.mkdir(parents=True)
+    (moved / "track.csv").write_text("the predecessor")
+    other = tmp_path / ".out.b.abcd_123.part"  # of an output of another name
+    other.mkdir()
+    with whole_folder(tmp_path / "out", force=True):
+        assert (tmp_path / "out" / "track.csv").read_text() == "the predecessor"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".out.b.abcd_123.part", "out"]
+
+
+def test_a_file_and_its_lock_exclude_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.outputs.PATIENCE_S", 0.0)
+    with locked(tmp_path / "a.csv"), pytest.raises(OutputBusyError), whole_file(tmp_path / "a.csv"):
+        pytest.fail("two runs write one file")
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- compilation ---
+
+
+def test_compilation_is_announced_once_and_only_of_what_is_kept() -> None:
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    twice.__module__ = "diethrow.model.kernels"
+    fresh, again = njit(twice), njit(twice)
+    said: list[str] = []
+    with announced(said.append):
+        assert fresh(1.0) == 2.0  # compiled in every run: no word of it
+        assert said == []
+        again._cache = _Kept()
+        assert again(1.0) == 2.0
+        assert again(1) == 2
+    assert said == [SENTENCE]
+
+
+class _Kept:
+    """A cache that is always empty."""
+
+    def load_overload(self, *_: object) -> None:
+        return None
+
+    def save_overload(self, *_: object) -> None:
+        pass

@@ -1,0 +1,160 @@
+"""Several throws from the command line: found, told apart, put together, and shown."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import replay_records as made
+from rerun.chunk import RrdReader
+from typer.testing import CliRunner
+
+import diethrow.viewer
+from diethrow.cli import app
+from diethrow.replay.recording import write_recording
+from diethrow.replays import COLUMNS, find_recordings, join
+from diethrow.viewer import NOBODY, TALKATIVE, open_viewer, silent_environment
+
+
+def invoke(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, ["replay", *map(str, words)])
+    assert "Traceback" not in result.output
+    return result.exit_code, result.stdout, " ".join(result.stderr.split())
+
+
+@pytest.fixture(scope="module")
+def throws(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three analysed throws: two models of one clip, and another clip."""
+    folder = tmp_path_factory.mktemp("throws")
+    for name, shift_m, clip in (("a", 1e-5, "clip 1"), ("b", 5e-5, "clip 1"), ("c", 1e-5, "clip 2")):
+        (folder / name).mkdir()
+        record = made.record(title="a throw", clip=None, simulated=made.track(shift_m, gaps=False))
+        write_recording(folder / name / "replay.rrd", record)
+        inputs = [{"path": "clip.avi", "sha256": clip}, {"path": "scene.toml", "sha256": name}]
+        (folder / name / "provenance.json").write_text(json.dumps({"inputs": inputs}))
+    return folder
+
+
+def test_a_folder_of_throws_stands_for_all_of_them(throws: Path) -> None:
+    assert [one.name for one in find_recordings([throws])] == ["a", "b", "c"]
+    assert [one.name for one in find_recordings([throws / "c", throws / "a" / "replay.rrd"])] == ["c", "a"]
+
+
+def test_throws_of_one_name_are_told_apart_by_their_folders(throws: Path, tmp_path: Path) -> None:
+    twin = tmp_path / "elsewhere" / "a"
+    twin.mkdir(parents=True)
+    (twin / "replay.rrd").write_bytes((throws / "a" / "replay.rrd").read_bytes())
+    assert [one.name for one in find_recordings([throws / "a", twin])] == [f"{throws.name}_a", "elsewhere_a"]
+
+
+def test_the_table_has_a_row_a_throw(throws: Path) -> None:
+    status, said, _ = invoke(throws)
+    assert status == 0
+    assert "0.5831 (0.5802 to 0.5859)" in said
+    assert said.count("1 of 1 bounce explained") == 3
+
+
+def test_several_throws_go_into_one_recording(throws: Path, tmp_path: Path) -> None:
+    out = tmp_path / "all.rrd"
+    status, said, _ = invoke(throws, "--out", out)
+    assert status == 0, said
+    assert "3 throws in" in said
+    there = {chunk.entity_path for chunk in RrdReader(out).stream()}
+    assert {"/world/a/measured/die", "/world/b/measured/die", "/world/c/simulated/die"} <= there
+
+
+def test_models_of_one_clip_are_recognised(throws: Path, tmp_path: Path) -> None:
+    status, said, _ = invoke(throws / "a", throws / "b", "--out", tmp_path / "models.rrd")
+    assert (status, "2 models of one throw" in said) == (0, True)
+    status, said, _ = invoke(throws / "a", throws / "b", "--throws", "--out", tmp_path / "throws.rrd")
+    assert (status, "2 throws in" in said) == (0, True)
+
+
+def test_a_folder_gets_a_recording_a_throw_and_a_table(throws: Path, tmp_path: Path) -> None:
+    out = tmp_path / "table"
+    assert invoke(throws, "--out", out)[0] == 0
+    assert sorted(path.name for path in out.iterdir()) == ["a.rrd", "b.rrd", "c.rrd", "throws.csv"]
+    with (out / "throws.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["throw"] for row in rows] == ["a", "b", "c"]
+    assert tuple(rows[0]) == ("throw", *COLUMNS)
+    assert float(rows[0]["chi"]) == 0.5831
+    applications = {RrdReader(out / f"{name}.rrd").recordings()[0].application_id for name in "abc"}
+    assert applications == {"diethrow"}
+
+
+def test_nothing_is_replaced_without_being_told_to(throws: Path, tmp_path: Path) -> None:
+    out = tmp_path / "x.rrd"
+    out.write_text("mine")
+    status, _, said = invoke(throws, "--out", out)
+    assert (status, "exists" in said, out.read_text()) == (2, True, "mine")
+    assert invoke(throws, "--out", out, "--force")[0] == 0
+    status, _, said = invoke(throws, "--out", throws / "a" / "replay.rrd", "--force")
+    assert status == 2
+    assert "which must stay" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("{throws}/none",), "there is no recording of a throw"),
+        (("{throws}/a", "{throws}/a"), "named twice"),
+        (("{throws}/a", "--out", "{tmp}/x.rrd"), "is one recording"),
+        (("{throws}", "--out", "{tmp}/x.rrd", "--align", "end"), "wanted bounce or frame"),
+    ],
+)
+def test_mistakes_are_told_in_one_sentence(words: tuple[str, ...], sentence: str, throws: Path, tmp_path: Path) -> None:
+    status, _, said = invoke(*(word.format(throws=throws, tmp=tmp_path) for word in words))
+    assert status != 0
+    assert sentence in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_help_shows_examples() -> None:
+    status, said, _ = invoke("--help")
+    assert status == 0
+    assert "diethrow replay out/cube_wood --open" in said
+
+
+def test_throws_that_nobody_knows_the_origin_of_are_no_models_of_one(throws: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "replay.rrd").write_bytes((throws / name / "replay.rrd").read_bytes())
+    assert not join(find_recordings([tmp_path]), tmp_path / "x.rrd", align="bounce", models=None)
+
+
+def test_the_viewer_is_opened_on_loopback_without_statistics(throws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[list[str], dict[str, str]]] = []
+
+    def run(command: list[str], *, env: dict[str, str], **_: object) -> subprocess.CompletedProcess[str]:
+        asked.append((command, env))
+        return subprocess.CompletedProcess(command, 0, "", "")
+
+    monkeypatch.setattr(diethrow.viewer.subprocess, "run", run)
+    monkeypatch.setenv(TALKATIVE[0], "1")
+    assert invoke(throws / "a", "--open")[0] == 0
+    ((command, environment),) = asked
+    assert command[0] == sys.executable
+    assert command[-1] == str(throws / "a" / "replay.rrd")
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert TALKATIVE[0] not in environment
+    assert environment["HTTPS_PROXY"] == NOBODY
+    assert environment["CI"] == "1"
+
+
+def test_a_viewer_that_does_not_open_says_why(throws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    script = "import sys; print('no screen here', file=sys.stderr); sys.exit(3)"
+    monkeypatch.setattr(diethrow.viewer, "viewer_program", lambda: [sys.executable, "-c", script])
+    with pytest.raises(OSError, match=r"status 3 \(no screen here\)"):
+        open_viewer([throws / "a" / "replay.rrd"])
+    with pytest.raises(FileNotFoundError, match="no such recording"):
+        open_viewer([throws / "none.rrd"])
+
+
+def test_the_environment_of_the_program_itself_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ANY_OTHER", "kept")
+    assert silent_environment()["ANY_OTHER"] == "kept"

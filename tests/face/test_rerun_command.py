@@ -1,0 +1,92 @@
+"""A result can be made again from what it says of itself, and is compared number by number."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from diethrow.cli import app
+from diethrow.repeat import compare
+
+SAMPLE = Path(__file__).parents[2] / "data_samples"
+
+
+def invoke(*words: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(word) for word in words])
+    return result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture
+def thrown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A throw simulated by relative paths, as a user would; then the user goes elsewhere."""
+    shutil.copy(SAMPLE / "throws" / "cube_mirror.toml", tmp_path / "throw.toml")
+    monkeypatch.chdir(tmp_path)
+    assert invoke("throw", "throw.toml", "--out", "out")[0] == 0
+    monkeypatch.chdir(tmp_path.parent)
+    return tmp_path / "out"
+
+
+def test_numbers_made_again_agree_bit_for_bit(thrown: Path) -> None:
+    before = sorted(thrown.parent.iterdir())
+    status, said, _ = invoke("rerun", thrown)
+    assert status == 0
+    assert "agree bit for bit, in all 4 files" in said
+    assert sorted(thrown.parent.iterdir()) == before
+
+
+def test_numbers_that_differ_are_named_with_by_how_much(thrown: Path) -> None:
+    table = thrown / "bounces.csv"
+    header, first, *rest = table.read_text().splitlines()
+    cells = first.split(",")
+    cells[1] = repr(float(cells[1]) * (1 + 1e-9))
+    table.write_text("\n".join([header, ",".join(cells), *rest]) + "\n")
+    status, said, _ = invoke("rerun", thrown)
+    assert status == 0
+    assert "bounces.csv: t_s was" in said
+    assert "agree within 1e-06; 3 of 4 files bit for bit" in said
+    status, said, _ = invoke("rerun", thrown, "--within", "0")
+    assert status == 1
+    assert "do not agree within 0" in said
+
+
+def test_inputs_that_changed_or_are_gone_are_told(thrown: Path) -> None:
+    plan = thrown.parent / "throw.toml"
+    kept = plan.read_bytes()
+    plan.write_bytes(kept + b"\n# a word more\n")
+    status, _, said = invoke("rerun", thrown)
+    assert status == 1
+    assert "throw.toml has changed since" in said
+    plan.unlink()
+    assert "throw.toml is not there any longer" in invoke("rerun", thrown)[2]
+    origin = thrown / "provenance.json"
+    told = json.loads(origin.read_text())
+    origin.write_text(json.dumps({**told, "command": [], "inputs": []}))
+    assert "names no command that can be repeated" in invoke("rerun", thrown)[2]
+    os.remove(origin)
+    status, _, said = invoke("rerun", thrown)
+    assert (status, len(said.splitlines())) == (1, 1)
+
+
+def test_tables_are_compared_by_columns_and_json_by_keys(tmp_path: Path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    for folder, value, word in ((old, 1.0, "vertex"), (new, 1.1, "edge")):
+        folder.mkdir()
+        (folder / "a.csv").write_text(f"t_s,contact\n10.0,vertex\n{value},{word}\n")
+        (folder / "b.json").write_text(
+            json.dumps({"parameters": {"chi": {"value": value, "low": None}}, "list": [1, 2]})
+        )
+        (folder / "c.csv").write_text("same\n1\n")
+    (new / "d.csv").write_text("more\n")
+    same, differences = compare(old, new)
+    assert same == ("c.csv",)
+    found = {(each.file, each.column): each.share for each in differences}
+    assert found[("a.csv", "t_s")] == pytest.approx(0.01)
+    assert found[("a.csv", "contact")] == float("inf")
+    assert found[("b.json", "parameters.chi.value")] == pytest.approx(0.1 / 1.1)
+    assert found[("d.csv", "the file")] == float("inf")
+    assert len(found) == 4

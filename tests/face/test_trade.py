@@ -1,0 +1,118 @@
+"""Speed against accuracy: what is told of a setting is what it gave, and what is recommended is fast and good enough."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diethrow import trade as trades
+from diethrow.replay.trade_page import Setting, Trade, fastest_within, trade_page
+from diethrow.scene import read_scene
+from diethrow.tracking.coarser import Coarseness
+from diethrow.trade import read_trade, setting_for, trade
+
+SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood" / "scene.toml"
+
+
+def setting(name: str, rate: float, half_width: float | None, off: float = 0.0) -> Setting:
+    if half_width is None:
+        return Setting("tracking", name, rate, 1.0 / rate, None, why_not="χ stays open.")
+    options = ("--quality", name)
+    return Setting(
+        "tracking", name, rate, 1.0 / rate, 0.01, 0.5, 0.5 - half_width, 0.5 + half_width, off, options=options
+    )
+
+
+def test_the_fastest_that_is_good_enough_is_recommended() -> None:
+    tried = [setting("fast", 9.0, 0.02), setting("standard", 5.0, 0.008), setting("fine", 1.0, 0.001)]
+    assert fastest_within(tried, 0.01) is tried[1]
+    assert fastest_within(tried, 0.05) is tried[0]
+    assert fastest_within(tried, 1e-4) is None
+
+
+def test_a_narrow_interval_far_from_the_reference_is_not_good() -> None:
+    wrong, right = setting("fast", 9.0, 0.001, off=0.05), setting("fine", 1.0, 0.002)
+    assert fastest_within([wrong, right], 0.01) is right
+
+
+def test_nothing_on_the_front_is_beaten() -> None:
+    random = np.random.default_rng(1)
+    tried = [setting(str(k), random.uniform(1, 9), random.uniform(1e-3, 1e-1)) for k in range(30)]
+    tried += [setting("open", 20.0, None)]
+    marked = trades.with_front(tried, lambda s: s.doubt)
+    for one in marked:
+        beaten = any(
+            other.doubt is not None and one.doubt is not None and other.rate > one.rate and other.doubt < one.doubt
+            for other in marked
+        )
+        assert one.on_front == (one.doubt is not None and not beaten)
+
+
+def test_the_advice_names_options_or_says_that_there_are_none() -> None:
+    tried = (setting("fast", 9.0, 0.02), setting("standard", 5.0, 0.008))
+    assert "--quality standard" in Trade(tried, "the finest run", 0.01).advice
+    assert Trade(tried, "the finest run", 0.001).advice.startswith("No setting gives χ to ±0.001")
+
+
+def test_a_page_escapes_what_it_is_told() -> None:
+    hostile = replace(setting("fast", 9.0, 0.02), name="<script>alert(1)</script>", on_front=True)
+    page = trade_page("<b>", Trade((hostile,), "the finest run", 0.01))
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+
+
+@pytest.fixture(scope="module")
+def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trade, Path]:
+    """A short ladder on a sample, with one simulated track and few throws."""
+    out = tmp_path_factory.mktemp("trade") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trades, "LADDER", (("fast", 4, 2), ("fast", 1, 1)))
+        patch.setattr(trades, "FIRST_OF_LADDER", ("fast", 4, 2))
+        patch.setattr(trades, "THROWS", 20)
+        patch.setattr(trades, "STEPS_S", (1e-3,))
+        return trade(read_scene(SAMPLE), out, draws=1), out
+
+
+def test_every_trade_is_measured(measured: tuple[Trade, Path]) -> None:
+    found, _ = measured
+    assert [len(found.of(kind)) for kind in ("tracking", "fit", "model")] == [2, 4, 5]
+    for s in found.of("tracking"):
+        assert s.rate > 0.0
+        assert s.chi == pytest.approx(0.5829, abs=0.02)
+    exact = found.of("model")[0]
+    assert exact.error == 0.0
+    assert {s.coverage for s in found.of("fit")} <= {0.0, 1.0}
+
+
+def test_what_was_measured_is_written_and_read_back(measured: tuple[Trade, Path]) -> None:
+    found, out = measured
+    assert read_trade(out / "trade.json") == found.settings
+    assert json.loads((out / "trade.json").read_text("utf-8"))["advice"] == found.advice
+    names = {path.name for path in out.iterdir()}
+    assert {"trade.csv", "trade.html", "tracking.png", "tracking.svg", "model.png", "provenance.json"} <= names
+
+
+def test_a_setting_is_taken_from_what_was_measured(measured: tuple[Trade, Path]) -> None:
+    found, out = measured
+    best = fastest_within(found.of("tracking"), 0.3)
+    assert best is not None
+    assert setting_for(read_scene(SAMPLE), 0.3, out / "trade.json") == best.choice
+    assert best.choice in {("fast", Coarseness(4, 2)), ("fast", Coarseness(1, 1))}
+    with pytest.raises(ValueError, match="no setting in it gives χ"):
+        setting_for(read_scene(SAMPLE), 1e-9, out / "trade.json")
+
+
+def test_a_file_that_is_no_trade_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "trade.json"
+    path.write_text('{"settings": [{"kind": "tracking"}]}', encoding="utf-8")
+    with pytest.raises(ValueError, match="not a trade file"):
+        read_trade(path)
+
+
+def test_a_width_that_is_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="within = 0"):
+        trade(read_scene(SAMPLE), tmp_path / "out", within=0.0)

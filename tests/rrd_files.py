@@ -1,0 +1,37 @@
+"""Recordings read back, by no more than the chunks that are in them."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rerun.chunk import RrdReader
+
+from diethrow.viewer import viewer_program
+
+
+def rows(path: Path, entity: str, component: str, timeline: str = "t") -> list[tuple[int, Any]]:
+    """(time, value) of every row of one component on one timeline, in order; the static row at time -1."""
+    found = []
+    for chunk in RrdReader(path).stream().filter(content=entity):
+        batch = chunk.to_record_batch()
+        if component not in batch.schema.names:
+            continue
+        values = batch.column(component).to_pylist()
+        if timeline in batch.schema.names:
+            times = np.asarray(batch.column(timeline)).astype(np.int64).tolist()
+            found += list(zip(times, values, strict=True))
+        elif not {"t", "frame"} & set(batch.schema.names):
+            found += [(-1, value) for value in values]
+    return sorted(found, key=lambda row: row[0])
+
+
+def entities(path: Path) -> set[str]:
+    return {chunk.entity_path for chunk in RrdReader(path).stream()}
+
+
+def verify(path: Path) -> subprocess.CompletedProcess[str]:
+    command = [*viewer_program(), "rrd", "verify", str(path)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
