@@ -38,11 +38,16 @@ FLAGS = (
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
+    # Drawing without a GPU beside other work is slow; it is not hung.
+    "--disable-gpu-watchdog",
+    "--disable-hang-monitor",
     # No name resolves and no proxy answers: what the page asks for fails, and is told.
     "--host-resolver-rules=MAP * ~NOTFOUND",
     "--proxy-server=127.0.0.1:9",
 )
 START_S, ANSWER_S = 30.0, 60.0
+PLAINLY: dict[str, Any] = {"proxy": None, "max_size": None, "ping_interval": None}
+"""No proxy, pictures of any size, and no pings: a browser that draws without a GPU answers none for a while."""
 
 
 class Page:
@@ -105,7 +110,7 @@ class Page:
 @contextmanager
 def opened(file: Path, profile: Path, *, width_px: int = 1200, height_px: int = 900) -> Iterator[Page]:
     """The page of a file, loaded. `profile` is a folder for the browser's own files."""
-    with _browser(profile) as address, connect(address, max_size=None, proxy=None) as socket:
+    with _browser(profile) as address, connect(address, **PLAINLY) as socket:
         page = Page(socket)
         for domain in ("Page", "Runtime", "Log", "Network"):
             page.call(f"{domain}.enable")
@@ -148,6 +153,6 @@ def _tab(port_file: Path, process: subprocess.Popen[bytes]) -> str:
 
 
 def _first_page(browser: str, pages: str) -> str:
-    with connect(browser, proxy=None) as socket:
+    with connect(browser, **PLAINLY) as socket:
         targets = Page(socket).call("Target.getTargets")["targetInfos"]
     return pages + str(next(target["targetId"] for target in targets if target["type"] == "page"))
