@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 from ..tracking.clip import Clip, Frame
 
 NOMINAL_FPS = 30
+THREADS = Path("/proc/self/task")
+"""Where Linux, the only system where this happens, lists the threads of this process."""
 SMALLEST_PX = 64
 """The AV1 encoder takes no smaller picture."""
 
@@ -99,7 +101,7 @@ def _behind_nobody() -> Iterator[Callable[[], None]]:
     """Started by root, SVT-AV1 gives its threads, and the one that called it, the highest real-time priority: nothing else
     on the machine runs while they do, and whatever the process starts later inherits it. Within the block the function,
     and at its end the block itself, puts all threads of this process back among the others."""
-    calm = _with_ordinary_priority if hasattr(os, "sched_setscheduler") and os.geteuid() == 0 else lambda: None
+    calm = _with_ordinary_priority if THREADS.is_dir() and os.geteuid() == 0 else lambda: None
     try:
         yield calm
     finally:
@@ -107,7 +109,7 @@ def _behind_nobody() -> Iterator[Callable[[], None]]:
 
 
 def _with_ordinary_priority() -> None:
-    for thread in Path("/proc/self/task").iterdir():
+    for thread in THREADS.iterdir():
         with suppress(ProcessLookupError):  # a thread that has just ended
             if os.sched_getscheduler(int(thread.name)) in (os.SCHED_FIFO, os.SCHED_RR):
                 os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))

@@ -70,28 +70,14 @@ def until(true: Callable[[], Any], what: str) -> Any:
     pytest.fail(f"{what}: not within {PATIENCE_S:.0f} s; the last answer was {last!r}")
 
 
-MODEST = """
-import ctypes, os, resource, sys
-os.nice(5)
-resource.setrlimit(resource.RLIMIT_CPU, (45, 45))
-ctypes.CDLL(None).prctl(24, 23)
-os.execvp(sys.argv[1], sys.argv[1:])
-"""
-"""A browser that draws without a GPU takes all it gets: here at most 45 s of CPU time for each process, behind the tests
-themselves, and without the right (PR_CAPBSET_DROP, CAP_SYS_NICE) to take a place before them."""
-
-
 @contextmanager
 def running(
     command: Sequence[str], log: Path, environment: dict[str, str], **more: Any
 ) -> Iterator[subprocess.Popen[bytes]]:
     """A program and all that it starts, ended with the block; what it says goes to `log`."""
-    # OpenCV puts its own libraries first on the path of whatever is started after it; a browser wants its own.
-    environment = {name: value for name, value in environment.items() if name != "LD_LIBRARY_PATH"}
     with log.open("wb") as said:
-        modest = [sys.executable, "-c", MODEST, *command]
         process = subprocess.Popen(
-            modest, stdout=said, stderr=subprocess.STDOUT, env=environment, start_new_session=True, **more
+            command, stdout=said, stderr=subprocess.STDOUT, env=environment, start_new_session=True, **more
         )
         try:
             yield process
