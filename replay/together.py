@@ -246,6 +246,7 @@ def _cast(read: _Read, k: int, same_throw: bool) -> Cast:
         measured=read.has("/world/measured/die"),
         simulated=read.has("/world/simulated/die"),
         film=read.has("/world/camera/image"),
+        odds=read.has("/plots/odds"),
     )
 
 
@@ -282,6 +283,8 @@ class _Move:
                 batch = _mapped(batch, name, self._colours)
             elif name.endswith(":names"):
                 batch = _mapped(batch, name, self._names)
+            elif name == "TextLog:text":
+                batch = _mapped(batch, name, self._sentences)
         (moved,) = Chunk.from_record_batch(batch)
         return moved.with_entity_path(entity)
 
@@ -310,6 +313,11 @@ class _Move:
             if (red, green, blue) != rgb or rgb == old:
                 return red << 24 | green << 16 | blue << 8 | packed & 255
         return packed
+
+    def _sentences(self, values: list[str]) -> list[str]:
+        """Of the event log; what was measured is the same for all models of one throw."""
+        shared = self.same_throw and values[0].startswith("measured")
+        return values if shared else [f"{self.read.title}: {value}" for value in values]
 
     def _names(self, values: list[str]) -> list[str]:
         mine = self.read.title
