@@ -108,7 +108,8 @@ def _side_view(shown: Shown, motion: str) -> rrb.Spatial3DView:
 
 def _overlay_view(shown: Shown) -> rrb.Spatial3DView:
     """Both dice in one view that stays close to the measured one."""
-    motions = {"measured": ("die/**", "trail", "impacts/**"), "simulated": ("die/edges", "trail")}
+    # Without the measured edges, which would hide the model's where the two agree.
+    motions = {"measured": ("die", "trail", "impacts/**"), "simulated": ("die/edges",)}
     contents = [f"+ world/{motion}/{part}" for motion, parts in motions.items() for part in parts]
     towards = (shown.eye_m - shown.target_m) / np.linalg.norm(shown.eye_m - shown.target_m)
     return scene_view(
@@ -274,12 +275,17 @@ def plot(
     *,
     legend: rrb.Corner2D | None = rrb.Corner2D.LeftBottom,
 ) -> rrb.TimeSeriesView:
-    """A plot over the whole recording, so that one instant stands at one place in plots above each other."""
-    always = rrb.TimeRangeBoundary.infinite()
+    """A plot over time."""
     return rrb.TimeSeriesView(
         origin=origin,
         name=name,
-        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(always, always)),
+        axis_x=over_all_times(),
         axis_y=rrb.ScalarAxis(range=y_range) if y_range is not None else None,
         plot_legend=rrb.PlotLegend(visible=False) if legend is None else rrb.PlotLegend(legend),
     )
+
+
+def over_all_times() -> rrb.TimeAxis:
+    """The whole recording, so that one instant stands at one place in plots above each other."""
+    always = rrb.TimeRangeBoundary.infinite()
+    return rrb.TimeAxis(view_range=rr.TimeRange(always, always))

@@ -19,6 +19,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -246,6 +247,7 @@ def _cast(read: _Read, k: int, same_throw: bool) -> Cast:
         measured=read.has("/world/measured/die"),
         simulated=read.has("/world/simulated/die"),
         film=read.has("/world/camera/image"),
+        odds=read.has("/plots/odds"),
     )
 
 
@@ -279,9 +281,11 @@ class _Move:
                 batch = _replaced(batch, timeline, _times(batch, timeline) + shift)
         for name in batch.schema.names:
             if name.endswith(COLOUR_COLUMNS):
-                batch = _mapped(batch, name, self._colours)
+                batch = _mapped(batch, name, partial(self._colours, chunk.entity_path))
             elif name.endswith(":names"):
                 batch = _mapped(batch, name, self._names)
+            elif name == "TextLog:text":
+                batch = _mapped(batch, name, self._sentences)
         (moved,) = Chunk.from_record_batch(batch)
         return moved.with_entity_path(entity)
 
@@ -300,16 +304,25 @@ class _Move:
             return "/".join([*parts[:3], self.read.name, *parts[3:]])
         return path if self.first else None
 
-    def _colours(self, values: list[int]) -> list[int]:
-        return [self._colour(value) for value in values]
+    def _colours(self, entity: str, values: list[int]) -> list[int]:
+        # What lies between the measured die and a model belongs to the model.
+        of_model = self.same_throw and entity.startswith("/plots/residual")
+        measured = self.cast.simulated_colour if of_model else self.cast.measured_colour
+        return [self._colour(value, measured) for value in values]
 
-    def _colour(self, packed: int) -> int:
+    def _colour(self, packed: int, measured: Colour) -> int:
         rgb: Colour = (packed >> 24 & 255, packed >> 16 & 255, packed >> 8 & 255)
-        for old, new in ((MEASURED, self.cast.measured_colour), (SIMULATED, self.cast.simulated_colour)):
-            red, green, blue = recoloured(rgb, old, new) or rgb
-            if (red, green, blue) != rgb or rgb == old:
+        for old, new in ((MEASURED, measured), (SIMULATED, self.cast.simulated_colour)):
+            found = recoloured(rgb, old, new)
+            if found is not None:
+                red, green, blue = found
                 return red << 24 | green << 16 | blue << 8 | packed & 255
         return packed
+
+    def _sentences(self, values: list[str]) -> list[str]:
+        """Of the event log; what was measured is the same for all models of one throw."""
+        shared = self.same_throw and values[0].startswith("measured")
+        return values if shared else [f"{self.read.title}: {value}" for value in values]
 
     def _names(self, values: list[str]) -> list[str]:
         mine = self.read.title

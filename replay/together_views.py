@@ -8,7 +8,7 @@ import numpy as np
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from .blueprint import SCENERY, lanes_view, log_view, panels, plot, scene_view
+from .blueprint import SCENERY, lanes_view, log_view, over_all_times, panels, plot, scene_view
 from .palette import Colour
 
 Array = NDArray[np.float64]
@@ -26,6 +26,7 @@ class Cast:
     measured: bool
     simulated: bool
     film: bool
+    odds: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,8 +117,9 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
             *(
                 plot(
                     f"plots/residual/{cast.name}/{what}_sigmas",
-                    f"{cast.title}: {what} [standard errors]",
+                    f"{cast.title}: {what} x red, y green, z violet [standard errors]; bands: 1 and 2",
                     (-5, 5),
+                    legend=None,
                 )
                 for what in ("position", "turn")
             )
@@ -129,6 +131,7 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
         origin="plots/residual",
         contents=[f"+ plots/residual/{cast.name}/rms_sigmas" for cast in joined.cast],
         name="All six, whitened: root mean square [standard errors]; noise alone gives 1",
+        axis_x=over_all_times(),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
     return rrb.Vertical(together, *rows, name="Residuals")
@@ -137,8 +140,13 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
 def _fit_tab(joined: Joined) -> rrb.Container:
     pages = [rrb.TextDocumentView(origin=f"report/{cast.name}", name=cast.title) for cast in joined.cast]
     text = rrb.Vertical(rrb.TextDocumentView(origin="report/table", name="All"), rrb.Tabs(*pages), row_shares=[1, 2])
+    odds = [
+        plot(f"plots/odds/{cast.name}", f"{cast.title}: odds of the faces [1]", (-0.02, 1.02))
+        for cast in joined.cast
+        if cast.odds
+    ]
     plots = rrb.Vertical(
-        plot("plots/chi", "Restitution χ [1], bounce by bounce", legend=rrb.Corner2D.RightTop),
-        plot("plots/odds", "Odds of the faces, from the frames to the end of each flight [1]", (-0.02, 1.02)),
+        plot("plots/chi", "Restitution χ [1]: each bounce a dot with its 95 % interval, each fit a line", legend=None),
+        *([rrb.Tabs(*odds)] if odds else []),
     )
     return rrb.Horizontal(text, plots, column_shares=[1, 1], name="Fit")

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from pathlib import Path
 
 import av
 import cv2
@@ -22,6 +23,8 @@ from numpy.typing import NDArray
 from ..tracking.clip import Clip, Frame
 
 NOMINAL_FPS = 30
+THREADS = Path("/proc/self/task")
+"""Where Linux, the only system where this happens, lists the threads of this process."""
 SMALLEST_PX = 64
 """The AV1 encoder takes no smaller picture."""
 
@@ -62,7 +65,7 @@ def encode_av1(clip: Clip, window: Window) -> bytes:
     buffer = io.BytesIO()
     width, height = (max(size + size % 2, SMALLEST_PX) for size in (clip.width_px, clip.height_px))
     margin = ((0, height - clip.height_px), (0, width - clip.width_px))
-    with _quiet_encoder(), av.open(buffer, "w", format="mp4") as film:
+    with _quiet_encoder(), _behind_nobody() as calm, av.open(buffer, "w", format="mp4") as film:
         # Preset 8 is the fastest that the encoder recommends for films; a key frame every 30 keeps seeking short.
         options = {"preset": "8", "crf": "28", "g": "30", "svtav1-params": "lp=2"}
         stream = film.add_stream("libsvtav1", rate=NOMINAL_FPS, options=options)
@@ -73,6 +76,8 @@ def encode_av1(clip: Clip, window: Window) -> bytes:
             picture = picture.reformat(format="yuv420p")
             picture.pts, picture.time_base = number, Fraction(1, NOMINAL_FPS)
             film.mux(stream.encode(picture))
+            if number == 0:
+                calm()  # the encoder has begun, and its threads with it
         film.mux(stream.encode(None))
     return buffer.getvalue()
 
@@ -89,6 +94,25 @@ def _quiet_encoder() -> Iterator[None]:
             del os.environ["SVT_LOG"]
         else:
             os.environ["SVT_LOG"] = before
+
+
+@contextmanager
+def _behind_nobody() -> Iterator[Callable[[], None]]:
+    """Started by root, SVT-AV1 gives its threads, and the one that called it, the highest real-time priority: nothing else
+    on the machine runs while they do, and whatever the process starts later inherits it. Within the block the function,
+    and at its end the block itself, puts all threads of this process back among the others."""
+    calm = _with_ordinary_priority if THREADS.is_dir() and os.geteuid() == 0 else lambda: None
+    try:
+        yield calm
+    finally:
+        calm()
+
+
+def _with_ordinary_priority() -> None:
+    for thread in THREADS.iterdir():
+        with suppress(ProcessLookupError):  # a thread that has just ended
+            if os.sched_getscheduler(int(thread.name)) in (os.SCHED_FIFO, os.SCHED_RR):
+                os.sched_setscheduler(int(thread.name), os.SCHED_OTHER, os.sched_param(0))
 
 
 def encode_jpegs(clip: Clip, window: Window) -> Iterator[bytes]:

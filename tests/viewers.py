@@ -33,7 +33,7 @@ from rerun.experimental import ViewerClient
 from diethrow.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
 
 NEEDED = "DIETHROW_NEEDS_VIEWERS"
-WINDOW = (1000, 700)
+WINDOW = (960, 640)
 PATIENCE_S = 60.0
 """Drawing takes seconds on one core that nothing else wants, and many times that on a busy machine."""
 
@@ -146,6 +146,15 @@ os.execv(sys.argv[3], sys.argv[3:])
 """
 """Chromium reads its orders from descriptor 3 and answers on 4."""
 
+ONLY_ERRORS = """
+window.wrong = [];
+console.error = (...words) => window.wrong.push(words.map(String).join(" "));
+window.addEventListener("error", event => window.wrong.push(String(event.message)));
+window.addEventListener("unhandledrejection", event => window.wrong.push(String(event.reason)));
+console.log = console.info = console.debug = console.warn = console.trace = () => {};
+"""
+"""The viewer says thousands of things while it loads, and passing them on takes longer than drawing."""
+
 
 @dataclass
 class Page:
@@ -179,7 +188,10 @@ class Page:
         with selectors.DefaultSelector() as waiting:
             waiting.register(self.read, selectors.EVENT_READ)
             if waiting.select(seconds):
-                self._rest += os.read(self.read, 1 << 20)
+                heard = os.read(self.read, 1 << 20)
+                if not heard:
+                    pytest.fail("Chromium ended; see chromium.log")
+                self._rest += heard
         *whole, self._rest = self._rest.split(b"\0")
         messages = [json.loads(part) for part in whole]
         self.events += [message for message in messages if "method" in message]
@@ -193,22 +205,12 @@ class Page:
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
             self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
-    def requests(self) -> list[str]:
-        """Every address that was asked for."""
-        return [e["params"]["request"]["url"] for e in self.events if e["method"] == "Network.requestWillBeSent"]
-
     def errors(self) -> list[str]:
-        """What went wrong: errors on the console, in the log, and exceptions."""
-        said = []
-        for event in self.events:
-            values = event["params"]
-            if event["method"] == "Runtime.exceptionThrown":
-                said.append(str(values["exceptionDetails"]))
-            elif event["method"] == "Runtime.consoleAPICalled" and values["type"] in ("error", "assert"):
-                said.append(" ".join(str(argument.get("value", argument)) for argument in values["args"]))
-            elif event["method"] == "Log.entryAdded" and values["entry"]["level"] == "error":
-                said.append(f"{values['entry']['text']} {values['entry'].get('url', '')}")
-        return said
+        """What went wrong: errors on the console, exceptions, and what could not be loaded."""
+        found = self.ask("Runtime.evaluate", expression="JSON.stringify(window.wrong || [])")
+        entries = [event["params"]["entry"] for event in self.events if event["method"] == "Log.entryAdded"]
+        logged = [f"{entry['text']} {entry.get('url', '')}" for entry in entries if entry["level"] == "error"]
+        return [*json.loads(found["result"]["value"]), *logged]
 
 
 @contextmanager
@@ -242,8 +244,9 @@ def browser_page(folder: Path) -> Iterator[Page]:
         try:
             target = page.ask("Target.createTarget", url="about:blank")["targetId"]
             page.session = page.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-            for domain in ("Page", "Runtime", "Log", "Network"):
+            for domain in ("Page", "Log"):
                 page.ask(f"{domain}.enable")
+            page.ask("Page.addScriptToEvaluateOnNewDocument", source=ONLY_ERRORS)
             size = {"width": WINDOW[0], "height": WINDOW[1], "deviceScaleFactor": 1, "mobile": False}
             page.ask("Emulation.setDeviceMetricsOverride", **size)
             yield page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -211,6 +212,15 @@ def test_every_frame_of_the_film_shows_its_own_picture(written: Path) -> None:
         nearest = min(shown, key=lambda time: abs(time - stamp[0]))
         assert abs(nearest - stamp[0]) <= 1
         assert made.code_of(shown[nearest]) == k
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system has no such priorities")
+def test_encoding_a_film_leaves_no_thread_before_all_others() -> None:
+    """Started by root the encoder takes real-time priority 99, and a viewer started afterwards would stop the machine."""
+    clip = made.coded_clip()
+    video.encode_av1(clip, video.display_window(clip))
+    for thread in os.listdir("/proc/self/task"):
+        assert os.sched_getscheduler(int(thread)) not in (os.SCHED_FIFO, os.SCHED_RR)
 
 
 def test_without_av1_every_frame_is_a_jpeg(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

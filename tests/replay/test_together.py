@@ -122,6 +122,10 @@ def test_models_of_one_throw_share_its_film_and_its_measured_die(models: Path) -
     assert measured == [int.from_bytes(bytes([*MEASURED, 255]), "big")]
     colours = {tuple(rows(models, f"/plots/spin/{name}", "SeriesLines:colors")[0][1]) for name in ("first", "again")}
     assert len(colours) == 2
+    rest = {
+        tuple(rows(models, f"/plots/residual/{n}/rms_sigmas", "SeriesLines:colors")[0][1]) for n in ("first", "again")
+    }
+    assert rest == colours
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.35, 0.6])

@@ -175,6 +175,16 @@ def test_whoever_looks_at_a_throw_is_not_watched(recording: Path, tmp_path: Path
     assert list(home.rglob("*.json")) == []
 
 
+def test_the_viewer_left_to_itself_would_tell_others(recording: Path, tmp_path: Path) -> None:
+    """Else the test above would say nothing. Here, too, nothing gets out."""
+    environment = {k: v for k, v in silent_environment().items() if k != "CI" and "proxy" not in k.lower()}
+    environment.update(HOME=str(tmp_path), XDG_CONFIG_HOME=str(tmp_path / "c"), XDG_DATA_HOME=str(tmp_path / "d"))
+    found = in_a_network_without_a_way_out(looking(recording, tmp_path / "seen.png"), environment)
+    if not (tmp_path / "seen.png").exists():
+        viewers.missing("the viewer draws nothing here: no Vulkan driver (Debian: mesa-vulkan-drivers)")
+    assert found["tried"] > 0
+
+
 def test_writing_a_recording_reaches_nobody(tmp_path: Path) -> None:
     script = (
         "import sys; sys.path.insert(0, sys.argv[1]); import replay_records as made; from pathlib import Path; "
