@@ -32,7 +32,7 @@ from scipy.optimize import least_squares, minimize
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import fit_jointly
 from diethrow.fitting.joint_effects import EFFECTS, load_in_flight
-from diethrow.fitting.outset import Outset, outset_before
+from diethrow.fitting.outset import Outset, outset_of
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
 from diethrow.model import kernels
@@ -113,7 +113,7 @@ LAWS: dict[str, dict[str, float]] = {
 
 def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
     """The first table."""
-    impacts = [found for entry in entries if (found := first_impact(entry, die)) is not None]
+    impacts = [found for entry in entries if (found := first_impact(entry)) is not None]
     clear = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
     clean = [impact for impact in impacts if clearance_m(impact, clear) > CLEAR_M]
     print(f"\nfirst impacts at one corner: {len(clean)}")
@@ -129,11 +129,12 @@ def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
         )
 
 
-def first_impact(entry: Entry, die: Die) -> FirstImpact | None:
-    """The first impact of a toss, if four frames or more tell the flight after it."""
+def first_impact(entry: Entry) -> FirstImpact | None:
+    """The first impact of a toss, if four frames or more tell a flight after it."""
     if not 4 <= entry.early < len(entry.rows):
         return None
-    return FirstImpact(entry.outset, outset_before(entry.track, die, int(entry.rows[entry.early])))
+    after = outset_of(entry.track, entry.rows[: entry.early])
+    return FirstImpact(entry.outset, after) if after.scatters_like(entry.outset) else None
 
 
 def after_impact(impact: FirstImpact, physics: Physics) -> Array:
