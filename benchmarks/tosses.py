@@ -55,6 +55,9 @@ CLEAR_M = 0.004
 """Height of the second lowest corner above which an impact is that of one corner alone."""
 
 
+SAME_PLACE_M, SAME_TURN_RAD = 1e-3, 0.01
+"""How well the flights before and after meet at a single impact: several times what their frames allow."""
+
 PARTS = ("impacts", "throws", "mujoco")
 
 
@@ -115,7 +118,7 @@ def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
     """The first table."""
     impacts = [found for entry in entries if (found := first_impact(entry)) is not None]
     clear = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
-    clean = [impact for impact in impacts if clearance_m(impact, clear) > CLEAR_M]
+    clean = [impact for impact in impacts if is_clean(impact, clear)]
     print(f"\nfirst impacts at one corner: {len(clean)}")
     print("law                              v [m/s] rms, median   spin [rad/s] rms, median")
     fading = {"chi_fade_s_per_m": 0.1}
@@ -149,9 +152,15 @@ def after_impact(impact: FirstImpact, physics: Physics) -> Array:
     return np.concatenate([velocity - after.velocity_m_s - fall, SPIN_ARM_M * (spin - after.omega_rad_s)])
 
 
-def clearance_m(impact: FirstImpact, physics: Physics) -> float:
-    """Height of the second lowest corner at the touch."""
-    return touch(impact, physics)[2]
+def is_clean(impact: FirstImpact, physics: Physics) -> bool:
+    """Whether no other corner is near the table at the touch, and both flights have the die in one place then: where a
+    second corner strikes before the next frames, the later flight leads back to elsewhere."""
+    state, _, clearance_m = touch(impact, physics)
+    after = impact.after.fair_state
+    positions, quaternions = Flight(after, after.time_s).poses([state.time_s])
+    off = float(np.linalg.norm(positions[0] - state.position_m))
+    turned = float(np.linalg.norm(rotation_between(quaternions, state.quaternion[None])))
+    return clearance_m > CLEAR_M and off < SAME_PLACE_M and turned < SAME_TURN_RAD
 
 
 def touch(impact: FirstImpact, physics: Physics) -> tuple[State, Array, float]:
