@@ -32,7 +32,7 @@ from scipy.optimize import least_squares, minimize
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import fit_jointly
 from diethrow.fitting.joint_effects import EFFECTS, load_in_flight
-from diethrow.fitting.outset import Outset, outset_before
+from diethrow.fitting.outset import Outset, outset_of
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
 from diethrow.model import kernels
@@ -54,6 +54,9 @@ SPIN_ARM_M = 0.03
 CLEAR_M = 0.004
 """Height of the second lowest corner above which an impact is that of one corner alone."""
 
+
+SAME_PLACE_M, SAME_TURN_RAD = 1e-3, 0.01
+"""How well the flights before and after meet at a single impact: several times what their frames allow."""
 
 PARTS = ("impacts", "throws", "mujoco")
 
@@ -113,9 +116,9 @@ LAWS: dict[str, dict[str, float]] = {
 
 def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
     """The first table."""
-    impacts = [found for entry in entries if (found := first_impact(entry, die)) is not None]
+    impacts = [found for entry in entries if (found := first_impact(entry)) is not None]
     clear = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
-    clean = [impact for impact in impacts if clearance_m(impact, clear) > CLEAR_M]
+    clean = [impact for impact in impacts if is_clean(impact, clear)]
     print(f"\nfirst impacts at one corner: {len(clean)}")
     print("law                              v [m/s] rms, median   spin [rad/s] rms, median")
     fading = {"chi_fade_s_per_m": 0.1}
@@ -129,11 +132,12 @@ def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
         )
 
 
-def first_impact(entry: Entry, die: Die) -> FirstImpact | None:
-    """The first impact of a toss, if four frames or more tell the flight after it."""
+def first_impact(entry: Entry) -> FirstImpact | None:
+    """The first impact of a toss, if four frames or more tell a flight after it."""
     if not 4 <= entry.early < len(entry.rows):
         return None
-    return FirstImpact(entry.outset, outset_before(entry.track, die, int(entry.rows[entry.early])))
+    after = outset_of(entry.track, entry.rows[: entry.early])
+    return FirstImpact(entry.outset, after) if after.scatters_like(entry.outset) else None
 
 
 def after_impact(impact: FirstImpact, physics: Physics) -> Array:
@@ -148,9 +152,15 @@ def after_impact(impact: FirstImpact, physics: Physics) -> Array:
     return np.concatenate([velocity - after.velocity_m_s - fall, SPIN_ARM_M * (spin - after.omega_rad_s)])
 
 
-def clearance_m(impact: FirstImpact, physics: Physics) -> float:
-    """Height of the second lowest corner at the touch."""
-    return touch(impact, physics)[2]
+def is_clean(impact: FirstImpact, physics: Physics) -> bool:
+    """Whether no other corner is near the table at the touch, and both flights have the die in one place then: where a
+    second corner strikes before the next frames, the later flight leads back to elsewhere."""
+    state, _, clearance_m = touch(impact, physics)
+    after = impact.after.fair_state
+    positions, quaternions = Flight(after, after.time_s).poses([state.time_s])
+    off = float(np.linalg.norm(positions[0] - state.position_m))
+    turned = float(np.linalg.norm(rotation_between(quaternions, state.quaternion[None])))
+    return clearance_m > CLEAR_M and off < SAME_PLACE_M and turned < SAME_TURN_RAD
 
 
 def touch(impact: FirstImpact, physics: Physics) -> tuple[State, Array, float]:

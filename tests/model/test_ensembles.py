@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import binomtest, chi2
 
 from diethrow.model.basins import Axis, Window, map_rows, outcomes
+from diethrow.model.bodies import body_of
 from diethrow.model.ensembles import (
     BLOCK,
     CONDITIONS,
@@ -380,3 +382,21 @@ def test_a_throw_at_small_restitution_is_predictable_as_the_paper_defines_it() -
 
     sensitivity = final_state_sensitivity(outcome, [0.1, 0.0], [0.4, 50.0], [1e-6], conditions=256)
     assert sensitivity.shares[0].value < 0.02
+
+
+def test_a_loaded_die_that_rubs_lands_on_its_heavy_side_more_often() -> None:
+    loaded = replace(CUBE, centre_of_mass_m=np.array([0.0, 0.0, 0.003]))
+    heavy = int(np.argmax(loaded.solid.normals[:, 2])) + 1
+    starts = drawn_states(UNIFORM, loaded, 0, 0, 60)
+    landed = Stage(loaded, CoulombImpact(0.4, 0.3)).throw(starts).face
+    # A fair die does so in 17 or more of 60 throws with odds of 2 in 100; this one has no other stable side to speak of.
+    assert (landed == heavy).sum() >= 17
+    assert (landed > 0).all()
+
+
+def test_one_moment_of_inertia_is_told_wherever_the_mass_lies() -> None:
+    assert CUBE.moment_kg_m2 == CUBE.inertia_kg_m2
+    assert replace(CUBE, centre_of_mass_m=np.array([0.0, 0.0, 0.003])).moment_kg_m2 == pytest.approx(CUBE.inertia_kg_m2)
+    assert loaded_die(CUBE.solid, 0.016, 0.004, [0.0, 0.0, 0.008]).moment_kg_m2 is None
+    with pytest.raises(ValueError, match="deeper inside the cube"):
+        body_of(replace(make_die("cube", 0.02, 0.016, corner_radius_m=0.008), centre_of_mass_m=np.array([0, 0, 0.003])))
