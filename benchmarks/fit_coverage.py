@@ -60,7 +60,7 @@ def bound(track: Track, throw: Throw, die: Die, chi: float, explained: int, time
 
 def one(seed: int, noise: float) -> dict[str, object] | None:
     """One throw: which intervals hold, and their widths over the bound; None where the track determines no χ."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, int(100 * noise)])  # another throw at each level
     die, chi = DICE[seed % 3], rng.uniform(0.1, 0.95)
     throw = true_throw(die, random_release(die, rng), chi, impacts=int(rng.integers(1, 5)))
     track, measured = seen(throw, rng, noise=noise, stated=noise), roughly_measured(throw, rng)

@@ -291,3 +291,14 @@ def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
     width = profile[2] - profile[1]
     assert covariance == pytest.approx(profile, abs=0.02 * width)
     assert bootstrap == pytest.approx(profile, abs=0.25 * width)
+
+
+@pytest.mark.parametrize("seed", [2, 8])
+def test_the_profile_finds_its_way_round_the_bends_of_a_long_valley(seed: int) -> None:
+    """Through four bounces of nearly noiseless frames the cost is straight to far beyond the interval, so that profile
+    and covariance agree; a descent that stops on the way sees a valley hundreds of times too narrow."""
+    rng = np.random.default_rng(seed)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=4)
+    track, measured = seen(throw, rng, noise=0.05, stated=0.05), roughly_measured(throw, rng)
+    profile, covariance = (chi_of(fit_throw(track, measured, CUBE, intervals=k)) for k in ("profile", "covariance"))
+    assert profile[2] - profile[1] == pytest.approx(covariance[2] - covariance[1], rel=0.01)
