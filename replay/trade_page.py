@@ -128,8 +128,8 @@ def trade_page(title: str, trade: Trade) -> str:
         settings = trade.of(kind)
         if settings:
             parts += [f"<h2>{heading}</h2>", *(_picture(plate) for plate in _plates(trade) if plate.name == kind)]
-            parts.append(_table(kind, settings))
-    return whole_page(title, parts)
+            parts += [_table(kind, settings), *_reasons(settings)]
+    return whole_page(title, parts, "td:nth-child(2) { white-space: nowrap; }")
 
 
 def write_fronts(folder: Path, trade: Trade) -> None:
@@ -205,9 +205,15 @@ def _table(kind: str, settings: Sequence[Setting]) -> str:
     return _bold_rows(table, [on for on, _ in rows])
 
 
+def _reasons(settings: Sequence[Setting]) -> list[str]:
+    """Why some settings leave χ open."""
+    told = [f"<li>{escape(s.name)}: {escape(s.why_not)}</li>" for s in settings if s.why_not is not None]
+    return [f'<p class="key">Settings that leave χ open:</p><ul class="key">{"".join(told)}</ul>'] if told else []
+
+
 def _chi_cells(setting: Setting) -> list[str]:
     if setting.chi is None:
-        return [setting.why_not or "–", "–", "–"]
+        return ["open", "–", "–"]
     interval = "–" if setting.chi_low is None else f"{setting.chi_low:.5f} to {setting.chi_high:.5f}"
     return [f"{setting.chi:.5f}", interval, "–" if setting.chi_error is None else f"{setting.chi_error:.1e}"]
 
