@@ -109,10 +109,10 @@ def _race(view: View, reel: Reel, k: int, starts: list[Pose], unused: Mask) -> R
     runners = [_at_the_line(view, reel, k, pose, unused) for pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         followed = [r for r in runners if _followed(r, view, reel, k, stage)]
-        # Past an impact nobody moves evenly any more, and who led before it has won.
+        # Past an impact nobody moves evenly any more: of those still on the die, who led before it has won.
         even = [r for r in followed if r.unevenness < 1.0] if stage >= min(STAGES[1], left) else followed
         if not even:
-            return min(runners, key=lambda r: r.badness) if stage > STAGES[1] else None
+            return next((r for r in runners if r in followed), runners[0]) if stage > STAGES[1] else None
         best = min(r.badness for r in even)
         runners = _apart(view, sorted((r for r in even if r.badness < best + BEHIND), key=lambda r: r.badness))
         if len(runners) == 1 and stage >= STAGES[1]:
