@@ -86,9 +86,9 @@ def with_effects(
     return point, chosen, [refused[effect] for effect in effects if effect in refused and effect not in taken]
 
 
-def load_in_flight(entries: Sequence[Entry]) -> Array:
+def load_before_bounces(entries: Sequence[Entry]) -> Array:
     """The centre of mass (3,) [m] that the flights before the first bounce show: the one about which the centroid
-    circles while it falls freely."""
+    circles while it falls freely. `loaded` asks the same of all flights of one throw, with their covariances."""
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for entry in entries:
         rows, state = entry.outset.rows, entry.outset.fair_state
@@ -119,7 +119,7 @@ def _starts(physics: Physics, effect: str, entries: Sequence[Entry]) -> list[Phy
     if effect == "rounded corners":
         return [physics.with_values(corner_radius_m=part * physics.die.solid.inradius) for part in _FIRST_RADII]
     if effect == "loaded die":
-        return [physics, physics.with_values(**dict(zip(LOAD, load_in_flight(entries).tolist(), strict=True)))]
+        return [physics, physics.with_values(**dict(zip(LOAD, load_before_bounces(entries).tolist(), strict=True)))]
     if effect in ("fading restitution", "fading friction"):
         return [physics.with_values(**{EFFECTS[effect][0]: fade}) for fade in _FIRST_FADES_S_PER_M]
     return [physics]

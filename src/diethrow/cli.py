@@ -139,6 +139,8 @@ def analyze(
 
         with _options_that_fit():
             chosen, method = _quality(quality), _interval_method(intervals)
+        if trade_file is not None and chi_within is None:
+            _stop("--trade without --chi-within; say how well χ is wanted, as in --chi-within 0.01", MISUSED)
         with _progress() as progress:
             if chi_within is not None:
                 from .trade import setting_for
@@ -209,6 +211,7 @@ def fit(
     ],
     scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
     out: OutFolder,
+    intervals: Intervals = "profile",
     threads: Threads = None,
     scheduler: Scheduler = None,
     force: Force = False,
@@ -218,7 +221,11 @@ def fit(
         from .scene import read_scene
 
         checked = read_scene(scene, allow_outside=True)  # no footage is opened
+        with _options_that_fit():
+            method = _interval_method(intervals)
         if len(tracks) > 1:
+            if method != "profile":
+                _stop("--intervals with several tracks; a joint fit draws its intervals from the throws", MISUSED)
             from .fit_many import fit_tracks
 
             with _executor(scheduler) as executor, _progress() as progress:
@@ -236,9 +243,12 @@ def fit(
             return
         from .analyze import fit_track
 
-        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *_options(out, force))
+        how = _given("--intervals", intervals, "profile")
+        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *_options(out, force), *how)
         with _progress() as progress:
-            result = fit_track(tracks[0], checked, out, force=force, progress=progress, command=command)
+            result = fit_track(
+                tracks[0], checked, out, force=force, intervals=method, progress=progress, command=command
+            )
         _print_analysis(result)
 
 
@@ -797,6 +807,7 @@ def trade(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .trade import trade as measure_trade
 
+        how = ("--chi-within", str(chi_within), *_given("--coverage", coverage, 20))
         with _progress() as progress:
             result = measure_trade(
                 checked,
@@ -805,7 +816,7 @@ def trade(
                 draws=coverage,
                 force=force,
                 progress=progress,
-                command=(*_command("trade", scene, out, force, allow_outside), "--chi-within", str(chi_within)),
+                command=(*_command("trade", scene, out, force, allow_outside), *how),
             )
         _print_trade(result)
         typer.echo(f"See {out / 'trade.html'}")

@@ -10,7 +10,7 @@ from throws import FPS, random_release, seen
 
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import JointFit, fit_jointly
-from diethrow.fitting.joint_effects import load_in_flight
+from diethrow.fitting.joint_effects import load_before_bounces
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
@@ -100,7 +100,7 @@ def test_a_loaded_die_is_found_by_its_flights_and_by_what_they_foretell() -> Non
     throws = loaded_entries(8)
     truth = np.array(list(LOAD_TRUTH.values()))
     # Some 70 frames of 3 µs in each flight, through half a turn: 0.05 mm.
-    assert load_in_flight(throws) == pytest.approx(truth, abs=5e-5)
+    assert load_before_bounces(throws) == pytest.approx(truth, abs=5e-5)
     fit = fit_jointly(throws, CUBE, threads=2, effects=("friction", "loaded die"))
     assert {effect.name for effect in fit.chosen} == {"friction", "loaded die"}
     for name, value in LOAD_TRUTH.items():
