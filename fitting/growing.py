@@ -24,8 +24,7 @@ from .physics import Physics
 from .results import Fit, Parameter
 from .shots import Shot, opening
 from .sightings import sight
-
-LEVEL_OF_INTERVALS = 0.95
+from .whole_throw import LEVEL_OF_INTERVALS
 
 
 @dataclass(frozen=True)

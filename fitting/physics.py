@@ -59,7 +59,8 @@ EFFECTS: dict[str, tuple[str, ...]] = {
 """The parameters of every effect that a fit may free."""
 
 ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag"})}
-"""Effects that no model has together: a die that is no spherical top is simulated with smooth impacts and without air."""
+"""Effects that no fit of one throw has together: a displaced centre of mass has derivatives for smooth impacts without air
+alone (`model.tangent`). Joint fits, which need none, have it with friction."""
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
 

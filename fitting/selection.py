@@ -27,7 +27,7 @@ from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
 from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale, reach
-from .loaded import load_in_flight
+from .loaded import Load, load_in_flight
 from .physics import EFFECTS, RESTITUTIONS, Physics, course
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
@@ -139,9 +139,9 @@ def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patien
     k2 = loss_scale(free)
     starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
     if effect == "loaded die":
-        load = load_in_flight(free)
-        if load is None or load.gain < _HOPEFUL * _price(attempt, effect):
-            return Trial(effect, None, load.gain if load else 0.0, _price(attempt, effect), 0.0)
+        load, gain = _hopeful_load(attempt, free)
+        if load is None:
+            return Trial(effect, None, gain, _price(attempt, effect), 0.0)
         starts = (shot.physics.with_values(**load.values),)
     onward = attempt.vertices[len(shot.vertices) :]
     tried = [reach(with_physics(shot, p, k2), onward, attempt.reached, free, patient=patient) for p in starts]
@@ -185,13 +185,20 @@ def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
     return _compared(shot, shoot(shot.sightings, wider, shot.vertices, k2), effect, k2)
 
 
+def _hopeful_load(shot: Shot, free: FreeFlights) -> tuple[Load | None, float]:
+    """The centre of mass that the flights show, None where it is not worth a fit; and what it gains there."""
+    load = load_in_flight(free)
+    gain = 0.0 if load is None else load.gain
+    return (load if gain >= _HOPEFUL * _price(shot, "loaded die") else None), gain
+
+
 def _try_load(shot: Shot, free: FreeFlights) -> Trial:
     """The same of a loaded die, which free flights tell without the simulation of a die that is no spherical top: scenes
     with a fair die do not pay for that."""
     effect, k2 = "loaded die", loss_scale(free)
-    load = load_in_flight(free)
-    if load is None or load.gain < _HOPEFUL * _price(shot, effect):
-        return Trial(effect, None, load.gain if load else 0.0, _price(shot, effect), 0.0)
+    load, gain = _hopeful_load(shot, free)
+    if load is None:
+        return Trial(effect, None, gain, _price(shot, effect), 0.0)
     # From where the flights see it, and from nowhere: the start that fits without it may lie far from the first.
     starts = (shot.physics.with_values(**load.values), shot.physics.with_effect(effect))
     found = [shoot(shot.sightings, with_physics(shot, start, k2), shot.vertices, k2) for start in starts]
