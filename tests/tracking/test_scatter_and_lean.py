@@ -271,6 +271,7 @@ def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_know
     np.testing.assert_allclose(told[even[:-1] + 1], shared[even[:-1] + 2], atol=1e-15)
     # A flight as a whole takes the middling one of its frames.
     flight = found.throw.flights[0]
-    assert flight.covariance is not None and found.own.flights[0].covariance is not None
+    assert flight.covariance is not None
+    assert found.own.flights[0].covariance is not None
     floor = (flight.covariance - found.own.flights[0].covariance)[:3, :3]
     assert np.abs(shared[even][:, :3, :3] - floor).max(axis=(1, 2)).min() < 1e-15
