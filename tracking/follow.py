@@ -487,7 +487,7 @@ def _marked(
     # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
     part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
     lean = np.asarray(np.linalg.lstsq(pose.information, part, rcond=None)[0], np.float64)
-    return replace(pose, contour_lean=lean), shared_covariance(marks, adjusted.flight_at(time_s), time_s)
+    return replace(pose, contour_lean=lean), shared_covariance(view, marks, adjusted.flight_at(time_s), time_s)
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

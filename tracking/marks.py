@@ -78,6 +78,9 @@ SETTLED_SIGMAS = 0.3
 """A round that moves no flight by more than this many of its sigmas is the last."""
 NEAR_BOUNCE = 1.0
 """Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
+PLACED_PX = 0.005
+"""One sigma of where a picture has a mark: light that falls aslant on its border, the form of a pixel, the curve of a
+sensor move it by some thousandths of a pixel, on all frames alike."""
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
 
@@ -158,11 +161,15 @@ def edge_information(view: View, marks: Marks, pose: Pose) -> Array:
     return np.asarray(pose.information @ np.linalg.inv(np.eye(6) + common @ pose.information))
 
 
-def shared_covariance(marks: Marks, flight: int, time_s: float) -> Array:
+def shared_covariance(view: View, marks: Marks, flight: int, time_s: float) -> Array:
     """(6, 6) of the pose at an instant that all frames share: what the uncertain places of the textures do to every one of
-    them. It belongs on top of whatever a fit of many frames says, because it does not shrink with their number."""
+    them, and what no frame can show, PLACED_PX. It belongs on top of whatever a fit of many frames says, because it does not
+    shrink with their number."""
     M = transition(marks.flights[flight], time_s)[:6]
-    return np.asarray(M @ marks.shared[flight] @ M.T)
+    place_m = marks.flights[flight].at(time_s).position_m
+    distance_m = float(np.linalg.norm(place_m - view.camera.centre_m))
+    placed = contour_covariance(view, place_m, PLACED_PX * distance_m / view.camera.matrix[0, 0])
+    return np.asarray(M @ marks.shared[flight] @ M.T + placed)
 
 
 def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[Look]:
