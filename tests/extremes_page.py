@@ -21,6 +21,8 @@ hold; those marked *slow* run with `--slow` alone. Tests and page are one: this 
 {COMMAND}
 ```
 """
+ORDER = ("model", "footage", "tracking", "bounces_and_fits", "records")
+"""Of the files, as a throw goes through them."""
 SECTION = re.compile(r"^# -{4,} (.+?) -+$")
 """A heading among the tests of a file."""
 
@@ -70,7 +72,7 @@ class PageOfExtremes:
 
     def pytest_sessionfinish(self) -> None:
         """The page, in the order in which the tests stand in their files."""
-        ran = sorted(self._ran, key=lambda one: (one.file, one.line))
+        ran = sorted(self._ran, key=lambda one: (_place(one.file), one.line))
         self._path.write_text(page(self._root, ran), encoding="utf-8")
 
 
@@ -96,6 +98,11 @@ def table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
     cells = [list(header), *(list(row) for row in rows)]
     cells.insert(1, ["---"] * len(cells[0]))
     return "\n".join(f"| {' | '.join(text.replace('|', chr(92) + '|') for text in row)} |" for row in cells) + "\n"
+
+
+def _place(file: str) -> tuple[int, str]:
+    name = Path(file).stem.removeprefix("test_")
+    return (ORDER.index(name) if name in ORDER else len(ORDER), file)
 
 
 def _rows(tests: Sequence[Ran]) -> list[tuple[str, str]]:
