@@ -26,9 +26,9 @@ ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60
 GRID = 12_000
 """Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
 REFINED = 48
-MOST_KEPT, FEW_KEPT, WORSE = 24, 6, 0.3
-"""As many starts are handed on as score at most so much worse than the best, which other frames may yet turn round, and a
-few in any case."""
+FEW_KEPT, WORSE = 6, 0.3
+"""Starts are handed on that score at most so much worse than the best, which other frames may yet turn round, and a few in
+any case; never more than the view's quality says."""
 SEARCH_PIXELS = 1500
 """Pixels that judge a trial pose."""
 LARGEST_PX, SEARCHED_PX = 800, 400
@@ -59,7 +59,7 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
-    apart = _apart(view, found)[:MOST_KEPT]
+    apart = _apart(view, found)[: view.quality.starts]
     return apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
 
 
