@@ -68,10 +68,16 @@ def holds(fit: Fit, chi: float) -> bool:
 
 
 @pytest.mark.parametrize(
-    "impacts", [1, pytest.param(60, marks=pytest.mark.slow)], ids=lambda n: f"{n} impact" + "s" * (n > 1)
+    "impacts",
+    [1, pytest.param(20, marks=pytest.mark.slow), pytest.param(60, marks=pytest.mark.slow)],
+    ids=lambda n: f"{n} impact" + "s" * (n > 1),
 )
-def test_every_impact_of_an_elastic_throw_is_found(impacts: int, happened: Told) -> None:
-    """Of one impact one is found, and of sixty at χ = 1 nine in ten, each to half a frame; none where none is."""
+def test_every_impact_of_an_elastic_throw_is_found(
+    impacts: int, monkeypatch: pytest.MonkeyPatch, happened: Told
+) -> None:
+    """Of one impact one is found, and of twenty and sixty at χ = 1 nine in ten, each to half a frame; none where none is."""
+    # Time grows faster than the square of the impacts: sixty take minutes.
+    monkeypatch.setattr(throws, "FPS", 500.0)
     throw, track = filmed(1.0, impacts)
     right, wrong = found(throw, track)
     assert right >= 0.9 * impacts
@@ -80,10 +86,12 @@ def test_every_impact_of_an_elastic_throw_is_found(impacts: int, happened: Told)
 
 
 @pytest.mark.slow
-def test_a_fit_of_sixty_impacts_ends_with_chi_or_a_reason(happened: Told) -> None:
-    """A throw of sixty impacts at χ = 0.97 is fitted as far as the frames decide it, and χ lies in its interval."""
-    _, track = filmed(0.97, 60)
-    fit = fitted(track)
+def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
+    monkeypatch: pytest.MonkeyPatch, happened: Told
+) -> None:
+    """A throw of ten impacts at χ = 0.97 is fitted as far as the frames decide it, and χ lies in its interval."""
+    monkeypatch.setattr(throws, "FPS", 500.0)
+    fit = fitted(filmed(0.97, 10)[1])
     assert holds(fit, 0.97)
     happened(chi_in_words(fit))
 
