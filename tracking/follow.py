@@ -17,7 +17,7 @@ import numpy as np
 from numba import config as numba_config
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Throw
+from ..model.motion import GRAVITY_M_S2, Flight, Throw
 from ..model.rotations import (
     continuous_sign,
     matrix_from_quat,
@@ -411,7 +411,12 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     if marks is None:
         return seen, None, None
     adjusted = Throw(marks.flights, throw.impacts)
-    if _contradiction(throw, adjusted) > CONTRADICTED or _gain(throw, adjusted) < WORTHWHILE:
+    both = [
+        pair
+        for pair, shared in zip(zip(throw.flights, marks.flights, strict=True), marks.shared, strict=True)
+        if np.isfinite(shared).all()
+    ]
+    if _contradiction(both) > CONTRADICTED or _gain(both) < WORTHWHILE:
         return seen, marks, None
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
@@ -430,14 +435,14 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     return out, marks, shared
 
 
-def _contradiction(by_edges: Throw, by_marks: Throw) -> float:
-    """Median squared distance of the flights by edges and by marks half-way through each, in the sigmas of both.
+def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
+    """Median squared distance of flights by edges and by marks half-way through each, in the sigmas of both.
 
     Two ways to see one motion must agree. Where they do not, the marks were learned in the wrong places: many small faces,
     each seen for a short time, can shift against each other without the pictures telling.
     """
     squared = []
-    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+    for ours, theirs in both:
         if ours.covariance is None or theirs.covariance is None or not np.isfinite(ours.end_s):
             continue
         t = 0.5 * (ours.start.time_s + ours.end_s)
@@ -449,11 +454,11 @@ def _contradiction(by_edges: Throw, by_marks: Throw) -> float:
     return float(np.median(squared)) if squared else 0.0
 
 
-def _gain(by_edges: Throw, by_marks: Throw) -> float:
+def _gain(both: Sequence[tuple[Flight, Flight]]) -> float:
     """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
     the determinants of the covariances."""
     gains = []
-    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+    for ours, theirs in both:
         if ours.covariance is not None and theirs.covariance is not None and np.isfinite(ours.end_s):
             t = 0.5 * (ours.start.time_s + ours.end_s)
             M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
@@ -475,19 +480,22 @@ def _as_sure_as_they_scatter(track: Track, throw: Throw) -> Track:
 def _marked(
     view: View, marks: Marks, picture: Frames, adjusted: Throw, edges: Track, seen: Seen, k: int
 ) -> tuple[Pose, Array]:
-    """One frame refined on marks and edges, from where its flight leads unless that is over, and what it shares with all
-    others."""
+    """One frame refined on marks and edges, from where its flight leads unless that is over or no flight, and what it
+    shares with all others."""
     time_s = float(edges.time_s[k])
+    shared = shared_covariance(view, marks, adjusted.flight_at(time_s), time_s)
     by_edges = replace(
         pose_from(edges.position_m[k], matrix_from_quat(edges.quaternion[k]), seen.H[k], seen.stats[k], 0.0, view.lens),
         information=np.linalg.inv(edges.covariance[k]),
     )
     start = adjusted.at(time_s) if time_s <= adjusted.flights[-1].end_s else None
+    if start is not None and np.isnan(shared).any():
+        start = replace(start, position_m=edges.position_m[k], quaternion=edges.quaternion[k])
     pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), by_edges, start)
     # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
     part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
     lean = np.asarray(np.linalg.lstsq(pose.information, part, rcond=None)[0], np.float64)
-    return replace(pose, contour_lean=lean), shared_covariance(view, marks, adjusted.flight_at(time_s), time_s)
+    return replace(pose, contour_lean=lean), shared
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

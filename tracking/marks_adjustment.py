@@ -49,9 +49,9 @@ def links_between(looks: list[Look], throw: Throw) -> list[tuple[int, float]]:
 
 def adjusted(
     view: View, looks: list[Look], links: list[tuple[int, float]], marks: Marks, cut: float
-) -> tuple[Marks, float]:
-    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and the largest
-    move, in sigmas.
+) -> tuple[Marks, Array]:
+    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and how far each
+    flight was moved, (flights,) in sigmas of what moved most, 0 for one without a look.
 
     Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, and the instant of each
     bounce, at which position and orientation go on without a jump.
@@ -99,7 +99,9 @@ def adjusted(
         c = slice(at, at + 12)
         flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
         shared[k] = C[c, c] - own[c, c]
-    moves = [np.abs(step[c : c + 12]) / np.sqrt(np.diag(C)[c : c + 12]) for c in column.values()]
+    moves = np.zeros(len(flights))
+    for k, at in column.items():
+        moves[k] = float(np.max(np.abs(step[at : at + 12]) / np.sqrt(np.diag(C)[at : at + 12])))
     blur = marks.blur_px * float(np.clip(1.0 + step[blur_at] / marks.blur_px, 0.7, 1.4))
     noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
     usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
@@ -107,7 +109,7 @@ def adjusted(
         marks, flights=tuple(flights), shared=tuple(shared), factor=factor,
         blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
     )  # fmt: skip
-    return replace(new, contour_m=_contour_error(view, looks, new)), float(np.max(moves))
+    return replace(new, contour_m=_contour_error(view, looks, new)), moves
 
 
 def _priors(view: View, flights: int, faces: int, links: int) -> Array:

@@ -198,7 +198,7 @@ def blank_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw
         grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
         np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px,
         np.zeros((faces, 2, 3)), 1.0, CONTOUR_SHARE * view.die.solid.edge_m, throw.flights,
-        tuple(np.zeros((12, 12)) for _ in throw.flights),
+        tuple(np.full((12, 12), np.nan) for _ in throw.flights),
     )  # fmt: skip
 
 
