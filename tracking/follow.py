@@ -14,7 +14,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2, Flight, Throw
@@ -38,6 +37,7 @@ from .marks import edge_information, frames_to_learn_from, learn_marks, refine_b
 from .marks_textures import Marks
 from .offsets import Offsets, eyes_at, find_offsets
 from .pose import (
+    THREADS,
     Pose,
     View,
     blur_step,
@@ -76,8 +76,6 @@ CONTRADICTED = 30.0
 WORTHWHILE = 8.0
 """Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
 faces do, where they were learned matters more than what they add."""
-THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
-"""Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
 
 class NoDieError(ValueError):

@@ -8,6 +8,7 @@ textures that they have placed themselves.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..model.rotations import matrix_from_quat, rotation_between
 from .flights import moved, transitions
 from .marks_kernels import SHARED, WARPS, mark_equations
 from .marks_textures import Look, Marks, Poses, blurs, on_faces, poses_of, seen_by
-from .pose import View
+from .pose import THREADS, View
 
 Array = NDArray[np.float64]
 
@@ -62,7 +63,8 @@ def adjusted(
     blur_at = 12 * len(used) + WARPS * len(place_of)
     in_flight = np.bincount([look.flight for look in looks])
     poses = poses_of(looks, marks.flights)
-    equations = [_equations(view, marks, look, poses, i, cut) for i, look in enumerate(looks)]
+    with ThreadPoolExecutor(THREADS) as pool:
+        equations = list(pool.map(lambda i: _equations(view, marks, looks[i], poses, i, cut), range(len(looks))))
     edges = _edges_minus_flights(looks, poses)
     squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ..model.solids import Die, symmetry_rotations
@@ -14,6 +15,10 @@ from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Screen, Shape, Sight, look, 
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
+
+THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
+"""Frames, and faces, are independent of each other in most of what is done with them; more threads than this wait for the
+decoder."""
 Image = NDArray[np.float32]
 
 MIRRORED = np.diag([1.0, 1.0, -1.0])
