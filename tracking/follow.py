@@ -150,10 +150,7 @@ def look_through(
         throw = _measured(view, reel, seen)
     offsets = Offsets.none(len(clips))
     if quality.second_pass:
-        if die.corner_radius_m == 0.0:
-            # Bevels in a mirror are lit from below and seen at a glance: a reflection of rounded edges turned the poses by
-            # a tenth of a degree, and helps those of sharp ones.
-            view = with_reflections(view)
+        view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         if throw is not None:
