@@ -135,12 +135,10 @@ def look_through(
     background and clip differ in size, and NoDieError where no die was found.
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
-    # Marks are learned from one camera; with several the edges of all must do.
-    with_marks = quality.marks and len(clips) == 1
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     reel = Reel(clips)
     view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
-    report = _Reporter(progress, (1 + quality.second_pass + with_marks) * len(reel))
+    report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
     unused = np.zeros(len(reel), bool)
     unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
     view, seen = _first_pass(view, reel, report, start, unused)
@@ -157,7 +155,7 @@ def look_through(
             offsets = find_offsets(view, reel.frame, reel.times_s, throw)
         seen = _second_pass(view, reel, seen, throw, unused, report, offsets)
     marks, shared = None, None
-    if with_marks:
+    if quality.marks:
         seen, marks, shared = _third_pass(view, reel, seen, report)
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
@@ -390,7 +388,11 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
 
 def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[Seen, Marks | None, Array | None]:
     """Every frame refined once more on the marks of the die's faces, where it has any, with what all frames then err
-    alike (n, 6, 6)."""
+    alike (n, 6, 6).
+
+    Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
+    other's lines of sight, which marks of one do not.
+    """
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
@@ -403,8 +405,8 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)
     images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
     marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
-    if marks is None:
-        return seen, None, None
+    if marks is None or len(reel.clips) > 1:
+        return seen, marks, None
     adjusted = Throw(marks.flights, throw.impacts)
     both = [
         pair
