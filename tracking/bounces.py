@@ -69,10 +69,14 @@ def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw
 def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     """As `measure_throw`, with what was learnt of the frames."""
     use = np.flatnonzero(track.tracked)
-    if len(use) >= FEWEST:
-        use = use[sane_rows(_sightings(track, use), die)]
     if len(use) < FEWEST:
-        raise NoFlightError(f"{len(use)} frames are tracked: wanted at least three in a row to measure a flight")
+        raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
+    tracked, use = len(use), use[sane_rows(_sightings(track, use), die)]
+    if len(use) < FEWEST:
+        raise NoFlightError(
+            f"{_frames(tracked)} tracked, and {len(use)} of them move as a die can: wanted at least three in a row to measure "
+            "a flight"
+        )
     lean = np.zeros((len(track), 6, 0))
     loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(loose, die)
@@ -98,6 +102,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
     return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)
+
+
+def _frames(count: int) -> str:
+    return "1 frame is" if count == 1 else f"{count} frames are"
 
 
 def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
