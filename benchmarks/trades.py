@@ -244,10 +244,10 @@ numbers in the pictures are those of the tables, right is faster, low is better.
 
 ## Tracking and fit
 
-The default is `--quality standard` on the whole clip. χ is that of the whole way from clip to fit; *off by* is its distance
-from the truth with which the clip was rendered. Corners are compared with those of the finest run. In a clip's second table the standard
-quality has one of its numbers changed: pixel lines walked along the edges and pixels that judge a pose are what is looked at;
-first poses and rivals are hypotheses.
+The default is `--quality standard` on the whole clip. χ is that of the whole way from clip to fit; *±* is the half width of
+its 95 % interval, *off by* its distance from the truth with which the clip was rendered. Corners are compared with those of
+the finest run. In a clip's second table the standard quality has one of its numbers changed: pixel lines walked along the
+edges and pixels that judge a pose are what is looked at; first poses and rivals are hypotheses.
 """
     ]
     for name, rows in clips.items():

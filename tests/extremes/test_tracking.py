@@ -20,7 +20,7 @@ from diethrow.model.rotations import quat_from_matrix, quat_multiply, rotation_b
 from diethrow.model.simulate import Until, throw_die
 from diethrow.tracking.bounces import NoFlightError, measure_throw
 from diethrow.tracking.follow import NoDieError, follow
-from diethrow.tracking.quality import FAST, STANDARD, Quality
+from diethrow.tracking.quality import FAST
 from diethrow.tracking.track import Track
 
 Told = Callable[[str], None]
@@ -69,11 +69,11 @@ class Outcome:
         )
 
 
-def followed(clip: ArrayClip, room: Studio, throw: Throw, quality: Quality = STANDARD) -> Outcome | str:
+def followed(clip: ArrayClip, room: Studio, throw: Throw) -> Outcome | str:
     """What comes of a clip: a track with its errors, or the sentence with which it was given up."""
     table = np.rint(room.table * np.float32(2.0 ** (clip.bit_depth - 8)))
     try:
-        track = follow(clip, room.camera, CUBE, background=table, quality=quality)
+        track = follow(clip, room.camera, CUBE, background=table)
         bounces = len(measure_throw(track, CUBE, room.camera).impacts)
     except (NoDieError, NoFlightError) as error:
         return str(error)
@@ -113,7 +113,7 @@ def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(footage_of_throws, "FINER", 1)  # coverage is computed exactly, and memory is finite
     room = replace(studio(2800, 2800, focal_px=37_500.0), noise_grey=2.0)
     throw = thrown(height_m=0.0195, fall_m_s=0.4)
-    outcome = followed(film(room, CUBE, throw, 8), room, throw, FAST)
+    outcome = followed(film(room, CUBE, throw, 8), room, throw)
     assert isinstance(outcome, Outcome)
     assert outcome.track.tracked.all()
     assert np.median(outcome.turned_deg) < 0.01
