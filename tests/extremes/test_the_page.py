@@ -13,8 +13,10 @@ PAGE = HERE.parents[1] / "docs" / "extremes.md"
 
 
 @pytest.mark.parametrize("file", sorted(HERE.glob("test_*.py")), ids=lambda path: path.stem)
-def test_what_is_expected_stands_on_the_page(file: Path) -> None:
+def test_what_is_expected_stands_on_the_page(file: Path, request: pytest.FixtureRequest) -> None:
     """A law that was added, reworded or taken away asks for a new page."""
+    if request.config.getoption("--extremes-page") is not None:
+        pytest.skip("the page is about to be written")
     functions = [node for node in ast.parse(file.read_text("utf-8")).body if isinstance(node, ast.FunctionDef)]
     laws = [node for node in functions if "happened" in {argument.arg for argument in node.args.args}]
     page = PAGE.read_text(encoding="utf-8")
