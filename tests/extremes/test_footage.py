@@ -58,7 +58,7 @@ def test_sixteen_bits_are_read_to_the_last_level(suffix: str, tmp_path: Path, ha
     happened(f"levels 0 to {max(int(frame.max()) for frame in clip.frames())}, all as written")
 
 
-@pytest.mark.parametrize("fps", [1.0, 1e6])
+@pytest.mark.parametrize("fps", [1.0, 1e6], ids=lambda fps: f"{fps:.0f} frames/s")
 def test_times_are_counted_and_not_added_up(fps: float, tmp_path: Path, happened: Told) -> None:
     """Frame k of 60 000 is at k / fps to the last bit, and the last one is read as fast as the first."""
     frames = np.arange(60_000, dtype=np.uint16)[:, None, None] % 4096 * np.ones((1, 2, 8), np.uint16)
