@@ -9,8 +9,9 @@ problem with an exact gradient.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ..model.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -58,7 +59,7 @@ def triangle(jacobian: Array) -> Array:
     return root * np.where(np.diag(root) < 0.0, -1.0, 1.0)[:, None]
 
 
-@njit(cache=True)
+@compiled
 def _triangle(columns: Array) -> Array:
     """R (m, m) of the QR decomposition of a matrix given by its columns (m, n), n >= m, by Householder's reflections.
 
@@ -88,7 +89,7 @@ def _triangle(columns: Array) -> Array:
     return np.ascontiguousarray(columns[:, :m].T)
 
 
-@njit(cache=True)
+@compiled
 def in_units_of(root: Array, jacobian: Array) -> Array:
     """J T⁻¹ (n, m) of J (n, m) and an upper triangular T (m, m): the derivative by u = T x."""
     n, m = jacobian.shape
@@ -102,7 +103,7 @@ def in_units_of(root: Array, jacobian: Array) -> Array:
     return scaled
 
 
-@njit(cache=True)
+@compiled
 def solved(root: Array, right: Array) -> Array:
     """T⁻¹ b (m,) of an upper triangular T (m, m)."""
     m = len(right)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from . import kernels, tops
 from .bodies import body_of, kernel_starts
+from .compiled import compiled
 from .impacts import ImpactLaw
 from .rotations import quat_multiply
 from .simulate import BOUNCING_CAP, ENDINGS, EXACT, IMPACT_CAP, Ending, Precision
@@ -391,7 +392,7 @@ def _check_range(name: str, values: tuple[float, float]) -> None:
 # --- kernels -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _fill_states(numbers: Array, states: Array) -> None:
     """Number by number, so that a release does not depend on those beside it in the last bit."""
     for k in range(numbers.shape[0]):

@@ -19,9 +19,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled
 from ..model.motion import GRAVITY_M_S2, Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 
@@ -272,7 +272,7 @@ def _packed(state: State) -> Array:
 # --- kernels ----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _sums(
     time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, share: Array, usual: Array,
     state: Array, shared: Array, normal: Array, gradient: Array, squares: Array,
@@ -299,7 +299,7 @@ def _sums(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _meat(
     time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, strength: Array,
     state: Array, wander: Array, memory_s: Array, meat: Array,
@@ -328,7 +328,7 @@ def _meat(
             meat[b, a] = meat[a, b]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _rows(
     time: float, position: Array, quaternion: Array, W: Array, lean: Array, state: Array, shared: Array, rows: Array
 ) -> None:
@@ -373,7 +373,7 @@ def _rows(
             rows[i, last] -= leans * shared[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _carry(state: Array, time: float, out: Array, M: Array) -> None:
     """The state (14,) at another instant, and its derivative (12, 12)."""
     dt = time - state[0]
@@ -395,7 +395,7 @@ def _carry(state: Array, time: float, out: Array, M: Array) -> None:
         out[4 + i] = q[i]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
     """exp(v) and dt J(v) of v = (x, y, z); the series below 1e-3 rad as in `left_jacobians`."""
     square = angle * angle
@@ -416,7 +416,7 @@ def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tup
     return E, L
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _product(
     aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
 ) -> tuple[float, float, float, float]:
@@ -429,7 +429,7 @@ def _product(
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
     """Gauss-Newton through the frames of one flight, white errors; fills state (14,) and the inverse normal matrix."""
     n = len(time)
@@ -461,7 +461,7 @@ def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array
     return left
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> None:
     """A first state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
     with the fall taken out. Errors of the frames between cancel in both."""
@@ -490,7 +490,7 @@ def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> Non
         state[1 + i] = position[middle, i]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _moved(state: Array, step: Array, out: Array) -> None:
     """The state after a change (12,) of position, rotation vector, velocity and angular velocity."""
     out[:] = state
@@ -508,7 +508,7 @@ def _moved(state: Array, step: Array, out: Array) -> None:
         out[4 + i] = q[i] / length
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _invert(matrix: Array, inverse: Array) -> None:
     """Inverse (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; what rounding leaves of a singular
     direction is held by 1e-13."""

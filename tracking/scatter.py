@@ -25,9 +25,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled
 from ..model.motion import State
 from .flights import Scatter, Sightings, seen_minus_motion
 
@@ -88,7 +88,7 @@ def _mean_scatter(odds: Array, variance: Array, memories_s: Array, spacing: floa
     return Scatter(np.sqrt(white), wander, spacing / np.log((ratio + 1.0) / (ratio - 1.0)))
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fill(
     time: Array, series: Array, ends: NDArray[np.int64], wanders: Array, memories_s: Array, likelihood: Array,
     variance: Array,
@@ -101,7 +101,7 @@ def _fill(
                 likelihood[i, j, k], variance[i, j, k] = value, sigma * sigma
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _likelihood(
     time: Array, series: Array, ends: NDArray[np.int64], wander: float, memory_s: float
 ) -> tuple[float, float]:
