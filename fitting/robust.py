@@ -8,6 +8,8 @@ problem with an exact gradient.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -70,7 +72,7 @@ def _triangle(columns: Array) -> Array:
         norm = 0.0
         for i in range(j, n):
             norm += columns[j, i] ** 2
-        norm = np.sqrt(norm)
+        norm = sqrt(norm)
         if norm == 0.0:
             continue
         pivot = columns[j, j] + (norm if columns[j, j] >= 0.0 else -norm)
@@ -85,8 +87,13 @@ def _triangle(columns: Array) -> Array:
             for i in range(j + 1, n):
                 columns[k, i] -= along * columns[j, i]
         columns[j, j] = -norm if columns[j, j] >= 0.0 else norm
-        columns[j, j + 1 :] = 0.0
-    return np.ascontiguousarray(columns[:, :m].T)
+        for i in range(j + 1, n):
+            columns[j, i] = 0.0
+    root = np.empty((m, m))
+    for i in range(m):
+        for j in range(m):
+            root[i, j] = columns[j, i]
+    return root
 
 
 @compiled

@@ -18,7 +18,7 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
-from .compiled import compiled, int64, truth
+from .compiled import compiled, inner, int64, truth
 from .motion import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
@@ -193,7 +193,7 @@ def table_velocity(plane: Plane, time: float) -> float:
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
 
 
-@compiled
+@inner
 def table_acceleration(plane: Plane, time: float) -> float:
     """Vertical acceleration [m/s²] of the table."""
     return -plane.rate * plane.rate * table_height(plane, time)
@@ -212,7 +212,7 @@ def spin_of(state: Array) -> float:
     return float(largest * sqrt(x * x + y * y + z * z))
 
 
-@compiled
+@inner
 def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
     """Unit axis of the spin; any axis serves where there is none."""
     if spin == 0.0:
@@ -323,7 +323,7 @@ def first_touch(
         t += step
 
 
-@compiled
+@inner
 def touch_of_vertex(
     terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
@@ -342,14 +342,14 @@ def touch_of_vertex(
     return t, _height(terms, height, velocity, spin, plane, clock, t) >= below, v, acceleration
 
 
-@compiled
+@inner
 def _height(terms: Array, height: float, velocity: float, spin: float, plane: Plane, clock: float, t: float) -> float:
     """Height [m] of the one vertex of `terms` (1, 4) above the table."""
     swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
     return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
 
 
-@compiled
+@inner
 def _touch_before(
     terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
@@ -435,7 +435,7 @@ def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: f
     return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
 
 
-@compiled
+@inner
 def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, dy: float) -> tuple[float, float, float]:
     """The unit vector ŝ, and σ ≥ 0, with (radius T + σ) ŝ = d; None needs one where |T⁻¹d| ≤ radius.
 
@@ -501,7 +501,7 @@ def friction_impulse(
     return size * sx, size * sy, size * p
 
 
-@compiled
+@inner
 def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
     """What the slip (vx, vy) does next, to rounding of velocities of the given `size`."""
     xx, xy, xz, yy, yz, _ = matrix
@@ -520,13 +520,13 @@ def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> in
     return _STRAIGHT if f < 0.0 else _STOPPED
 
 
-@compiled
+@inner
 def _rate(matrix: Matrix6, mu: float) -> float:
     """How fast the slip vector changes with τ [1/kg], at most (up to 2)."""
     return float(hypot(matrix[2], matrix[4]) + mu * max(matrix[0], matrix[3]))
 
 
-@compiled
+@inner
 def _straight(
     w: float, slope: float, limit: float, ending: int, chi: float, returning: bool, goal: float
 ) -> tuple[float, float, bool, float, bool]:
@@ -564,7 +564,7 @@ def _straight(
         returning = not returning
 
 
-@compiled
+@inner
 def _turning_slip(
     matrix: Matrix6, chi: float, mu: float, ending: int, vx: float, vy: float, w: float, goal: float
 ) -> tuple[float, float, float, float, float, float, bool, float, bool, int]:
@@ -604,7 +604,7 @@ def _turning_slip(
     return nan, nan, nan, nan, nan, nan, returning, goal, True, _TURNS
 
 
-@compiled
+@inner
 def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> tuple[bool, float]:
     """Whether the slip comes near enough to the direction in which it will stop, and the dp until then.
 
@@ -654,7 +654,7 @@ def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float
     return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * _TINY * size, ahead * total
 
 
-@compiled
+@inner
 def _stop_before_event(
     series: Array,
     matrix: Matrix6,
@@ -712,7 +712,7 @@ def _stop_before_event(
     return True, tx, ty, w_stop, goal + (chi if ending == POISSON else -chi * chi) * given
 
 
-@compiled
+@inner
 def _expand(
     series: Array,
     matrix: Matrix6,
@@ -767,7 +767,7 @@ def _expand(
     return float(max(reach, 1e-30))  # where the ratio of a graze underflows
 
 
-@compiled
+@inner
 def _walk(
     series: Array, h: float, ending: int, chi: float, returning: bool, goal: float
 ) -> tuple[float, bool, float, bool]:
@@ -793,7 +793,7 @@ def _walk(
             return t, returning, goal, True
 
 
-@compiled
+@inner
 def _first_rise(series: Array, sign: float, level: float, start: float, end: float) -> float:
     """The first t in (start, end] at which sign · w rises to sign · level, from below; -1 if it does not.
 
@@ -815,7 +815,7 @@ def _first_rise(series: Array, sign: float, level: float, start: float, end: flo
     return _root(series, _NORMAL, sign, level, start, top)
 
 
-@compiled
+@inner
 def _root(series: Array, row: int, sign: float, level: float, low: float, high: float) -> float:
     """Where a row takes the value `level`, which sign · row exceeds at `high`: Newton's steps, halved where they stray."""
     t = high
@@ -837,7 +837,7 @@ def _root(series: Array, row: int, sign: float, level: float, low: float, high: 
     return t
 
 
-@compiled
+@inner
 def _value(series: Array, row: int, t: float) -> float:
     """A row at t."""
     total = series[row, _ORDER]
@@ -846,7 +846,7 @@ def _value(series: Array, row: int, t: float) -> float:
     return float(total)
 
 
-@compiled
+@inner
 def _slope(series: Array, row: int, t: float) -> float:
     """Derivative of a row at t."""
     total = _ORDER * series[row, _ORDER]
@@ -855,7 +855,7 @@ def _slope(series: Array, row: int, t: float) -> float:
     return float(total)
 
 
-@compiled
+@inner
 def _integral(series: Array, row: int, t: float) -> float:
     """Integral of a row from 0 to t; its last term belongs to the next order and is left out."""
     total = 0.0
@@ -914,7 +914,7 @@ def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state
     return chosen.py_func
 
 
-@compiled
+@inner
 def bounce(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> None:
@@ -970,21 +970,21 @@ def _rubs(law: Any) -> Any:
     return lambda law: rough
 
 
-@compiled
+@inner
 def energy_per_mass(body: Body, plane: Plane, state: Array) -> float:
     """The energy per mass [m²/s²] that vertical forces can change: without ω_z and the horizontal velocity."""
     turning = body.inertia / body.mass * (state[10] * state[10] + state[11] * state[11])
     return plane.g * state[2] + 0.5 * (state[9] * state[9] + turning)
 
 
-@compiled
+@inner
 def copy_to(target: Array, source: Array) -> None:
     """Give every number of `target` (n,) the value that it has in `source` (n,)."""
     for k in range(target.shape[0]):
         target[k] = source[k]
 
 
-@compiled
+@inner
 def note_knot(row: Array, segment: int, time: float, state: Array) -> None:
     """Write a state in held contact into a row (15,)."""
     row[0], row[1] = segment, time
@@ -992,7 +992,7 @@ def note_knot(row: Array, segment: int, time: float, state: Array) -> None:
         row[2 + k] = state[k]
 
 
-@compiled
+@inner
 def grown(rows: Array) -> Array:
     """The same rows with room for as many again."""
     larger = np.empty((2 * rows.shape[0], rows.shape[1]))
@@ -1011,7 +1011,7 @@ def clearance(vertex: Array, state: Array, z_table: float) -> float:
     return float(state[2] + arm_of(vertex, state)[2] - z_table)
 
 
-@compiled
+@inner
 def spun(state: Array, arm: tuple[float, float, float]) -> float:
     """The vertical part [m/s²] of ω × (ω × r), which a vertex feels without any force."""
     along = state[10] * arm[0] + state[11] * arm[1] + state[12] * arm[2]
@@ -1019,7 +1019,7 @@ def spun(state: Array, arm: tuple[float, float, float]) -> float:
     return state[12] * along - arm[2] * square
 
 
-@compiled
+@inner
 def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> tuple[float, float, float, float]:
     """Normal forces of one vertex (j = -1) or two that stay on the table, and the ω̇_x and ω̇_y that they cause.
 
@@ -1086,7 +1086,7 @@ def held_step(
     stand_on(body, plane, after, time + dt, i, j)
 
 
-@compiled
+@inner
 def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Put the state exactly on its contact, in place: the quaternion a unit one, the held vertices on the table and at
     rest relative to it, an edge level. All of it only takes rounding away."""
@@ -1114,7 +1114,7 @@ def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int
     state[9] = table_velocity(plane, time) - state[10] * a[1] + state[11] * a[0]
 
 
-@compiled
+@inner
 def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     """Lay the die exactly on its lowest face, to which vertex i belongs, at rest but for its turning about the
     vertical, in place. It only takes away what is left of a tilt within which all corners count as touching."""
@@ -1134,7 +1134,7 @@ def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     state[9], state[10], state[11] = table_velocity(plane, time), 0.0, 0.0
 
 
-@compiled
+@inner
 def touching_set(
     body: Body, plane: Plane, state: Array, time: float, near: float, slow: float, also: int, touching: Indices
 ) -> int:
@@ -1151,7 +1151,7 @@ def touching_set(
     return n
 
 
-@compiled
+@inner
 def push_out(
     body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array, sweeps: int
 ) -> None:
@@ -1179,7 +1179,7 @@ def push_out(
             break
 
 
-@compiled
+@inner
 def stop_approach(body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array) -> None:
     """Stop what slow approach the touching vertices still have, in place, as an impact with χ = 0 of all at once."""
     motion, drive, forces = room[0], room[1], room[2]
@@ -1190,7 +1190,7 @@ def stop_approach(body: Body, plane: Plane, state: Array, time: float, touching:
     state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
 
 
-@compiled
+@inner
 def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Take from the held vertices the last of their vertical velocity, in place, along the impulses that would do it:
     a projection in the metric of the kinetic energy, which therefore cannot rise."""
@@ -1216,7 +1216,7 @@ def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int)
     state[11] -= (p * a[0] + q * b[0]) / k
 
 
-@compiled
+@inner
 def pressed_set(
     body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
 ) -> tuple[int, int]:
@@ -1269,7 +1269,7 @@ def pressed_set(
     return -1, -1
 
 
-@compiled
+@inner
 def crossing(
     body: Body,
     plane: Plane,
@@ -1332,7 +1332,7 @@ def crossing(
     return low if event >= 0 else high
 
 
-@compiled
+@inner
 def event_value(body: Body, plane: Plane, state: Array, time: float, i: int, j: int, event: int) -> float:
     """The height [m] of vertex `event`, or for _FORCE_I and _FORCE_J the force per mass [m/s²] on vertex i or j."""
     if event >= 0:
@@ -1341,7 +1341,7 @@ def event_value(body: Body, plane: Plane, state: Array, time: float, i: int, j: 
     return n_i if event == _FORCE_I else n_j
 
 
-@compiled
+@inner
 def spins_for_ever(body: Body, plane: Plane, state: Array, i: int) -> bool:
     """Whether the die is a top on vertex i that can never touch the table with another one; see `simulate`."""
     x, y, z = arm_of(body.vertices[i], state)
@@ -1396,7 +1396,7 @@ def held_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) ->
     return sx, sy, high
 
 
-@compiled
+@inner
 def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: float) -> tuple[float, float, float]:
     """Tangential impulse within the disk μp that leaves the slip the least energy, and the normal velocity then."""
     xx, xy, xz, yy, yz, zz = matrix
@@ -1465,7 +1465,7 @@ def friction_step(
     return sweeps
 
 
-@compiled
+@inner
 def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
     """v + ω × r."""
     return (
@@ -1475,7 +1475,7 @@ def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
     )
 
 
-@compiled
+@inner
 def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
     """Δv = S/m, Δω = r × S/J, in place."""
     velocity[0] += sx / mass
@@ -1486,7 +1486,7 @@ def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, s
     velocity[5] += (arm[0] * sy - arm[1] * sx) / inertia
 
 
-@compiled
+@inner
 def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
     """Whether three corners that press and do not lie in a line have stopped: then the die has the table's velocity."""
     first, second = -1, -1
@@ -1514,7 +1514,7 @@ def turn_and_move(state: Array, dt: float) -> None:
     state[9] = height_velocity
 
 
-@compiled
+@inner
 def rub_step(
     body: Body,
     mu: float,
@@ -1567,7 +1567,7 @@ def rub_step(
     return pressing
 
 
-@compiled
+@inner
 def rides_for_ever(
     body: Body,
     mu: float,
@@ -1592,7 +1592,7 @@ def rides_for_ever(
     return pressing >= 3 and not after[7:13].any()
 
 
-@compiled
+@inner
 def rough_rub(
     body: Body,
     law: Law,
@@ -1771,7 +1771,7 @@ def _rub(
     return never
 
 
-@compiled
+@inner
 def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
     """The deepest vertex below the table of those that are not active and come down; -1 where there is none."""
     deepest, hit = 0.0, -1
@@ -1788,7 +1788,7 @@ def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDA
 # --- the event loop ----------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def log_event(row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int) -> None:
     """Write one event into a row (ROW,)."""
     row[0] = time
@@ -1801,14 +1801,14 @@ def log_event(row: Array, time: float, vertex: int, before: Array, after: Array,
     row[22] = j
 
 
-@compiled
+@inner
 def slow_contact(law: Law, plane: Plane, precision: Precision, radius: float) -> float:
     """Speed [m/s] below which a vertex that accelerates into the table bounces on without end; see `contact`."""
     # With χ = 1 the bounces do not shrink, so nothing collapses.
     return 0.0 if law.parameters[0] >= 1.0 else precision.switch * sqrt(plane.g * radius)
 
 
-@compiled
+@inner
 def rest_on_face(plane: Plane, time: float, limit: float) -> float:
     """How long [s] a face stays pressed on the table, no longer than `limit`."""
     strongest = plane.amplitude * plane.rate * plane.rate
@@ -1820,7 +1820,7 @@ def rest_on_face(plane: Plane, time: float, limit: float) -> float:
     return min(limit, ahead / plane.rate) if ahead < full * (1.0 - 1e-12) else 0.0
 
 
-@compiled
+@inner
 def hold(
     body: Body,
     plane: Plane,
@@ -1888,7 +1888,7 @@ def hold(
             return TIME_REACHED, limit, -1, knots, known
 
 
-@compiled
+@inner
 def balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
     """Whether a held die neither leans over nor begins to, but for rounding: it stands on its vertex or edge for ever."""
     rate = sqrt(pull / body.radius)
@@ -1903,7 +1903,7 @@ def balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
     return bool(abs(wx * ex + wy * ey) <= _ROUNDING * rate * rate * sqrt(ex * ex + ey * ey))
 
 
-@compiled
+@inner
 def dip(
     body: Body,
     plane: Plane,
@@ -1958,14 +1958,14 @@ def dip(
     return 0.0
 
 
-@compiled
+@inner
 def rise(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
     """Vertical velocity [m/s] of vertex k relative to the table."""
     x, y, _ = arm_of(body.vertices[k], state)
     return float(state[9] + state[10] * y - state[11] * x - table_velocity(plane, time))
 
 
-@compiled
+@inner
 def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
     """Where the least of seven values of the cubic with these ends and slopes on [0, 1] lies, and what it is."""
     lowest, where = inf, 0.5
@@ -1978,7 +1978,7 @@ def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, 
     return where, lowest
 
 
-@compiled
+@inner
 def earlier(
     body: Body,
     plane: Plane,
@@ -2217,7 +2217,7 @@ def land_many(
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
 
-@compiled(nogil=True)
+@inner
 def poses_of_throw(
     body: Body,
     law: Law,
@@ -2305,7 +2305,7 @@ def poses_of_throws(
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def flight_tangent(tangent: Array, columns: int, state: Array, spin: float, dt: float, moved: Array) -> None:
     """Carry derivatives (12, columns) of a state along `dt` [s] of its flight into `moved`; see `tangent`."""
     ux, uy, uz = axis_of(state, spin)
@@ -2346,7 +2346,7 @@ class Around(NamedTuple):
     """Acceleration of the centre after the impact."""
 
 
-@compiled
+@inner
 def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_velocity: float, reach: float) -> float:
     """How much later [s] the vertex at `arm` touches for the disturbance in column j: its height stays zero there.
 
@@ -2361,7 +2361,7 @@ def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_veloci
     return late
 
 
-@compiled
+@inner
 def bounce_tangent(
     tangent: Array,
     columns: int,
@@ -2432,7 +2432,7 @@ _PLACE, _VELOCITY, _CHI, _MU, _INERTIA, _SPEED_SCALE, _INPUTS = 0, 3, 6, 7, 8, 9
 """Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
 
 
-@compiled
+@inner
 def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
     stand in the law's parameters from `at` on."""
@@ -2536,7 +2536,7 @@ def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wa
     return chosen.py_func
 
 
-@compiled
+@inner
 def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float]:
     """Derivatives of the table's height and velocity at a fixed time; `source` (3,) those of amplitude, rate, phase."""
     phase = plane.rate * time + plane.phase
@@ -2547,14 +2547,14 @@ def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float
     return height, velocity
 
 
-@compiled
+@inner
 def braking(drag: float, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
     """Acceleration [m/s²] by quadratic drag [1/m]: -k |v| v."""
     rate = 0.0 if drag == 0.0 else -drag * sqrt(vx * vx + vy * vy + vz * vz)
     return rate * vx, rate * vy, rate * vz
 
 
-@compiled
+@inner
 def impact_tangent(
     body: Body,
     law: Law,
@@ -2654,7 +2654,7 @@ _FLOW = 49
 [s] since its start. The pairs are the derivatives by k, by v at the start (3), and by gravity (3)."""
 
 
-@compiled
+@inner
 def flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
     """Fill `out` (_FLOW,) with the rates of `flow`."""
     vx, vy, vz = flow[3], flow[4], flow[5]
@@ -2680,7 +2680,7 @@ def flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
     out[48] = 1.0
 
 
-@compiled
+@inner
 def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
     """Carry `flow` (_FLOW,) through `dt` [s] of flight, of either sign, in place."""
     steps = max(1, ceil(abs(dt) / AIR_STEP_S))
@@ -2698,7 +2698,7 @@ def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
         copy_to(flow, now)
 
 
-@compiled
+@inner
 def start_flow(state: Array, flow: Array) -> None:
     """Make `flow` (_FLOW,) that of a flight that begins with `state`."""
     for k in range(_FLOW):
@@ -2720,7 +2720,7 @@ def flows(drag: float, start: Array, delays: Array) -> Array:
     return out
 
 
-@compiled
+@inner
 def fly_in_vacuum(
     air: Vacuum,
     plane: Plane,
@@ -2743,7 +2743,7 @@ def fly_in_vacuum(
             moved[6 + k, 12 + p] += sources.gravity[p, k] * dt
 
 
-@compiled
+@inner
 def fly_in_air(
     air: Air,
     plane: Plane,
@@ -2807,7 +2807,7 @@ def _fly_of(
     return chosen.py_func
 
 
-@compiled
+@inner
 def touch_in_vacuum(
     air: Vacuum, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
@@ -2818,7 +2818,7 @@ def touch_in_vacuum(
     return dt, 0 if found else -1, velocity, acceleration
 
 
-@compiled
+@inner
 def touch_in_air(
     air: Air, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
@@ -3012,7 +3012,7 @@ def scales_of(body: Body, plane: Plane) -> Array:
     return scale
 
 
-@compiled
+@inner
 def size_of(tangent: Array, j: int, scale: Array) -> float:
     """Length of a column in units of `scale`."""
     square = 0.0
@@ -3037,7 +3037,7 @@ def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> 
     out[6] = (qz + x * qy - y * qx + z * qw) / norm
 
 
-@compiled
+@inner
 def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> None:
     """Write `weight` times the small disturbance that takes state b to state a into column j."""
     for k in range(3):
@@ -3051,14 +3051,14 @@ def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> Non
     tangent[5, j] = twice * (a[6] * b[3] - a[3] * b[6] + a[5] * b[4] - a[4] * b[5])
 
 
-@compiled
+@inner
 def strike(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
     """Apply the law to a vertex on the table, in place."""
     x, y, z = arm_of(body.vertices[vertex], state)
     bounce(law, body.mass, body.inertia, (x, y, z - body.rounding), table_velocity(plane, time), state)
 
 
-@compiled
+@inner
 def is_held(vertex: int, i: int, j: int) -> bool:
     """Whether the columns i and j of a logged event hold a vertex; a face holds all that touch."""
     if j == -3:
@@ -3066,7 +3066,7 @@ def is_held(vertex: int, i: int, j: int) -> bool:
     return i >= 0 and vertex in (i, j)
 
 
-@compiled
+@inner
 def around_impact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> Around:
     """What moves around an impact at `time`; i and j were held until then (-1: none)."""
     v_table, a_table = table_velocity(plane, time), table_acceleration(plane, time)
@@ -3079,7 +3079,7 @@ def around_impact(body: Body, plane: Plane, state: Array, time: float, i: int, j
     return Around(v_table, a_table, n_i + n_j - plane.g, wx, wy, -plane.g)
 
 
-@compiled
+@inner
 def strike_tangent(
     body: Body,
     law: Law,
@@ -3140,7 +3140,7 @@ def strike_tangent(
         tangent[8, c] -= around.fall * dt
 
 
-@compiled
+@inner
 def settle_tangent(
     body: Body, plane: Plane, state: Array, time: float, i: int, j: int, scale: Array, tangent: Array, columns: int
 ) -> None:
@@ -3162,7 +3162,7 @@ def settle_tangent(
             difference(ahead, behind, 0.5 / step, tangent, c)
 
 
-@compiled
+@inner
 def held_tangent(
     body: Body,
     plane: Plane,
@@ -3189,7 +3189,7 @@ def held_tangent(
             difference(ahead, behind, 0.5 / step, tangent, c)
 
 
-@compiled
+@inner
 def rough_rubbed_tangent(
     body: Body,
     law: Law,
@@ -3251,7 +3251,7 @@ def _rubbed_tangent(
     return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
 
 
-@compiled
+@inner
 def carried(
     body: Body,
     law: Law,
@@ -3307,7 +3307,7 @@ def carried(
     return tangent, moved, columns, knot
 
 
-@compiled
+@inner
 def compressed(errors: Array, columns: int, room: Array) -> int:
     """At most twelve columns with the same sums of squares in every direction, in place: L of the rows' E = L Q."""
     factor = np.zeros((12, 12))
@@ -3336,7 +3336,7 @@ def compressed(errors: Array, columns: int, room: Array) -> int:
     return used
 
 
-@compiled
+@inner
 def event_tangent(
     body: Body,
     law: Law,
@@ -3388,7 +3388,7 @@ def run_growth(
     return maps, exponents
 
 
-@compiled
+@inner
 def orthonormalised(tangent: Array, scale: Array, logs: Array) -> None:
     """Make the columns (12, m) orthonormal in units of `scale`, in place; `logs` (m,) receives the logarithms of the
     lengths that Gram and Schmidt's method took away."""
@@ -3471,7 +3471,7 @@ def run_exponents(
 # --- what rounding makes of a throw ----------------------------------------------------------------------------------
 
 
-@compiled
+@inner
 def add_rounding(
     body: Body, plane: Plane, state: Array, time: float, height: float, k: int, errors: Array, columns: int
 ) -> int:
@@ -3497,7 +3497,7 @@ def add_rounding(
     return columns + 2
 
 
-@compiled
+@inner
 def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
     """Root of the sum of squares of the errors that matter, in units of `scale`: not where the die is on the table,
     nor, where nothing rubs, how fast it drifts."""
@@ -3510,14 +3510,14 @@ def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
     return sqrt(square)
 
 
-@compiled
+@inner
 def approach(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
     """Vertical velocity [m/s] of a vertex relative to the table."""
     arm = arm_of(body.vertices[vertex], state)
     return float(state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time))
 
 
-@compiled
+@inner
 def struck_in_turn(
     body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
 ) -> None:
@@ -3532,7 +3532,7 @@ def struck_in_turn(
             break
 
 
-@compiled
+@inner
 def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
     """How far [m] from the table a touch may be found, after dt [s] of motion from `state`: as in `first_touch`."""
     turned = body.radius * (1.0 + spin_of(state) * dt)
@@ -3542,7 +3542,7 @@ def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array,
     return precision.root + _ROUNDING * size
 
 
-@compiled
+@inner
 def other_orders(
     body: Body,
     law: Law,
@@ -3621,7 +3621,7 @@ def other_orders(
     return fresh, known
 
 
-@compiled
+@inner
 def grazed(
     body: Body,
     law: Law,
@@ -3682,7 +3682,7 @@ def grazed(
     return columns + 1
 
 
-@compiled
+@inner
 def follow_errors(
     body: Body,
     law: Law,
