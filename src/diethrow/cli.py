@@ -28,7 +28,7 @@ from .printing import (
     print_tracking,
     print_trade,
 )
-from .progress import announcing, batch_bar, progress_bars
+from .progress import announce_for_workers, announcing, batch_bar, progress_bars
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -143,6 +143,7 @@ def analyze(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .analyze import Shown
         from .analyze import analyze as analyze_scene
+        from .compiling import model_ahead
         from .tracking.coarser import Coarseness
 
         with _options_that_fit():
@@ -160,7 +161,7 @@ def analyze(
         how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         how = (*how, *_given("--intervals", intervals, "profile"))
         drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
-        with progress_bars() as progress:
+        with progress_bars() as progress, model_ahead():
             result = analyze_scene(
                 checked,
                 out,
@@ -740,6 +741,8 @@ def batch(
         from .batch import run_batch
 
         _quality(quality)
+        if scheduler is None:
+            announce_for_workers()
         with _executor(scheduler) as executor, batch_bar() as progress:
             result = run_batch(
                 scenes,
@@ -887,9 +890,10 @@ def calibrate(
             printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
         from .calibrate import calibrate_camera
 
-        found = calibrate_camera(
-            pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
-        )
+        with announcing():
+            found = calibrate_camera(
+                pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
+            )
         print_camera(found, len(pictures) + (table is not None and table not in pictures), out)
 
 

@@ -47,6 +47,14 @@ def announcing() -> Iterator[None]:
         yield
 
 
+def announce_for_workers() -> None:
+    """Say the same where processes of this machine will compile, each for itself, and say nothing."""
+    from .compiling import SENTENCE, is_compiled
+
+    if not is_compiled():
+        typer.echo(f"diethrow: {SENTENCE}", err=True)
+
+
 @contextmanager
 def batch_bar() -> Iterator[Callable[[Standing], None]]:
     """A bar with the time left on standard error; a line for each clip where that is not a terminal."""
