@@ -449,12 +449,12 @@ def _follow_many(
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
         code, impacts, face, _, _, _, _ = kernels.run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            body, law, plane, precision, starts[k], 0.0, inf, kernels.NO_LIMIT, kernels.YES, impact_cap, kernels.NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
             _, _, _, _, end, log, _ = kernels.run_throw(
-                body, law, plane, precision, starts[k], 0.0, inf, after, True, impact_cap, True
+                body, law, plane, precision, starts[k], 0.0, inf, after, kernels.YES, impact_cap, kernels.YES
             )
             _note_lowest(body.normals, log, end, lowest[k, 1:])
 
@@ -481,11 +481,11 @@ def _follow_tops(
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
         code, impacts, face, _, _, _, _ = tops.run_top(
-            top, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            top, law, plane, precision, starts[k], 0.0, inf, kernels.NO_LIMIT, kernels.YES, impact_cap, kernels.NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
             _, _, _, _, end, log, _ = tops.run_top(
-                top, law, plane, precision, starts[k], 0.0, inf, after, True, impact_cap, True
+                top, law, plane, precision, starts[k], 0.0, inf, after, kernels.YES, impact_cap, kernels.YES
             )
             _note_lowest(top.normals, log, end, lowest[k, 1:])

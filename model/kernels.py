@@ -145,7 +145,9 @@ _NONE = int64(-1)
 _FORCE_I, _FORCE_J, _NO_EVENT = int64(-1), int64(-2), int64(-3)
 """Events of held contact besides the touch of a vertex, which goes by its number: a vertex is let go."""
 
-_ZERO, _NOT_YET = int64(0), truth(False)
+_ZERO, _ONE, _TWELVE, NO_LIMIT = int64(0), int64(1), int64(12), int64(9223372036854775807)
+YES, NO = truth(True), truth(False)
+"""Numbers that kernels hand on; see `compiled`."""
 
 _MOST_SWEEPS = 1000
 """Of the Gauss-Seidel method in `friction_step`. Four corners of a die that slides need some 30, rocking ones 100."""
@@ -572,7 +574,7 @@ def _turning_slip(
 
     Returns the impulse (3), the contact velocity (3), the state of `_straight`, and what `_course` says last.
     """
-    sx, sy, p, returning = 0.0, 0.0, 0.0, _NOT_YET
+    sx, sy, p, returning = 0.0, 0.0, 0.0, NO
     largest, rate = max(matrix[0], matrix[3], matrix[5]), _rate(matrix, mu)
     series = np.empty((5, _ORDER + 1))
     ends = False
@@ -982,6 +984,23 @@ def copy_to(target: Array, source: Array) -> None:
     """Give every number of `target` (n,) the value that it has in `source` (n,)."""
     for k in range(target.shape[0]):
         target[k] = source[k]
+
+
+@inner
+def copy_columns(target: Array, source: Array, columns: int) -> None:
+    """The same of the first `columns` of arrays with twelve rows."""
+    for k in range(12):
+        for c in range(columns):
+            target[k, c] = source[k, c]
+
+
+@inner
+def state_after(row: Array, state: Array) -> None:
+    """Fill `state` (13,) with that after a logged event (ROW,)."""
+    for k in range(7):
+        state[k] = row[2 + k]
+    for k in range(6):
+        state[7 + k] = row[15 + k]
 
 
 @inner
@@ -2212,7 +2231,7 @@ def land_many(
     impacts, ending."""
     for k in range(starts.shape[0]):
         ending, impacts, face, _, _, _, _ = run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, YES, impact_cap, NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
@@ -2236,7 +2255,7 @@ def poses_of_throw(
     """
     last = times[times.shape[0] - 1]
     ending, impacts, _, end, _, log, knots = run_throw(
-        body, law, plane, precision, start, start_time, last - start_time, 9223372036854775807, False, impact_cap, True
+        body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, NO, impact_cap, YES
     )
     rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
     event, knot = -1, 0
@@ -2251,10 +2270,7 @@ def poses_of_throw(
         copy_to(state, start)
         if event >= 0:
             begin, i, j = log[event, 0], int(log[event, 21]), int(log[event, 22])
-            for m in range(7):
-                state[m] = log[event, 2 + m]
-            for m in range(6):
-                state[7 + m] = log[event, 15 + m]
+            state_after(log[event], state)
         while knot < knots.shape[0] and knots[knot, 0] < event:
             knot += 1
         while knot + 1 < knots.shape[0] and knots[knot + 1, 0] == event and knots[knot + 1, 1] <= time:
@@ -3007,8 +3023,9 @@ _SMALL = 1e-5
 def scales_of(body: Body, plane: Plane) -> Array:
     """Units (12,) of the twelve disturbances: R, 1 rad, √(g R), √(g/R)."""
     scale = np.empty(12)
-    scale[0:3], scale[3:6] = body.radius, 1.0
-    scale[6:9], scale[9:12] = sqrt(plane.g * body.radius), sqrt(plane.g / body.radius)
+    for k in range(3):
+        scale[k], scale[3 + k] = body.radius, 1.0
+        scale[6 + k], scale[9 + k] = sqrt(plane.g * body.radius), sqrt(plane.g / body.radius)
     return scale
 
 
@@ -3124,11 +3141,11 @@ def strike_tangent(
         there[8, 0] += around.rise * dt
         there[9, 0] += around.turn_x * dt
         there[10, 0] += around.turn_y * dt
-        size = size_of(there, 0, scale)
+        size = size_of(there, _ZERO, scale)
         if size > 0.0:
             step = _SMALL / size
-            displaced(state, there, 0, step, ahead)
-            displaced(state, there, 0, -step, behind)
+            displaced(state, there, _ZERO, step, ahead)
+            displaced(state, there, _ZERO, -step, behind)
             strike(body, law, plane, time + step * dt, vertex, ahead)
             strike(body, law, plane, time - step * dt, vertex, behind)
             difference(ahead, behind, 0.5 / step, tangent, c)
@@ -3211,11 +3228,11 @@ def rough_rubbed_tangent(
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead)
+            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
             displaced(state, tangent, c, -step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind)
+            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep)
             difference(ahead, behind, 0.5 / step, tangent, c)
-    rub_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead)
+    rub_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
     place, z_table = 0, table_height(plane, time + dt)
     for k in range(n):
         if active[k]:
@@ -3311,8 +3328,8 @@ def carried(
 def compressed(errors: Array, columns: int, room: Array) -> int:
     """At most twelve columns with the same sums of squares in every direction, in place: L of the rows' E = L Q."""
     factor = np.zeros((12, 12))
-    room[:, :columns] = errors[:, :columns]
-    used = 0
+    copy_columns(room, errors, columns)
+    used = _ZERO
     for r in range(12):
         square, left = 0.0, 0.0
         for c in range(columns):
@@ -3332,7 +3349,7 @@ def compressed(errors: Array, columns: int, room: Array) -> int:
             for c in range(columns):
                 room[s, c] -= along * room[r, c]
         used += 1
-    errors[:, :used] = factor[:, :used]
+    copy_columns(errors, factor, used)
     return used
 
 
@@ -3352,7 +3369,7 @@ def event_tangent(
     """Carry disturbances through a logged event, in place; i and j were held until then. Returns what is held after."""
     state, time, hit = row[2:15].copy(), row[0], int(row[1])
     if hit >= 0:
-        strike_tangent(body, law, plane, time, hit, state, i, j, False, scale, tangent, columns, dtime)
+        strike_tangent(body, law, plane, time, hit, state, i, j, NO, scale, tangent, columns, dtime)
     elif row[21] >= 0 and row[22] != -3:
         settle_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
     return int(row[21]), int(row[22])
@@ -3375,10 +3392,11 @@ def run_growth(
     for k in range(log.shape[0]):
         row = log[k]
         tangent, moved, _, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, False, scale, tangent, moved, 12, rates
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, NO, scale, tangent, moved, _TWELVE, rates
         )
-        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, 12, dtime)
-        state[:7], state[7:13], time = row[2:9], row[15:21], row[0]
+        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, _TWELVE, dtime)
+        time = row[0]
+        state_after(row, state)
         if np.max(np.abs(tangent)) > 1e100:
             tangent *= 1e-100
             exponent += 100.0
@@ -3428,7 +3446,7 @@ def run_exponents(
     wanted = logs.shape[0]
     while done < wanted and code == IMPACTS_REACHED:
         code, _, _, until, end, log, knots = run_throw(
-            body, law, plane, precision, state, time, inf, min(256, wanted - done), False, 9223372036854775807, True
+            body, law, plane, precision, state, time, inf, min(256, wanted - done), NO, NO_LIMIT, YES
         )
         knot = 0
         for k in range(log.shape[0]):
@@ -3453,7 +3471,8 @@ def run_exponents(
                 rates,
             )
             i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, columns, dtime)
-            state[:7], state[7:13], time = row[2:9], row[15:21], row[0]
+            time = row[0]
+            state_after(row, state)
             if row[1] >= 0.0:
                 orthonormalised(tangent, scale, logs[done])
                 clock[done] = time
@@ -3461,10 +3480,11 @@ def run_exponents(
         if i >= 0 and code == IMPACTS_REACHED:
             # The block ends within held contact, where the next vertex strikes.
             tangent, moved, _, knot = carried(
-                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, False, scale, tangent, moved,
+                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, NO, scale, tangent, moved,
                 columns, rates,
             )  # fmt: skip
-            state[:], time = end, until
+            time = until
+            copy_to(state, end)
     return code, done, time, state
 
 
@@ -3609,11 +3629,11 @@ def other_orders(
             continue
         if known >= MOST_BRANCHES:
             return fresh, MOST_BRANCHES + 1
-        room[:, :columns] = errors[:, :columns]
-        strike_tangent(body, law, plane, time, k, state, i, j, True, scale, room, columns, dtime)
+        copy_columns(room, errors, columns)
+        strike_tangent(body, law, plane, time, k, state, i, j, YES, scale, room, columns, dtime)
         seeds[known] = 0.0
         used = compressed(room, columns, np.empty((12, MOST_COLUMNS)))
-        seeds[known, :, :used] = room[:, :used]
+        copy_columns(seeds[known], room, used)
         states[known] = state
         strike(body, law, plane, time, k, states[known])
         times[known], gaps[known] = time, h / limit if limit > 0.0 else 0.0
@@ -3677,8 +3697,9 @@ def grazed(
     s = (1.0 + law.parameters[0]) * speed / (1.0 / body.mass + (x * x + y * y) / body.inertia)
     kick = np.zeros((12, 1))
     kick[8, 0], kick[9, 0], kick[10, 0] = s / body.mass, y * s / body.inertia, -x * s / body.inertia
-    flight_tangent(kick, 1, there, spin, dt - high, early)
-    errors[:, columns] = early[:, 0]
+    flight_tangent(kick, _ONE, there, spin, dt - high, early)
+    for k in range(12):
+        errors[k, columns] = early[k, 0]
     return columns + 1
 
 
@@ -3710,15 +3731,15 @@ def follow_errors(
     scale = scales_of(body, plane)
     errors, moved = np.empty((12, MOST_COLUMNS)), np.empty((12, MOST_COLUMNS))
     dtime, rates = np.empty(MOST_COLUMNS), np.empty((12, 6))
-    errors[:, :12] = seeds[branch]
-    columns = compressed(errors, 12, moved)
+    copy_columns(errors, seeds[branch], _TWELVE)
+    columns = compressed(errors, _TWELVE, moved)
     state, time, i, j, knot, margin, size = start.copy(), start_time, _NONE, _NONE, _ZERO, inf, 0.0
     while knot < knots.shape[0] and knots[knot, 0] < 0.0:
         knot += 1
     for k in range(log.shape[0]):
         row = log[k]
         errors, moved, columns, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, True, scale, errors, moved, columns, rates
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, YES, scale, errors, moved, columns, rates
         )
         floor = touch_rounding(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
         if columns + 3 + body.vertices.shape[0] > MOST_COLUMNS:
@@ -3755,7 +3776,7 @@ def follow_errors(
             )
             if known > MOST_BRANCHES:
                 return size, 0.0, known
-            strike_tangent(body, law, plane, time, hit, state, i, j, True, scale, errors, columns, dtime)
+            strike_tangent(body, law, plane, time, hit, state, i, j, YES, scale, errors, columns, dtime)
             errors[2, own] += missed  # the table, not the die, is what stands too high by this
             i, j = _NONE, _NONE
         else:
@@ -3805,10 +3826,10 @@ def decide(
         seeds[0, k, k] = start_error[k]
     states[0], times[0] = start, start_time
     face, impacts, ending, error, margin = -1, 0, -1, 0.0, inf
-    branch, known = 0, 1
+    branch, known = _ZERO, _ONE
     while branch < known:
         code, count, landed, _, end, log, knots = run_throw(
-            body, law, plane, precision, states[branch], times[branch], inf, 9223372036854775807, True, impact_cap, True
+            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, YES, impact_cap, YES
         )
         if branch == 0:
             face, impacts, ending = landed, count, code
