@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from multiprocessing import active_children
+from pathlib import Path
 
 import numba
 import pytest
 from numba import njit
+from typer.testing import CliRunner
 
 from diethrow import compiling
+from diethrow.batch import Batch
+from diethrow.cli import app
 from diethrow.compiling import SENTENCE, announced, compile_model, model_ahead
 from diethrow.model import kernels
 
@@ -97,3 +104,18 @@ def test_the_model_is_compiled_in_the_ways_that_a_fit_asks_for() -> None:
     smooth, rough = kernels.SmoothLaw, kernels.RoughLaw
     assert kinds >= {(smooth, kernels.Vacuum), (rough, kernels.Vacuum), (smooth, kernels.Air)}
     assert any(each[1].instance_class is smooth for each in kernels.run_throw.signatures)
+
+
+def test_an_empty_cache_is_told_from_a_full_one(tmp_path: Path) -> None:
+    asked = "from diethrow.compiling import is_compiled; print(is_compiled())"
+    empty = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    told = subprocess.run([sys.executable, "-c", asked], env=empty, capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("cold", [True, False])
+def test_a_batch_says_once_that_its_workers_compile(cold: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "is_compiled", lambda: not cold)
+    monkeypatch.setattr("diethrow.batch.run_batch", lambda *_, **__: Batch((), (), 0))
+    said = CliRunner().invoke(app, ["batch", "a.toml", "b.toml", "--out", "out"]).stderr
+    assert said.count(SENTENCE) == cold
