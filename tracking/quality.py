@@ -24,6 +24,11 @@ class Quality:
     it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
+    starts: int
+    """Most first poses that race each other over the first frames."""
+    rivals: int
+    """Most other explanations that are tried on a frame which the motion so far does not explain: bounces, on each low corner
+    with several strengths, then turns about the last pose. No die has as many as 128."""
     second_pass: bool
     """Refine every frame once more from its flight, which brings back frames that the first pass lost."""
     marks: bool
@@ -32,14 +37,14 @@ class Quality:
 
 FAST = Quality(
     "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.2, settled_px=0.1, judging_pixels=400,
-    second_pass=False, marks=False,
+    starts=24, rivals=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
     "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.05, settled_px=0.1, judging_pixels=800,
-    second_pass=True, marks=True,
+    starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
     "fine", fine_steps=8, chase_steps=4, chase_stride=1, enough=1e-3, settled_px=0.0, judging_pixels=2500,
-    second_pass=True, marks=True,
+    starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}
