@@ -217,6 +217,8 @@ class Lens(NamedTuple):
     """Whether the normal equations shall have their column of the blur."""
     samples: int
     """Pixels that judge a pose as a whole; none where nobody asks."""
+    band: float
+    """[px] least half-width of the band about an edge at the lens blur."""
 
 
 class Desk(NamedTuple):
@@ -1199,7 +1201,7 @@ def look(
     reach, six = _reach(shape), np.int64(6)
     for it in range(coarse + lens.fine_steps):
         fine = it >= coarse
-        sigma, band = (lens.blur, max(3.5, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
+        sigma, band = (lens.blur, max(lens.band, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
         H[:] = 0.0
         g[:] = 0.0
         stats[:] = 0.0

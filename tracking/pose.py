@@ -77,7 +77,7 @@ class View:
         return Lens(
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
-            quality.judging_pixels,
+            quality.judging_pixels, quality.band_px,
         )  # fmt: skip
 
     @property

@@ -84,6 +84,7 @@ FIRST_OF_LADDER = ("standard", 1, 1)
 WORK: tuple[tuple[str, Quality], ...] = (
     ("every pixel line while the die is followed, not every second", replace(STANDARD, chase_stride=1)),
     ("every fourth pixel line", replace(STANDARD, chase_stride=4)),
+    ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
     ("200 pixels judge a pose, not 800", replace(STANDARD, judging_pixels=200)),
     ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
     ("1 first pose, not up to 24", replace(STANDARD, starts=1)),
