@@ -23,7 +23,7 @@ def is_compiled() -> bool:
     """Whether the cache of this installation holds the kernel that tracking begins with."""
     from .tracking.edges import look
 
-    cache = getattr(look, "_cache", None)
+    cache: Any = getattr(look, "_cache", None)
     return not hasattr(cache, "_cache_file") or bool(cache._cache_file._load_index())
 
 
