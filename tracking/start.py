@@ -73,7 +73,7 @@ def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> l
     )
     small = make_view(
         [less.camera(camera) for camera in view.cameras], view.die, backgrounds, view.noise_grey / shrink,
-        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=len(view.eyes.camera) > len(view.cameras),
+        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=len(view.eyes.weight) > len(view.cameras),
         quality=view.quality,
     )  # fmt: skip
     found = find_start(small, stacked(smaller))
