@@ -175,7 +175,7 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Told) -> None:
                 pytest.mark.xfail(
                     strict=False,
                     reason="an edge whose bright side is cut off seems to lie further out, which no sigma knows of; "
-                    "`diethrow check` calls such light bad",
+                    "`diethrow check` names such light",
                 ),
             ],
         ),
