@@ -83,7 +83,7 @@ def page(root: Path, ran: Sequence[Ran]) -> str:
         of_file = list(tests)
         title, _, limits = sentence(of_file[0].stage).partition(": ")
         parts += [f"## {title}\n\n{limits[:1].upper()}{limits[1:]}.\n", table(("expected", "happened"), _rows(of_file))]
-    laws = [one for one in ran if not one.expected]
+    laws = [one for one in ran if not one.expected and one.outcome != "skipped"]
     if laws:
         parts += [
             f"## The model's own laws\n\n{len(laws)} cases, by what they ask.\n",
