@@ -43,9 +43,9 @@ from math import acos, atan2, ceil, cos, floor, hypot, isnan, log, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy.special import ndtr
 
+from ..model.compiled import compiled, inner
 from ..model.motion import GRAVITY_M_S2
 
 SEGMENT_PX = 24.0
@@ -115,12 +115,9 @@ def _strip_weights() -> Any:
 
 
 _STRIP = np.ascontiguousarray(_strip_weights())
-_inner = njit(cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
-"""For kernels that only other kernels call: without a door for Python they compile in half the time."""
-_inner_sums = njit(
-    cache=True, nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, fastmath={"reassoc", "contract", "nsz"}
-)
-"""The same for plain sums over pixels, whose order is left to the compiler: four times the speed and no other figure."""
+_inner = inner(nogil=True)
+_inner_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
+"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler: four times the speed and no other figure."""
 
 
 class Shape(NamedTuple):
@@ -250,7 +247,7 @@ class Desk(NamedTuple):
     c: Any
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def new_desk(shape: Shape) -> Desk:
     """An empty desk for dice of this shape."""
     nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]
@@ -1047,7 +1044,7 @@ def _draw_outer(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Des
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def score_many(
     image: Any, background: Any, eyes: Eyes, shape: Shape, low_x: int, low_y: int, high_x: int, high_y: int,
     positions: Any, rotations: Any, noise: float, samples: int, score: Any, differs: Any,
@@ -1182,7 +1179,7 @@ def _moved_px(eyes: Eyes, pos: Any, step: Any, turned: float, reach: float) -> f
     return most
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def look(
     sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, vel: Any, omega: Any,
     sigma_m: float, sigma_rad: float, coarse: int, desk: Desk, H: Any, g: Any, stats: Any,
@@ -1277,7 +1274,7 @@ def sight_of(pictures: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, margin: 
     return Sight(pixels, corner, size)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def coast(x: Any, R: Any, P: Any, dt: float) -> Any:
     """Carry a motion on by dt [s], also backwards: x (9,) is position, velocity, angular velocity; P (12, 12) the
     covariance of position, turn, velocity, angular velocity. Returns the rotation.
@@ -1362,7 +1359,7 @@ def surprise(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> floa
     return total
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
     """Let a motion learn from a pose (p, Q) with information H: the Kalman filter on positions and turns. Returns the
     rotation. P grows by FADE a frame, so that some twenty frames count.
@@ -1449,7 +1446,7 @@ def note_screen(
                             backgrounds[c, a, b] = np.nan
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def chase(
     frames: Any, times: Any, backgrounds: Any, screen: Screen, eyes: Eyes, shape: Shape, lens: Lens, x: Any, R: Any,
     P: Any, clock: Any, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
@@ -1521,7 +1518,7 @@ def scale_px(eyes: Eyes, pos: Any) -> float:
     return best
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def settle(
     frames: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, positions: Any, rotations: Any, motions: Any,
     H: Any, stats: Any, costs: Any,
