@@ -58,18 +58,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--throws", type=int, default=THROWS, help="of each engine in a round (%(default)s)")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page (%(default)s)")
     chosen = parser.parse_args(arguments)
+    told = {
+        name: vars(chosen)[name]
+        for name in ("clips", "rounds", "throws")
+        if vars(chosen)[name] != parser.get_default(name)
+    }
+    command = " ".join(
+        ["python benchmarks/trades.py", *(f"--{name} {as_words(value)}" for name, value in told.items())]
+    )
     matplotlib.use("Agg")
     with one_thread():
         model = measured_model(chosen.rounds, chosen.throws)
         clips = {name: measured_clip(name, chosen.rounds) for name in chosen.clips}
-    command = "python benchmarks/trades.py" + (
-        f" {' '.join(arguments or sys.argv[1:])}" if arguments or sys.argv[1:] else ""
-    )
     for name, rows in clips.items():
         draw(chosen.out / f"trades_{name}.svg", [r for r in rows if not r.is_work], "χ may be off by")
     draw(chosen.out / "trades_model.svg", model, "share on another face")
     (chosen.out / "trades.md").write_text(page(command, chosen.rounds, chosen.throws, clips, model), encoding="utf-8")
     return 0
+
+
+def as_words(value: object) -> str:
+    """As it stands on a command line."""
+    return " ".join(value) if isinstance(value, list) else str(value)
 
 
 @dataclass(frozen=True)

@@ -81,10 +81,14 @@ def page(root: Path, ran: Sequence[Ran]) -> str:
     parts = [HEAD]
     for _, tests in groupby((one for one in ran if one.expected), key=lambda one: one.file):
         of_file = list(tests)
-        parts += [f"## {sentence(of_file[0].stage)}\n", table(("expected", "happened"), _rows(of_file))]
+        title, _, limits = sentence(of_file[0].stage).partition(": ")
+        parts += [f"## {title}\n\n{limits[:1].upper()}{limits[1:]}.\n", table(("expected", "happened"), _rows(of_file))]
     laws = [one for one in ran if not one.expected]
     if laws:
-        parts += [f"## {len(laws)} cases of the model alone\n", table(("laws", "cases", "held"), _laws(root, laws))]
+        parts += [
+            f"## The model's own laws\n\n{len(laws)} cases, by what they ask.\n",
+            table(("laws", "cases", "held"), _laws(root, laws)),
+        ]
     return "\n".join(parts)
 
 

@@ -17,7 +17,7 @@ from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
 from .flights import Sightings, transition
 from .joined import TABLE_SIGMA_M, Joined, Link
-from .lean import shared_lean, shared_sigma, without_lean
+from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
@@ -84,7 +84,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
-        floor[use] = (lean[use, :, 1:] * sigma[1:] ** 2) @ np.swapaxes(lean[use, :, 1:], 1, 2)
+        left = np.append(SIZE_LEFT_PX, sigma[1:])
+        floor[use] = (lean[use] * left**2) @ np.swapaxes(lean[use], 1, 2)
     if track.shared is not None and np.isfinite(track.shared[use]).any():
         # Poses that rest on marks do not share the errors of edges but those of the places of the marks.
         floor[use] = track.shared[use]

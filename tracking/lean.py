@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 
 SIZE_PX = 0.05
 """One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
+SIZE_LEFT_PX = 0.008
+"""What of δ neither fall nor table can tell: it is not quite the same at the top of a flight and on the table, as the light on
+the faces that make the contour changes."""
 SIZE_SHARE = 0.1
 """And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
 ASIDE_PX, ASIDE_SHARE = 0.01, 0.1

@@ -54,7 +54,9 @@ def chi_in_words(fit: Fit) -> str:
     chi = fit.parameters["chi"]
     if chi.value is None or chi.low is None or chi.high is None:
         return f"given up: {fit.messages[-1]}"
-    return f"χ = {chi.value:.5f}, {chi.low:.5f} to {chi.high:.5f}, from {counted(fit.bounces_fitted, 'bounce')}"
+    digits = 1 - int(np.floor(np.log10(max(chi.high - chi.low, 1e-12))))
+    value, low, high = (f"{number:.{digits}f}" for number in (chi.value, chi.low, chi.high))
+    return f"χ = {value}, {low} to {high}, from {counted(fit.bounces_fitted, 'bounce')}"
 
 
 def holds(fit: Fit, chi: float) -> bool:
