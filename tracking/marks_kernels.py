@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from ..model.compiled import compiled, inner, truth
+from ..model.compiled import compiled, inner, int64, truth
 
 GAINS = 6
 """Light on one face of one frame: T, 1, a, b, aT, bT. What the paint scatters follows the texture T, what it mirrors lies over
@@ -58,7 +58,10 @@ SETTLED_PX = 0.1
 what the next step would move is of second order in that share."""
 MOST_HIDDEN = 0.5
 """Share of a face's pixels that may be unlike its texture before the face is left out of a frame."""
-_NO = truth(False)
+
+
+_FIRST, _ALL, _POSE, _LOOKING, _FITTING, _NO_PLACES = int64(0), int64(GAINS), int64(6), int64(4), int64(3), truth(False)
+"""Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
 
 
 @inner(nogil=True)
@@ -499,7 +502,19 @@ def look_at_face(
     c = np.zeros(GAINS)
     _relative(steep, m)
     scale = _robust_gains(
-        m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 4, steep, w, res, c
+        np.int64(m),
+        grey,
+        basis,
+        0 if known else 1,
+        GAINS if known else PLAIN,
+        floor_grey,
+        1e9,
+        cut,
+        _LOOKING,
+        steep,
+        w,
+        res,
+        c,
     )
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0
@@ -624,7 +639,7 @@ def mark_equations(
         for i in range(3):
             origin[i] = middle[i] + offsets[f] * E[2, i]
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
-        m = 0
+        m = _FIRST
         for v in range(first, last + 1, stride):
             low, high = float(x0), float(x0 + width - 1)
             for k in range(counts[f]):
@@ -671,7 +686,9 @@ def mark_equations(
         if m < 40:
             continue
         _relative(steep, m)
-        scale = _robust_gains(m, grey, basis, 0, GAINS, floor_grey, 2.0 * usual_grey[f], cut, 3, steep, w, res, c)
+        scale = _robust_gains(
+            m, grey, basis, _FIRST, _ALL, floor_grey, 2.0 * usual_grey[f], cut, _FITTING, steep, w, res, c
+        )
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
@@ -724,10 +741,10 @@ def mark_equations(
                     C[k, h] += jk * basis[i, h]
         for k in range(PLAIN, GAINS):
             S[k, k] += 1.0 / (GRADIENT * c[0]) ** 2
-        if not _solve(S, GAINS, C[0], elim):
+        if not _solve(S, _ALL, C[0], elim):
             continue
         for k in range(N):
-            _back(S, GAINS, C[k], elim)
+            _back(S, _ALL, C[k], elim)
             for h in range(k, N):
                 s = 0.0
                 for q in range(GAINS):
@@ -775,7 +792,8 @@ def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
             for k in range(N):
                 s += M[i, k] * T[j, k]
             H[i, j] = s
-    g[:] = y
+    for k in range(N):
+        g[k] = y[k]
 
 
 @inner(nogil=True)
@@ -842,7 +860,7 @@ def refine_on_marks(
     for _ in range(steps):
         mark_equations(
             image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base, axes, offsets, corners,
-            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, _NO, H, g, place, stats,
+            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, _NO_PLACES, H, g, place, stats,
         )  # fmt: skip
         for i in range(6):
             y[i] = g[i] / factor + other_g[i]
@@ -853,7 +871,7 @@ def refine_on_marks(
         for i in range(6):
             # Columns of metres and of radians: the pivots are judged relative to their own diagonal.
             A[i, i] *= 1.0 + 1e-12
-        if not _solve(A, 6, y, step):
+        if not _solve(A, _POSE, y, step):
             H[:] = 0.0
             break
         for i in range(6):
