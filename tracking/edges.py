@@ -117,7 +117,8 @@ def _strip_weights() -> Any:
 _STRIP = np.ascontiguousarray(_strip_weights())
 _inner = inner(nogil=True)
 _inner_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
-"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler: four times the speed and no other figure."""
+"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler: four times the
+speed and no other figure."""
 
 
 class Shape(NamedTuple):
