@@ -75,5 +75,5 @@ def _estimate(shot: Shot, measured: Throw, free: FreeFlights) -> Estimate:
     reach = float(norm.ppf(0.5 + 0.5 * LEVEL_OF_INTERVALS)) * float(np.sqrt(covariance[12, 12]))
     low, high = np.clip([chi - reach, chi + reach], *shot.physics.bounds("chi"))
     parameter = Parameter(chi, float(low), float(high), LEVEL_OF_INTERVALS, True, False)
-    _, odds, _ = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
+    _, odds, _ = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
     return Estimate(shot.reached, measured.impacts[shot.reached - 1].time_s, parameter, odds)

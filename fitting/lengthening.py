@@ -19,10 +19,10 @@ import numpy as np
 
 from ..model.motion import Throw
 from .flights import FEWEST_FRAMES, FreeFlights
-from .physics import RESTITUTIONS
+from .physics import RESTITUTIONS, Physics
 from .robust import CLEAN_FRAME
 from .sequences import candidates, measured_sequence, own_sequence, simulated_sequences
-from .shots import Shot, clear_of_impacts, mean_squares, shoot
+from .shots import Shot, clear_of_impacts, linear, mean_squares, shoot
 
 MISFIT = 2.5
 """Largest ratio of the residuals of a throw to those of free flights at which the throw still counts as explained."""
@@ -39,6 +39,12 @@ _OPEN = 0.03
 CLEARLY = 4.0
 """Fall of the cost, in units of a residual's variance, at which one kind of restitution is preferred to another."""
 
+_WELL = 1.5
+"""The same ratio below which no other way to explain a flight is looked for."""
+
+_ALIKE = 1e-6
+"""Sigmas by which no residual differs between kinds of restitution where no slip stops or turns within an impact."""
+
 _BEAM = 3
 
 _WINDOWS = (4, 12, 40)
@@ -51,7 +57,7 @@ def through_the_bounces(beam: list[Shot], measured: Throw, free: FreeFlights) ->
         few = free.sightings.count(target)
         longer: list[Shot] = []
         if few >= FEWEST_FRAMES:
-            longer = _lengthened(beam, target, measured, free) or _lengthened(_variants(beam), target, measured, free)
+            longer = _lengthened(beam, target, measured, free) or _by_another_way(beam[0], target, measured, free)
         if longer:
             beam = longer
         elif few >= _TELLING:
@@ -76,7 +82,7 @@ def best_attempt(shot: Shot, measured: Throw, free: FreeFlights) -> Shot | None:
     target = next_flight(free, shot.reached)
     while target is not None:
         impacts = measured.impacts[shot.reached : target]
-        sequences = [*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]]
+        sequences = dict.fromkeys([*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]])
         tried = [reach(shot, sequence, target, free, patient=True) for sequence in sequences]
         reached = [other for other in tried if other is not None]
         if reached:
@@ -92,15 +98,15 @@ def loss_scale(free: FreeFlights) -> float:
     return CLEAN_FRAME * max(1.0, free.variance)
 
 
-def is_explained(shot: Shot, free: FreeFlights) -> bool:
-    """Whether no flight lies farther from the throw than `MISFIT` times what free flights leave."""
+def is_explained(shot: Shot, free: FreeFlights, misfit: float = MISFIT) -> bool:
+    """Whether no flight lies farther from the throw than `misfit` times what free flights leave."""
     for k, mean_square in mean_squares(shot).items():
         alone = free.flights[k]
         allowed = max(1.0, free.variance)
         if alone is not None and alone.frames > FEWEST_FRAMES:
             # A blurred flight scatters more than the others; one that hides a bounce far more, which excuses nothing.
             allowed = float(np.clip(alone.variance, allowed, 4.0 * allowed))
-        if mean_square > MISFIT**2 * allowed:
+        if mean_square > misfit**2 * allowed:
             return False
     return True
 
@@ -110,19 +116,59 @@ def keeps_its_sequence(shot: Shot) -> bool:
     return own_sequence(shot.physics, shot.state, float(shot.sightings.time_s[-1])) == shot.vertices
 
 
-def _variants(beam: list[Shot]) -> list[Shot]:
-    """The best shot with other values of what its frames have left open, such as friction at a contact that stuck, or
-    another kind of restitution, which all mean the same until a slip stops."""
-    shot = beam[0]
+def well_explained(shot: Shot, free: FreeFlights) -> bool:
+    """Whether no other values or kinds need be tried for what the shot explains."""
+    return is_explained(shot, free, _WELL)
+
+
+def starts_with(effect: str, physics: Physics, free: FreeFlights, before: int, after: int) -> list[Physics]:
+    """The physics with some of one effect, from where fits of the flights `before` and `after` a bounce find their way:
+    first as much as these two show."""
+    some = physics.with_some_of(effect)
+    if effect == "friction" and (ratio := _slip_ratio(free, before, after)) is not None:
+        return [physics.with_effect(effect).with_values(mu=ratio), *some]
+    return some
+
+
+def _slip_ratio(free: FreeFlights, before: int, after: int) -> float | None:
+    """Tangential over normal impulse between two flights: where a contact slides throughout, μ. None where it is none."""
+    pair = free.flights[before], free.flights[after]
+    if pair[0] is None or pair[1] is None:
+        return None
+    instant = pair[1].flight.start.time_s
+    change = pair[1].flight.start.velocity_m_s - pair[0].flight.at(instant).velocity_m_s
+    return float(np.hypot(change[0], change[1]) / change[2]) if change[2] > 0.0 else None
+
+
+def _by_another_way(shot: Shot, target: int, measured: Throw, free: FreeFlights) -> list[Shot]:
+    """The shots that explain the frames up to flight `target` from other values of what earlier frames have left open,
+    such as friction at a contact that stuck, or with another kind of restitution, which all mean the same until a slip
+    stops; none if there is no such way."""
+    others = _variants(shot, target, free)
+    for likeliest in (True, False):
+        found: list[Shot] = []
+        for other in others:
+            longer = _lengthened([other], target, measured, free, likeliest=likeliest)
+            if longer and well_explained(longer[0], free):
+                return longer
+            found += longer
+        if found:
+            return _best_of(found)
+    return []
+
+
+def _variants(shot: Shot, target: int, free: FreeFlights) -> list[Shot]:
+    """The shot with other kinds of restitution, with other values, and with both."""
     sigmas = np.linalg.norm(np.linalg.inv(shot.root)[12:], axis=1)
     left_open = {name for name, sigma in zip(shot.physics.free, sigmas, strict=True) if sigma > _OPEN}
-    other_values = [
+    values = [
         other
         for effect in shot.physics.effects
-        for other in shot.physics.with_some_of(effect)
+        for other in starts_with(effect, shot.physics, free, shot.reached, target)
         if all(name in left_open or other.values[name] == shot.physics.values[name] for name in other.values)
     ]
-    return [replace(shot, physics=other) for other in (*shot.physics.with_other_restitutions(), *other_values)]
+    both = [kind for other in values for kind in other.with_other_restitutions()]
+    return [replace(shot, physics=other) for other in (*shot.physics.with_other_restitutions(), *values, *both)]
 
 
 def with_preferred_restitution(shot: Shot, free: FreeFlights) -> Shot:
@@ -131,15 +177,27 @@ def with_preferred_restitution(shot: Shot, free: FreeFlights) -> Shot:
         return shot
     k2 = loss_scale(free)
     kinds = [replace(shot, physics=replace(shot.physics, restitution=kind)) for kind in RESTITUTIONS]
-    tried = [shoot(shot.sightings, kind, shot.vertices, k2) for kind in kinds]
+    tried = [kind if _is_alike(kind, shot) else shoot(shot.sightings, kind, shot.vertices, k2) for kind in kinds]
     best = min(tried, key=lambda s: s.cost(k2))
     enough = best.cost(k2) + CLEARLY * max(1.0, best.mean_square)
     return next(other for other in tried if other.cost(k2) <= enough)
 
 
-def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlights) -> list[Shot]:
-    """The shots that explain the frames up to flight `target` too, best first; none if no sequence does."""
-    found: list[tuple[bool, float, Shot]] = []
+def _is_alike(other: Shot, shot: Shot) -> bool:
+    """Whether another kind of restitution makes no difference to a shot."""
+    if other.physics.restitution == shot.physics.restitution:
+        return True
+    return bool(np.abs(linear(other)[0] - shot.residuals).max() < _ALIKE)
+
+
+def _lengthened(
+    beam: list[Shot], target: int, measured: Throw, free: FreeFlights, *, likeliest: bool = False
+) -> list[Shot]:
+    """The shots that explain the frames up to flight `target` too, best first; none if no sequence does.
+
+    With `likeliest`, through the measured vertices alone where they are known.
+    """
+    found: list[Shot] = []
     telling = free.sightings.count(target) >= _TELLING
     for shot in beam:
         tried: set[tuple[int, ...]] = set()
@@ -149,11 +207,17 @@ def _lengthened(beam: list[Shot], target: int, measured: Throw, free: FreeFlight
                     tried.add(sequence)
                     longer = reach(shot, sequence, target, free)
                     if longer is not None and is_explained(longer, free):
-                        found.append((not keeps_its_sequence(longer), longer.mean_square, longer))
-            if telling and any(not forced for forced, _, _ in found):
+                        found.append(longer)
+            if (telling and any(keeps_its_sequence(longer) for longer in found)) or (likeliest and group):
                 break
-    # Throws that take those vertices by themselves come before throws that have to be told.
-    distinct = {shot.vertices: shot for _, _, shot in sorted(found, key=lambda f: f[:2], reverse=True)}
+    return _best_of(found)
+
+
+def _best_of(found: list[Shot]) -> list[Shot]:
+    """The best shot of each sequence, a few of them; throws that take their vertices by themselves come before throws
+    that have to be told."""
+    ranked = sorted(found, key=lambda shot: (not keeps_its_sequence(shot), shot.mean_square), reverse=True)
+    distinct = {shot.vertices: shot for shot in ranked}
     return list(reversed(distinct.values()))[:_BEAM]
 
 

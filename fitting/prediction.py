@@ -31,15 +31,10 @@ from ..tracking.track import ABSENT, TRACKED, Track
 from .flights import moved_state
 from .landing import resting_face
 from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
-from .physics import Physics
+from .physics import QUICK, Physics
 from .results import Parameter
 
 Array = NDArray[np.float64]
-
-QUICK = kernels.Precision(0.0, 1e-4, 1.0, 1e-4)
-"""For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
-`benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
-change, and they take a fifth of the time."""
 
 SURE = 0.95
 

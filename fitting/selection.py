@@ -26,13 +26,20 @@ from numpy.typing import NDArray
 from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
-from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale, reach
+from .lengthening import (
+    CLEARLY,
+    best_attempt,
+    is_explained,
+    loss_scale,
+    reach,
+    starts_with,
+    well_explained,
+)
 from .loaded import Load, load_in_flight
-from .physics import EFFECTS, RESTITUTIONS, Physics, course
+from .physics import EFFECTS, RESTITUTIONS, Physics
 from .results import Effect
 from .robust import condensed, huber, in_units_of, triangle
-from .shots import Shot, root_of, shoot
-from .sightings import pose_errors, whitened, whitened_jacobian
+from .shots import Shot, linear, root_of, shoot
 
 Array = NDArray[np.float64]
 
@@ -137,15 +144,19 @@ def unused_effects(physics: Physics) -> list[str]:
 def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patient: bool) -> Trial:
     """One effect on the frames of an attempt that failed without it."""
     k2 = loss_scale(free)
-    starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
+    starts = [*starts_with(effect, shot.physics, free, shot.reached, attempt.reached), shot.physics.with_effect(effect)]
     if effect == "loaded die":
         load, gain = _hopeful_load(attempt, free)
         if load is None:
             return Trial(effect, None, gain, _price(attempt, effect), 0.0)
-        starts = (shot.physics.with_values(**load.values),)
+        starts = [shot.physics.with_values(**load.values)]
     onward = attempt.vertices[len(shot.vertices) :]
-    tried = [reach(with_physics(shot, p, k2), onward, attempt.reached, free, patient=patient) for p in starts]
-    found = [other for other in tried if other is not None]
+    found: list[Shot] = []
+    for physics in (*starts, *(kind for start in starts for kind in start.with_other_restitutions())):
+        other = reach(with_physics(shot, physics, k2), onward, attempt.reached, free, patient=patient)
+        found += [] if other is None else [other]
+        if other is not None and well_explained(other, free):
+            break
     if not found:
         return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
     refitted = [shoot(attempt.sightings, other, other.vertices, k2) for other in _nearest_of_each_kind(found)]
@@ -166,7 +177,7 @@ def candidates_for(physics: Physics) -> tuple[str, ...]:
 
 def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
     """The same throw with other parameters free, and the information that its frames have on them."""
-    residuals, jacobian = _linear(replace(shot, physics=physics))
+    residuals, jacobian = linear(replace(shot, physics=physics))
     scaled = huber(residuals, jacobian, k2)[1]
     return replace(
         shot, physics=physics, residuals=residuals, root=root_of(scaled.reshape(-1, scaled.shape[2]), physics)
@@ -220,16 +231,9 @@ def _price(shot: Shot, effect: str) -> float:
     return len(EFFECTS[effect]) * float(0.5 * np.log(shot.residuals.size) + np.log(count))
 
 
-def _linear(shot: Shot) -> tuple[Array, Array]:
-    """Whitened residuals (n, 6) of a shot and their derivative (n, 6, 12 + k)."""
-    way = course(shot.physics, shot.state, shot.sightings.time_s, shot.vertices)
-    errors = pose_errors(shot.sightings, way.positions_m, way.quaternions)
-    return whitened(shot.sightings, errors), whitened_jacobian(shot.sightings, errors, way.jacobian)
-
-
 def _foreseen_gain(wider: Shot, k2: float) -> float:
     """By how much half the cost would fall if the residuals were linear in all unknowns, in units of what is left."""
-    residuals, jacobian = huber(*_linear(wider), k2)
+    residuals, jacobian = huber(*linear(wider), k2)
     few = condensed(residuals.ravel(), in_units_of(wider.root, jacobian.reshape(-1, jacobian.shape[2])))
     left = float(few[-1, -1] ** 2)
     fall = float((residuals**2).sum()) - left
@@ -249,7 +253,7 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
     With H the hat matrix of a linear fit, the residuals of a block left out are (1 - H_bb)⁻¹ r_b (Cook & Weisberg,
     Residuals and Influence in Regression, 1982, Sec. 3.2).
     """
-    residuals, jacobian = _linear(shot)
+    residuals, jacobian = linear(shot)
     q = _orthonormal(jacobian, shot.root).reshape(len(residuals), 6, -1)
     costs = []
     for rows in _blocks(shot):

@@ -26,6 +26,9 @@ FIRST_SIGMA = {"chi": 0.3, "mu": 0.2, "chi_fade_s_per_m": 0.2}
 """Scale of the first steps of a parameter that no frame has told of; it has no weight in a fit. Others: a tenth of what
 their bounds allow."""
 
+_HOPELESS = 2.0
+"""k² a frame: a cost above which a shot is no fit. One that counts as explained (`lengthening.MISFIT`) costs less."""
+
 
 @dataclass(frozen=True, eq=False)
 class Shot:
@@ -75,7 +78,7 @@ def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: floa
         residuals, jacobian = huber(residuals, jacobian, k2)
         return residuals.ravel(), jacobian.reshape(-1, jacobian.shape[2])
 
-    x = descend(evaluate, start.root, low, high)
+    x = descend(evaluate, start.root, low, high, hopeless=_HOPELESS * k2 * len(sightings))
     residuals, jacobian, way = _seen_from(sightings, start, x, vertices)
     _, scaled = huber(residuals, jacobian, k2)
     return replace(
@@ -97,6 +100,12 @@ def _seen_from(
     way = course(start.physics.moved(x[12:]), moved_state(start.state, x[:12]), sightings.time_s, vertices)
     errors = pose_errors(sightings, way.positions_m, way.quaternions)
     return whitened(sightings, errors), whitened_jacobian(sightings, errors, way.jacobian), way.way
+
+
+def linear(shot: Shot) -> tuple[Array, Array]:
+    """Whitened residuals (n, 6) of a shot and their derivative (n, 6, 12 + k)."""
+    residuals, jacobian, _ = _seen_from(shot.sightings, shot, np.zeros(12 + len(shot.physics.free)), shot.vertices)
+    return residuals, jacobian
 
 
 def root_of(jacobian: Array, physics: Physics) -> Array:

@@ -175,7 +175,7 @@ def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: li
     parameters = _parameters(shot, work, variance * tau, messages)
     covariance = _covariance(shot.root) * variance * tau
     throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
-    face, odds, landing_words = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
+    face, odds, landing_words = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
     return Fit(
         parameters=parameters,
         initial=shot.state,
