@@ -6,7 +6,7 @@ are alike, by Levenberg and Marquardt's method (Nocedal & Wright, Numerical Opti
 is zero until a step fails. J T⁻¹ is reduced to a triangle by reflections, never squared.
 
 Bounds hold for single x. A step that would cross one is solved again with that unknown put on its bound, and so on.
-The descent ends when a step promises to lower the cost by less than `ENOUGH`, a three-thousandth of a sigma; where the
+The descent ends when a step promises to lower the cost by less than `enough`; where the
 cost says that the model is not that of the data at all, by less than `_ROUGHLY` of it. A robust loss converges slowly there,
 and such a fit is only ever told from better ones.
 """
@@ -23,7 +23,10 @@ from .robust import condensed, in_units_of, solved, triangle
 Array = NDArray[np.float64]
 
 ENOUGH = 1e-7
-"""Fall of the cost Σ r², in units of a residual's variance."""
+"""Fall of the cost Σ r², in units of a residual's variance, that is not worth a step: a three-thousandth of a sigma."""
+
+NEARLY = 1e-2
+"""The same for a fit that only leads to the next: a tenth of a sigma."""
 
 _CRAWL = 1e-3
 """The same for damped steps: along a valley that curls, where the cost falls by less it is not worth the way."""
@@ -42,6 +45,7 @@ def descend(
     high: Array,
     *,
     steps: int = 40,
+    enough: float = ENOUGH,
     hopeless: float = np.inf,
 ) -> Array:
     """The x (m,) with the least Σ r², started from 0.
@@ -51,16 +55,17 @@ def descend(
     """
     x = np.zeros(len(root))
     residuals, jacobian = evaluate(x)
+    few = condensed(residuals, jacobian)
     cost, damping = _cost(residuals), 0.0
     for _ in range(steps):
-        step, gain = _step(residuals, jacobian, root, low - x, high - x, damping)
-        enough = _ROUGHLY * cost if cost > hopeless else _CRAWL if damping > 0.0 else ENOUGH
-        if 0.0 <= gain < enough:
+        step, gain = _step(few, root, low - x, high - x, damping)
+        least = _ROUGHLY * cost if cost > hopeless else max(enough, _CRAWL if damping > 0.0 else 0.0)
+        if 0.0 <= gain < least:
             break
-        trial = evaluate(x + step)
-        lower = _cost(trial[0])
+        residuals, jacobian = evaluate(x + step)
+        lower = _cost(residuals)
         if lower < cost:
-            x, cost, (residuals, jacobian) = x + step, lower, trial
+            x, cost, few = x + step, lower, condensed(residuals, jacobian)
             damping = 0.1 * damping if damping > _FIRST_DAMPING else 0.0
         else:
             damping = max(10.0 * damping, _FIRST_DAMPING)
@@ -74,11 +79,8 @@ def _cost(residuals: Array) -> float:
     return total if np.isfinite(total) else np.inf
 
 
-def _step(
-    residuals: Array, jacobian: Array, root: Array, low: Array, high: Array, damping: float
-) -> tuple[Array, float]:
-    """The step (m,) within its bounds, and by how much a linear model says the cost falls."""
-    few = condensed(residuals, jacobian)
+def _step(few: Array, root: Array, low: Array, high: Array, damping: float) -> tuple[Array, float]:
+    """The step (m,) within its bounds, and by how much a linear model says the cost falls; `few` is [J r], condensed."""
     free = np.ones(len(root), bool)
     step = np.zeros(len(root))
     while free.any():

@@ -117,15 +117,18 @@ def apparent_restitution(
     )
 
 
-def measure_bounces(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> tuple[Bounce | None, ...]:
-    """Every impact at one known vertex between two flights that could be fitted; None for the others.
+def measure_bounces(
+    die: Die, free: FreeFlights, impacts: Sequence[Impact], begin: int = 0, end: int | None = None
+) -> tuple[Bounce | None, ...]:
+    """Every impact at one known vertex between two flights that could be fitted; None for the others. Of them all those
+    from `begin` up to `end`.
 
     The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
     interval of its own, that one is kept: it knows that the flights meet there, and needs no height of the table.
     """
     bounces: list[Bounce | None] = []
     scale = max(1.0, free.variance)
-    for impact, before, after in zip(impacts, free.flights, free.flights[1:], strict=False):
+    for impact, before, after in list(zip(impacts, free.flights, free.flights[1:], strict=False))[begin:end]:
         if before is None or after is None or impact.contact != "vertex" or len(impact.vertices) != 1:
             bounces.append(None)
             continue

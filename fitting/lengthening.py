@@ -18,6 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..model.motion import Throw
+from .descent import ENOUGH, NEARLY
 from .flights import FEWEST_FRAMES, FreeFlights
 from .physics import RESTITUTIONS, Physics
 from .robust import CLEAN_FRAME
@@ -234,7 +235,8 @@ def reach(
     k2 = loss_scale(free)
     for count in [*(n for n in _WINDOWS if n < len(mine)), len(mine)]:
         # Few frames say little of the parameters, so the scales of the step before stand in for them.
-        shot = shoot(free.sightings.where(np.concatenate([old, mine[:count]])), shot, vertices, k2)
+        seen = free.sightings.where(np.concatenate([old, mine[:count]]))
+        shot = shoot(seen, shot, vertices, k2, enough=NEARLY if count < len(mine) else ENOUGH)
         if not patient and max(mean_squares(shot).values()) > _HOPELESS * MISFIT**2 * max(1.0, free.variance):
             return None
     clear = clear_of_impacts(shot)

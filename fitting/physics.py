@@ -21,7 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,12 @@ QUICK = kernels.Precision(0.0, 1e-4, 1.0, 1e-4)
 """For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
 `benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
 change, and they take a fifth of the time."""
+
+
+@lru_cache(maxsize=64)
+def kernel_body(die: Die) -> kernels.Body:
+    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
+    return body_of(die)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +275,7 @@ class Physics:
         if not self.body.is_spherical_top:
             return self._run_top(start, end_s, impacts)
         _, _, face, _, _, log, _ = kernels.run_throw(
-            body_of(self.body),
+            kernel_body(self.body),
             kernels.law_of(self.law.code, self.law.parameters),
             self.plane.plane,
             precision,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..model import kernels
-from ..model.bodies import body_of, kernel_starts, touching_vertices, world_poses
+from ..model.bodies import kernel_starts, touching_vertices, world_poses
 from ..model.ensembles import Stage
 from ..model.motion import State
 from ..model.rotations import matrix_from_quat
@@ -31,7 +31,7 @@ from ..tracking.track import ABSENT, TRACKED, Track
 from .flights import moved_state
 from .landing import resting_face
 from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
-from .physics import QUICK, Physics
+from .physics import QUICK, Physics, kernel_body
 from .results import Parameter
 
 Array = NDArray[np.float64]
@@ -111,7 +111,7 @@ def simulated_throws(
     begins = np.array([start.time_s for start in starts])
     law = kernels.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
-    fixed = (_body(physics.body), law, physics.plane.plane, precision)
+    fixed = (kernel_body(physics.body), law, physics.plane.plane, precision)
 
     def part(low: int, high: int) -> None:
         kernels.poses_of_throws(*fixed, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
@@ -124,12 +124,6 @@ def simulated_throws(
         list(pool.map(part, cuts[:-1], cuts[1:]))
     positions, quaternions = world_poses(physics.body, physics.plane, poses)
     return length * positions, quaternions
-
-
-@lru_cache(maxsize=64)
-def _body(die: Die) -> kernels.Body:
-    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
-    return body_of(die)
 
 
 @lru_cache(maxsize=64)

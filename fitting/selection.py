@@ -38,7 +38,7 @@ from .lengthening import (
 from .loaded import Load, load_in_flight
 from .physics import EFFECTS, RESTITUTIONS, Physics
 from .results import Effect
-from .robust import condensed, huber, in_units_of, triangle
+from .robust import condensed, huber, in_units_of, orthonormal
 from .shots import Shot, linear, root_of, shoot
 
 Array = NDArray[np.float64]
@@ -177,11 +177,15 @@ def candidates_for(physics: Physics) -> tuple[str, ...]:
 
 def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
     """The same throw with other parameters free, and the information that its frames have on them."""
+    return _widened(shot, physics, k2)[0]
+
+
+def _widened(shot: Shot, physics: Physics, k2: float) -> tuple[Shot, Array, Array]:
+    """`with_physics`, and the residuals (n, 6) of the robust loss with their derivative (n, 6, 12 + k)."""
     residuals, jacobian = linear(replace(shot, physics=physics))
-    scaled = huber(residuals, jacobian, k2)[1]
-    return replace(
-        shot, physics=physics, residuals=residuals, root=root_of(scaled.reshape(-1, scaled.shape[2]), physics)
-    )
+    scaled, slopes = huber(residuals, jacobian, k2)
+    root = root_of(slopes.reshape(-1, slopes.shape[2]), physics)
+    return replace(shot, physics=physics, residuals=residuals, root=root), scaled, slopes
 
 
 def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
@@ -189,8 +193,8 @@ def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
     k2 = loss_scale(free)
     if effect == "loaded die":
         return _try_load(shot, free)
-    wider = with_physics(shot, shot.physics.with_effect(effect), k2)
-    hoped = _foreseen_gain(wider, k2)
+    wider, residuals, jacobian = _widened(shot, shot.physics.with_effect(effect), k2)
+    hoped = _foreseen_gain(residuals, jacobian, wider.root)
     if hoped < _HOPEFUL * _price(shot, effect):
         return Trial(effect, None, hoped, _price(shot, effect), 0.0)
     return _compared(shot, shoot(shot.sightings, wider, shot.vertices, k2), effect, k2)
@@ -231,13 +235,12 @@ def _price(shot: Shot, effect: str) -> float:
     return len(EFFECTS[effect]) * float(0.5 * np.log(shot.residuals.size) + np.log(count))
 
 
-def _foreseen_gain(wider: Shot, k2: float) -> float:
+def _foreseen_gain(residuals: Array, jacobian: Array, root: Array) -> float:
     """By how much half the cost would fall if the residuals were linear in all unknowns, in units of what is left."""
-    residuals, jacobian = huber(*linear(wider), k2)
-    few = condensed(residuals.ravel(), in_units_of(wider.root, jacobian.reshape(-1, jacobian.shape[2])))
+    few = condensed(residuals.ravel(), in_units_of(root, jacobian.reshape(-1, jacobian.shape[2])))
     left = float(few[-1, -1] ** 2)
     fall = float((residuals**2).sum()) - left
-    return 0.5 * fall / max(1.0, left / max(residuals.size - len(wider.root), 1))
+    return 0.5 * fall / max(1.0, left / max(residuals.size - len(root), 1))
 
 
 def _scale(shot: Shot) -> float:
@@ -254,7 +257,7 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
     Residuals and Influence in Regression, 1982, Sec. 3.2).
     """
     residuals, jacobian = linear(shot)
-    q = _orthonormal(jacobian, shot.root).reshape(len(residuals), 6, -1)
+    q = orthonormal(jacobian.reshape(-1, jacobian.shape[2]), shot.root).reshape(len(residuals), 6, -1)
     costs = []
     for rows in _blocks(shot):
         own = q[rows].reshape(-1, q.shape[2])
@@ -266,16 +269,6 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
         kept, _ = huber(apart, np.empty((len(apart), 6, 0)), k2)
         costs.append(float((kept**2).sum()))
     return np.array(costs)
-
-
-def _orthonormal(jacobian: Array, root: Array) -> Array:
-    """Orthonormal columns (6 n, m) that span those of a derivative (n, 6, m)."""
-    scaled = in_units_of(root, jacobian.reshape(-1, jacobian.shape[2]))
-    own = triangle(scaled)
-    # What moves nothing, such as friction where every contact sticks, has a column of zeros and keeps it.
-    still = np.diag(own) < 1e-12 * np.diag(own).max()
-    own[still, still] = 1.0
-    return np.asarray(in_units_of(own, scaled))
 
 
 def _blocks(shot: Shot) -> list[NDArray[np.int64]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import State, Throw
 from ..model.tangent import Propagation
-from .descent import descend
+from .descent import ENOUGH, descend
 from .flights import FreeFlights, left_jacobian, moved_state
 from .physics import Physics, course
 from .robust import huber, triangle
@@ -63,8 +63,9 @@ class Shot:
         return float((scaled**2).sum())
 
 
-def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: float) -> Shot:
-    """The throw through `vertices` nearest to the frames, started from another shot. `k2` as in `robust.huber`."""
+def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: float, *, enough: float = ENOUGH) -> Shot:
+    """The throw through `vertices` nearest to the frames, started from another shot. `k2` as in `robust.huber`, `enough`
+    as in `descent.descend`."""
     physics = start.physics
     names = physics.free
     reach = np.array([[bound - physics.values[name] for bound in physics.bounds(name)] for name in names])
@@ -78,7 +79,7 @@ def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: floa
         residuals, jacobian = huber(residuals, jacobian, k2)
         return residuals.ravel(), jacobian.reshape(-1, jacobian.shape[2])
 
-    x = descend(evaluate, start.root, low, high, hopeless=_HOPELESS * k2 * len(sightings))
+    x = descend(evaluate, start.root, low, high, enough=enough, hopeless=_HOPELESS * k2 * len(sightings))
     residuals, jacobian, way = _seen_from(sightings, start, x, vertices)
     _, scaled = huber(residuals, jacobian, k2)
     return replace(

@@ -60,10 +60,13 @@ class _Work:
     track: Track
     measured: Throw
     free: FreeFlights
-    bounces: tuple[Bounce | None, ...]
     first: int
     """The first flight that two frames show."""
     intervals: IntervalMethod
+
+    def bounces(self, die: Die, begin: int, end: int | None = None) -> tuple[Bounce | None, ...]:
+        """Of the measured impacts, those from `begin` up to `end`, looked at one by one."""
+        return measure_bounces(die, self.free, self.measured.impacts, begin, end)
 
 
 def fit_throw(
@@ -88,8 +91,7 @@ def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMet
         return _nothing(messages, "no flight has two frames with a pose: neither the start nor chi can be determined.")
     if first > 0:
         messages.append(f"The fit begins after bounce {first}: the frames before it do not make a flight.")
-    bounces = measure_bounces(physics.die, free, measured.impacts)
-    work = _Work(track, measured, free, bounces, first, intervals)
+    work = _Work(track, measured, free, first, intervals)
     if len(measured.flights) == first + 1:
         messages.append("chi cannot be determined: the track shows no bounce after the first flight.")
         return _unbounded(work, opening(free, first, physics), messages)
@@ -155,13 +157,12 @@ def _trials(work: _Work, shot: Shot) -> list[Trial]:
 
 def _openings(work: _Work, physics: Physics) -> list[Shot]:
     """The first flight alone, with several χ to begin with where no bounce says which."""
-    bounce = work.bounces[work.first] if work.first < len(work.bounces) else None
+    starts = [0.55, 0.85, 0.25]
     if physics.effects:
         starts = [physics.values["chi"]]
-    elif bounce is not None and 0.02 < bounce.chi < 0.98:
-        starts = [bounce.chi]
     else:
-        starts = [0.55, 0.85, 0.25]
+        seen = work.bounces(physics.die, work.first, work.first + 1)
+        starts = [bounce.chi for bounce in seen if bounce is not None and 0.02 < bounce.chi < 0.98] or starts
     return [opening(work.free, work.first, physics.with_values(chi=chi)) for chi in starts]
 
 
@@ -198,7 +199,7 @@ def _unexplained(work: _Work, start: Shot, trials: list[Trial], messages: list[s
     attempt = best_attempt(start, work.measured, work.free)
     rms = None if attempt is None else float(np.sqrt(attempt.mean_square))
     worst = None if attempt is None else np.sqrt(max(mean_squares(attempt).values()))
-    later = work.bounces[start.reached :]
+    later = work.bounces(start.physics.die, start.reached)
     messages.append(missed_words(len(work.measured.impacts) - start.reached, worst, later))
     fit = replace(_unbounded(work, start, messages), considered=_left_out(trials), residual_rms=rms)
     common = common_restitution(later, level=LEVEL_OF_INTERVALS)
