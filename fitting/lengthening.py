@@ -23,7 +23,7 @@ from .flights import FEWEST_FRAMES, FreeFlights
 from .physics import RESTITUTIONS, Physics
 from .robust import CLEAN_FRAME
 from .sequences import candidates, measured_sequence, own_sequence, simulated_sequences
-from .shots import Shot, clear_of_impacts, linear, mean_squares, shoot
+from .shots import Shot, clear_of_impacts, linear, mean_squares, shoot, with_physics
 
 MISFIT = 2.5
 """Largest ratio of the residuals of a throw to those of free flights at which the throw still counts as explained."""
@@ -34,8 +34,8 @@ _TELLING = 8
 _HOPELESS = 20.0
 """Times the allowed mean square at which a sequence is given up before all frames of a flight are in."""
 
-_OPEN = 0.03
-"""Sigma of a coefficient above which its value may still be far from the one that the next bounce asks for."""
+_SAME = 0.01
+"""Difference of a coefficient below which two starts are one."""
 
 CLEARLY = 4.0
 """Fall of the cost, in units of a residual's variance, at which one kind of restitution is preferred to another."""
@@ -159,17 +159,22 @@ def _by_another_way(shot: Shot, target: int, measured: Throw, free: FreeFlights)
 
 
 def _variants(shot: Shot, target: int, free: FreeFlights) -> list[Shot]:
-    """The shot with other kinds of restitution, with other values, and with both."""
-    sigmas = np.linalg.norm(np.linalg.inv(shot.root)[12:], axis=1)
-    left_open = {name for name, sigma in zip(shot.physics.free, sigmas, strict=True) if sigma > _OPEN}
-    values = [
-        other
-        for effect in shot.physics.effects
-        for other in starts_with(effect, shot.physics, free, shot.reached, target)
-        if all(name in left_open or other.values[name] == shot.physics.values[name] for name in other.values)
-    ]
-    both = [kind for other in values for kind in other.with_other_restitutions()]
-    return [replace(shot, physics=other) for other in (*shot.physics.with_other_restitutions(), *values, *both)]
+    """The shot with other kinds of restitution, with other values that explain its own frames, and with both."""
+    kinds = [replace(shot, physics=kind) for kind in shot.physics.with_other_restitutions()]
+    others: list[Shot] = []
+    for effect in shot.physics.effects:
+        for physics in starts_with(effect, shot.physics, free, shot.reached, target):
+            k2 = loss_scale(free)
+            other = shoot(shot.sightings, with_physics(shot, physics, k2), shot.vertices, k2, enough=NEARLY)
+            if is_explained(other, free) and not any(_agree(other, known) for known in (shot, *others)):
+                others.append(other)
+    both = [replace(other, physics=kind) for other in others for kind in other.physics.with_other_restitutions()]
+    return [*kinds, *others, *both]
+
+
+def _agree(one: Shot, other: Shot) -> bool:
+    """Whether two shots have the same parameters, within what a fit that is only to lead on tells."""
+    return all(abs(value - other.physics.values[name]) < _SAME for name, value in one.physics.values.items())
 
 
 def with_preferred_restitution(shot: Shot, free: FreeFlights) -> Shot:

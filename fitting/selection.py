@@ -18,7 +18,7 @@ pay are then fitted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ from .loaded import Load, load_in_flight
 from .physics import EFFECTS, RESTITUTIONS, Physics
 from .results import Effect
 from .robust import condensed, huber, in_units_of, orthonormal
-from .shots import Shot, linear, root_of, shoot
+from .shots import Shot, linear, shoot, widened, with_physics
 
 Array = NDArray[np.float64]
 
@@ -175,25 +175,12 @@ def candidates_for(physics: Physics) -> tuple[str, ...]:
     return tuple(effect for effect in EFFECTS if physics.goes_with(effect))
 
 
-def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
-    """The same throw with other parameters free, and the information that its frames have on them."""
-    return _widened(shot, physics, k2)[0]
-
-
-def _widened(shot: Shot, physics: Physics, k2: float) -> tuple[Shot, Array, Array]:
-    """`with_physics`, and the residuals (n, 6) of the robust loss with their derivative (n, 6, 12 + k)."""
-    residuals, jacobian = linear(replace(shot, physics=physics))
-    scaled, slopes = huber(residuals, jacobian, k2)
-    root = root_of(slopes.reshape(-1, slopes.shape[2]), physics)
-    return replace(shot, physics=physics, residuals=residuals, root=root), scaled, slopes
-
-
 def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
     """One effect on the frames that a shot explains."""
     k2 = loss_scale(free)
     if effect == "loaded die":
         return _try_load(shot, free)
-    wider, residuals, jacobian = _widened(shot, shot.physics.with_effect(effect), k2)
+    wider, residuals, jacobian = widened(shot, shot.physics.with_effect(effect), k2)
     hoped = _foreseen_gain(residuals, jacobian, wider.root)
     if hoped < _HOPEFUL * _price(shot, effect):
         return Trial(effect, None, hoped, _price(shot, effect), 0.0)

@@ -109,6 +109,19 @@ def linear(shot: Shot) -> tuple[Array, Array]:
     return residuals, jacobian
 
 
+def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
+    """The same throw with other parameters free, and the information that its frames have on them."""
+    return widened(shot, physics, k2)[0]
+
+
+def widened(shot: Shot, physics: Physics, k2: float) -> tuple[Shot, Array, Array]:
+    """`with_physics`, and the residuals (n, 6) of the robust loss with their derivative (n, 6, 12 + k)."""
+    residuals, jacobian = linear(replace(shot, physics=physics))
+    scaled, slopes = huber(residuals, jacobian, k2)
+    root = root_of(slopes.reshape(-1, slopes.shape[2]), physics)
+    return replace(shot, physics=physics, residuals=residuals, root=root), scaled, slopes
+
+
 def root_of(jacobian: Array, physics: Physics) -> Array:
     """Upper triangular T with a positive diagonal and Tᵀ T = Jᵀ J; parameters that move nothing get their first scale."""
     root = triangle(jacobian)

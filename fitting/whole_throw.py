@@ -28,8 +28,8 @@ from .landing import continued, landing_odds, resting_face
 from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, with_preferred_restitution
 from .physics import Physics
 from .results import Effect, Fit, Parameter
-from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss, with_physics
-from .shots import Shot, mean_squares, opening, shoot
+from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss
+from .shots import Shot, mean_squares, opening, shoot, with_physics
 from .sightings import sight
 from .words import bounce_words, frame_words, inflation_words, missed_words
 
