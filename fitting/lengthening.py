@@ -17,10 +17,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..model.impacts import Restitution
 from ..model.motion import Throw
 from .descent import ENOUGH, NEARLY
 from .flights import FEWEST_FRAMES, FreeFlights
-from .physics import RESTITUTIONS, Physics
+from .physics import EFFECTS, RESTITUTIONS, Physics
 from .robust import CLEAN_FRAME
 from .sequences import candidates, measured_sequence, own_sequence, simulated_sequences
 from .shots import Shot, clear_of_impacts, linear, mean_squares, shoot, with_physics
@@ -37,8 +38,11 @@ _HOPELESS = 20.0
 _SAME = 0.01
 """Difference of a coefficient below which two starts are one."""
 
-CLEARLY = 4.0
-"""Fall of the cost, in units of a residual's variance, at which one kind of restitution is preferred to another."""
+CLEARLY = 10.0
+"""Fall of the cost, in units of a residual's variance, at which a kind of restitution is taken for a preferred one: a
+likelihood 150 times as large."""
+
+_USUAL_FRICTION = 0.3
 
 _WELL = 1.5
 """The same ratio below which no other way to explain a flight is looked for."""
@@ -164,12 +168,23 @@ def _variants(shot: Shot, target: int, free: FreeFlights) -> list[Shot]:
     others: list[Shot] = []
     for effect in shot.physics.effects:
         for physics in starts_with(effect, shot.physics, free, shot.reached, target):
-            k2 = loss_scale(free)
-            other = shoot(shot.sightings, with_physics(shot, physics, k2), shot.vertices, k2, enough=NEARLY)
+            other = _settled_with(effect, physics, shot, free)
             if is_explained(other, free) and not any(_agree(other, known) for known in (shot, *others)):
                 others.append(other)
     both = [replace(other, physics=kind) for other in others for kind in other.physics.with_other_restitutions()]
     return [*kinds, *others, *both]
+
+
+def _settled_with(effect: str, physics: Physics, shot: Shot, free: FreeFlights) -> Shot:
+    """The shot with an effect as it is in `physics`, and all else fitted to that.
+
+    With all of it free from the beginning, a descent may stop at the bend where a slip just stops within an impact.
+    """
+    k2, held = loss_scale(free), physics.held | set(EFFECTS[effect])
+    settled = shoot(
+        shot.sightings, with_physics(shot, replace(physics, held=held), k2), shot.vertices, k2, enough=NEARLY
+    )
+    return with_physics(settled, replace(settled.physics, held=physics.held), k2)
 
 
 def _agree(one: Shot, other: Shot) -> bool:
@@ -177,16 +192,45 @@ def _agree(one: Shot, other: Shot) -> bool:
     return all(abs(value - other.physics.values[name]) < _SAME for name, value in one.physics.values.items())
 
 
-def with_preferred_restitution(shot: Shot, free: FreeFlights) -> Shot:
-    """The shot with the first kind of restitution, in the order of preference, that no other clearly beats."""
-    if not shot.physics.with_other_restitutions():
-        return shot
+def ways_of_friction(shot: Shot, free: FreeFlights) -> list[Shot]:
+    """The shot as friction is best told by its frames, then others of the same kind that agree with them as well.
+
+    Where no slip stops within an impact there is one way alone. Where one does, more friction may do as well, the least
+    cost may lie behind a bend that a descent does not pass, and kinds of restitution differ: of these the first, in the
+    order of preference, that no other clearly beats.
+    """
+    if all(_is_alike(replace(shot, physics=kind), shot) for kind in shot.physics.with_other_restitutions()):
+        return [shot]
     k2 = loss_scale(free)
-    kinds = [replace(shot, physics=replace(shot.physics, restitution=kind)) for kind in RESTITUTIONS]
-    tried = [kind if _is_alike(kind, shot) else shoot(shot.sightings, kind, shot.vertices, k2) for kind in kinds]
-    best = min(tried, key=lambda s: s.cost(k2))
-    enough = best.cost(k2) + CLEARLY * max(1.0, best.mean_square)
-    return next(other for other in tried if other.cost(k2) <= enough)
+    ways = {kind: [_of_kind(kind, shot, k2)] for kind in RESTITUTIONS}
+    for kind in RESTITUTIONS:
+        # From elsewhere only where it may change the choice.
+        ways[kind] += _elsewhere(kind, shot, free)
+        best = min((way for found in ways.values() for way in found), key=lambda way: way.cost(k2))
+        enough = best.cost(k2) + CLEARLY * max(1.0, best.mean_square)
+        preferred = ways[kind]
+        if min(way.cost(k2) for way in preferred) <= enough:
+            break
+    # Where any friction beyond some does as well, the value given is one that scenes have.
+    least = min(way.cost(k2) for way in preferred)
+    usual = {id(way): abs(np.log(max(way.physics.values["mu"], _SAME) / _USUAL_FRICTION)) for way in preferred}
+    ranked = sorted(preferred, key=lambda way: (way.cost(k2) > least + NEARLY, usual[id(way)]))
+    return [way for way in ranked if way.cost(k2) <= enough]
+
+
+def _of_kind(kind: Restitution, shot: Shot, k2: float) -> Shot:
+    """The shot with one kind of restitution, from its own values."""
+    if kind == shot.physics.restitution:
+        return shot
+    physics = replace(shot.physics, restitution=kind)
+    return shoot(shot.sightings, with_physics(shot, physics, k2), shot.vertices, k2)
+
+
+def _elsewhere(kind: Restitution, shot: Shot, free: FreeFlights) -> list[Shot]:
+    """The shot with one kind of restitution, from little and from much friction."""
+    some = replace(shot.physics, restitution=kind).with_some_of("friction")
+    starts = [_settled_with("friction", physics, shot, free) for physics in some]
+    return [shoot(shot.sightings, start, shot.vertices, loss_scale(free)) for start in starts]
 
 
 def _is_alike(other: Shot, shot: Shot) -> bool:

@@ -86,7 +86,7 @@ _LEAST_SHARE = 1e-3
 """The same of a centre of mass, as a share of an edge: the corners of a real die are not truer than that."""
 
 _SOME: dict[str, tuple[dict[str, float], ...]] = {
-    "friction": ({"mu": 0.1}, {"mu": 0.4}),
+    "friction": ({"mu": 0.1}, {"mu": 0.4}, {"mu": 1.0}),
     "fading restitution": ({"chi_fade_s_per_m": 1.0},),
 }
 """Values of an effect, from small to large among those that scenes have, from which a fit may find its way."""

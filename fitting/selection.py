@@ -27,16 +27,16 @@ from ..model.motion import Throw
 from .flights import FreeFlights
 from .intervals import variance_inflation
 from .lengthening import (
-    CLEARLY,
     best_attempt,
     is_explained,
     loss_scale,
     reach,
     starts_with,
+    ways_of_friction,
     well_explained,
 )
 from .loaded import Load, load_in_flight
-from .physics import EFFECTS, RESTITUTIONS, Physics
+from .physics import EFFECTS, Physics
 from .results import Effect
 from .robust import condensed, huber, in_units_of, orthonormal
 from .shots import Shot, linear, shoot, widened, with_physics
@@ -159,15 +159,9 @@ def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patien
             break
     if not found:
         return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
-    refitted = [shoot(attempt.sightings, other, other.vertices, k2) for other in _nearest_of_each_kind(found)]
-    enough = min(other.cost(k2) + CLEARLY * max(1.0, other.mean_square) for other in refitted)
-    return _compared(attempt, next(other for other in refitted if other.cost(k2) <= enough), effect, k2)
-
-
-def _nearest_of_each_kind(shots: list[Shot]) -> list[Shot]:
-    """The best shot with each kind of restitution, in the order in which the kinds are preferred."""
-    kinds = [kind for kind in RESTITUTIONS if any(shot.physics.restitution == kind for shot in shots)]
-    return [min((s for s in shots if s.physics.restitution == kind), key=lambda s: s.mean_square) for kind in kinds]
+    best = min(found, key=lambda other: other.mean_square)
+    refitted = shoot(attempt.sightings, best, best.vertices, k2)
+    return _compared(attempt, ways_of_friction(refitted, free)[0], effect, k2)
 
 
 def candidates_for(physics: Physics) -> tuple[str, ...]:

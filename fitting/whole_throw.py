@@ -25,7 +25,7 @@ from .flights import FreeFlights, fit_flights, moved_state
 from .impulses import Bounce, common_restitution, measure_bounces
 from .intervals import profile_interval, variance_inflation
 from .landing import continued, landing_odds, resting_face
-from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, with_preferred_restitution
+from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, ways_of_friction
 from .physics import Physics
 from .results import Effect, Fit, Parameter
 from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss
@@ -98,27 +98,30 @@ def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMet
     if not can_go_on(free, first):
         messages.append("chi cannot be determined: no flight after the first bounce has two frames clear of impacts.")
         return _unbounded(work, opening(free, first, physics), messages)
-    shots, trials = _with_effects(work, physics)
+    shots, ways, trials = _with_effects(work, physics)
     if not shots[0].vertices and shots[0].reached > first:
         messages.append("chi cannot be determined: the frames make one flight, through every bounce that was measured.")
         return _unbounded(work, shots[0], messages)
     if shots[0].reached == first:
         return _unexplained(work, shots[0], trials, messages)
-    return _explained(work, shots, trials, messages)
+    return _explained(work, shots, ways, trials, messages)
 
 
-def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Trial]]:
-    """The best shots with as many effects as pay, and the trials of the others."""
+def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Shot], list[Trial]]:
+    """The best shots with as many effects as pay, the ways in which friction makes the first of them, and the trials of
+    the other effects."""
     shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    ways = shots[:1]
     trials = _trials(work, shots[0])
     for _ in range(_MOST_EFFECTS):
         longer = _best_with_one_more(work, shots, trials)
         if longer is None:
             break
         shots = _without_what_no_longer_pays(work, longer)
-        shots = [with_preferred_restitution(shots[0], work.free), *shots[1:]]
+        ways = ways_of_friction(shots[0], work.free)
+        shots = [ways[0], *shots[1:]]
         trials = _trials(work, shots[0])
-    return shots, trials
+    return shots, ways, trials
 
 
 def _without_what_no_longer_pays(work: _Work, shots: list[Shot]) -> list[Shot]:
@@ -166,14 +169,14 @@ def _openings(work: _Work, physics: Physics) -> list[Shot]:
     return [opening(work.free, work.first, physics.with_values(chi=chi)) for chi in starts]
 
 
-def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: list[str]) -> Fit:
+def _explained(work: _Work, shots: list[Shot], ways: list[Shot], trials: list[Trial], messages: list[str]) -> Fit:
     """The result of a fit through one bounce or more."""
     shot = shots[0]
     total, explained = len(work.measured.impacts) - work.first, shot.reached - work.first
     messages += bounce_words(shots, work.free, total, explained)
     variance, tau = _inflation(shot)
     messages += inflation_words(variance, tau)
-    parameters = _parameters(shot, work, variance * tau, messages)
+    parameters = _parameters(ways, work, variance * tau, messages)
     covariance = _covariance(shot.root) * variance * tau
     throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
     face, odds, landing_words = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
@@ -256,7 +259,7 @@ def _chosen(physics: Physics) -> tuple[str, ...]:
     law = () if "friction" in physics.effects else ("smooth impact",)
     rounded = ("rounded corners",) if physics.body.corner_radius_m > 0.0 else ()
     moving = ("oscillating table",) if physics.table.moves else ()
-    return (*law, *rounded, *moving, *(name for name in physics.effects if name != "corner radius"))
+    return (*law, *rounded, *moving, *(name for name in physics.effects if name != "rounded corners"))
 
 
 def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
@@ -276,9 +279,10 @@ def _covariance(root: Array) -> Array:
     return np.asarray(inverse @ inverse.T)
 
 
-def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
-    """Every free parameter with its interval; None, and a message, where the data leave all of its range open."""
-    found = {}
+def _parameters(ways: list[Shot], work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
+    """Every free parameter with its interval, which holds those of all ways to make the throw; None, and a message, where
+    the data leave all of its range open."""
+    found, shot = {}, ways[0]
     covariance, drawn = _covariance(shot.root) * scale, {}
     if work.intervals == "bootstrap":
         drawn = bootstrap_intervals(shot, loss_scale(work.free), level=LEVEL_OF_INTERVALS)
@@ -286,7 +290,8 @@ def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> d
         sigma = float(np.sqrt(covariance[k, k]))
         value, bounds = shot.physics.values[name], shot.physics.bounds(name)
         if work.intervals == "profile":
-            low, high = _profile(shot, name, sigma, scale, work.free)
+            ends = [_profile(way, name, ways[0], scale, work.free) for way in ways]
+            low, high = min(end[0] for end in ends), max(end[1] for end in ends)
         else:
             low, high = drawn.get(name, (value - _Z * sigma, value + _Z * sigma))
         found[name] = _bounded(value, low, high, bounds=bounds, near=0.01 * sigma)
@@ -297,12 +302,13 @@ def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> d
     return found
 
 
-def _profile(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlights) -> tuple[float, float]:
-    """The interval of one parameter from the profile of the likelihood."""
+def _profile(shot: Shot, name: str, best: Shot, scale: float, free: FreeFlights) -> tuple[float, float]:
+    """The interval of one parameter from the profile of the likelihood about a shot that is as good as the best."""
     k2 = loss_scale(free)
-    least = shot.cost(k2)
+    least = best.cost(k2)
     column = _covariance(shot.root)[:, 12 + shot.physics.free.index(name)]
-    along = column / column[12 + shot.physics.free.index(name)]
+    variance = column[12 + shot.physics.free.index(name)]
+    along, sigma = column / variance, float(np.sqrt(variance * scale))
 
     def excess(value: float) -> float:
         # All else where a straight valley would have it: from the fit itself the way leads round bends of a valley a
