@@ -61,7 +61,7 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
     Unchanged where the last flight begins with a corner below the table, as a fit through prescribed vertices may.
     """
     last = throw.flights[-1].start
-    until_s = physics.values.get("clock_scale", 1.0) * end_s
+    until_s = physics.clock * end_s
     if until_s <= last.time_s or not physics.can_release(last):
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw

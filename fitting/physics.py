@@ -137,6 +137,16 @@ class Physics:
         return tuple(name for name in self.values if name not in self.held)
 
     @property
+    def clock(self) -> float:
+        """True seconds in a second of the track."""
+        return self.values.get("clock_scale", 1.0)
+
+    @property
+    def length(self) -> float:
+        """Metres of the track in a true metre."""
+        return self.values.get("length_scale", 1.0)
+
+    @property
     def effects(self) -> tuple[str, ...]:
         """Effects whose parameters are in use."""
         return tuple(effect for effect, names in EFFECTS.items() if names[0] in self.values)
@@ -328,7 +338,7 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
 
     `start` is true: its time is that of the track times the clock scale.
     """
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
+    clock, length = physics.clock, physics.length
     names = tuple(name for name in physics.free if name not in _OFF)
     passed = tuple("speed_scale_m_s" if name == "chi_fade_s_per_m" else name for name in names)
     way = propagate(

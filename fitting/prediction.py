@@ -33,6 +33,7 @@ from .landing import resting_face
 from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
 from .physics import QUICK, Physics, kernel_body
 from .results import Parameter
+from .scales import in_true_units
 
 Array = NDArray[np.float64]
 
@@ -96,7 +97,7 @@ def simulated_throws(
     for state, times in zip(states, times_s, strict=True):
         if len(times) and times[0] < state.time_s - 1e-12:
             raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {state.time_s:g} s")
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
+    clock, length = physics.clock, physics.length
     starts = [lifted(physics, in_true_units(physics, state)) for state in states]
     firsts = np.concatenate([[0], np.cumsum([len(times) for times in times_s])]).astype(np.int64)
     times = clock * np.concatenate([np.empty(0), *times_s])
@@ -130,18 +131,6 @@ def simulated_throws(
 def _corners(die: Die) -> Array:
     """As `touching_vertices`, likewise."""
     return touching_vertices(die)
-
-
-def in_true_units(physics: Physics, state: State) -> State:
-    """A state on the track's clock and in its metres, by the scales of the physics."""
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
-    return State(
-        clock * state.time_s,
-        state.position_m / length,
-        state.quaternion,
-        state.velocity_m_s / (clock * length),
-        state.omega_rad_s / clock,
-    )
 
 
 def lifted(physics: Physics, state: State) -> State:

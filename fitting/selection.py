@@ -25,7 +25,6 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from .flights import FreeFlights
-from .intervals import variance_inflation
 from .lengthening import (
     best_attempt,
     is_explained,
@@ -226,8 +225,7 @@ def _foreseen_gain(residuals: Array, jacobian: Array, root: Array) -> float:
 
 def _scale(shot: Shot) -> float:
     """s² τ of what a shot leaves."""
-    freedom = shot.residuals.size - len(shot.root)
-    variance, tau = variance_inflation(shot.residuals, freedom, shot.sightings.flight)
+    variance, tau = shot.inflation
     return variance * tau
 
 

@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from ..model.motion import State, Throw
 from ..model.tangent import Propagation
 from .descent import ENOUGH, descend
 from .flights import FreeFlights, left_jacobian, moved_state
+from .intervals import variance_inflation
 from .physics import Physics, course
 from .robust import huber, triangle
 from .sightings import Sightings, pose_errors, whitened, whitened_jacobian
@@ -56,6 +58,17 @@ class Shot:
     def mean_square(self) -> float:
         """Of the whitened residuals."""
         return float((self.residuals**2).mean())
+
+    @property
+    def inflation(self) -> tuple[float, float]:
+        """By how much its covariance is scaled for what the residuals show: s² and τ (`intervals`)."""
+        return variance_inflation(self.residuals, self.residuals.size - len(self.root), self.sightings.flight)
+
+    @property
+    def covariance(self) -> Array:
+        """(12 + k, 12 + k) of state and free parameters, by the stated errors of the frames: (Tᵀ T)⁻¹."""
+        inverse = solve_triangular(self.root, np.eye(len(self.root)))
+        return np.asarray(inverse @ inverse.T, dtype=np.float64)
 
     def cost(self, k2: float) -> float:
         """Σ ρ over the frames; `k2` as in `robust.huber`."""
@@ -159,7 +172,7 @@ def clear_of_impacts(shot: Shot) -> NDArray[np.bool_]:
     instants = shot.way.impact_times_s
     if not len(instants):
         return np.ones(len(shot.sightings), bool)
-    clock = shot.physics.values.get("clock_scale", 1.0)
+    clock = shot.physics.clock
     away = np.abs(clock * shot.sightings.time_s[:, None] - instants).min(1)
     return np.asarray(away >= 0.5 * shot.sightings.interval_s)
 

@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from ..model.motion import Throw
@@ -28,6 +27,7 @@ from .landing import continued, landing_odds, resting_face
 from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, ways_of_friction
 from .physics import Physics
 from .results import Effect, Fit, Parameter
+from .scales import as_tracked
 from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss
 from .shots import Shot, mean_squares, opening, shoot, with_physics
 from .sightings import sight
@@ -174,11 +174,11 @@ def _explained(work: _Work, shots: list[Shot], ways: list[Shot], trials: list[Tr
     shot = shots[0]
     total, explained = len(work.measured.impacts) - work.first, shot.reached - work.first
     messages += bounce_words(shots, work.free, total, explained)
-    variance, tau = _inflation(shot)
+    variance, tau = shot.inflation
     messages += inflation_words(variance, tau)
     parameters = _parameters(ways, work, variance * tau, messages)
-    covariance = _covariance(shot.root) * variance * tau
-    throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
+    covariance = shot.covariance * variance * tau
+    throw = as_tracked(shot.physics, continued(shot.physics, shot.throw, float(work.track.time_s[-1])))
     face, odds, landing_words = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
     return Fit(
         parameters=parameters,
@@ -267,23 +267,11 @@ def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
     return tuple(trial.in_words for trial in trials if not trial.pays)
 
 
-def _inflation(shot: Shot) -> tuple[float, float]:
-    """By how much the covariance is scaled for what the residuals show: s² and τ."""
-    freedom = shot.residuals.size - len(shot.root)
-    return variance_inflation(shot.residuals, freedom, shot.sightings.flight)
-
-
-def _covariance(root: Array) -> Array:
-    """(Tᵀ T)⁻¹."""
-    inverse = solve_triangular(root, np.eye(len(root)))
-    return np.asarray(inverse @ inverse.T)
-
-
 def _parameters(ways: list[Shot], work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
     """Every free parameter with its interval, which holds those of all ways to make the throw; None, and a message, where
     the data leave all of its range open."""
     found, shot = {}, ways[0]
-    covariance, drawn = _covariance(shot.root) * scale, {}
+    covariance, drawn = shot.covariance * scale, {}
     if work.intervals == "bootstrap":
         drawn = bootstrap_intervals(shot, loss_scale(work.free), level=LEVEL_OF_INTERVALS)
     for k, name in enumerate(shot.physics.free, start=12):
@@ -306,7 +294,7 @@ def _profile(shot: Shot, name: str, best: Shot, scale: float, free: FreeFlights)
     """The interval of one parameter from the profile of the likelihood about a shot that is as good as the best."""
     k2 = loss_scale(free)
     least = best.cost(k2)
-    column = _covariance(shot.root)[:, 12 + shot.physics.free.index(name)]
+    column = shot.covariance[:, 12 + shot.physics.free.index(name)]
     variance = column[12 + shot.physics.free.index(name)]
     along, sigma = column / variance, float(np.sqrt(variance * scale))
 

@@ -12,6 +12,7 @@ from diethrow.fitting.flights import fit_flights
 from diethrow.fitting.loaded import LOAD, load_in_flight
 from diethrow.fitting.physics import EFFECTS, Physics
 from diethrow.fitting.results import Fit
+from diethrow.fitting.scales import as_tracked
 from diethrow.fitting.sightings import sight
 from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
@@ -158,3 +159,23 @@ def test_an_effect_that_is_off_is_in_no_law() -> None:
     assert plain.body is CUBE
     assert plain.plane is LEVEL
     assert plain.effects == ()
+
+
+@pytest.mark.parametrize("scale", ["clock_scale", "length_scale"])
+def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_given_as_the_track_has_it(scale: str) -> None:
+    track, measured = thrown(SmoothImpact(0.5), 3)
+    clock, length = (1.02, 1.0) if scale == "clock_scale" else (1.0, 1.02)
+    wrong = Physics(CUBE, LEVEL, {"chi": 0.5}).with_values(clock_scale=clock, length_scale=length)
+    seen_so = replace(track, time_s=track.time_s / clock, position_m=length * track.position_m)
+    fit = fit_throw(seen_so, as_tracked(wrong, measured), CUBE)
+    assert fit.chosen == ("smooth impact", "clock" if scale == "clock_scale" else "length scale")
+    assert_inside(fit, scale, 1.02, 1e-3)
+    assert_inside(fit, "chi", 0.5, 1e-3)
+    assert fit.throw is not None
+    off = fit.throw.poses(seen_so.time_s)[0] - seen_so.position_m
+    # Frames err by 0.15 mm along the line of sight; at 1 m/s a clock left as it was would be off by 2 mm.
+    assert np.abs(off).max() < 1e-3
+    middle = 0.5 * float(seen_so.time_s[-1])
+    state = fit.throw.at(middle)
+    ahead = fit.throw.poses(np.array([middle + 1e-6]))[0][0]
+    assert ahead - state.position_m == pytest.approx(1e-6 * state.velocity_m_s, abs=1e-10)
