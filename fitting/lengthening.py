@@ -6,6 +6,9 @@ The measured vertex is tried first; where that is unknown, not explained, or fol
 sequences that throws drawn from the fit make by themselves are tried as well, and the best few are kept until later
 frames decide.
 
+Nor does it go on where rounding, grown from bounce to bounce, begins to be felt (`MOST_ROUNDING`): after some ten bounces
+no double can name the start that makes the throw, while its parameters are long known better than any table is even.
+
 The fit ends at the first bounce that the model cannot explain: where the frames lie more than `MISFIT` times as far
 from every such throw as they scatter about free flights. A wrong vertex or a law that does not hold misses by tens;
 errors that tracking repeats from frame to frame, which a flight can absorb and a throw cannot, stay below.
@@ -28,6 +31,10 @@ from .shots import Shot, clear_of_impacts, linear, mean_squares, shoot, with_phy
 
 MISFIT = 2.5
 """Largest ratio of the residuals of a throw to those of free flights at which the throw still counts as explained."""
+
+MOST_ROUNDING = 1e-5
+"""Sigmas by which rounding of the start may move frames where another bounce is still taken in: it grows up to a hundredfold
+at each, and from 1e-3 on descents end where they stumble, not where the cost is least."""
 
 _TELLING = 8
 """Frames of a flight that tell one vertex from another; with fewer, rival sequences are carried along."""
@@ -59,6 +66,8 @@ _WINDOWS = (4, 12, 40)
 def through_the_bounces(beam: list[Shot], measured: Throw, free: FreeFlights) -> list[Shot]:
     """Lengthen shots flight by flight while the model explains them: the best shots, the best first."""
     for target in range(beam[0].reached + 1, len(measured.flights)):
+        if at_its_limit(beam[0]):
+            break
         few = free.sightings.count(target)
         longer: list[Shot] = []
         if few >= FEWEST_FRAMES:
@@ -80,6 +89,11 @@ def next_flight(free: FreeFlights, reached: int) -> int | None:
     """The next flight with frames enough to be fitted."""
     later = range(reached + 1, len(free.flights))
     return next((k for k in later if free.sightings.count(k) >= FEWEST_FRAMES), None)
+
+
+def at_its_limit(shot: Shot) -> bool:
+    """Whether one more bounce is more than doubles can carry."""
+    return shot.rounding > MOST_ROUNDING
 
 
 def best_attempt(shot: Shot, measured: Throw, free: FreeFlights) -> Shot | None:

@@ -70,6 +70,13 @@ class Shot:
         inverse = solve_triangular(self.root, np.eye(len(self.root)))
         return np.asarray(inverse @ inverse.T, dtype=np.float64)
 
+    @property
+    def rounding(self) -> float:
+        """Sigmas by which rounding of the start and of the parameters to doubles moves the frames, at most."""
+        state = (self.state.position_m, np.ones(3), self.state.velocity_m_s, self.state.omega_rad_s)
+        values = [self.physics.values[name] for name in self.physics.free]
+        return float(np.finfo(float).eps * np.linalg.norm(self.root * np.concatenate([*state, values]), axis=0).max())
+
     def cost(self, k2: float) -> float:
         """Σ ρ over the frames; `k2` as in `robust.huber`."""
         scaled, _ = huber(self.residuals, np.empty((len(self.residuals), 6, 0)), k2)

@@ -24,7 +24,7 @@ from .flights import FreeFlights, fit_flights, moved_state
 from .impulses import Bounce, common_restitution, measure_bounces
 from .intervals import profile_interval, variance_inflation
 from .landing import continued, landing_odds, resting_face
-from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, ways_of_friction
+from .lengthening import at_its_limit, best_attempt, can_go_on, loss_scale, through_the_bounces, ways_of_friction
 from .physics import Physics
 from .results import Effect, Fit, Parameter
 from .scales import as_tracked
@@ -145,7 +145,7 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
         longer = through_the_bounces(_openings(work, trial.shot.physics), work.measured, work.free)
         if longer[0].reached >= shots[0].reached and (longer[0].reached, trial.worth) > best:
             best, found = (longer[0].reached, trial.worth), longer
-        if not can_go_on(work.free, best[0]):
+        if not can_go_on(work.free, best[0]) or (found is not None and at_its_limit(found[0])):
             break  # nothing can lead farther, and what follows gains less
     return found
 
@@ -153,7 +153,7 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
 def _trials(work: _Work, shot: Shot) -> list[Trial]:
     """Every effect that is not in use, tried on the frames explained so far and, where there is one, on the flight that
     is not."""
-    if can_go_on(work.free, shot.reached):
+    if can_go_on(work.free, shot.reached) and not at_its_limit(shot):
         return try_effects_at_a_loss(shot, work.measured, work.free)
     return try_effects(shot, work.free) if shot.vertices else []
 
