@@ -12,6 +12,7 @@ an effect that is not in use has none: it costs no parameter, no time and no lin
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
 | loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
 | tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
+| oscillating table | `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: z = A sin(2πft + phase) | 0 |
 | air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
 | clock | `clock_scale`: true seconds in a second of the track | 1 |
 | length scale | `length_scale`: metres of the track in a true metre | 1 |
@@ -42,6 +43,7 @@ from ..model.solids import Die
 from ..model.tables import Table
 from ..model.tangent import Propagation, propagate
 from .loaded import LOAD
+from .shaking import SHAKE
 
 Array = NDArray[np.float64]
 
@@ -52,13 +54,14 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "inertia": ("inertia_kg_m2",),
     "loaded die": LOAD,
     "tilted table": ("tilt_x_rad", "tilt_y_rad"),
+    "oscillating table": SHAKE,
     "air drag": ("drag_per_m",),
     "clock": ("clock_scale",),
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
 
-ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag"})}
+ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
 """Effects that no fit of one throw has together: a displaced centre of mass has derivatives for smooth impacts without air
 alone (`model.tangent`). Joint fits, which need none, have it with friction."""
 
@@ -74,11 +77,22 @@ _BOUNDS = {
     "tilt_x_rad": (-0.3, 0.3),
     "tilt_y_rad": (-0.3, 0.3),
     "drag_per_m": (0.0, 10.0),
+    "table_amplitude_m": (0.0, 0.05),
+    "table_frequency_hz": (0.1, 1000.0),
+    "table_phase_rad": (-100.0, 100.0),
     "clock_scale": (0.8, 1.25),
     "length_scale": (0.8, 1.25),
 }
 
-LEAST_OF_CALIBRATION = {"clock_scale": 1e-3, "length_scale": 1e-3, "tilt_x_rad": 2e-3, "tilt_y_rad": 2e-3}
+LEAST_OF_CALIBRATION = {
+    "clock_scale": 1e-3,
+    "length_scale": 1e-3,
+    "tilt_x_rad": 2e-3,
+    "tilt_y_rad": 2e-3,
+    "table_amplitude_m": 2e-5,
+    "table_frequency_hz": np.inf,  # what does not move has no frequency
+    "table_phase_rad": np.inf,
+}
 """Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
 of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
 
@@ -182,6 +196,8 @@ class Physics:
         """The value at which a parameter does nothing."""
         if name == "corner_radius_m":
             return self.die.corner_radius_m
+        if name in SHAKE:
+            return float(getattr(self.table, name.removeprefix("table_")))
         return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _OFF.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
@@ -243,12 +259,16 @@ class Physics:
 
     @cached_property
     def plane(self) -> Table:
-        """The table with the fitted tilt."""
-        if "tilt_x_rad" not in self.values:
-            return self.table
-        x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
-        # A turn about x by a leans the normal towards -y; about y by b towards x.
-        return replace(self.table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+        """The table with the fitted tilt and motion."""
+        table = self.table
+        if SHAKE[0] in self.values:
+            amplitude, frequency, phase = (self.values[name] for name in SHAKE)
+            table = replace(table, amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase)
+        if "tilt_x_rad" in self.values:
+            x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
+            # A turn about x by a leans the normal towards -y; about y by b towards x.
+            table = replace(table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+        return table
 
     def throw(self, start: State, until: Until) -> ThrowResult:
         """The throw that the die makes by itself. Raises ValueError for a start below the table."""

@@ -18,7 +18,7 @@ pay are then fitted.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,7 @@ from .loaded import Load, load_in_flight
 from .physics import EFFECTS, Physics
 from .results import Effect
 from .robust import condensed, huber, in_units_of, orthonormal
+from .shaking import shakes_seen
 from .shots import Shot, linear, shoot, widened, with_physics
 
 Array = NDArray[np.float64]
@@ -50,6 +51,10 @@ _FIXED = 1e-3
 
 _HOPEFUL = 0.3
 """Part of the price at which an effect is fitted: a gain foretold by derivatives may be short of the real one."""
+
+
+HELD_AT_FIRST = frozenset({"table_frequency_hz", "table_phase_rad"})
+"""Of a motion that the bounces show, what a fit to the first of them leaves alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +105,9 @@ class Trial:
         return Effect(self.effect, self.gain, why)
 
 
-def try_effects(shot: Shot, free: FreeFlights) -> list[Trial]:
+def try_effects(shot: Shot, measured: Throw, free: FreeFlights) -> list[Trial]:
     """Every effect that is not in use, tried on the frames that a shot explains."""
-    return [_try(shot, effect, free) for effect in unused_effects(shot.physics)]
+    return [_try(shot, effect, measured, free) for effect in unused_effects(shot.physics)]
 
 
 def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> list[Trial]:
@@ -113,12 +118,12 @@ def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> lis
     """
     attempt = best_attempt(shot, measured, free)
     if attempt is None or not attempt.vertices:
-        return try_effects(shot, free) if shot.vertices else []
+        return try_effects(shot, measured, free) if shot.vertices else []
     trials: list[Trial] = []
     for effect in unused_effects(shot.physics):
         # Once one effect explains the flight, another has to do the same, which a few frames tell.
         explained = any(trial.shot is not None and is_explained(trial.shot, free) for trial in trials)
-        trials.append(_try_on(shot, attempt, effect, free, patient=not explained))
+        trials.append(_try_on(shot, attempt, effect, measured, free, patient=not explained))
     return trials
 
 
@@ -140,7 +145,7 @@ def unused_effects(physics: Physics) -> list[str]:
     return [effect for effect in candidates_for(physics) if effect not in physics.effects]
 
 
-def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patient: bool) -> Trial:
+def _try_on(shot: Shot, attempt: Shot, effect: str, measured: Throw, free: FreeFlights, *, patient: bool) -> Trial:
     """One effect on the frames of an attempt that failed without it."""
     k2 = loss_scale(free)
     starts = [*starts_with(effect, shot.physics, free, shot.reached, attempt.reached), shot.physics.with_effect(effect)]
@@ -149,6 +154,11 @@ def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patien
         if load is None:
             return Trial(effect, None, gain, _price(attempt, effect), 0.0)
         starts = [shot.physics.with_values(**load.values)]
+    if is_unknown_motion(effect, shot.physics):
+        # One bounce cannot tell three numbers: the frequency stays as all bounces have it until the fit has some of them.
+        seen = shakes_seen(shot.physics.body, free, measured.impacts)
+        starts = [replace(shot.physics.with_values(**values), held=HELD_AT_FIRST) for values in seen]
+        patient = True  # it is in few scenes, and where it is, others may have passed for it at the first bounce
     onward = attempt.vertices[len(shot.vertices) :]
     found: list[Shot] = []
     for physics in (*starts, *(kind for start in starts for kind in start.with_other_restitutions())):
@@ -168,11 +178,18 @@ def candidates_for(physics: Physics) -> tuple[str, ...]:
     return tuple(effect for effect in EFFECTS if physics.goes_with(effect))
 
 
-def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
+def is_unknown_motion(effect: str, physics: Physics) -> bool:
+    """Whether an effect is the motion of a table of which the scene says nothing: no derivative leads there from rest."""
+    return effect == "oscillating table" and not physics.table.moves
+
+
+def _try(shot: Shot, effect: str, measured: Throw, free: FreeFlights) -> Trial:
     """One effect on the frames that a shot explains."""
     k2 = loss_scale(free)
     if effect == "loaded die":
         return _try_load(shot, free)
+    if is_unknown_motion(effect, shot.physics):
+        return _try_motion(shot, measured, free)
     wider, residuals, jacobian = widened(shot, shot.physics.with_effect(effect), k2)
     hoped = _foreseen_gain(residuals, jacobian, wider.root)
     if hoped < _HOPEFUL * _price(shot, effect):
@@ -198,6 +215,16 @@ def _try_load(shot: Shot, free: FreeFlights) -> Trial:
     starts = (shot.physics.with_values(**load.values), shot.physics.with_effect(effect))
     found = [shoot(shot.sightings, with_physics(shot, start, k2), shot.vertices, k2) for start in starts]
     return _compared(shot, min(found, key=lambda s: s.cost(k2)), effect, k2)
+
+
+def _try_motion(shot: Shot, measured: Throw, free: FreeFlights) -> Trial:
+    """The same of a table that oscillates, from the motions that the bounces show."""
+    effect, k2 = "oscillating table", loss_scale(free)
+    starts = [shot.physics.with_values(**seen) for seen in shakes_seen(shot.physics.body, free, measured.impacts)]
+    found = [shoot(shot.sightings, with_physics(shot, start, k2), shot.vertices, k2) for start in starts]
+    if not found:
+        return Trial(effect, None, 0.0, _price(shot, effect), 0.0)
+    return _compared(shot, min(found, key=lambda other: other.cost(k2)), effect, k2)
 
 
 def _compared(shot: Shot, wider: Shot, effect: str, k2: float) -> Trial:

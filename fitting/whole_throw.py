@@ -142,7 +142,7 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
     best, found = (shots[0].reached - 1, 0.0), None
     for trial in sorted((t for t in trials if t.pays), key=lambda t: t.worth, reverse=True):
         assert trial.shot is not None
-        longer = through_the_bounces(_openings(work, trial.shot.physics), work.measured, work.free)
+        longer = _led_through(work, trial.shot.physics)
         if longer[0].reached >= shots[0].reached and (longer[0].reached, trial.worth) > best:
             best, found = (longer[0].reached, trial.worth), longer
         if not can_go_on(work.free, best[0]) or (found is not None and at_its_limit(found[0])):
@@ -150,12 +150,23 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
     return found
 
 
+def _led_through(work: _Work, physics: Physics) -> list[Shot]:
+    """The shots from the first flight on; what was held at first is set free where the fit stops, and it goes on."""
+    shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    k2 = loss_scale(work.free)
+    while (held := shots[0].physics.held) and shots[0].vertices:
+        freed = replace(shots[0].physics, held=held - {max(held)})
+        wider = with_physics(shots[0], freed, k2)
+        shots = through_the_bounces([shoot(wider.sightings, wider, wider.vertices, k2)], work.measured, work.free)
+    return shots
+
+
 def _trials(work: _Work, shot: Shot) -> list[Trial]:
     """Every effect that is not in use, tried on the frames explained so far and, where there is one, on the flight that
     is not."""
     if can_go_on(work.free, shot.reached) and not at_its_limit(shot):
         return try_effects_at_a_loss(shot, work.measured, work.free)
-    return try_effects(shot, work.free) if shot.vertices else []
+    return try_effects(shot, work.measured, work.free) if shot.vertices else []
 
 
 def _openings(work: _Work, physics: Physics) -> list[Shot]:
@@ -258,8 +269,9 @@ def _chosen(physics: Physics) -> tuple[str, ...]:
     """The effects in the model, those that the scene states among them."""
     law = () if "friction" in physics.effects else ("smooth impact",)
     rounded = ("rounded corners",) if physics.body.corner_radius_m > 0.0 else ()
-    moving = ("oscillating table",) if physics.table.moves else ()
-    return (*law, *rounded, *moving, *(name for name in physics.effects if name != "rounded corners"))
+    moving = ("oscillating table",) if physics.plane.moves else ()
+    listed = ("rounded corners", "oscillating table")
+    return (*law, *rounded, *moving, *(name for name in physics.effects if name not in listed))
 
 
 def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
