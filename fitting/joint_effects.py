@@ -68,7 +68,7 @@ def with_effects(
         point = seen_from(crowd, point.physics)
         before = crowd.costs(left_out_misses(crowd, point))
         trials: dict[str, tuple[Point, Array]] = {}
-        for effect in tuple(left):
+        for effect in left:
             if _NEEDS.get(effect, "chi") not in point.physics.values:
                 refused[effect] = Effect(effect, None, f"Not tried: there is no {_NEEDS[effect]} for it to act on.")
                 continue
@@ -77,7 +77,6 @@ def with_effects(
             step()
             if (why := refuted_by_flights(wider.physics, crowd.entries)) is not None:
                 refused[effect] = Effect(effect, _evidence(gains), why)
-                left = [other for other in left if other != effect]
                 continue
             trials[effect] = (wider, gains)
             refused[effect] = _refusal(effect, gains, before)

@@ -73,9 +73,10 @@ def inflation_words(variance: float, tau: float) -> list[str]:
     """The sentence that says by how much sigmas and intervals were scaled up, if they were."""
     if variance < 1.2 and tau < 1.2:
         return []
+    larger = f"{np.sqrt(variance):.2f} sigma (rms) and " if variance > 1.0 else ""
+    why = "the frames' errors are larger than stated, or the model is not quite right; " if variance > 1.0 else ""
     return [
-        f"Residuals are {np.sqrt(variance):.2f} sigma (rms) and alike over {tau:.1f} frames: the frames' errors are "
-        f"larger than stated, or the model is not quite right; sigmas and intervals are scaled up by "
+        f"Residuals are {larger}alike over {tau:.1f} frames: {why}sigmas and intervals are scaled up by "
         f"{np.sqrt(variance * tau):.2f}."
     ]
 

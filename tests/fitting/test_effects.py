@@ -65,6 +65,28 @@ def test_a_contact_that_sticks_leaves_friction_open_until_one_slides() -> None:
     assert_inside(fit, "mu", 0.2, 0.02)
 
 
+def test_where_any_friction_beyond_some_sticks_as_well_its_interval_says_so() -> None:
+    """The slip of this one bounce stops for every mu from 0.15 on, and chi goes a little with it."""
+    fit = fit_throw(*thrown(CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
+    assert fit.chosen == ("friction",)
+    chi, mu = fit.parameters["chi"], fit.parameters["mu"]
+    assert chi.low is not None
+    assert chi.high is not None
+    assert mu.low is not None
+    assert chi.low <= 0.535 <= chi.high
+    assert 0.1 < mu.low < 0.27
+    assert mu.high == 3.0
+    assert not mu.at_bound
+
+
+def test_friction_is_found_behind_the_bend_where_a_slip_just_stops() -> None:
+    """Descents from little friction end at the bend, 0.29; a fit from there goes through the first bounce alone."""
+    fit = fit_throw(*thrown(CoulombImpact(0.84, 0.43), 7), CUBE)
+    assert fit.bounces_fitted >= 2
+    assert_inside(fit, "chi", 0.84, 1e-3)
+    assert_inside(fit, "mu", 0.43, 5e-3)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_smooth_throw_needs_nothing_more(seed: int) -> None:
     rng = np.random.default_rng(seed)
