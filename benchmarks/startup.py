@@ -2,6 +2,7 @@
 
     python benchmarks/startup.py                # help and import, the best of seven
     python benchmarks/startup.py --compile      # and which kernels the first analysis compiles, in an empty cache
+    python benchmarks/startup.py --compile --alone    # the same without a second process
 
 Times of compilation are those of the processor: they do not mind what else runs.
 """
@@ -10,12 +11,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import subprocess
 import sys
 import tempfile
 import threading
 import time
 from collections import defaultdict
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -27,17 +30,19 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--compile", action="store_true")
+    parser.add_argument("--alone", action="store_true")
     parser.add_argument("--in-empty-cache", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.in_empty_cache:
-        _first_run()
+        _first_run(options.alone)
         return
     for name, program in (("diethrow --help", HELP), ("import diethrow", "import diethrow"), ("python alone", "pass")):
         print(f"{name:16} {best_s(program):.3f} s", flush=True)
     if options.compile:
         with tempfile.TemporaryDirectory() as cache:
             environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-            subprocess.run([sys.executable, __file__, "--in-empty-cache"], env=environment, check=True)
+            words = [sys.executable, __file__, "--in-empty-cache", *(["--alone"] if options.alone else [])]
+            subprocess.run(words, env=environment, check=True)
 
 
 HELP = "import sys; sys.argv = ['diethrow', '--help']; from diethrow.cli import main; main()"
@@ -53,21 +58,25 @@ def best_s(program: str) -> float:
     return min(times)
 
 
-def _first_run() -> None:
+def _first_run(alone: bool) -> None:
     """Analyse the sample where nothing is compiled yet, and tell what was compiled and for how long."""
     from numba.core import event
 
     clock = _CompileClock()
     event.register("numba:compile", clock.listener)
     from diethrow.analyze import analyze
+    from diethrow.compiling import model_ahead
     from diethrow.scene import read_scene
 
-    begin = time.process_time()
-    with tempfile.TemporaryDirectory() as out:
+    begin, begin_cpu = time.perf_counter(), time.process_time()
+    with tempfile.TemporaryDirectory() as out, nullcontext() if alone else model_ahead():
         analyze(read_scene(SCENE), Path(out) / "out")
+    wall, cpu = time.perf_counter() - begin, time.process_time() - begin_cpu
+    helper = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(
-        f"first analysis   {time.process_time() - begin:.0f} s of processor time, {clock.total_s:.0f} s of them compiling:"
+        f"first analysis   {wall:.0f} s, {cpu:.0f} s of processor time and {helper.ru_utime + helper.ru_stime:.0f} s of a"
     )
+    print(f"                 second process; compiled here, {clock.total_s:.0f} s:")
     for name, (count, seconds) in sorted(clock.outermost.items(), key=lambda each: -each[1][1])[:KERNELS_SHOWN]:
         print(f"  {seconds:6.1f} s  {name}" + (f", for {count} signatures" if count > 1 else ""))
 

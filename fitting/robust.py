@@ -8,9 +8,12 @@ problem with an exact gradient.
 
 from __future__ import annotations
 
+from math import sqrt
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ..model.compiled import compiled
 
 Array = NDArray[np.float64]
 
@@ -69,7 +72,7 @@ def orthonormal(jacobian: Array, root: Array) -> Array:
     return np.asarray(in_units_of(own, scaled))
 
 
-@njit(cache=True)
+@compiled
 def _triangle(columns: Array) -> Array:
     """R (m, m) of the QR decomposition of a matrix given by its columns (m, n), n >= m, by Householder's reflections.
 
@@ -80,7 +83,7 @@ def _triangle(columns: Array) -> Array:
         norm = 0.0
         for i in range(j, n):
             norm += columns[j, i] ** 2
-        norm = np.sqrt(norm)
+        norm = sqrt(norm)
         if norm == 0.0:
             continue
         pivot = columns[j, j] + (norm if columns[j, j] >= 0.0 else -norm)
@@ -95,11 +98,16 @@ def _triangle(columns: Array) -> Array:
             for i in range(j + 1, n):
                 columns[k, i] -= along * columns[j, i]
         columns[j, j] = -norm if columns[j, j] >= 0.0 else norm
-        columns[j, j + 1 :] = 0.0
-    return np.ascontiguousarray(columns[:, :m].T)
+        for i in range(j + 1, n):
+            columns[j, i] = 0.0
+    root = np.empty((m, m))
+    for i in range(m):
+        for j in range(m):
+            root[i, j] = columns[j, i]
+    return root
 
 
-@njit(cache=True)
+@compiled
 def in_units_of(root: Array, jacobian: Array) -> Array:
     """J T⁻¹ (n, m) of J (n, m) and an upper triangular T (m, m): the derivative by u = T x."""
     n, m = jacobian.shape
@@ -113,7 +121,7 @@ def in_units_of(root: Array, jacobian: Array) -> Array:
     return scaled
 
 
-@njit(cache=True)
+@compiled
 def solved(root: Array, right: Array) -> Array:
     """T⁻¹ b (m,) of an upper triangular T (m, m)."""
     m = len(right)

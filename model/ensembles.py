@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from . import kernels, tops
 from .bodies import body_of, kernel_starts
+from .compiled import compiled
 from .impacts import ImpactLaw
 from .rotations import quat_multiply
 from .simulate import BOUNCING_CAP, ENDINGS, EXACT, IMPACT_CAP, Ending, Precision
@@ -391,7 +392,7 @@ def _check_range(name: str, values: tuple[float, float]) -> None:
 # --- kernels -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def _fill_states(numbers: Array, states: Array) -> None:
     """Number by number, so that a release does not depend on those beside it in the last bit."""
     for k in range(numbers.shape[0]):
@@ -448,12 +449,12 @@ def _follow_many(
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
         code, impacts, face, _, _, _, _ = kernels.run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            body, law, plane, precision, starts[k], 0.0, inf, kernels.NO_LIMIT, kernels.YES, impact_cap, kernels.NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
             _, _, _, _, end, log, _ = kernels.run_throw(
-                body, law, plane, precision, starts[k], 0.0, inf, after, True, impact_cap, True
+                body, law, plane, precision, starts[k], 0.0, inf, after, kernels.YES, impact_cap, kernels.YES
             )
             _note_lowest(body.normals, log, end, lowest[k, 1:])
 
@@ -480,11 +481,11 @@ def _follow_tops(
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
         code, impacts, face, _, _, _, _ = tops.run_top(
-            top, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            top, law, plane, precision, starts[k], 0.0, inf, kernels.NO_LIMIT, kernels.YES, impact_cap, kernels.NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
             _, _, _, _, end, log, _ = tops.run_top(
-                top, law, plane, precision, starts[k], 0.0, inf, after, True, impact_cap, True
+                top, law, plane, precision, starts[k], 0.0, inf, after, kernels.YES, impact_cap, kernels.YES
             )
             _note_lowest(top.normals, log, end, lowest[k, 1:])

@@ -14,11 +14,11 @@ from math import ceil, cos, hypot, inf, nan, sin, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import overload
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
+from .compiled import compiled, inner, int64, truth
 from .motion import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
@@ -104,7 +104,7 @@ NEWTON, POISSON, STRONGE = 0, 1, 2
 RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, SPUN_LONG, BALANCED = range(9)
 """How the kernels end; `simulate.Ending` says the same in sentences. CHATTER and NO_TOUCH are of the tangent alone."""
 
-FLIES = -1
+FLIES = int64(-1)
 """How held contact ends that goes on in flight."""
 
 ROW = 23
@@ -136,8 +136,18 @@ _STOPPED, _STRAIGHT, _TURNS = 0, 1, 2
 """Courses of a slip: none, or along the one direction in which it grows, as if it had just set out; straight to its stop;
 neither."""
 
-_VX, _VY, _SPEED, _NORMAL, _GIVEN = 0, 1, 2, 3, 4
+_VX, _VY, _SPEED, _NORMAL, _GIVEN = int64(0), int64(1), int64(2), int64(3), int64(4)
 """Rows of the series: slip, its size, the normal velocity w, and what restitution is measured by (∫dp or ∫w dp)."""
+
+_NONE = int64(-1)
+"""No vertex, no event."""
+
+_FORCE_I, _FORCE_J, _NO_EVENT = int64(-1), int64(-2), int64(-3)
+"""Events of held contact besides the touch of a vertex, which goes by its number: a vertex is let go."""
+
+_ZERO, _ONE, _TWELVE, NO_LIMIT = int64(0), int64(1), int64(12), int64(9223372036854775807)
+YES, NO = truth(True), truth(False)
+"""Numbers that kernels hand on; see `compiled`."""
 
 _MOST_SWEEPS = 1000
 """Of the Gauss-Seidel method in `friction_step`. Four corners of a die that slides need some 30, rocking ones 100."""
@@ -173,19 +183,19 @@ def law_of(code: int, parameters: Array) -> Law:
 # --- the table ---------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def table_height(plane: Plane, time: float) -> float:
     """Height [m] of the table."""
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * sin(plane.rate * time + plane.phase)
 
 
-@njit(cache=True)
+@compiled
 def table_velocity(plane: Plane, time: float) -> float:
     """Vertical velocity [m/s] of the table."""
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
 
 
-@njit(cache=True)
+@inner
 def table_acceleration(plane: Plane, time: float) -> float:
     """Vertical acceleration [m/s²] of the table."""
     return -plane.rate * plane.rate * table_height(plane, time)
@@ -194,7 +204,7 @@ def table_acceleration(plane: Plane, time: float) -> float:
 # --- flight and touch --------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def spin_of(state: Array) -> float:
     """|ω| [rad/s]; scaled, so that 1e-200 is not lost in its square."""
     largest = max(abs(state[10]), abs(state[11]), abs(state[12]))
@@ -204,7 +214,7 @@ def spin_of(state: Array) -> float:
     return float(largest * sqrt(x * x + y * y + z * z))
 
 
-@njit(cache=True)
+@inner
 def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
     """Unit axis of the spin; any axis serves where there is none."""
     if spin == 0.0:
@@ -212,7 +222,7 @@ def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
     return state[10] / spin, state[11] / spin, state[12] / spin
 
 
-@njit(cache=True)
+@compiled
 def arm_of(vertex: Array, state: Array) -> tuple[float, float, float]:
     """The vertex (3,) of the body frame, seen from the centre, in world axes."""
     w, x, y, z = state[3], state[4], state[5], state[6]
@@ -222,7 +232,7 @@ def arm_of(vertex: Array, state: Array) -> tuple[float, float, float]:
     return bx + w * tx + y * tz - z * ty, by + w * ty + z * tx - x * tz, bz + w * tz + x * ty - y * tx
 
 
-@njit(cache=True)
+@compiled
 def swing(vertices: Array, state: Array, spin: float, terms: Array) -> None:
     """Fill `terms` (n, 4) with A, B, C and √(A² + B²): a vertex stands A cos ωt + B sin ωt + C above the centre."""
     ux, uy, uz = axis_of(state, spin)
@@ -233,7 +243,7 @@ def swing(vertices: Array, state: Array, spin: float, terms: Array) -> None:
         terms[i, 0], terms[i, 1], terms[i, 2], terms[i, 3] = a, b, along, sqrt(a * a + b * b)
 
 
-@njit(cache=True)
+@compiled
 def first_touch(
     terms: Array,
     height: float,
@@ -315,7 +325,7 @@ def first_touch(
         t += step
 
 
-@njit(cache=True)
+@inner
 def touch_of_vertex(
     terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
@@ -334,14 +344,14 @@ def touch_of_vertex(
     return t, _height(terms, height, velocity, spin, plane, clock, t) >= below, v, acceleration
 
 
-@njit(cache=True)
+@inner
 def _height(terms: Array, height: float, velocity: float, spin: float, plane: Plane, clock: float, t: float) -> float:
     """Height [m] of the one vertex of `terms` (1, 4) above the table."""
     swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
     return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
 
 
-@njit(cache=True)
+@inner
 def _touch_before(
     terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
@@ -364,7 +374,7 @@ def _touch_before(
     return t, False, 0.0, 0.0
 
 
-@njit(cache=True)
+@compiled
 def advance(state: Array, spin: float, dt: float, plane: Plane) -> None:
     """Move the state along its exact flight, in place."""
     state[0] += (state[7] + 0.5 * plane.gx * dt) * dt
@@ -388,7 +398,7 @@ def advance(state: Array, spin: float, dt: float, plane: Plane) -> None:
 # --- impacts with friction (`impacts` has the equations) ---------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def contact_matrix_of_top(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
     """Contact matrix M [1/kg] of a spherical top with the contact at (x, y, z) from its centre: xx, xy, xz, yy, yz, zz."""
     free = 1.0 / mass
@@ -402,7 +412,7 @@ def contact_matrix_of_top(mass: float, inertia: float, x: float, y: float, z: fl
     )
 
 
-@njit(cache=True)
+@compiled
 def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: float) -> Matrix6:
     """The same for any body; `inverse_inertia` (3, 3) [1/(kg m²)] in world axes: M = 1/m - [r]× I⁻¹ [r]×."""
     i = inverse_inertia
@@ -421,13 +431,13 @@ def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: f
     )
 
 
-@njit(cache=True)
+@compiled
 def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
     """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
     return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
 
 
-@njit(cache=True)
+@inner
 def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, dy: float) -> tuple[float, float, float]:
     """The unit vector ŝ, and σ ≥ 0, with (radius T + σ) ŝ = d; None needs one where |T⁻¹d| ≤ radius.
 
@@ -451,7 +461,7 @@ def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, d
     return ux / size, uy / size, sigma
 
 
-@njit(cache=True)
+@compiled
 def friction_impulse(
     matrix: Matrix6, chi: float, mu: float, ending: int, cx: float, cy: float, cz: float
 ) -> tuple[float, float, float]:
@@ -493,7 +503,7 @@ def friction_impulse(
     return size * sx, size * sy, size * p
 
 
-@njit(cache=True)
+@inner
 def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
     """What the slip (vx, vy) does next, to rounding of velocities of the given `size`."""
     xx, xy, xz, yy, yz, _ = matrix
@@ -512,13 +522,13 @@ def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> in
     return _STRAIGHT if f < 0.0 else _STOPPED
 
 
-@njit(cache=True)
+@inner
 def _rate(matrix: Matrix6, mu: float) -> float:
     """How fast the slip vector changes with τ [1/kg], at most (up to 2)."""
     return float(hypot(matrix[2], matrix[4]) + mu * max(matrix[0], matrix[3]))
 
 
-@njit(cache=True)
+@inner
 def _straight(
     w: float, slope: float, limit: float, ending: int, chi: float, returning: bool, goal: float
 ) -> tuple[float, float, bool, float, bool]:
@@ -556,7 +566,7 @@ def _straight(
         returning = not returning
 
 
-@njit(cache=True)
+@inner
 def _turning_slip(
     matrix: Matrix6, chi: float, mu: float, ending: int, vx: float, vy: float, w: float, goal: float
 ) -> tuple[float, float, float, float, float, float, bool, float, bool, int]:
@@ -564,7 +574,7 @@ def _turning_slip(
 
     Returns the impulse (3), the contact velocity (3), the state of `_straight`, and what `_course` says last.
     """
-    sx, sy, p, returning = 0.0, 0.0, 0.0, False
+    sx, sy, p, returning = 0.0, 0.0, 0.0, NO
     largest, rate = max(matrix[0], matrix[3], matrix[5]), _rate(matrix, mu)
     series = np.empty((5, _ORDER + 1))
     ends = False
@@ -596,7 +606,7 @@ def _turning_slip(
     return nan, nan, nan, nan, nan, nan, returning, goal, True, _TURNS
 
 
-@njit(cache=True)
+@inner
 def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> tuple[bool, float]:
     """Whether the slip comes near enough to the direction in which it will stop, and the dp until then.
 
@@ -646,7 +656,7 @@ def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float
     return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * _TINY * size, ahead * total
 
 
-@njit(cache=True)
+@inner
 def _stop_before_event(
     series: Array,
     matrix: Matrix6,
@@ -704,7 +714,7 @@ def _stop_before_event(
     return True, tx, ty, w_stop, goal + (chi if ending == POISSON else -chi * chi) * given
 
 
-@njit(cache=True)
+@inner
 def _expand(
     series: Array,
     matrix: Matrix6,
@@ -759,7 +769,7 @@ def _expand(
     return float(max(reach, 1e-30))  # where the ratio of a graze underflows
 
 
-@njit(cache=True)
+@inner
 def _walk(
     series: Array, h: float, ending: int, chi: float, returning: bool, goal: float
 ) -> tuple[float, bool, float, bool]:
@@ -785,7 +795,7 @@ def _walk(
             return t, returning, goal, True
 
 
-@njit(cache=True)
+@inner
 def _first_rise(series: Array, sign: float, level: float, start: float, end: float) -> float:
     """The first t in (start, end] at which sign · w rises to sign · level, from below; -1 if it does not.
 
@@ -807,7 +817,7 @@ def _first_rise(series: Array, sign: float, level: float, start: float, end: flo
     return _root(series, _NORMAL, sign, level, start, top)
 
 
-@njit(cache=True)
+@inner
 def _root(series: Array, row: int, sign: float, level: float, low: float, high: float) -> float:
     """Where a row takes the value `level`, which sign · row exceeds at `high`: Newton's steps, halved where they stray."""
     t = high
@@ -829,7 +839,7 @@ def _root(series: Array, row: int, sign: float, level: float, low: float, high: 
     return t
 
 
-@njit(cache=True)
+@inner
 def _value(series: Array, row: int, t: float) -> float:
     """A row at t."""
     total = series[row, _ORDER]
@@ -838,7 +848,7 @@ def _value(series: Array, row: int, t: float) -> float:
     return float(total)
 
 
-@njit(cache=True)
+@inner
 def _slope(series: Array, row: int, t: float) -> float:
     """Derivative of a row at t."""
     total = _ORDER * series[row, _ORDER]
@@ -847,7 +857,7 @@ def _slope(series: Array, row: int, t: float) -> float:
     return float(total)
 
 
-@njit(cache=True)
+@inner
 def _integral(series: Array, row: int, t: float) -> float:
     """Integral of a row from 0 to t; its last term belongs to the next order and is left out."""
     total = 0.0
@@ -859,7 +869,7 @@ def _integral(series: Array, row: int, t: float) -> float:
 # --- impacts -----------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def smooth_impulse(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> tuple[float, float, float]:
@@ -872,7 +882,7 @@ def smooth_impulse(
     return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
 
 
-@njit(cache=True)
+@compiled
 def rough_impulse(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> tuple[float, float, float]:
@@ -906,7 +916,7 @@ def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state
     return chosen.py_func
 
 
-@njit(cache=True)
+@inner
 def bounce(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> None:
@@ -921,7 +931,7 @@ def bounce(
     state[12] += (x * sy - y * sx) / inertia
 
 
-@njit(cache=True)
+@compiled
 def lowest_row(normals: Array, state: Array) -> int:
     """Row of the face normal (faces, 3) that points down most."""
     w, x, y, z = state[3], state[4], state[5], state[6]
@@ -935,7 +945,7 @@ def lowest_row(normals: Array, state: Array) -> int:
     return best
 
 
-@njit(cache=True)
+@compiled
 def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
     """Row of the face that the die can no longer leave, or -1; see `simulate`."""
     energy = energy_per_mass(body, plane, state)
@@ -962,31 +972,65 @@ def _rubs(law: Any) -> Any:
     return lambda law: rough
 
 
-@njit(cache=True)
+@inner
 def energy_per_mass(body: Body, plane: Plane, state: Array) -> float:
     """The energy per mass [m²/s²] that vertical forces can change: without ω_z and the horizontal velocity."""
     turning = body.inertia / body.mass * (state[10] * state[10] + state[11] * state[11])
     return plane.g * state[2] + 0.5 * (state[9] * state[9] + turning)
 
 
-@njit(cache=True)
+@inner
+def copy_to(target: Array, source: Array) -> None:
+    """Give every number of `target` (n,) the value that it has in `source` (n,)."""
+    for k in range(target.shape[0]):
+        target[k] = source[k]
+
+
+@inner
+def copy_columns(target: Array, source: Array, columns: int) -> None:
+    """The same of the first `columns` of arrays with twelve rows."""
+    for k in range(12):
+        for c in range(columns):
+            target[k, c] = source[k, c]
+
+
+@inner
+def state_after(row: Array, state: Array) -> None:
+    """Fill `state` (13,) with that after a logged event (ROW,)."""
+    for k in range(7):
+        state[k] = row[2 + k]
+    for k in range(6):
+        state[7 + k] = row[15 + k]
+
+
+@inner
+def note_knot(row: Array, segment: int, time: float, state: Array) -> None:
+    """Write a state in held contact into a row (15,)."""
+    row[0], row[1] = segment, time
+    for k in range(13):
+        row[2 + k] = state[k]
+
+
+@inner
 def grown(rows: Array) -> Array:
     """The same rows with room for as many again."""
     larger = np.empty((2 * rows.shape[0], rows.shape[1]))
-    larger[: rows.shape[0]] = rows
+    for k in range(rows.shape[0]):
+        for m in range(rows.shape[1]):
+            larger[k, m] = rows[k, m]
     return larger
 
 
 # --- held contact ------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def clearance(vertex: Array, state: Array, z_table: float) -> float:
     """Height [m] of a vertex above the table."""
     return float(state[2] + arm_of(vertex, state)[2] - z_table)
 
 
-@njit(cache=True)
+@inner
 def spun(state: Array, arm: tuple[float, float, float]) -> float:
     """The vertical part [m/s²] of ω × (ω × r), which a vertex feels without any force."""
     along = state[10] * arm[0] + state[11] * arm[1] + state[12] * arm[2]
@@ -994,7 +1038,7 @@ def spun(state: Array, arm: tuple[float, float, float]) -> float:
     return state[12] * along - arm[2] * square
 
 
-@njit(cache=True)
+@inner
 def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> tuple[float, float, float, float]:
     """Normal forces of one vertex (j = -1) or two that stay on the table, and the ω̇_x and ω̇_y that they cause.
 
@@ -1017,7 +1061,7 @@ def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> t
     return n_i, n_j, (n_i * a[1] + n_j * b[1]) / k, -(n_i * a[0] + n_j * b[0]) / k
 
 
-@njit(cache=True)
+@compiled
 def held_step(
     body: Body, plane: Plane, state: Array, time: float, dt: float, i: int, j: int, rates: Array, after: Array
 ) -> None:
@@ -1061,7 +1105,7 @@ def held_step(
     stand_on(body, plane, after, time + dt, i, j)
 
 
-@njit(cache=True)
+@inner
 def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Put the state exactly on its contact, in place: the quaternion a unit one, the held vertices on the table and at
     rest relative to it, an edge level. All of it only takes rounding away."""
@@ -1089,7 +1133,7 @@ def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int
     state[9] = table_velocity(plane, time) - state[10] * a[1] + state[11] * a[0]
 
 
-@njit(cache=True)
+@inner
 def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     """Lay the die exactly on its lowest face, to which vertex i belongs, at rest but for its turning about the
     vertical, in place. It only takes away what is left of a tilt within which all corners count as touching."""
@@ -1109,7 +1153,7 @@ def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     state[9], state[10], state[11] = table_velocity(plane, time), 0.0, 0.0
 
 
-@njit(cache=True)
+@inner
 def touching_set(
     body: Body, plane: Plane, state: Array, time: float, near: float, slow: float, also: int, touching: Indices
 ) -> int:
@@ -1126,7 +1170,7 @@ def touching_set(
     return n
 
 
-@njit(cache=True)
+@inner
 def push_out(
     body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array, sweeps: int
 ) -> None:
@@ -1136,7 +1180,8 @@ def push_out(
     mass (n,), which start from zero. `drive` (n,) is what each vertex has besides.
     """
     k = body.inertia / body.mass
-    forces[:n] = 0.0
+    for m in range(n):
+        forces[m] = 0.0
     for _ in range(sweeps):
         largest, change = 0.0, 0.0
         for m in range(n):
@@ -1153,17 +1198,18 @@ def push_out(
             break
 
 
-@njit(cache=True)
+@inner
 def stop_approach(body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array) -> None:
     """Stop what slow approach the touching vertices still have, in place, as an impact with χ = 0 of all at once."""
     motion, drive, forces = room[0], room[1], room[2]
     motion[0], motion[1], motion[2] = state[9] - table_velocity(plane, time), state[10], state[11]
-    drive[:n] = 0.0
+    for m in range(n):
+        drive[m] = 0.0
     push_out(body, state, touching, n, motion, drive, forces, 1000)
     state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
 
 
-@njit(cache=True)
+@inner
 def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Take from the held vertices the last of their vertical velocity, in place, along the impulses that would do it:
     a projection in the metric of the kinetic energy, which therefore cannot rise."""
@@ -1189,7 +1235,7 @@ def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int)
     state[11] -= (p * a[0] + q * b[0]) / k
 
 
-@njit(cache=True)
+@inner
 def pressed_set(
     body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
 ) -> tuple[int, int]:
@@ -1202,7 +1248,7 @@ def pressed_set(
     if n == 0:
         return -1, -1
     if n == 1:
-        force, _, _, _ = contact_forces(body, state, touching[0], -1, pull)
+        force, _, _, _ = contact_forces(body, state, touching[0], _NONE, pull)
         return (touching[0], -1) if force > 0.0 else (-1, -1)
     motion, drive, forces = room[0], room[1], room[2]
     if n >= 3:
@@ -1234,7 +1280,7 @@ def pressed_set(
     # One leaves: it is the one that rises when only the other is held.
     for p in range(2):
         held, other = touching[p], touching[1 - p]
-        force, _, wx, wy = contact_forces(body, state, held, -1, pull)
+        force, _, wx, wy = contact_forces(body, state, held, _NONE, pull)
         x, y, _ = arm_of(body.vertices[other], state)
         rises = force - pull + wx * y - wy * x + spun(state, arm_of(body.vertices[other], state))
         if force > 0.0 and rises >= 0.0:
@@ -1242,7 +1288,7 @@ def pressed_set(
     return -1, -1
 
 
-@njit(cache=True)
+@inner
 def crossing(
     body: Body,
     plane: Plane,
@@ -1305,16 +1351,16 @@ def crossing(
     return low if event >= 0 else high
 
 
-@njit(cache=True)
+@inner
 def event_value(body: Body, plane: Plane, state: Array, time: float, i: int, j: int, event: int) -> float:
-    """The height [m] of vertex `event`, or for -1 and -2 the force per mass [m/s²] on vertex i or j."""
+    """The height [m] of vertex `event`, or for _FORCE_I and _FORCE_J the force per mass [m/s²] on vertex i or j."""
     if event >= 0:
         return clearance(body.vertices[event], state, table_height(plane, time))
     n_i, n_j, _, _ = contact_forces(body, state, i, j, plane.g + table_acceleration(plane, time))
-    return n_i if event == -1 else n_j
+    return n_i if event == _FORCE_I else n_j
 
 
-@njit(cache=True)
+@inner
 def spins_for_ever(body: Body, plane: Plane, state: Array, i: int) -> bool:
     """Whether the die is a top on vertex i that can never touch the table with another one; see `simulate`."""
     x, y, z = arm_of(body.vertices[i], state)
@@ -1331,7 +1377,7 @@ def spins_for_ever(body: Body, plane: Plane, state: Array, i: int) -> bool:
 # --- held contact with friction ----------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@compiled
 def held_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
     """The impulse S of an inelastic contact with Coulomb's cone, exactly, where c + M S is the velocity with it.
 
@@ -1369,7 +1415,7 @@ def held_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) ->
     return sx, sy, high
 
 
-@njit(cache=True)
+@inner
 def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: float) -> tuple[float, float, float]:
     """Tangential impulse within the disk μp that leaves the slip the least energy, and the normal velocity then."""
     xx, xy, xz, yy, yz, zz = matrix
@@ -1382,7 +1428,7 @@ def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: 
     return sx, sy, cz + zz * p + xz * sx + yz * sy
 
 
-@njit(cache=True)
+@compiled
 def friction_step(
     velocity: Array,
     arms: Array,
@@ -1405,7 +1451,8 @@ def friction_step(
     were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
     """
     n = arms.shape[0]
-    velocity[:3] += push
+    for k in range(3):
+        velocity[k] += push[k]
     size = abs(table_velocity) + hypot(hypot(push[0], push[1]), push[2])
     for i in range(n):
         cx, cy, cz = _velocity_at(velocity, arms[i])
@@ -1431,12 +1478,13 @@ def friction_step(
             changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
         sweeps += 1
     if _holds_fast(velocity, arms, table_velocity, impulses, 1e-9 * size):
-        velocity[:] = 0.0
+        for k in range(6):
+            velocity[k] = 0.0
         velocity[2] = table_velocity
     return sweeps
 
 
-@njit(cache=True)
+@inner
 def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
     """v + ω × r."""
     return (
@@ -1446,7 +1494,7 @@ def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True)
+@inner
 def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
     """Δv = S/m, Δω = r × S/J, in place."""
     velocity[0] += sx / mass
@@ -1457,7 +1505,7 @@ def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, s
     velocity[5] += (arm[0] * sy - arm[1] * sx) / inertia
 
 
-@njit(cache=True)
+@inner
 def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
     """Whether three corners that press and do not lie in a line have stopped: then the die has the table's velocity."""
     first, second = -1, -1
@@ -1477,7 +1525,7 @@ def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: A
     return False
 
 
-@njit(cache=True)
+@compiled
 def turn_and_move(state: Array, dt: float) -> None:
     """Carry the pose along its velocities over dt [s], in place, as if nothing acted."""
     height_velocity = state[9]
@@ -1485,7 +1533,7 @@ def turn_and_move(state: Array, dt: float) -> None:
     state[9] = height_velocity
 
 
-@njit(cache=True)
+@inner
 def rub_step(
     body: Body,
     mu: float,
@@ -1505,7 +1553,7 @@ def rub_step(
     Half the way with the old velocities, the impulses there, the other half with the new ones (Moreau; see `contact`).
     `arms` (n, 3) and `impulses` (n, 3) are room for the active ones, `guess` (n, 3) [N] forces to begin with.
     """
-    after[:] = state
+    copy_to(after, state)
     turn_and_move(after, 0.5 * dt)
     n = 0
     for k in range(active.shape[0]):
@@ -1514,12 +1562,16 @@ def rub_step(
             arms[n, 0], arms[n, 1], arms[n, 2] = x, y, z - body.rounding
             n += 1
     velocity, push = np.empty(6), np.empty(3)
-    velocity[:3], velocity[3:] = after[7:10], after[10:13]
+    for k in range(6):
+        velocity[k] = after[7 + k]
     push[0], push[1], push[2] = plane.gx * dt, plane.gy * dt, -plane.g * dt
-    impulses[:n] = guess[:n] * dt
+    for k in range(n):
+        for m in range(3):
+            impulses[k, m] = guess[k, m] * dt
     v_table = table_velocity(plane, time + dt)
     friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
-    after[7:10], after[10:13] = velocity[:3], velocity[3:]
+    for k in range(6):
+        after[7 + k] = velocity[k]
     turn_and_move(after, 0.5 * dt)
     pressing = 0
     lowest, z_table = inf, table_height(plane, time + dt)
@@ -1534,7 +1586,7 @@ def rub_step(
     return pressing
 
 
-@njit(cache=True)
+@inner
 def rides_for_ever(
     body: Body,
     mu: float,
@@ -1559,7 +1611,7 @@ def rides_for_ever(
     return pressing >= 3 and not after[7:13].any()
 
 
-@njit(cache=True)
+@inner
 def rough_rub(
     body: Body,
     law: Law,
@@ -1586,7 +1638,7 @@ def rough_rub(
         if keep:
             if known == knots.shape[0]:
                 knots = grown(knots)
-            knots[known, 0], knots[known, 1], knots[known, 2:15] = segment, time, state
+            note_knot(knots[known], segment, time, state)
             known += 1
         if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
             return RESTED, time - begin, -1, knots, known
@@ -1604,7 +1656,7 @@ def rough_rub(
             and pressing >= 3
             and rides_for_ever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
         ):
-            state[:] = after
+            copy_to(state, after)
             return RESTED, time + dt - begin, -1, knots, known
         hit = lowest_free(body, plane, after, time + dt, active)
         if hit >= 0:
@@ -1634,9 +1686,9 @@ def rough_rub(
                     h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
                     low, stayed = middle, min(stayed, 0) - 1
             rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
-            state[:] = after
+            copy_to(state, after)
             return FLIES, time + high - begin, hit, knots, known
-        state[:] = after
+        copy_to(state, after)
         time += dt
         if pressing == 0:
             return FLIES, time - begin, -1, knots, known
@@ -1738,7 +1790,7 @@ def _rub(
     return never
 
 
-@njit(cache=True)
+@inner
 def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
     """The deepest vertex below the table of those that are not active and come down; -1 where there is none."""
     deepest, hit = 0.0, -1
@@ -1755,25 +1807,27 @@ def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDA
 # --- the event loop ----------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@inner
 def log_event(row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int) -> None:
     """Write one event into a row (ROW,)."""
     row[0] = time
     row[1] = vertex
-    row[2:15] = before
-    row[15:21] = after[7:13]
+    for k in range(13):
+        row[2 + k] = before[k]
+    for k in range(6):
+        row[15 + k] = after[7 + k]
     row[21] = i
     row[22] = j
 
 
-@njit(cache=True)
+@inner
 def slow_contact(law: Law, plane: Plane, precision: Precision, radius: float) -> float:
     """Speed [m/s] below which a vertex that accelerates into the table bounces on without end; see `contact`."""
     # With χ = 1 the bounces do not shrink, so nothing collapses.
     return 0.0 if law.parameters[0] >= 1.0 else precision.switch * sqrt(plane.g * radius)
 
 
-@njit(cache=True)
+@inner
 def rest_on_face(plane: Plane, time: float, limit: float) -> float:
     """How long [s] a face stays pressed on the table, no longer than `limit`."""
     strongest = plane.amplitude * plane.rate * plane.rate
@@ -1785,7 +1839,7 @@ def rest_on_face(plane: Plane, time: float, limit: float) -> float:
     return min(limit, ahead / plane.rate) if ahead < full * (1.0 - 1e-12) else 0.0
 
 
-@njit(cache=True)
+@inner
 def hold(
     body: Body,
     plane: Plane,
@@ -1815,7 +1869,7 @@ def hold(
         if keep:
             if known == knots.shape[0]:
                 knots = grown(knots)
-            knots[known, 0], knots[known, 1], knots[known, 2:15] = segment, time, state
+            note_knot(knots[known], segment, time, state)
             known += 1
         pull = plane.g + table_acceleration(plane, time)
         if for_ever and fixed and balanced(body, state, i, j, pull):
@@ -1827,13 +1881,13 @@ def hold(
         )
         dt = min(dt, begin + limit - time)
         held_step(body, plane, state, time, dt, i, j, rates, after)
-        first, event = dt, -3
+        first, event = dt, _NO_EVENT
         pull = plane.g + table_acceleration(plane, time + dt)
         n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
         if n_i <= 0.0:
-            first, event = earlier(body, plane, state, time, dt, i, j, -1, first, event, rates)
+            first, event = earlier(body, plane, state, time, dt, i, j, _FORCE_I, first, event, rates)
         if j >= 0 and n_j <= 0.0:
-            first, event = earlier(body, plane, state, time, dt, i, j, -2, first, event, rates)
+            first, event = earlier(body, plane, state, time, dt, i, j, _FORCE_J, first, event, rates)
         z_table = table_height(plane, time + dt)
         for k in range(body.vertices.shape[0]):
             if k != i and k != j:
@@ -1842,18 +1896,18 @@ def hold(
                     within = dip(body, plane, state, after, time, dt, i, j, k, rates)
                 if within > 0.0:
                     first, event = earlier(body, plane, state, time, within, i, j, k, first, event, rates)
-        if event != -3:
+        if event != _NO_EVENT:
             if first > 0.0:
                 held_step(body, plane, state, time, first, i, j, rates, after)
-                state[:] = after
+                copy_to(state, after)
             return FLIES, time + first - begin, max(event, -1), knots, known
-        state[:] = after
+        copy_to(state, after)
         time += dt
         if time >= begin + limit:
             return TIME_REACHED, limit, -1, knots, known
 
 
-@njit(cache=True)
+@inner
 def balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
     """Whether a held die neither leans over nor begins to, but for rounding: it stands on its vertex or edge for ever."""
     rate = sqrt(pull / body.radius)
@@ -1868,7 +1922,7 @@ def balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
     return bool(abs(wx * ex + wy * ey) <= _ROUNDING * rate * rate * sqrt(ex * ex + ey * ey))
 
 
-@njit(cache=True)
+@inner
 def dip(
     body: Body,
     plane: Plane,
@@ -1923,14 +1977,14 @@ def dip(
     return 0.0
 
 
-@njit(cache=True)
+@inner
 def rise(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
     """Vertical velocity [m/s] of vertex k relative to the table."""
     x, y, _ = arm_of(body.vertices[k], state)
     return float(state[9] + state[10] * y - state[11] * x - table_velocity(plane, time))
 
 
-@njit(cache=True)
+@inner
 def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
     """Where the least of seven values of the cubic with these ends and slopes on [0, 1] lies, and what it is."""
     lowest, where = inf, 0.5
@@ -1943,7 +1997,7 @@ def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, 
     return where, lowest
 
 
-@njit(cache=True)
+@inner
 def earlier(
     body: Body,
     plane: Plane,
@@ -1959,10 +2013,10 @@ def earlier(
 ) -> tuple[float, int]:
     """The earlier of an event and the first one known so far."""
     t = crossing(body, plane, state, time, dt, i, j, event, rates, np.empty(13))
-    return (t, event) if t < first or best == -3 else (first, best)
+    return (t, event) if t < first or best == _NO_EVENT else (first, best)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def run_throw(
     body: Body,
     law: Law,
@@ -1989,8 +2043,8 @@ def run_throw(
     slow = slow_contact(law, plane, precision, body.radius)
     fixed, rough = plane.amplitude == 0.0, rubs(law)
     active = np.zeros(body.vertices.shape[0], np.bool_)
-    time, end, impacts, events, known = start_time, start_time + duration, 0, 0, 0
-    i, j, still = -1, -1, 0
+    time, end, impacts, events, known = start_time, start_time + duration, 0, 0, _ZERO
+    i, j, still = _NONE, _NONE, 0
     open_end = duration == inf
     patience = inf
     if open_end and not fixed:
@@ -2003,7 +2057,7 @@ def run_throw(
         face = decided_face(body, law, plane, state) if fixed else -1
         if fixed and energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius:
             lively = time
-        ending, hit, dt = FLIES, -1, 0.0
+        ending, hit, dt = FLIES, _NONE, 0.0
         reorder = False  # whether the contact is to be found anew
         if i < 0:
             if face >= 0 and stop_when_decided and not keep:
@@ -2049,7 +2103,7 @@ def run_throw(
                 if keep:
                     if known == knots.shape[0]:
                         knots = grown(knots)
-                    knots[known, 0], knots[known, 1], knots[known, 2:15] = events - 1, time + dt, state
+                    note_knot(knots[known], events - 1, time + dt, state)
                     known += 1
                 if ending == RESTED:
                     face = lowest_row(body.feet, state)
@@ -2086,7 +2140,7 @@ def run_throw(
             # A face that the table has thrown off, and a die that no longer rubs, fly.
             reorder = hit >= 0 or not (rough or j == -2)
             if not reorder:
-                i, j = -1, -1
+                i, j = _NONE, _NONE
             if hit >= 0:
                 arm = arm_of(body.vertices[hit], state)
                 reorder = state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time) >= -slow
@@ -2103,7 +2157,7 @@ def run_throw(
                 ending = SPUN_LONG
         if ending != FLIES:
             return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
-        before[:] = state
+        copy_to(before, state)
         if reorder:
             near, leaving = _NEAR * body.radius, slow
             if rough:
@@ -2114,8 +2168,10 @@ def run_throw(
             n = touching_set(body, plane, state, time, near, leaving, hit, touching)
             hit = -1
             if rough:
-                active[:] = False
-                active[touching[:n]] = True
+                for k in range(active.shape[0]):
+                    active[k] = False
+                for k in range(n):
+                    active[touching[k]] = True
                 i, j = (touching[0] if n > 0 else -1), -3
             else:
                 stop_approach(body, plane, state, time, touching, n, room)
@@ -2132,7 +2188,7 @@ def run_throw(
                     advance(state, spin_of(state), nudge, plane)
                 else:
                     held_step(body, plane, state, time, nudge, i, j, rates, after)
-                    state[:] = after
+                    copy_to(state, after)
                 time += nudge
         elif hit >= 0:
             if impacts >= impact_cap:
@@ -2140,12 +2196,13 @@ def run_throw(
             x, y, z = arm_of(body.vertices[hit], state)
             arm = (x, y, z - body.rounding)
             bounce(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
-            i, j = -1, -1
+            i, j = _NONE, _NONE
             impacts += 1
             lively = lively if fixed else time
         if keep:
             # The pose is continuous but for what holding a vertex takes away, within which it touched.
-            before[:7] = state[:7]
+            for k in range(7):
+                before[k] = state[k]
             if events == log.shape[0]:
                 log = grown(log)
             held = float(i)
@@ -2157,7 +2214,7 @@ def run_throw(
         events += 1
 
 
-@njit(cache=True)
+@compiled
 def carry_face(state: Array, plane: Plane, time: float, dt: float) -> None:
     """Carry a die that lies on a face of the table through dt [s], in place: it drifts and turns about the vertical."""
     spin = abs(state[12])
@@ -2166,7 +2223,7 @@ def carry_face(state: Array, plane: Plane, time: float, dt: float) -> None:
     state[9] = table_velocity(plane, time + dt)
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def land_many(
     body: Body, law: Law, plane: Plane, precision: Precision, starts: Array, impact_cap: int, landed: NDArray[np.int64]
 ) -> None:
@@ -2174,12 +2231,12 @@ def land_many(
     impacts, ending."""
     for k in range(starts.shape[0]):
         ending, impacts, face, _, _, _, _ = run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, 9223372036854775807, True, impact_cap, False
+            body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, YES, impact_cap, NO
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
 
-@njit(cache=True, nogil=True)
+@inner
 def poses_of_throw(
     body: Body,
     law: Law,
@@ -2198,7 +2255,7 @@ def poses_of_throw(
     """
     last = times[times.shape[0] - 1]
     ending, impacts, _, end, _, log, knots = run_throw(
-        body, law, plane, precision, start, start_time, last - start_time, 9223372036854775807, False, impact_cap, True
+        body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, NO, impact_cap, YES
     )
     rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
     event, knot = -1, 0
@@ -2210,17 +2267,17 @@ def poses_of_throw(
         while event + 1 < log.shape[0] and log[event + 1, 0] <= time:
             event += 1
         begin, i, j = start_time, -1, -1
-        state[:] = start
+        copy_to(state, start)
         if event >= 0:
             begin, i, j = log[event, 0], int(log[event, 21]), int(log[event, 22])
-            state[:7], state[7:13] = log[event, 2:9], log[event, 15:21]
+            state_after(log[event], state)
         while knot < knots.shape[0] and knots[knot, 0] < event:
             knot += 1
         while knot + 1 < knots.shape[0] and knots[knot + 1, 0] == event and knots[knot + 1, 1] <= time:
             knot += 1
         if knot < knots.shape[0] and knots[knot, 0] == event and knots[knot, 1] <= time:
             begin = knots[knot, 1]
-            state[:] = knots[knot, 2:15]
+            copy_to(state, knots[knot, 2:15])
         if j == -1 and i < 0:
             advance(state, spin_of(state), time - begin, plane)
         elif j == -3:
@@ -2228,19 +2285,20 @@ def poses_of_throw(
             ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
             if not ends and time - begin > 0.5 * (knots[knot + 1, 1] - begin):
                 begin = knots[knot + 1, 1]
-                state[:] = knots[knot + 1, 2:15]
+                copy_to(state, knots[knot + 1, 2:15])
             turn_and_move(state, time - begin)
         elif j == -2:
             carry_face(state, plane, begin, time - begin)
         elif time > begin:
             held_step(body, plane, state, begin, time - begin, i, j, rates, after)
-            state[:] = after
-        poses[k] = state[:7]
+            copy_to(state, after)
+        for m in range(7):
+            poses[k, m] = state[m]
         poses[k, 2] += body.rounding
     return ending, impacts
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def poses_of_throws(
     body: Body,
     law: Law,
@@ -2263,7 +2321,7 @@ def poses_of_throws(
 # --- derivatives -------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@inner
 def flight_tangent(tangent: Array, columns: int, state: Array, spin: float, dt: float, moved: Array) -> None:
     """Carry derivatives (12, columns) of a state along `dt` [s] of its flight into `moved`; see `tangent`."""
     ux, uy, uz = axis_of(state, spin)
@@ -2304,7 +2362,7 @@ class Around(NamedTuple):
     """Acceleration of the centre after the impact."""
 
 
-@njit(cache=True)
+@inner
 def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_velocity: float, reach: float) -> float:
     """How much later [s] the vertex at `arm` touches for the disturbance in column j: its height stays zero there.
 
@@ -2319,7 +2377,7 @@ def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_veloci
     return late
 
 
-@njit(cache=True)
+@inner
 def bounce_tangent(
     tangent: Array,
     columns: int,
@@ -2390,7 +2448,7 @@ _PLACE, _VELOCITY, _CHI, _MU, _INERTIA, _SPEED_SCALE, _INPUTS = 0, 3, 6, 7, 8, 9
 """Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
 
 
-@njit(cache=True)
+@inner
 def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
     stand in the law's parameters from `at` on."""
@@ -2400,7 +2458,7 @@ def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
     return ratio, slope, -slope * u / scale
 
 
-@njit(cache=True)
+@compiled
 def smooth_gradient(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
 ) -> tuple[float, float, float]:
@@ -2421,7 +2479,7 @@ def smooth_gradient(
     return 0.0, 0.0, s
 
 
-@njit(cache=True)
+@compiled
 def rough_gradient(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
 ) -> tuple[float, float, float]:
@@ -2494,7 +2552,7 @@ def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wa
     return chosen.py_func
 
 
-@njit(cache=True)
+@inner
 def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float]:
     """Derivatives of the table's height and velocity at a fixed time; `source` (3,) those of amplitude, rate, phase."""
     phase = plane.rate * time + plane.phase
@@ -2505,14 +2563,14 @@ def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float
     return height, velocity
 
 
-@njit(cache=True)
+@inner
 def braking(drag: float, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
     """Acceleration [m/s²] by quadratic drag [1/m]: -k |v| v."""
     rate = 0.0 if drag == 0.0 else -drag * sqrt(vx * vx + vy * vy + vz * vz)
     return rate * vx, rate * vy, rate * vz
 
 
-@njit(cache=True)
+@inner
 def impact_tangent(
     body: Body,
     law: Law,
@@ -2612,7 +2670,7 @@ _FLOW = 49
 [s] since its start. The pairs are the derivatives by k, by v at the start (3), and by gravity (3)."""
 
 
-@njit(cache=True)
+@inner
 def flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
     """Fill `out` (_FLOW,) with the rates of `flow`."""
     vx, vy, vz = flow[3], flow[4], flow[5]
@@ -2638,14 +2696,14 @@ def flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
     out[48] = 1.0
 
 
-@njit(cache=True)
+@inner
 def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
     """Carry `flow` (_FLOW,) through `dt` [s] of flight, of either sign, in place."""
     steps = max(1, ceil(abs(dt) / AIR_STEP_S))
     stages, now = np.empty((12, _FLOW)), np.empty(_FLOW)
     for _ in range(steps):
         for s in range(13):
-            now[:] = flow
+            copy_to(now, flow)
             for n in range(s):
                 weight = dt / steps * (_A[s, n] if s < 12 else _B[n])
                 if weight != 0.0:
@@ -2653,29 +2711,32 @@ def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
                         now[k] += weight * stages[n, k]
             if s < 12:
                 flow_rates(drag, plane, now, stages[s])
-        flow[:] = now
+        copy_to(flow, now)
 
 
-@njit(cache=True)
+@inner
 def start_flow(state: Array, flow: Array) -> None:
     """Make `flow` (_FLOW,) that of a flight that begins with `state`."""
-    flow[:] = 0.0
-    flow[0:3], flow[3:6] = state[0:3], state[7:10]
+    for k in range(_FLOW):
+        flow[k] = 0.0
+    for k in range(3):
+        flow[k], flow[3 + k] = state[k], state[7 + k]
     flow[15], flow[22], flow[29] = 1.0, 1.0, 1.0
 
 
-@njit(cache=True)
+@compiled
 def flows(drag: float, start: Array, delays: Array) -> Array:
     """Positions and velocities (n, 6) that many seconds (n,) after a flight began with `start` (13,), world axes."""
     flow, out = np.empty(_FLOW), np.empty((delays.shape[0], 6))
     for n in range(delays.shape[0]):
         start_flow(start, flow)
         drift(drag, LEVEL, flow, delays[n])
-        out[n] = flow[:6]
+        for k in range(6):
+            out[n, k] = flow[k]
     return out
 
 
-@njit(cache=True)
+@inner
 def fly_in_vacuum(
     air: Vacuum,
     plane: Plane,
@@ -2689,7 +2750,7 @@ def fly_in_vacuum(
     moved: Array,
 ) -> None:
     """`fly` along a parabola; `flow` is not used."""
-    pose[:] = state
+    copy_to(pose, state)
     advance(pose, spin, dt, plane)
     flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
     for p in range(sources.gravity.shape[0]):
@@ -2698,7 +2759,7 @@ def fly_in_vacuum(
             moved[6 + k, 12 + p] += sources.gravity[p, k] * dt
 
 
-@njit(cache=True)
+@inner
 def fly_in_air(
     air: Air,
     plane: Plane,
@@ -2713,9 +2774,10 @@ def fly_in_air(
 ) -> None:
     """`fly` against drag; `flow` goes on from where the last call left it."""
     drift(air.drag, plane, flow, dt - flow[48])
-    pose[:] = state
+    copy_to(pose, state)
     advance(pose, spin, dt, plane)  # for its attitude
-    pose[0:3], pose[7:10] = flow[0:3], flow[3:6]
+    for k in range(3):
+        pose[k], pose[7 + k] = flow[k], flow[3 + k]
     flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
     for j in range(tangent.shape[1]):
         for k in range(3):
@@ -2761,7 +2823,7 @@ def _fly_of(
     return chosen.py_func
 
 
-@njit(cache=True)
+@inner
 def touch_in_vacuum(
     air: Vacuum, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
@@ -2772,7 +2834,7 @@ def touch_in_vacuum(
     return dt, 0 if found else -1, velocity, acceleration
 
 
-@njit(cache=True)
+@inner
 def touch_in_air(
     air: Air, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
@@ -2854,7 +2916,7 @@ def _touch_ahead_of(
     return chosen.py_func
 
 
-@njit(cache=True)
+@compiled
 def run_tangent(
     body: Body,
     law: Law,
@@ -2893,7 +2955,7 @@ def run_tangent(
         spin = spin_of(state)
         swing(body.vertices, state, spin, terms)
         start_flow(state, flow)
-        hit, dt = -1, 0.0
+        hit, dt = _NONE, 0.0
         if free:
             dt, hit, velocity, acceleration = touch_ahead(
                 air, plane, state, terms, spin, body.radius, time, last - time
@@ -2909,8 +2971,11 @@ def run_tangent(
                 hit, ending = -1, NO_TOUCH
         while done < n and (hit < 0 or times[done] < time + dt):
             fly(air, plane, state, spin, times[done] - time, tangent, sources, flow, pose, moved)
-            poses[done] = pose[:7]
-            jacobian[done] = moved[:6]
+            for k in range(7):
+                poses[done, k] = pose[k]
+            for k in range(6):
+                for m in range(columns):
+                    jacobian[done, k, m] = moved[k, m]
             done += 1
         if hit < 0:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
@@ -2918,13 +2983,13 @@ def run_tangent(
             log, dtimes = grown(log), grown(dtimes)
         fly(air, plane, state, spin, dt, tangent, sources, flow, before, moved)
         tangent, moved = moved, tangent
-        state[:] = before
+        copy_to(state, before)
         time += dt
         impact_tangent(
             body, law, plane, time, hit, state, air.drag, sources, wanted, tangent, gradient, dtimes[impacts]
         )
         strike(body, law, plane, time, hit, state)
-        log_event(log[impacts], time, hit, before, state, -1, -1)
+        log_event(log[impacts], time, hit, before, state, -1.0, _NONE)
         impacts += 1
 
 
@@ -2954,16 +3019,17 @@ _SMALL = 1e-5
 1e-10."""
 
 
-@njit(cache=True)
+@compiled
 def scales_of(body: Body, plane: Plane) -> Array:
     """Units (12,) of the twelve disturbances: R, 1 rad, √(g R), √(g/R)."""
     scale = np.empty(12)
-    scale[0:3], scale[3:6] = body.radius, 1.0
-    scale[6:9], scale[9:12] = sqrt(plane.g * body.radius), sqrt(plane.g / body.radius)
+    for k in range(3):
+        scale[k], scale[3 + k] = body.radius, 1.0
+        scale[6 + k], scale[9 + k] = sqrt(plane.g * body.radius), sqrt(plane.g / body.radius)
     return scale
 
 
-@njit(cache=True)
+@inner
 def size_of(tangent: Array, j: int, scale: Array) -> float:
     """Length of a column in units of `scale`."""
     square = 0.0
@@ -2972,7 +3038,7 @@ def size_of(tangent: Array, j: int, scale: Array) -> float:
     return sqrt(square)
 
 
-@njit(cache=True)
+@compiled
 def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> None:
     """The state moved by `step` times column j into `out`, to the second order."""
     for k in range(3):
@@ -2988,7 +3054,7 @@ def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> 
     out[6] = (qz + x * qy - y * qx + z * qw) / norm
 
 
-@njit(cache=True)
+@inner
 def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> None:
     """Write `weight` times the small disturbance that takes state b to state a into column j."""
     for k in range(3):
@@ -3002,14 +3068,14 @@ def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> Non
     tangent[5, j] = twice * (a[6] * b[3] - a[3] * b[6] + a[5] * b[4] - a[4] * b[5])
 
 
-@njit(cache=True)
+@inner
 def strike(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
     """Apply the law to a vertex on the table, in place."""
     x, y, z = arm_of(body.vertices[vertex], state)
     bounce(law, body.mass, body.inertia, (x, y, z - body.rounding), table_velocity(plane, time), state)
 
 
-@njit(cache=True)
+@inner
 def is_held(vertex: int, i: int, j: int) -> bool:
     """Whether the columns i and j of a logged event hold a vertex; a face holds all that touch."""
     if j == -3:
@@ -3017,7 +3083,7 @@ def is_held(vertex: int, i: int, j: int) -> bool:
     return i >= 0 and vertex in (i, j)
 
 
-@njit(cache=True)
+@inner
 def around_impact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> Around:
     """What moves around an impact at `time`; i and j were held until then (-1: none)."""
     v_table, a_table = table_velocity(plane, time), table_acceleration(plane, time)
@@ -3030,7 +3096,7 @@ def around_impact(body: Body, plane: Plane, state: Array, time: float, i: int, j
     return Around(v_table, a_table, n_i + n_j - plane.g, wx, wy, -plane.g)
 
 
-@njit(cache=True)
+@inner
 def strike_tangent(
     body: Body,
     law: Law,
@@ -3075,11 +3141,11 @@ def strike_tangent(
         there[8, 0] += around.rise * dt
         there[9, 0] += around.turn_x * dt
         there[10, 0] += around.turn_y * dt
-        size = size_of(there, 0, scale)
+        size = size_of(there, _ZERO, scale)
         if size > 0.0:
             step = _SMALL / size
-            displaced(state, there, 0, step, ahead)
-            displaced(state, there, 0, -step, behind)
+            displaced(state, there, _ZERO, step, ahead)
+            displaced(state, there, _ZERO, -step, behind)
             strike(body, law, plane, time + step * dt, vertex, ahead)
             strike(body, law, plane, time - step * dt, vertex, behind)
             difference(ahead, behind, 0.5 / step, tangent, c)
@@ -3091,7 +3157,7 @@ def strike_tangent(
         tangent[8, c] -= around.fall * dt
 
 
-@njit(cache=True)
+@inner
 def settle_tangent(
     body: Body, plane: Plane, state: Array, time: float, i: int, j: int, scale: Array, tangent: Array, columns: int
 ) -> None:
@@ -3113,7 +3179,7 @@ def settle_tangent(
             difference(ahead, behind, 0.5 / step, tangent, c)
 
 
-@njit(cache=True)
+@inner
 def held_tangent(
     body: Body,
     plane: Plane,
@@ -3140,7 +3206,7 @@ def held_tangent(
             difference(ahead, behind, 0.5 / step, tangent, c)
 
 
-@njit(cache=True)
+@inner
 def rough_rubbed_tangent(
     body: Body,
     law: Law,
@@ -3162,11 +3228,11 @@ def rough_rubbed_tangent(
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead)
+            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
             displaced(state, tangent, c, -step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind)
+            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep)
             difference(ahead, behind, 0.5 / step, tangent, c)
-    rub_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead)
+    rub_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
     place, z_table = 0, table_height(plane, time + dt)
     for k in range(n):
         if active[k]:
@@ -3202,7 +3268,7 @@ def _rubbed_tangent(
     return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
 
 
-@njit(cache=True)
+@inner
 def carried(
     body: Body,
     law: Law,
@@ -3258,12 +3324,12 @@ def carried(
     return tangent, moved, columns, knot
 
 
-@njit(cache=True)
+@inner
 def compressed(errors: Array, columns: int, room: Array) -> int:
     """At most twelve columns with the same sums of squares in every direction, in place: L of the rows' E = L Q."""
     factor = np.zeros((12, 12))
-    room[:, :columns] = errors[:, :columns]
-    used = 0
+    copy_columns(room, errors, columns)
+    used = _ZERO
     for r in range(12):
         square, left = 0.0, 0.0
         for c in range(columns):
@@ -3283,11 +3349,11 @@ def compressed(errors: Array, columns: int, room: Array) -> int:
             for c in range(columns):
                 room[s, c] -= along * room[r, c]
         used += 1
-    errors[:, :used] = factor[:, :used]
+    copy_columns(errors, factor, used)
     return used
 
 
-@njit(cache=True)
+@inner
 def event_tangent(
     body: Body,
     law: Law,
@@ -3303,13 +3369,13 @@ def event_tangent(
     """Carry disturbances through a logged event, in place; i and j were held until then. Returns what is held after."""
     state, time, hit = row[2:15].copy(), row[0], int(row[1])
     if hit >= 0:
-        strike_tangent(body, law, plane, time, hit, state, i, j, False, scale, tangent, columns, dtime)
+        strike_tangent(body, law, plane, time, hit, state, i, j, NO, scale, tangent, columns, dtime)
     elif row[21] >= 0 and row[22] != -3:
         settle_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
     return int(row[21]), int(row[22])
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def run_growth(
     body: Body, law: Law, plane: Plane, start: Array, start_time: float, log: Array, knots: Array
 ) -> tuple[Array, Array]:
@@ -3322,14 +3388,15 @@ def run_growth(
     for k in range(12):
         tangent[k, k] = scale[k]
     maps, exponents = np.empty((log.shape[0], 12, 12)), np.zeros(log.shape[0])
-    state, time, i, j, knot, exponent = start.copy(), start_time, -1, -1, 0, 0.0
+    state, time, i, j, knot, exponent = start.copy(), start_time, _NONE, _NONE, _ZERO, 0.0
     for k in range(log.shape[0]):
         row = log[k]
         tangent, moved, _, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, False, scale, tangent, moved, 12, rates
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, NO, scale, tangent, moved, _TWELVE, rates
         )
-        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, 12, dtime)
-        state[:7], state[7:13], time = row[2:9], row[15:21], row[0]
+        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, _TWELVE, dtime)
+        time = row[0]
+        state_after(row, state)
         if np.max(np.abs(tangent)) > 1e100:
             tangent *= 1e-100
             exponent += 100.0
@@ -3339,7 +3406,7 @@ def run_growth(
     return maps, exponents
 
 
-@njit(cache=True)
+@inner
 def orthonormalised(tangent: Array, scale: Array, logs: Array) -> None:
     """Make the columns (12, m) orthonormal in units of `scale`, in place; `logs` (m,) receives the logarithms of the
     lengths that Gram and Schmidt's method took away."""
@@ -3356,7 +3423,7 @@ def orthonormalised(tangent: Array, scale: Array, logs: Array) -> None:
         tangent[:, c] *= scale
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def run_exponents(
     body: Body,
     law: Law,
@@ -3375,11 +3442,11 @@ def run_exponents(
     """
     scale, columns = scales_of(body, plane), tangent.shape[1]
     moved, dtime, rates = np.empty(tangent.shape), np.empty(columns), np.empty((12, 6))
-    state, time, i, j, done, code = start.copy(), start_time, -1, -1, 0, IMPACTS_REACHED
+    state, time, i, j, done, code = start.copy(), start_time, _NONE, _NONE, 0, IMPACTS_REACHED
     wanted = logs.shape[0]
     while done < wanted and code == IMPACTS_REACHED:
         code, _, _, until, end, log, knots = run_throw(
-            body, law, plane, precision, state, time, inf, min(256, wanted - done), False, 9223372036854775807, True
+            body, law, plane, precision, state, time, inf, min(256, wanted - done), NO, NO_LIMIT, YES
         )
         knot = 0
         for k in range(log.shape[0]):
@@ -3404,7 +3471,8 @@ def run_exponents(
                 rates,
             )
             i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, columns, dtime)
-            state[:7], state[7:13], time = row[2:9], row[15:21], row[0]
+            time = row[0]
+            state_after(row, state)
             if row[1] >= 0.0:
                 orthonormalised(tangent, scale, logs[done])
                 clock[done] = time
@@ -3412,17 +3480,18 @@ def run_exponents(
         if i >= 0 and code == IMPACTS_REACHED:
             # The block ends within held contact, where the next vertex strikes.
             tangent, moved, _, knot = carried(
-                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, False, scale, tangent, moved,
+                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, NO, scale, tangent, moved,
                 columns, rates,
             )  # fmt: skip
-            state[:], time = end, until
+            time = until
+            copy_to(state, end)
     return code, done, time, state
 
 
 # --- what rounding makes of a throw ----------------------------------------------------------------------------------
 
 
-@njit(cache=True)
+@inner
 def add_rounding(
     body: Body, plane: Plane, state: Array, time: float, height: float, k: int, errors: Array, columns: int
 ) -> int:
@@ -3448,7 +3517,7 @@ def add_rounding(
     return columns + 2
 
 
-@njit(cache=True)
+@inner
 def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
     """Root of the sum of squares of the errors that matter, in units of `scale`: not where the die is on the table,
     nor, where nothing rubs, how fast it drifts."""
@@ -3461,19 +3530,19 @@ def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
     return sqrt(square)
 
 
-@njit(cache=True)
+@inner
 def approach(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
     """Vertical velocity [m/s] of a vertex relative to the table."""
     arm = arm_of(body.vertices[vertex], state)
     return float(state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time))
 
 
-@njit(cache=True)
+@inner
 def struck_in_turn(
     body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
 ) -> None:
     """The state after two vertices have struck together, `first` first, and again as long as they still come down."""
-    out[:] = state
+    copy_to(out, state)
     vertex = first
     for _ in range(40):
         if approach(body, plane, out, time, vertex) < 0.0:
@@ -3483,7 +3552,7 @@ def struck_in_turn(
             break
 
 
-@njit(cache=True)
+@inner
 def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
     """How far [m] from the table a touch may be found, after dt [s] of motion from `state`: as in `first_touch`."""
     turned = body.radius * (1.0 + spin_of(state) * dt)
@@ -3493,7 +3562,7 @@ def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array,
     return precision.root + _ROUNDING * size
 
 
-@njit(cache=True)
+@inner
 def other_orders(
     body: Body,
     law: Law,
@@ -3560,11 +3629,11 @@ def other_orders(
             continue
         if known >= MOST_BRANCHES:
             return fresh, MOST_BRANCHES + 1
-        room[:, :columns] = errors[:, :columns]
-        strike_tangent(body, law, plane, time, k, state, i, j, True, scale, room, columns, dtime)
+        copy_columns(room, errors, columns)
+        strike_tangent(body, law, plane, time, k, state, i, j, YES, scale, room, columns, dtime)
         seeds[known] = 0.0
         used = compressed(room, columns, np.empty((12, MOST_COLUMNS)))
-        seeds[known, :, :used] = room[:, :used]
+        copy_columns(seeds[known], room, used)
         states[known] = state
         strike(body, law, plane, time, k, states[known])
         times[known], gaps[known] = time, h / limit if limit > 0.0 else 0.0
@@ -3572,7 +3641,7 @@ def other_orders(
     return fresh, known
 
 
-@njit(cache=True)
+@inner
 def grazed(
     body: Body,
     law: Law,
@@ -3605,7 +3674,7 @@ def grazed(
     high = dt
     for _ in range(60):
         middle = 0.5 * (low + high)
-        there[:] = state
+        copy_to(there, state)
         advance(there, spin, middle, plane)
         if approach(body, plane, there, time + middle, k) < 0.0:
             low = middle
@@ -3628,12 +3697,13 @@ def grazed(
     s = (1.0 + law.parameters[0]) * speed / (1.0 / body.mass + (x * x + y * y) / body.inertia)
     kick = np.zeros((12, 1))
     kick[8, 0], kick[9, 0], kick[10, 0] = s / body.mass, y * s / body.inertia, -x * s / body.inertia
-    flight_tangent(kick, 1, there, spin, dt - high, early)
-    errors[:, columns] = early[:, 0]
+    flight_tangent(kick, _ONE, there, spin, dt - high, early)
+    for k in range(12):
+        errors[k, columns] = early[k, 0]
     return columns + 1
 
 
-@njit(cache=True)
+@inner
 def follow_errors(
     body: Body,
     law: Law,
@@ -3661,15 +3731,15 @@ def follow_errors(
     scale = scales_of(body, plane)
     errors, moved = np.empty((12, MOST_COLUMNS)), np.empty((12, MOST_COLUMNS))
     dtime, rates = np.empty(MOST_COLUMNS), np.empty((12, 6))
-    errors[:, :12] = seeds[branch]
-    columns = compressed(errors, 12, moved)
-    state, time, i, j, knot, margin, size = start.copy(), start_time, -1, -1, 0, inf, 0.0
+    copy_columns(errors, seeds[branch], _TWELVE)
+    columns = compressed(errors, _TWELVE, moved)
+    state, time, i, j, knot, margin, size = start.copy(), start_time, _NONE, _NONE, _ZERO, inf, 0.0
     while knot < knots.shape[0] and knots[knot, 0] < 0.0:
         knot += 1
     for k in range(log.shape[0]):
         row = log[k]
         errors, moved, columns, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, True, scale, errors, moved, columns, rates
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, YES, scale, errors, moved, columns, rates
         )
         floor = touch_rounding(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
         if columns + 3 + body.vertices.shape[0] > MOST_COLUMNS:
@@ -3677,7 +3747,7 @@ def follow_errors(
         hit = int(row[1])
         if i < 0 and row[0] > time:
             columns = grazed(body, law, plane, state, time, row[0] - time, hit, floor, errors, columns)
-        state[:] = row[2:15]
+        copy_to(state, row[2:15])
         time = row[0]
         if hit >= 0:
             # A finer tolerance finds the touch at this instant or later: the height left is the whole error.
@@ -3706,15 +3776,16 @@ def follow_errors(
             )
             if known > MOST_BRANCHES:
                 return size, 0.0, known
-            strike_tangent(body, law, plane, time, hit, state, i, j, True, scale, errors, columns, dtime)
+            strike_tangent(body, law, plane, time, hit, state, i, j, YES, scale, errors, columns, dtime)
             errors[2, own] += missed  # the table, not the die, is what stands too high by this
-            i, j = -1, -1
+            i, j = _NONE, _NONE
         else:
             i, j = int(row[21]), int(row[22])
             columns = add_rounding(body, plane, state, time, 0.0, k, errors, columns)
             if i >= 0 and j != -3:
                 settle_tangent(body, plane, state, time, i, j, scale, errors, columns)
-        state[7:13] = row[15:21]
+        for m in range(6):
+            state[7 + m] = row[15 + m]
         size = error_size(law, errors, columns, scale)
         margin = min(margin, UNCERTAIN / size)
         if not margin > 1.0:
@@ -3735,7 +3806,7 @@ def follow_errors(
     return size, margin, known
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def decide(
     body: Body,
     law: Law,
@@ -3755,10 +3826,10 @@ def decide(
         seeds[0, k, k] = start_error[k]
     states[0], times[0] = start, start_time
     face, impacts, ending, error, margin = -1, 0, -1, 0.0, inf
-    branch, known = 0, 1
+    branch, known = _ZERO, _ONE
     while branch < known:
         code, count, landed, _, end, log, knots = run_throw(
-            body, law, plane, precision, states[branch], times[branch], inf, 9223372036854775807, True, impact_cap, True
+            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, YES, impact_cap, YES
         )
         if branch == 0:
             face, impacts, ending = landed, count, code
@@ -3779,7 +3850,7 @@ def decide(
     return face, impacts, ending, error, margin
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def decide_many(
     body: Body,
     law: Law,

@@ -16,10 +16,10 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .bodies import body_of
+from .compiled import compiled
 from .motion import GRAVITY_M_S2
 from .solids import Die
 
@@ -51,7 +51,7 @@ def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, sing
     return landed
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _step_many(
     vertices: Array,
     feet: Array,
@@ -78,7 +78,7 @@ def _step_many(
                 break
 
 
-@njit(cache=True)
+@compiled
 def _carry(state: Array, h: float, g: float) -> None:
     """Free motion over one step."""
     state[9] -= h * g
@@ -97,7 +97,7 @@ def _carry(state: Array, h: float, g: float) -> None:
     state[3], state[4], state[5], state[6] = w / size, a / size, b / size, c / size
 
 
-@njit(cache=True)
+@compiled
 def _arms(vertices: Array, state: Array, arms: Array) -> None:
     """Vertices (n, 3) from the centre, in world axes."""
     w, x, y, z = state[3], state[4], state[5], state[6]
@@ -109,7 +109,7 @@ def _arms(vertices: Array, state: Array, arms: Array) -> None:
         arms[i, 2] = c + w * tz + x * ty - y * tx
 
 
-@njit(cache=True)
+@compiled
 def _bounce(arms: Array, state: Array, chi: float, inertia: float) -> None:
     """Smooth impulses, per mass, on the vertices below the table that sink, the lowest first; then the die is lifted."""
     deepest = 0.0
@@ -131,7 +131,7 @@ def _bounce(arms: Array, state: Array, chi: float, inertia: float) -> None:
     state[2] -= deepest
 
 
-@njit(cache=True)
+@compiled
 def _decided(feet: Array, barriers: Array, state: Array, inertia: float, g: float) -> int:
     """Row of the face that the die can no longer leave, or -1; see `simulate`."""
     turning = inertia * (state[10] * state[10] + state[11] * state[11])

@@ -44,10 +44,10 @@ from math import asin, ceil, cos, inf, nan, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import DOP853
 
+from .compiled import compiled, inner
 from .kernels import (
     BALANCED,
     CHATTER,
@@ -291,24 +291,24 @@ def _edge_barrier(a: Array, b: Array, moments: Array) -> tuple[float, float]:
 # --- kernels: states (13,) hold the angular momentum L [kg m²/s, table axes] where others hold ω -------------------
 
 
-@njit(cache=True)
+@inner
 def _height_of_table(plane: Plane, time: float) -> float:
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * sin(plane.rate * time + plane.phase)
 
 
-@njit(cache=True)
+@inner
 def _velocity_of_table(plane: Plane, time: float) -> float:
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
 
 
-@njit(cache=True)
+@inner
 def _up(y: Array) -> tuple[float, float, float]:
     """The vertical in body axes: third row of the rotation."""
     w, a, b, c = y[3], y[4], y[5], y[6]
     return 2.0 * (a * c - w * b), 2.0 * (b * c + w * a), 1.0 - 2.0 * (a * a + b * b)
 
 
-@njit(cache=True)
+@inner
 def _to_world(y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """A body vector in table axes."""
     w, x, z, v = y[3], y[4], y[5], y[6]
@@ -316,7 +316,7 @@ def _to_world(y: Array, a: float, b: float, c: float) -> tuple[float, float, flo
     return a + w * tx + z * tz - v * ty, b + w * ty + v * tx - x * tz, c + w * tz + x * ty - z * tx
 
 
-@njit(cache=True)
+@inner
 def _spin(top: Top, y: Array) -> tuple[float, float, float]:
     """ω in body axes: I⁻¹ Rᵀ L."""
     w, x, z, v = y[3], -y[4], -y[5], -y[6]
@@ -329,14 +329,14 @@ def _spin(top: Top, y: Array) -> tuple[float, float, float]:
     )
 
 
-@njit(cache=True)
+@inner
 def _turning_energy(top: Top, y: Array) -> float:
     """½ ω·Iω [J]."""
     a, b, c = _spin(top, y)
     return 0.5 * (top.moments[0] * a * a + top.moments[1] * b * b + top.moments[2] * c * c)
 
 
-@njit(cache=True)
+@inner
 def _lever(top: Top, y: Array, i: int) -> tuple[float, float, float]:
     """t = r × u of a vertex in body axes: the torque of a unit vertical force."""
     x, z, v = _up(y)
@@ -344,7 +344,7 @@ def _lever(top: Top, y: Array, i: int) -> tuple[float, float, float]:
     return b * v - c * z, c * x - a * v, a * z - b * x
 
 
-@njit(cache=True)
+@inner
 def _response(top: Top, y: Array, i: int, j: int) -> float:
     """Aᵢⱼ: vertical acceleration of vertex i by a unit vertical force on vertex j."""
     a, b, c = _lever(top, y, i)
@@ -352,7 +352,7 @@ def _response(top: Top, y: Array, i: int, j: int) -> float:
     return 1.0 / top.mass + a * d / top.moments[0] + b * e / top.moments[1] + c * f / top.moments[2]
 
 
-@njit(cache=True)
+@inner
 def _clearance(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
     """Height of a vertex above the table."""
     x, z, v = _up(y)
@@ -360,7 +360,7 @@ def _clearance(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
     return y[2] + swung - _height_of_table(plane, time)
 
 
-@njit(cache=True)
+@inner
 def _approach(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
     """Vertical velocity of a vertex relative to the table."""
     a, b, c = _lever(top, y, i)
@@ -368,7 +368,7 @@ def _approach(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
     return y[9] + a * p + b * q + c * r - _velocity_of_table(plane, time)
 
 
-@njit(cache=True)
+@inner
 def _free_acceleration(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
     """b: vertical acceleration of a vertex relative to the table with no forces from the table."""
     x, z, v = _up(y)
@@ -384,7 +384,7 @@ def _free_acceleration(top: Top, plane: Plane, y: Array, time: float, i: int) ->
     return centripetal + euler - plane.g + plane.rate * plane.rate * _height_of_table(plane, time)
 
 
-@njit(cache=True)
+@inner
 def _forces(top: Top, plane: Plane, y: Array, time: float, i: int, j: int) -> tuple[float, float]:
     """The vertical forces [N] that keep vertices i and j (-1: i alone) on the table."""
     if i < 0:
@@ -399,7 +399,7 @@ def _forces(top: Top, plane: Plane, y: Array, time: float, i: int, j: int) -> tu
     return (aij * c - ajj * b) / det, (aij * b - aii * c) / det
 
 
-@njit(cache=True)
+@inner
 def _rates(top: Top, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
     """Fill `out` (8,) with q' and, in held contact, z', v_z', L_x', L_y'."""
     p, q, r = _spin(top, y)
@@ -422,14 +422,14 @@ def _rates(top: Top, plane: Plane, y: Array, time: float, i: int, j: int, out: A
         out[7] += dy
 
 
-@njit(cache=True)
+@inner
 def _place(y: Array, values: Array) -> None:
     """Write the integrated components (8,) into a state."""
     y[3:7] = values[:4]
     y[2], y[9], y[10], y[11] = values[4], values[5], values[6], values[7]
 
 
-@njit(cache=True)
+@inner
 def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: int, stages: Array, out: Array) -> None:
     """The state `dt` [s] after `y`, in flight or with vertices i, j held (j = -2: on a face), into `out`.
 
@@ -470,7 +470,7 @@ def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: i
         out[9] = y[9] - plane.g * dt
 
 
-@njit(cache=True)
+@inner
 def _carry_on_face(top: Top, plane: Plane, y: Array, time: float, dt: float, out: Array) -> None:
     """A die that lies on a face turns about the vertical and moves up and down with the table."""
     p, q, r = _spin(top, y)
@@ -486,7 +486,7 @@ def _carry_on_face(top: Top, plane: Plane, y: Array, time: float, dt: float, out
     out[9] = _velocity_of_table(plane, time + dt)
 
 
-@njit(cache=True)
+@inner
 def _push(top: Top, y: Array, i: int, impulse: float) -> None:
     """A vertical impulse [N s] on a vertex, in place."""
     a, b, c = _lever(top, y, i)
@@ -496,7 +496,7 @@ def _push(top: Top, y: Array, i: int, impulse: float) -> None:
     y[11] += impulse * z
 
 
-@njit(cache=True)
+@inner
 def _turn(y: Array, a: float, b: float, c: float) -> None:
     """Turn the body by a small rotation vector [rad] in its own axes, in place; L stays as it is."""
     w, x, z, v = y[3], y[4], y[5], y[6]
@@ -511,7 +511,7 @@ def _turn(y: Array, a: float, b: float, c: float) -> None:
     y[3:7] /= norm
 
 
-@njit(cache=True)
+@inner
 def stand_on(top: Top, plane: Plane, y: Array, time: float, i: int, j: int) -> None:
     """Put vertices i and j (-1: i alone) at rest on the table, by the least change in the metric of mass, in place."""
     for _ in range(2):
@@ -543,7 +543,7 @@ def stand_on(top: Top, plane: Plane, y: Array, time: float, i: int, j: int) -> N
     _push(top, y, j, (aij * u - aii * v) / det)
 
 
-@njit(cache=True)
+@inner
 def lie_on(top: Top, plane: Plane, y: Array, time: float, face: int) -> None:
     """Lay the die flat on a face, turning about the vertical with the same L_z, in place."""
     for _ in range(2):
@@ -555,7 +555,7 @@ def lie_on(top: Top, plane: Plane, y: Array, time: float, face: int) -> None:
     _still(top, plane, y, time)
 
 
-@njit(cache=True)
+@inner
 def _still(top: Top, plane: Plane, y: Array, time: float) -> None:
     """Leave only the turn about the vertical, with the same L_z, and the table's own velocity, in place."""
     x, z, v = _up(y)
@@ -565,7 +565,7 @@ def _still(top: Top, plane: Plane, y: Array, time: float) -> None:
     y[9] = _velocity_of_table(plane, time)
 
 
-@njit(cache=True)
+@inner
 def complementary(top: Top, y: Array, chosen: Indices, n: int, w: Array, tolerance: float, pushes: Array) -> bool:
     """Pushes >= 0 on the vertices `chosen` (n of them) that leave each of `w` (n,) >= 0 and 0 where pushed.
 
@@ -603,14 +603,14 @@ def complementary(top: Top, y: Array, chosen: Indices, n: int, w: Array, toleran
     return False
 
 
-@njit(cache=True)
+@inner
 def _growth(top: Top) -> float:
     """c: the largest |Iⱼ - Iₖ|/Iᵢ."""
     a, b, c = top.moments[0], top.moments[1], top.moments[2]
     return max(abs(b - c) / a, abs(c - a) / b, abs(a - b) / c)
 
 
-@njit(cache=True)
+@inner
 def settle(top: Top, plane: Plane, y: Array, time: float, slow: float, chosen: Indices, room: Array) -> tuple[int, int]:
     """End the bounces of the vertices that stand on the table, in place, and find which the die presses on.
 
@@ -656,7 +656,7 @@ def settle(top: Top, plane: Plane, y: Array, time: float, slow: float, chosen: I
     return (chosen[0] if held > 0 else -1), (chosen[1] if held > 1 else -1)
 
 
-@njit(cache=True)
+@inner
 def lowest_face_row(top: Top, y: Array) -> int:
     """Row of the face normal that points down most."""
     x, z, v = _up(y)
@@ -668,7 +668,7 @@ def lowest_face_row(top: Top, y: Array) -> int:
     return best
 
 
-@njit(cache=True)
+@inner
 def decided_face(top: Top, plane: Plane, y: Array) -> int:
     """Row of the face that the die can no longer leave, or -1, on a table at rest."""
     x, z, v = _up(y)
@@ -686,7 +686,7 @@ def decided_face(top: Top, plane: Plane, y: Array) -> int:
     return face
 
 
-@njit(cache=True)
+@inner
 def leaves_face_after(top: Top, plane: Plane, y: Array, time: float, face: int) -> float:
     """Time [s] until a die that lies on a face is no longer pressed on all of it; inf for never.
 
@@ -731,7 +731,7 @@ def leaves_face_after(top: Top, plane: Plane, y: Array, time: float, face: int) 
     return after / plane.rate
 
 
-@njit(cache=True)
+@inner
 def next_event(
     top: Top,
     plane: Plane,
@@ -844,7 +844,7 @@ def next_event(
         t = min(t + step, longest)
 
 
-@njit(cache=True)
+@inner
 def _with_spin(top: Top, y: Array, out: Array) -> None:
     """The state as others have it, with ω [rad/s, table axes] for L, into `out` (13,)."""
     p, q, r = _spin(top, y)
@@ -852,7 +852,7 @@ def _with_spin(top: Top, y: Array, out: Array) -> None:
     out[10], out[11], out[12] = _to_world(y, p, q, r)
 
 
-@njit(cache=True)
+@inner
 def _with_momentum(top: Top, state: Array) -> Array:
     """The inverse of `_with_spin`."""
     y = state.copy()
@@ -868,7 +868,7 @@ def _with_momentum(top: Top, state: Array) -> Array:
     return y
 
 
-@njit(cache=True)
+@inner
 def _room_for(rows: Array, used: int) -> Array:
     """The same rows, with room for as many again where all are used."""
     if used < rows.shape[0]:
@@ -878,7 +878,7 @@ def _room_for(rows: Array, used: int) -> Array:
     return larger
 
 
-@njit(cache=True)
+@compiled
 def run_top(
     top: Top,
     law: Law,
@@ -990,7 +990,7 @@ def run_top(
         events += 1
 
 
-@njit(cache=True)
+@compiled
 def states_between(top: Top, plane: Plane, held: Array, knots: Array, times: Array) -> Array:
     """States (n, 13) at times (n,) [s] from the knots of `run_top`; `held` (events, 2) are the log's last columns."""
     out, stages, now = np.empty((times.shape[0], 13)), np.empty((14, 8)), np.empty(13)
@@ -1006,7 +1006,7 @@ def states_between(top: Top, plane: Plane, held: Array, knots: Array, times: Arr
 # --- derivatives (`tangent` has the method, the equations of a top stand there too) ----------------------------------
 
 
-@njit(cache=True)
+@inner
 def _compliance(top: Top, y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """W x = R I⁻¹ Rᵀ x of a vector in table axes: the angular velocity that an angular momentum x makes."""
     w, x, z, v = y[3], -y[4], -y[5], -y[6]
@@ -1019,7 +1019,7 @@ def _compliance(top: Top, y: Array, a: float, b: float, c: float) -> tuple[float
     )
 
 
-@njit(cache=True)
+@inner
 def _turn_rates(top: Top, y: Array, values: Array, out: Array) -> None:
     """Fill `out` (22,) with the rates of `values`: quaternion (4), Φ (3 × 3) and Ψ (3 × 3) row by row.
 
@@ -1043,7 +1043,7 @@ def _turn_rates(top: Top, y: Array, values: Array, out: Array) -> None:
             out[i], out[j], out[m] = _compliance(top, y, ux, uy, uz)
 
 
-@njit(cache=True)
+@inner
 def _turn_with_tangent(top: Top, y: Array, dt: float, room: Array) -> None:
     """One step of the attitude in flight, in place in `y`; leaves quaternion, Φ and Ψ of the step in `room[13]`.
 
@@ -1065,7 +1065,7 @@ def _turn_with_tangent(top: Top, y: Array, dt: float, room: Array) -> None:
     y[3:7] = now[:4] / norm
 
 
-@njit(cache=True)
+@inner
 def _carry(
     top: Top, plane: Plane, y: Array, dt: float, sources: Sources, tangent: Array, pull: Array, room: Array
 ) -> None:
@@ -1101,7 +1101,7 @@ def _carry(
     y[9] -= plane.g * dt
 
 
-@njit(cache=True)
+@inner
 def _strike_tangent(
     top: Top,
     plane: Plane,
@@ -1166,7 +1166,7 @@ def _strike_tangent(
     y[11] -= impulse * rx
 
 
-@njit(cache=True)
+@inner
 def _crossed_before(top: Top, plane: Plane, y: Array, time: float, i: int, stages: Array, now: Array) -> float:
     """How long ago [s, negative] vertex i, which is below the table and sinks, came through it; NaN for longer than
     the die takes to fall its own radius. As `kernels.touch_of_vertex`."""
@@ -1193,7 +1193,7 @@ def _crossed_before(top: Top, plane: Plane, y: Array, time: float, i: int, stage
     return nan
 
 
-@njit(cache=True)
+@inner
 def _only(top: Top, i: int) -> Top:
     """The same top, of whose vertices only one touches."""
     return Top(
@@ -1210,7 +1210,7 @@ def _only(top: Top, i: int) -> Top:
     )
 
 
-@njit(cache=True)
+@compiled
 def run_top_tangent(
     top: Top,
     law: Law,
@@ -1291,7 +1291,7 @@ def run_top_tangent(
         impacts += 1
 
 
-@njit(cache=True)
+@compiled
 def coasted(top: Top, start: Array, delays: Array) -> Array:
     """Quaternions (n, 4) of the principal axes `delays` (n,) [s], of either sign, after a flight began with `start`
     (13,), a state as for `run_top`."""

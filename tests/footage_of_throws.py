@@ -128,10 +128,12 @@ def photograph(
     return np.asarray(picture, np.float32)
 
 
-def film(room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1) -> ArrayClip:
-    """The throw from time zero at FPS, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
+def film(
+    room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS
+) -> ArrayClip:
+    """The throw from time zero, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
     rng = np.random.default_rng(seed)
-    times = np.arange(frames) / FPS
+    times = np.arange(frames) / fps
     scale, dtype = 2.0 ** (bit_depth - 8), np.uint8 if bit_depth <= 8 else np.uint16
     stack = [
         np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng)), 0, 2**bit_depth - 1) for t in times

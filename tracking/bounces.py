@@ -17,7 +17,7 @@ from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
 from .flights import Sightings, transition
 from .joined import TABLE_SIGMA_M, Joined, Link
-from .lean import shared_lean, shared_sigma, without_lean
+from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
@@ -50,7 +50,10 @@ class Measured:
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
     floor: Array
-    """(6, 6) covariance of what every pose errs alike and no motion shows; already in the throw's."""
+    """(track rows, 6, 6) covariance of what the pose of each frame errs along with all others and no motion shows; already
+    in the throw's."""
+    own: Throw
+    """The throw as sure as if there were no such errors."""
 
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw:
@@ -66,35 +69,44 @@ def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw
 def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     """As `measure_throw`, with what was learnt of the frames."""
     use = np.flatnonzero(track.tracked)
-    if len(use) >= FEWEST:
-        use = use[sane_rows(_sightings(track, use), die)]
     if len(use) < FEWEST:
-        raise NoFlightError(f"{len(use)} frames are tracked: wanted at least three in a row to measure a flight")
+        raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
+    tracked, use = len(use), use[sane_rows(_sightings(track, use), die)]
+    if len(use) < FEWEST:
+        raise NoFlightError(
+            f"{_frames(tracked)} tracked, and {len(use)} of them move as a die can: wanted at least three in a row to measure "
+            "a flight"
+        )
     lean = np.zeros((len(track), 6, 0))
     loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(loose, die)
-    prior, floor = np.zeros(0), np.zeros((6, 6))
+    prior, floor = np.zeros(0), np.zeros((len(track), 6, 6))
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
-        typical = np.median(lean[use, :, 1:], axis=0) * sigma[1:]
-        floor = typical @ typical.T
+        left = np.append(SIZE_LEFT_PX, sigma[1:])
+        floor[use] = (lean[use] * left**2) @ np.swapaxes(lean[use], 1, 2)
     if track.shared is not None and np.isfinite(track.shared[use]).any():
         # Poses that rest on marks do not share the errors of edges but those of the places of the marks.
-        floor = _middle_one(track.shared[use])
+        floor[use] = track.shared[use]
+    floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     ahead = slice(0, flying)
     rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
     joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-    flights = tuple(_with_floor(flight, floor) for flight in joined.flights)
-    impacts = _impacts(joined, die, float(np.median(np.diff(seen.time_s))))
+    flights, impacts = joined.flights, _impacts(joined, die, float(np.median(np.diff(seen.time_s))))
     if flying < len(use):
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
-    throw = Throw(flights, impacts)
-    return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor)
+    own = Throw(flights, impacts)
+    throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
+    return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)
+
+
+def _frames(count: int) -> str:
+    return "1 frame is" if count == 1 else f"{count} frames are"
 
 
 def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
@@ -107,7 +119,7 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
     use = np.flatnonzero(track.tracked)
     root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
-    covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor
+    covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor[use]
     return replace(track, covariance=covariance)
 
 
@@ -121,7 +133,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     count = np.bincount(flight)[flight]
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
-    covariance[use] = slow + count[:, None, None] * floor
+    covariance[use] = slow + count[:, None, None] * floor[use]
     return replace(track, covariance=covariance)
 
 
@@ -131,20 +143,41 @@ def _sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sigh
     return Sightings.from_poses(*poses, slack=slack)
 
 
+def _filled(floor: Array, use: NDArray[np.int64]) -> Array:
+    """Floors (n, 6, 6) of all rows of a track, given those of the rows in use, some NaN: the others take the nearest one.
+    None was known of a frame that could not be refined on marks, and lost frames may yet be told by their flight."""
+    known, rows = use[np.isfinite(floor[use]).all((1, 2))], np.arange(len(floor))
+    right = np.minimum(np.searchsorted(known, rows), len(known) - 1)
+    left = np.maximum(right - 1, 0)
+    return np.asarray(floor[known[np.where(rows - known[left] < known[right] - rows, left, right)]])
+
+
+def _with_floors(throw: Throw, time_s: Array, floor: Array) -> Throw:
+    """The throw with the floors (n, 6, 6) of its frames at some instants (n,): each flight with the middling one of its own."""
+    flight_of = np.array([throw.flight_at(float(t)) for t in time_s])
+    middles = [
+        _middle_one(floor[flight_of == k] if np.any(flight_of == k) else floor) for k in range(len(throw.flights))
+    ]
+    return replace(
+        throw, flights=tuple(_with_floor(flight, middle) for flight, middle in zip(throw.flights, middles, strict=True))
+    )
+
+
 def _middle_one(covariances: Array) -> Array:
-    """The covariance (6, 6) of middling size among those (n, 6, 6) that are known.
+    """The covariance (6, 6) of middling size among several (n, 6, 6).
 
     The median number by number would be no covariance: it can have negative eigenvalues.
     """
-    known = covariances[np.isfinite(covariances).all((1, 2))]
-    variances = np.diagonal(known, axis1=1, axis2=2)
-    size = (variances / np.median(variances, axis=0)).sum(1)
-    return np.asarray(known[np.argsort(size)[len(known) // 2]])
+    variances = np.diagonal(covariances, axis1=1, axis2=2)
+    size = (variances / np.maximum(np.median(variances, axis=0), 1e-300)).sum(1)
+    return np.asarray(covariances[np.argsort(size)[len(covariances) // 2]])
 
 
 def _with_floor(flight: Flight, floor: Array) -> Flight:
-    """The flight with a pose error that stays the same all through: turned poses turn the spin with them."""
-    assert flight.covariance is not None
+    """The flight with a pose error that stays the same all through: turned poses turn the spin with them. What the table
+    carries has no covariance, and is left as it is."""
+    if flight.covariance is None:
+        return flight
     x, y, z = flight.start.omega_rad_s
     spread = np.zeros((12, 6))
     spread[:6] = np.eye(6)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -196,7 +197,8 @@ class Chase:
             float(np.clip(sigma_rad, lens.tight_rad, lens.loose_rad)),
         )
         loose = lens.loose_m, lens.loose_rad
-        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in self._rivals(expected, time_s))):
+        rivals = islice(self._rivals(expected, time_s), self.view.quality.rivals)
+        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in rivals)):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
                 omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],

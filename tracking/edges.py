@@ -159,8 +159,8 @@ class Eyes(NamedTuple):
     """(views,) which camera's picture it is."""
     partner: Any
     """(views,) the view that shares the picture and may hide this one; -1 if there is none."""
-    used: Any
-    """(views,) whether its edges count; a view that does not still hides others."""
+    weight: Any
+    """(views,) by which what its edges say is multiplied; a view of none still hides others."""
 
 
 class Screen(NamedTuple):
@@ -217,6 +217,8 @@ class Lens(NamedTuple):
     """Whether the normal equations shall have their column of the blur."""
     samples: int
     """Pixels that judge a pose as a whole; none where nobody asks."""
+    band: float
+    """[px] least half-width of the band about an edge at the lens blur."""
 
 
 class Desk(NamedTuple):
@@ -449,14 +451,14 @@ def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any,
 @_inner
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    full: bool, H: Any, g: Any, stats: Any,
+    weight: float, full: bool, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
     On the desk: `phi` (4, n), the basis functions of the intensities (near, far, and those of a rounded strip), with
     their derivatives `slope` by d and `spread` by the blur (the last is needed where `full`); `begin` (m + 1) the first
     pixel of each row and `rows` (m, 8) the derivative of d by pose and contour error. `under_sum` is the sum of the far
-    side's known background (n between two faces).
+    side's known background (n between two faces); `weight` multiplies what is added.
     """
     stats[2] += n
     stats[5] += 1.0
@@ -499,7 +501,7 @@ def _stretch(
         else:
             scale = max(floor_grey, _scale_left(n, icut, res))
         icut = 1.0 / (TUKEY * scale)
-    iv = 1.0 / (scale * scale)
+    iv = weight / (scale * scale)
     cost, used = _rises(n, K, c, icut, slope, res, rise, w)
     begin, rows = desk.begin, desk.rows
     C[:] = 0.0
@@ -801,7 +803,9 @@ def _view_equations(
         Qx, Qy, Qz = arm[iB, 0] - Px, arm[iB, 1] - Py, arm[iB, 2] - Pz
         for line in range(first, last + 1 + stride, stride):
             if m > 0 and (walked >= SEGMENT_PX or line > last):
-                _stretch(desk, n, m, sharp, interior, under_sum, walked, floor_grey, full, H, g, stats)
+                _stretch(
+                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, H, g, stats
+                )
                 n = m = np.int64(0)
                 walked, under_sum = 0.0, 0.0
             if line > last:
@@ -1197,12 +1201,12 @@ def look(
     reach, six = _reach(shape), np.int64(6)
     for it in range(coarse + lens.fine_steps):
         fine = it >= coarse
-        sigma, band = (lens.blur, max(3.5, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
+        sigma, band = (lens.blur, max(lens.band, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
         H[:] = 0.0
         g[:] = 0.0
         stats[:] = 0.0
         for view in range(eyes.camera.shape[0]):
-            if eyes.used[view] and sight.size[eyes.camera[view], 0] > 0:
+            if eyes.weight[view] > 0.0 and sight.size[eyes.camera[view], 0] > 0:
                 _view_equations(
                     view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
                     lens.floor_grey, lens.full and fine, desk, H, g, stats,

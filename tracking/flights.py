@@ -17,11 +17,12 @@ the clip (`lean`), with s a few numbers that all flights share.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import atan2, cos, exp, sin, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled, inner
 from ..model.motion import GRAVITY_M_S2, Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 
@@ -272,7 +273,7 @@ def _packed(state: State) -> Array:
 # --- kernels ----------------------------------------------------------------------------------------------------------
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _sums(
     time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, share: Array, usual: Array,
     state: Array, shared: Array, normal: Array, gradient: Array, squares: Array,
@@ -299,7 +300,7 @@ def _sums(
     return cost
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _meat(
     time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, strength: Array,
     state: Array, wander: Array, memory_s: Array, meat: Array,
@@ -311,10 +312,14 @@ def _meat(
     rows, before, none = np.empty((6, size + 1)), np.zeros((6, size)), np.zeros(m)
     for k in range(len(time)):
         _rows(time[k], position[k], quaternion[k], W[k], lean[k], state, none, rows)
-        rows *= weight[k]
+        for i in range(6):
+            for a in range(size + 1):
+                rows[i, a] *= weight[k]
         for i in range(6):
             if k > 0:
-                before[i] *= np.exp(-(time[k] - time[k - 1]) / memory_s[i])
+                left = exp(-(time[k] - time[k - 1]) / memory_s[i])
+                for a in range(size):
+                    before[i, a] *= left
             slow = strength[i] * wander[i]
             for a in range(size):
                 own, past = rows[i, a], before[i, a]
@@ -328,7 +333,7 @@ def _meat(
             meat[b, a] = meat[a, b]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _rows(
     time: float, position: Array, quaternion: Array, W: Array, lean: Array, state: Array, shared: Array, rows: Array
 ) -> None:
@@ -336,19 +341,19 @@ def _rows(
     and in the last column seen minus motion."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = np.sqrt(x * x + y * y + z * z)
+    angle = sqrt(x * x + y * y + z * z)
     E, L = _turn_matrices(x, y, z, angle, dt)
     e = np.empty(6)
     for i in range(3):
         e[i] = position[i] - state[1 + i] - dt * state[8 + i]
     e[2] += 0.5 * GRAVITY_M_S2 * dt * dt
-    half = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(np.cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
     w, a, b, c = _product(quaternion[0], quaternion[1], quaternion[2], quaternion[3], q[0], -q[1], -q[2], -q[3])
     if w < 0.0:
         w, a, b, c = -w, -a, -b, -c
-    sine = np.sqrt(a * a + b * b + c * c)
-    factor = 2.0 * np.arctan2(sine, w) / sine if sine > 1e-12 else 2.0
+    sine = sqrt(a * a + b * b + c * c)
+    factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
     e[3], e[4], e[5] = factor * a, factor * b, factor * c
     last = rows.shape[1] - 1
     for i in range(6):
@@ -373,16 +378,17 @@ def _rows(
             rows[i, last] -= leans * shared[j]
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _carry(state: Array, time: float, out: Array, M: Array) -> None:
     """The state (14,) at another instant, and its derivative (12, 12)."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = np.sqrt(x * x + y * y + z * z)
+    angle = sqrt(x * x + y * y + z * z)
     E, L = _turn_matrices(x, y, z, angle, dt)
-    half = np.sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(np.cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
-    out[:] = state
+    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
+    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    for i in range(14):
+        out[i] = state[i]
     out[0] = time
     for i in range(3):
         out[1 + i] += dt * state[8 + i]
@@ -395,15 +401,15 @@ def _carry(state: Array, time: float, out: Array, M: Array) -> None:
         out[4 + i] = q[i]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
     """exp(v) and dt J(v) of v = (x, y, z); the series below 1e-3 rad as in `left_jacobians`."""
     square = angle * angle
     if angle < 1e-3:
         sine, first, second = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
-        sine = np.sin(angle) / angle
-        first, second = (1.0 - np.cos(angle)) / square, (angle - np.sin(angle)) / (square * angle)
+        sine = sin(angle) / angle
+        first, second = (1.0 - cos(angle)) / square, (angle - sin(angle)) / (square * angle)
     v = (x, y, z)
     E, L = np.empty((3, 3)), np.empty((3, 3))
     cross = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
@@ -416,7 +422,7 @@ def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tup
     return E, L
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _product(
     aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
 ) -> tuple[float, float, float, float]:
@@ -429,7 +435,7 @@ def _product(
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
     """Gauss-Newton through the frames of one flight, white errors; fills state (14,) and the inverse normal matrix."""
     n = len(time)
@@ -454,14 +460,16 @@ def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array
         if not new_left < left:
             break
         gain = left - new_left
-        state[:], normal, gradient, left = trial, new_normal, new_gradient, new_left
+        for a in range(14):
+            state[a] = trial[a]
+        normal, gradient, left = new_normal, new_gradient, new_left
         if gain < 1e-3 * left:
             break
     _invert(normal, inverse)
     return left
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> None:
     """A first state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
     with the fall taken out. Errors of the frames between cancel in both."""
@@ -469,16 +477,17 @@ def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> Non
     middle = n // 2
     t0 = time[middle]
     state[0] = t0
-    state[4:8] = quaternion[middle]
+    for i in range(4):
+        state[4 + i] = quaternion[middle, i]
     span = max(time[n - 1] - time[0], 1e-12)
-    state[11:14] = 0.0
+    state[11], state[12], state[13] = 0.0, 0.0, 0.0
     for k in range(n - 1):
         a, b = quaternion[k], quaternion[k + 1]
         w, x, y, z = _product(b[0], b[1], b[2], b[3], a[0], -a[1], -a[2], -a[3])
         if w < 0.0:
             w, x, y, z = -w, -x, -y, -z
-        sine = np.sqrt(x * x + y * y + z * z)
-        factor = 2.0 * np.arctan2(sine, w) / sine if sine > 1e-12 else 2.0
+        sine = sqrt(x * x + y * y + z * z)
+        factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
         state[11] += factor * x / span
         state[12] += factor * y / span
         state[13] += factor * z / span
@@ -490,32 +499,33 @@ def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> Non
         state[1 + i] = position[middle, i]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _moved(state: Array, step: Array, out: Array) -> None:
     """The state after a change (12,) of position, rotation vector, velocity and angular velocity."""
-    out[:] = state
+    for i in range(14):
+        out[i] = state[i]
     for i in range(3):
         out[1 + i] += step[i]
         out[8 + i] += step[6 + i]
         out[11 + i] += step[9 + i]
-    angle = np.sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-    half = np.sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
+    angle = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    half = sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
     q = _product(
-        np.cos(0.5 * angle), half * step[3], half * step[4], half * step[5], state[4], state[5], state[6], state[7]
+        cos(0.5 * angle), half * step[3], half * step[4], half * step[5], state[4], state[5], state[6], state[7]
     )
-    length = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    length = sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     for i in range(4):
         out[4 + i] = q[i] / length
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _invert(matrix: Array, inverse: Array) -> None:
     """Inverse (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; what rounding leaves of a singular
     direction is held by 1e-13."""
     n = len(matrix)
     unit = np.empty(n)
     for i in range(n):
-        unit[i] = 1.0 / np.sqrt(max(matrix[i, i], 1e-300))
+        unit[i] = 1.0 / sqrt(max(matrix[i, i], 1e-300))
     L = np.zeros((n, n))
     for i in range(n):
         for j in range(i + 1):
@@ -523,7 +533,7 @@ def _invert(matrix: Array, inverse: Array) -> None:
             for k in range(j):
                 total -= L[i, k] * L[j, k]
             if i == j:
-                L[i, i] = np.sqrt(max(total, 1e-13))
+                L[i, i] = sqrt(max(total, 1e-13))
             else:
                 L[i, j] = total / L[j, j]
     for column in range(n):

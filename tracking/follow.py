@@ -14,10 +14,9 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numba import config as numba_config
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Throw
+from ..model.motion import GRAVITY_M_S2, Flight, Throw
 from ..model.rotations import (
     continuous_sign,
     matrix_from_quat,
@@ -38,6 +37,7 @@ from .marks import edge_information, frames_to_learn_from, learn_marks, refine_b
 from .marks_textures import Marks
 from .offsets import Offsets, eyes_at, find_offsets
 from .pose import (
+    THREADS,
     Pose,
     View,
     blur_step,
@@ -76,8 +76,6 @@ CONTRADICTED = 30.0
 WORTHWHILE = 8.0
 """Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
 faces do, where they were learned matters more than what they add."""
-THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
-"""Frames of the second pass are independent of each other; more threads than this wait for the decoder."""
 
 
 class NoDieError(ValueError):
@@ -137,12 +135,10 @@ def look_through(
     background and clip differ in size, and NoDieError where no die was found.
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
-    # Marks are learned from one camera; with several the edges of all must do.
-    with_marks = quality.marks and len(clips) == 1
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     reel = Reel(clips)
     view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
-    report = _Reporter(progress, (1 + quality.second_pass + with_marks) * len(reel))
+    report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
     unused = np.zeros(len(reel), bool)
     unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
     view, seen = _first_pass(view, reel, report, start, unused)
@@ -152,17 +148,14 @@ def look_through(
         throw = _measured(view, reel, seen)
     offsets = Offsets.none(len(clips))
     if quality.second_pass:
-        if die.corner_radius_m == 0.0:
-            # Bevels in a mirror are lit from below and seen at a glance: a reflection of rounded edges turned the poses by
-            # a tenth of a degree, and helps those of sharp ones.
-            view = with_reflections(view)
+        view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         if throw is not None:
             offsets = find_offsets(view, reel.frame, reel.times_s, throw)
         seen = _second_pass(view, reel, seen, throw, unused, report, offsets)
     marks, shared = None, None
-    if with_marks:
+    if quality.marks:
         seen, marks, shared = _third_pass(view, reel, seen, report)
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
@@ -395,7 +388,11 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
 
 def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[Seen, Marks | None, Array | None]:
     """Every frame refined once more on the marks of the die's faces, where it has any, with what all frames then err
-    alike (n, 6, 6)."""
+    alike (n, 6, 6).
+
+    Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
+    other's lines of sight, which marks of one do not.
+    """
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
@@ -408,10 +405,15 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)
     images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
     marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
-    if marks is None:
-        return seen, None, None
+    if marks is None or len(reel.clips) > 1:
+        return seen, marks, None
     adjusted = Throw(marks.flights, throw.impacts)
-    if _contradiction(throw, adjusted) > CONTRADICTED or _gain(throw, adjusted) < WORTHWHILE:
+    both = [
+        pair
+        for pair, shared in zip(zip(throw.flights, marks.flights, strict=True), marks.shared, strict=True)
+        if np.isfinite(shared).all()
+    ]
+    if _contradiction(both) > CONTRADICTED or _gain(both) < WORTHWHILE:
         return seen, marks, None
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
@@ -430,14 +432,14 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     return out, marks, shared
 
 
-def _contradiction(by_edges: Throw, by_marks: Throw) -> float:
-    """Median squared distance of the flights by edges and by marks half-way through each, in the sigmas of both.
+def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
+    """Median squared distance of flights by edges and by marks half-way through each, in the sigmas of both.
 
     Two ways to see one motion must agree. Where they do not, the marks were learned in the wrong places: many small faces,
     each seen for a short time, can shift against each other without the pictures telling.
     """
     squared = []
-    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+    for ours, theirs in both:
         if ours.covariance is None or theirs.covariance is None or not np.isfinite(ours.end_s):
             continue
         t = 0.5 * (ours.start.time_s + ours.end_s)
@@ -449,11 +451,11 @@ def _contradiction(by_edges: Throw, by_marks: Throw) -> float:
     return float(np.median(squared)) if squared else 0.0
 
 
-def _gain(by_edges: Throw, by_marks: Throw) -> float:
+def _gain(both: Sequence[tuple[Flight, Flight]]) -> float:
     """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
     the determinants of the covariances."""
     gains = []
-    for ours, theirs in zip(by_edges.flights, by_marks.flights, strict=True):
+    for ours, theirs in both:
         if ours.covariance is not None and theirs.covariance is not None and np.isfinite(ours.end_s):
             t = 0.5 * (ours.start.time_s + ours.end_s)
             M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
@@ -475,19 +477,22 @@ def _as_sure_as_they_scatter(track: Track, throw: Throw) -> Track:
 def _marked(
     view: View, marks: Marks, picture: Frames, adjusted: Throw, edges: Track, seen: Seen, k: int
 ) -> tuple[Pose, Array]:
-    """One frame refined on marks and edges, from where its flight leads unless that is over, and what it shares with all
-    others."""
+    """One frame refined on marks and edges, from where its flight leads unless that is over or no flight, and what it
+    shares with all others."""
     time_s = float(edges.time_s[k])
+    shared = shared_covariance(view, marks, adjusted.flight_at(time_s), time_s)
     by_edges = replace(
         pose_from(edges.position_m[k], matrix_from_quat(edges.quaternion[k]), seen.H[k], seen.stats[k], 0.0, view.lens),
         information=np.linalg.inv(edges.covariance[k]),
     )
     start = adjusted.at(time_s) if time_s <= adjusted.flights[-1].end_s else None
+    if start is not None and np.isnan(shared).any():
+        start = replace(start, position_m=edges.position_m[k], quaternion=edges.quaternion[k])
     pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), by_edges, start)
     # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
     part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
     lean = np.asarray(np.linalg.lstsq(pose.information, part, rcond=None)[0], np.float64)
-    return replace(pose, contour_lean=lean), shared_covariance(marks, adjusted.flight_at(time_s), time_s)
+    return replace(pose, contour_lean=lean), shared
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

@@ -54,6 +54,10 @@ class DuplicateWatch:
             return []
         return [int(i) for i in np.flatnonzero(self._changed_share == 0)]
 
+    def stood_still(self) -> bool:
+        """Whether every frame was seen and is the same picture as the first."""
+        return len(self._changed_share) > 1 and not self._changed_share[1:].any()
+
 
 def _share_changed(before: Frame, after: Frame) -> float:
     return float(np.count_nonzero(before != after) / after.size)
@@ -91,6 +95,9 @@ class Footage(ABC):
     @property
     def notices(self) -> tuple[str, ...]:
         """What a careful user should know, one sentence each; repeated frames once they have been read."""
+        if self._watch.stood_still():
+            still = f"{self.path.name}: all {len(self)} frames are one and the same picture, so nothing moves in them."
+            return (*self._static_notices, still)
         repeated = [i + self.first_frame for i in self._watch.repeated()]
         if not repeated:
             return self._static_notices

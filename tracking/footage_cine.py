@@ -32,9 +32,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled
 from .footage import Footage, Frame, check_count, check_size, times_from_rate
 from .footage_photron import RATE_TOLERANCE, unpack_12bit
 
@@ -166,7 +166,7 @@ class CineClip(Footage):
         return levels.copy()
 
 
-@njit(cache=True)
+@compiled
 def unpack_10bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """(4n,) codes from (5n,) bytes, high bits first; they are not linear (`linear_levels`)."""
     codes = np.empty(len(packed) // 5 * 4, np.uint16)

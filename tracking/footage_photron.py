@@ -16,9 +16,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled
 from .footage import Footage, Frame, check_size, cut_off, times_from_rate
 
 LARGEST_HEADER_BYTES = 2**24
@@ -133,7 +133,7 @@ class PhotronClip(Footage):
         return levels >> np.uint16(16 - header.bit_depth) if header.high_side else levels
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def unpack_12bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
     """(2n,) levels from (3n,) bytes; ten times as fast compiled as in numpy, which makes three passes and copies."""
     levels = np.empty(len(packed) // 3 * 2, np.uint16)

@@ -18,7 +18,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError
 
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ..model.solids import Die
@@ -29,6 +28,9 @@ Array = NDArray[np.float64]
 
 SIZE_PX = 0.05
 """One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
+SIZE_LEFT_PX = 0.008
+"""What of δ neither fall nor table can tell: it is not quite the same at the top of a flight and on the table, as the light on
+the faces that make the contour changes."""
 SIZE_SHARE = 0.1
 """And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
 ASIDE_PX, ASIDE_SHARE = 0.01, 0.1
@@ -48,19 +50,19 @@ def shared_lean(track: Track, camera: Camera, die: Die) -> Array:
     The track's own `lean` takes the place of the first where it has one. NaN where the frame has no pose.
     """
     lean = np.full((len(track), 6, SHARED), np.nan)
-    for k in np.flatnonzero(track.tracked):
-        place = track.position_m[k]
-        sight = place - camera.centre_m
-        depth = float(camera.rotation[2] @ sight)
-        corners = camera.project(die.solid.vertices @ matrix_from_quat(track.quaternion[k]).T + place)
-        growth = _growth(corners)
-        lean[k] = 0.0
-        lean[k, :3, 0] = -sight * growth
-        lean[k, :3, 1] = camera.rotation[0] * depth / camera.matrix[0, 0]
-        lean[k, :3, 2] = camera.rotation[1] * depth / camera.matrix[1, 1]
-        lean[k, 3:, 3:] = camera.rotation.T * growth
-        if track.lean is not None and np.isfinite(track.lean[k]).all():
-            lean[k, :, 0] = track.lean[k]
+    seen = track.tracked
+    sight = track.position_m[seen] - camera.centre_m
+    depth = sight @ camera.rotation[2]
+    growth = _growth(camera, die, track.position_m[seen], matrix_from_quat(track.quaternion[seen]))
+    new = np.zeros((len(sight), 6, SHARED))
+    new[:, :3, 0] = -sight * growth[:, None]
+    new[:, :3, 1] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
+    new[:, :3, 2] = camera.rotation[1] * (depth / camera.matrix[1, 1])[:, None]
+    new[:, 3:, 3:] = camera.rotation.T * growth[:, None, None]
+    if track.lean is not None:
+        own = np.isfinite(track.lean[seen]).all(1)
+        new[own, :, 0] = track.lean[seen][own]
+    lean[seen] = new
     return lean
 
 
@@ -81,12 +83,19 @@ def without_lean(track: Track, lean: Array, shared: Array) -> Track:
     return replace(track, position_m=track.position_m - change[:, :3], quaternion=quaternion)
 
 
-def _growth(corners_px: Array) -> float:
-    """P/(2 A) [1/px] of the outline of projected corners (n, 2)."""
-    try:
-        hull = ConvexHull(corners_px)
-    except (QhullError, ValueError):
-        # Behind the camera or edge on: nothing is seen to lean.
-        return 0.0
-    # Of a plane hull, scipy's area is the perimeter and its volume the area.
-    return float(hull.area / (2.0 * hull.volume))
+def _growth(camera: Camera, die: Die, position_m: Array, rotation: Array) -> Array:
+    """(n,) P/(2 A) [1/px] of the die's outline at each of n poses; 0 where it is behind the camera, where nothing is seen
+    to lean."""
+    solid = die.solid
+    corners = camera.project(solid.vertices @ np.swapaxes(rotation, 1, 2) + position_m[:, None])
+    toward = camera.centre_m - position_m
+    facing = np.einsum("nij,fj,ni->nf", rotation, solid.normals, toward) > solid.offsets
+    outline = facing[:, solid.edge_faces[:, 0]] != facing[:, solid.edge_faces[:, 1]]
+    ends = corners[:, solid.edges]
+    perimeter = (np.linalg.norm(ends[:, :, 1] - ends[:, :, 0], axis=2) * outline).sum(1)
+    area = np.zeros(len(corners))
+    for f, face in enumerate(solid.faces):
+        x, y = np.moveaxis(corners[:, list(face)], 2, 0)
+        area += facing[:, f] * 0.5 * np.abs((x * np.roll(y, -1, axis=1) - np.roll(x, -1, axis=1) * y).sum(1))
+    fully = np.isfinite(corners).all((1, 2)) & (area > 0.0)
+    return np.asarray(np.where(fully, perimeter, 0.0) / np.where(fully, 2.0 * area, 1.0))

@@ -76,8 +76,14 @@ CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY, TUKEY, TUKEY)
 moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
 SETTLED_SIGMAS = 0.3
 """A round that moves no flight by more than this many of its sigmas is the last."""
+WILD_SIGMAS = 6.0
+"""A flight that moves by more, once the cut is narrow, is no flight: a die that rolls or slides does not fall, and pulls at its
+neighbours from round to round. Flights that are some move by two or three sigmas there at the most."""
 NEAR_BOUNCE = 1.0
 """Frames from an impact within which a frame teaches nothing: its exposure may straddle it."""
+PLACED_PX = 0.005
+"""One sigma of where a picture has a mark: light that falls aslant on its border, the form of a pixel, the curve of a
+sensor move it by some thousandths of a pixel, on all frames alike."""
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
 
@@ -123,10 +129,25 @@ def learn_marks(
             return None
         chosen = looks if cut == TUKEY else few
         marks, moved_sigmas = adjusted(view, chosen, links, marks, cut)
+        if cut == TUKEY and (moved_sigmas > WILD_SIGMAS).any():
+            marks, looks, links = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
+            chosen = looks
+            if len(looks) < 2 * FEWEST_LOOKS:
+                return None
         marks = with_learned_textures(view, chosen, marks.flights, marks, cut)
-        if cut == TUKEY and moved_sigmas < SETTLED_SIGMAS:
+        if cut == TUKEY and moved_sigmas.max() < SETTLED_SIGMAS:
             break
     return marks if len(marks.marked_faces) else None
+
+
+def _without_flights(
+    marks: Marks, looks: list[Look], wild: NDArray[np.bool_], throw: Throw
+) -> tuple[Marks, list[Look], list[tuple[int, float]]]:
+    """Marks, looks and links without the flights (flights,) that are `wild`, which are as the edges had them again."""
+    flights = tuple(throw.flights[k] if wild[k] else flight for k, flight in enumerate(marks.flights))
+    shared = tuple(np.full((12, 12), np.nan) if wild[k] else known for k, known in enumerate(marks.shared))
+    looks = [look for look in looks if not wild[look.flight]]
+    return replace(marks, flights=flights, shared=shared), looks, links_between(looks, throw)
 
 
 def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: State | None = None) -> Pose:
@@ -158,11 +179,15 @@ def edge_information(view: View, marks: Marks, pose: Pose) -> Array:
     return np.asarray(pose.information @ np.linalg.inv(np.eye(6) + common @ pose.information))
 
 
-def shared_covariance(marks: Marks, flight: int, time_s: float) -> Array:
+def shared_covariance(view: View, marks: Marks, flight: int, time_s: float) -> Array:
     """(6, 6) of the pose at an instant that all frames share: what the uncertain places of the textures do to every one of
-    them. It belongs on top of whatever a fit of many frames says, because it does not shrink with their number."""
+    them, and what no frame can show, PLACED_PX. It belongs on top of whatever a fit of many frames says, because it does not
+    shrink with their number. NaN in a flight from which nothing was learned."""
     M = transition(marks.flights[flight], time_s)[:6]
-    return np.asarray(M @ marks.shared[flight] @ M.T)
+    place_m = marks.flights[flight].at(time_s).position_m
+    distance_m = float(np.linalg.norm(place_m - view.camera.centre_m))
+    placed = contour_covariance(view, place_m, PLACED_PX * distance_m / view.camera.matrix[0, 0])
+    return np.asarray(M @ marks.shared[flight] @ M.T + placed)
 
 
 def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[Look]:

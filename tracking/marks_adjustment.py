@@ -8,6 +8,7 @@ textures that they have placed themselves.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..model.rotations import matrix_from_quat, rotation_between
 from .flights import moved, transitions
 from .marks_kernels import SHARED, WARPS, mark_equations
 from .marks_textures import Look, Marks, Poses, blurs, on_faces, poses_of, seen_by
-from .pose import View
+from .pose import THREADS, View
 
 Array = NDArray[np.float64]
 
@@ -49,9 +50,9 @@ def links_between(looks: list[Look], throw: Throw) -> list[tuple[int, float]]:
 
 def adjusted(
     view: View, looks: list[Look], links: list[tuple[int, float]], marks: Marks, cut: float
-) -> tuple[Marks, float]:
-    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and the largest
-    move, in sigmas.
+) -> tuple[Marks, Array]:
+    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and how far each
+    flight was moved, (flights,) in sigmas of what moved most, 0 for one without a look.
 
     Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, and the instant of each
     bounce, at which position and orientation go on without a jump.
@@ -62,7 +63,8 @@ def adjusted(
     blur_at = 12 * len(used) + WARPS * len(place_of)
     in_flight = np.bincount([look.flight for look in looks])
     poses = poses_of(looks, marks.flights)
-    equations = [_equations(view, marks, look, poses, i, cut) for i, look in enumerate(looks)]
+    with ThreadPoolExecutor(THREADS) as pool:
+        equations = list(pool.map(lambda i: _equations(view, marks, looks[i], poses, i, cut), range(len(looks))))
     edges = _edges_minus_flights(looks, poses)
     squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
@@ -99,7 +101,9 @@ def adjusted(
         c = slice(at, at + 12)
         flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
         shared[k] = C[c, c] - own[c, c]
-    moves = [np.abs(step[c : c + 12]) / np.sqrt(np.diag(C)[c : c + 12]) for c in column.values()]
+    moves = np.zeros(len(flights))
+    for k, at in column.items():
+        moves[k] = float(np.max(np.abs(step[at : at + 12]) / np.sqrt(np.diag(C)[at : at + 12])))
     blur = marks.blur_px * float(np.clip(1.0 + step[blur_at] / marks.blur_px, 0.7, 1.4))
     noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
     usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
@@ -107,7 +111,7 @@ def adjusted(
         marks, flights=tuple(flights), shared=tuple(shared), factor=factor,
         blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
     )  # fmt: skip
-    return replace(new, contour_m=_contour_error(view, looks, new)), float(np.max(moves))
+    return replace(new, contour_m=_contour_error(view, looks, new)), moves
 
 
 def _priors(view: View, flights: int, faces: int, links: int) -> Array:

@@ -52,6 +52,9 @@ GRAZING = 0.2
 MARGIN_BLURS = 2.5
 """Blurs, and half a pixel, by which pixels of a face stay away from where its flat part ends: 0.6 % of the step beyond
 the edge are left there."""
+SETTLED_PX = 0.1
+"""A step of the refinement that moves no point by more is the last one: marks are blurred over five times as much at least, and
+what the next step would move is of second order in that share."""
 MOST_HIDDEN = 0.5
 """Share of a face's pixels that may be unlike its texture before the face is left out of a frame."""
 
@@ -860,6 +863,23 @@ def refine_on_marks(
         gained = 0.0
         for i in range(6):
             gained += step[i] * y[i]
-        if gained < 0.1:
+        if (
+            gained < 0.1
+            or _moved_px(K, Rcw, tcw, p, step, hypot(offsets[0], hypot(corners[0, 0, 0], corners[0, 0, 1])))
+            < SETTLED_PX
+        ):
             break
     return p, Q, H
+
+
+@njit(cache=True, nogil=True)
+def _moved_px(K: Any, Rcw: Any, tcw: Any, pos: Any, step: Any, reach: float) -> float:
+    """How far in the picture a step (6,) of a die that reaches so far [m] moves its farthest points at the most."""
+    x, y, z, depth = 0.0, 0.0, 0.0, tcw[2]
+    for j in range(3):
+        x += Rcw[0, j] * step[j]
+        y += Rcw[1, j] * step[j]
+        z += Rcw[2, j] * step[j]
+        depth += Rcw[2, j] * pos[j]
+    turned = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
+    return float(K[0, 0] / depth * (hypot(x, y) + reach * (turned + abs(z) / depth)))

@@ -8,6 +8,7 @@ difference.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import cv2
@@ -21,7 +22,7 @@ from ..model.solids import Solid
 from .camera import Camera
 from .flights import transitions
 from .marks_kernels import GRAZING, MARGIN_BLURS, look_at_face
-from .pose import View
+from .pose import THREADS, View
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -198,7 +199,7 @@ def blank_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw
         grid, np.full(shape, np.nan), np.ones(shape), np.zeros(shape, np.uint8), np.zeros(faces),
         np.zeros(faces, np.int64), undistorted_rays(view.camera), float(saturation_grey), view.blur_px,
         np.zeros((faces, 2, 3)), 1.0, CONTOUR_SHARE * view.die.solid.edge_m, throw.flights,
-        tuple(np.zeros((12, 12)) for _ in throw.flights),
+        tuple(np.full((12, 12), np.nan) for _ in throw.flights),
     )  # fmt: skip
 
 
@@ -212,18 +213,19 @@ def with_learned_textures(
     total, weight = np.zeros((2, *shape)), np.zeros((2, *shape))
     count = np.zeros((2, *shape), np.int32)
     base, base_weight = np.zeros((shape[0], 2, 3)), np.zeros(shape[0])
-    values, w = np.zeros((2, *shape[1:]))
-    own = np.zeros((2, 3))
     seen = np.zeros(shape[0], np.int64)
     camera = view.camera
     floor_grey = max(0.5, 0.5 * view.noise_grey)
     poses = poses_of(looks, flights)
     facings = _facings(view, grid, poses)
-    for i, look in enumerate(looks):
-        for f in np.flatnonzero(facings[i] > GRAZING):
-            known = bool(np.isfinite(marks.texture[f]).any())
-            if known and not marks.noise_grey[f]:
-                continue
+
+    def learn(f: int) -> None:
+        known = bool(np.isfinite(marks.texture[f]).any())
+        if known and not marks.noise_grey[f]:
+            return
+        values, w, own = np.zeros(shape[1:]), np.zeros(shape[1:]), np.zeros((2, 3))
+        for i in np.flatnonzero(facings[:, f] > GRAZING):
+            look = looks[i]
             share = look_at_face(
                 look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
                 camera.translation_m, poses.position_m[i], poses.rotation[i], poses.velocity_m_s[i], poses.omega_rad_s[i],
@@ -243,6 +245,10 @@ def with_learned_textures(
             base_weight[f] += facings[i, f] ** 2 * w.sum()
             weight[half, f] += facings[i, f] ** 2 * w
             count[half, f] += used
+
+    # Faces know nothing of each other, and each takes its looks in their order: the same sums with any number of threads.
+    with ThreadPoolExecutor(THREADS) as pool:
+        list(pool.map(learn, range(shape[0])))
     return _with_textures(replace(marks, base=_where_seen(base, base_weight, marks.base)), total, weight, count, seen)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import config as numba_config
 from numpy.typing import NDArray
 
 from ..model.solids import Die, symmetry_rotations
@@ -14,6 +15,10 @@ from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Screen, Shape, Sight, look, 
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
+
+THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
+"""Frames, and faces, are independent of each other in most of what is done with them; more threads than this wait for the
+decoder."""
 Image = NDArray[np.float32]
 
 MIRRORED = np.diag([1.0, 1.0, -1.0])
@@ -72,7 +77,7 @@ class View:
         return Lens(
             self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
-            quality.judging_pixels,
+            quality.judging_pixels, quality.band_px,
         )  # fmt: skip
 
     @property
@@ -90,9 +95,17 @@ def with_screen(view: View) -> tuple[View, Screen]:
     return replace(view, backgrounds=still.copy()), screen
 
 
+ROUNDED_IN_MIRROR = 0.001
+"""Weight of what a mirror shows of a rounded die. Bevels in a mirror are lit from below and seen at a glance: as a view like any
+other they turned poses by a tenth of a degree, several times what its sigmas said. Thirty times these sigmas still tell the
+distance near the mirror, where die and reflection hide each other's contours, better than the die alone."""
+
+
 def with_reflections(view: View) -> View:
     """The view with what the mirror shows as views of their own; without a mirror the same view."""
-    return replace(view, eyes=view.eyes._replace(used=np.ones_like(view.eyes.used)))
+    shared = 1.0 if view.die.corner_radius_m == 0.0 else ROUNDED_IN_MIRROR
+    direct = np.arange(len(view.eyes.weight)) < len(view.cameras)
+    return replace(view, eyes=view.eyes._replace(weight=np.where(direct, 1.0, shared)))
 
 
 LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
@@ -211,7 +224,7 @@ def _eyes(cameras: tuple[Camera, ...], mirror: bool) -> Eyes:
     return Eyes(
         np.ascontiguousarray([c.matrix for c in twice], float), np.ascontiguousarray([c.distortion for c in twice], float),
         np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
-        np.array([k % n for k in range(len(twice))]), np.array(partner), np.arange(len(twice)) < n,
+        np.array([k % n for k in range(len(twice))]), np.array(partner), (np.arange(len(twice)) < n).astype(float),
     )  # fmt: skip
 
 

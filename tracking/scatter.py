@@ -23,11 +23,12 @@ Kalman Filter, 1989, 3.4), gaps as they are, at a cost linear in the frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import exp, log, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from ..model.compiled import compiled, inner
 from ..model.motion import State
 from .flights import Scatter, Sightings, seen_minus_motion
 
@@ -88,7 +89,7 @@ def _mean_scatter(odds: Array, variance: Array, memories_s: Array, spacing: floa
     return Scatter(np.sqrt(white), wander, spacing / np.log((ratio + 1.0) / (ratio - 1.0)))
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _fill(
     time: Array, series: Array, ends: NDArray[np.int64], wanders: Array, memories_s: Array, likelihood: Array,
     variance: Array,
@@ -101,7 +102,7 @@ def _fill(
                 likelihood[i, j, k], variance[i, j, k] = value, sigma * sigma
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _likelihood(
     time: Array, series: Array, ends: NDArray[np.int64], wander: float, memory_s: float
 ) -> tuple[float, float]:
@@ -113,14 +114,16 @@ def _likelihood(
         begin, end = ends[flight], ends[flight + 1]
         middle = 0.5 * (time[begin] + time[end - 1])
         half = 0.5 * (time[end - 1] - time[begin])
-        carried[:] = 0.0
+        for j in range(3):
+            carried[j] = 0.0
         spread = wander
         a11, a12, a22, b1, b2, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(begin, end):
             if k > begin and wander > 0.0:
-                keep = np.exp(-(time[k] - time[k - 1]) / memory_s)
+                keep = exp(-(time[k] - time[k - 1]) / memory_s)
                 spread = keep * keep * spread + (1.0 - keep * keep) * wander
-                carried *= keep
+                for j in range(3):
+                    carried[j] *= keep
             row[0], row[1], row[2] = 1.0, (time[k] - middle) / half, series[k]
             variance = spread + 1.0
             gain = spread / variance
@@ -133,10 +136,10 @@ def _likelihood(
             b1 += row[0] * row[2] / variance
             b2 += row[1] * row[2] / variance
             cost += row[2] * row[2] / variance
-            volume += np.log(variance)
+            volume += log(variance)
             spread -= spread * gain
         determinant = max(a11 * a22 - a12 * a12, 1e-300)
         squares += cost - (a22 * b1 * b1 - 2.0 * a12 * b1 * b2 + a11 * b2 * b2) / determinant
         free += end - begin - 2.0
-        volume += np.log(determinant)
-    return free * np.log(squares / free) + volume, np.sqrt(squares / free)
+        volume += log(determinant)
+    return free * log(squares / free) + volume, sqrt(squares / free)

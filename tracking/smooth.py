@@ -5,18 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from ..model.rotations import continuous_sign
 from .joined import transition
 from .track import LOST, TRACKED, Track
 
+Array = NDArray[np.float64]
+
 SURE_POSITION_M, SURE_ROTATION_RAD = 5e-4, 0.035
 """A frame without a pose of its own, inside a flight, counts as tracked where the flight knows it this well (one sigma)."""
 
 
-def smooth(track: Track, throw: Throw) -> Track:
-    """The track with every pose replaced by that of its flight, with the flight's covariance.
+def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
+    """The track with every pose replaced by that of its flight, with the flight's covariance and, on top of it, that of
+    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.Measured.own`).
 
     Lost frames between tracked frames of one flight become tracked where the flight knows the pose well; frames before
     the first and after the last tracked one, and frames that were absent, stay as they are. Errors of neighbouring
@@ -36,6 +40,8 @@ def smooth(track: Track, throw: Throw) -> Track:
             continue
         M = transition(flight, float(track.time_s[k]))
         pose = (M @ flight.covariance @ M.T)[:6, :6]
+        if floor is not None:
+            pose = pose + floor[k]
         p, q = flight.poses(track.time_s[k : k + 1])
         if status[k] == LOST:
             alone = not np.any(track.tracked & (flight_of == flight_of[k]))

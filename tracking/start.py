@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.rotations import matrix_from_quat
+from .coarser import Coarseness
 from .edges import COARSE, new_desk
-from .pose import Pose, View, picture_scores, refine_pose
+from .pose import Pose, View, make_view, picture_scores, refine_pose, stacked
 from .segment import Blob, differing, largest_blob, without_shadow
 
 Array = NDArray[np.float64]
@@ -25,11 +26,16 @@ ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60
 GRID = 12_000
 """Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
 REFINED = 48
-MOST_KEPT, FEW_KEPT, WORSE = 24, 6, 0.3
-"""As many starts are handed on as score at most so much worse than the best, which other frames may yet turn round, and a
-few in any case."""
+FEW_KEPT, WORSE = 6, 0.3
+"""Starts are handed on that score at most so much worse than the best, which other frames may yet turn round, and a few in
+any case; never more than the view's quality says."""
 SEARCH_PIXELS = 1500
 """Pixels that judge a trial pose."""
+LARGEST_PX, SEARCHED_PX = 800, 400
+"""A die larger than the first is looked for in a smaller picture, where it is about as large as the second: neighbours of
+the grid lie some ten degrees apart, and no edge is looked for further away than some ten pixels."""
+SHARPEST_PX = 0.3
+"""Lens blur of a picture made smaller, at the least: the mean over a pixel."""
 LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
 
@@ -45,13 +51,33 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     corners = np.array([blob.box for blob in blobs])
     x0, y0 = (int(v) for v in corners[:, :2].min(0))
     x1, y1 = (int(v) for v in corners[:, 2:].max(0))
-    margin = int(0.2 * max(x1 - x0, y1 - y0)) + 6
+    size_px = max(x1 - x0, y1 - y0)
+    if size_px > LARGEST_PX:
+        return _found_in_smaller(view, images, round(size_px / SEARCHED_PX))
+    margin = int(0.2 * size_px) + 6
     width, height = view.camera.width_px, view.camera.height_px
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
-    apart = _apart(view, found)[:MOST_KEPT]
+    apart = _apart(view, found)[: view.quality.starts]
     return apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
+
+
+def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> list[tuple[float, Pose]]:
+    """The starts that pictures of a part of the size show, each refined on the whole ones."""
+    less = Coarseness(shrink=shrink)
+    sizes = [(camera.height_px, camera.width_px) for camera in view.cameras]
+    backgrounds, smaller = (
+        [less.picture(picture[:height, :width]) for picture, (height, width) in zip(pictures, sizes, strict=True)]
+        for pictures in (view.backgrounds, images)
+    )
+    small = make_view(
+        [less.camera(camera) for camera in view.cameras], view.die, backgrounds, view.noise_grey / shrink,
+        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=len(view.eyes.weight) > len(view.cameras),
+        quality=view.quality,
+    )  # fmt: skip
+    found = find_start(small, stacked(smaller))
+    return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in found]
 
 
 def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:

@@ -1,31 +1,39 @@
 """The command line: parse, call, print.
 
-Only typer is imported here. What computes is imported inside the commands, so that `--help` answers at once.
+Only typer is imported here, as in `printing` and `progress`. What computes is imported inside the commands, so that
+`--help` answers at once.
 """
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
-from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from .printing import (
+    print_analysis,
+    print_batch,
+    print_camera,
+    print_check,
+    print_joint_fit,
+    print_notices,
+    print_shot,
+    print_throw,
+    print_throws,
+    print_tracking,
+    print_trade,
+)
+from .progress import announce_for_workers, announcing, batch_bar, progress_bars
+
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from .analyze import Analysis
-    from .batch import Standing
-    from .check import Check
-    from .fit_many import FitOfMany
-    from .fitting.results import Parameter
     from .fitting.whole_throw import IntervalMethod
-    from .replay.trade_page import Trade
-    from .replays import ThrowRecording
     from .tracking.quality import Quality
 
 FAILED, MISUSED, INTERRUPTED = 1, 2, 130
@@ -135,13 +143,14 @@ def analyze(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .analyze import Shown
         from .analyze import analyze as analyze_scene
+        from .compiling import model_ahead
         from .tracking.coarser import Coarseness
 
         with _options_that_fit():
             chosen, method = _quality(quality), _interval_method(intervals)
         if trade_file is not None and chi_within is None:
             _stop("--trade without --chi-within; say how well χ is wanted, as in --chi-within 0.01", MISUSED)
-        with _progress() as progress:
+        with progress_bars() as progress:
             if chi_within is not None:
                 from .trade import setting_for
 
@@ -152,7 +161,7 @@ def analyze(
         how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
         how = (*how, *_given("--intervals", intervals, "profile"))
         drawn = (*_flag("--embed-replay", embed_replay), *_flag("--figures", figures))
-        with _progress() as progress:
+        with progress_bars() as progress, model_ahead():
             result = analyze_scene(
                 checked,
                 out,
@@ -164,7 +173,7 @@ def analyze(
                 progress=progress,
                 command=(*_command("analyze", scene, out, force, allow_outside), *how, *drawn),
             )
-        _print_analysis(result)
+        print_analysis(result)
 
 
 @app.command(epilog="Example:  diethrow track clips/cube_wood/scene.toml --out out/track")
@@ -186,7 +195,7 @@ def track(
         from .tracking.coarser import Coarseness
 
         how = ("--quality", quality, *_given("--every", every, 1), *_given("--shrink", shrink, 1))
-        with _progress() as progress:
+        with progress_bars() as progress:
             result = track_only(
                 checked,
                 out,
@@ -196,9 +205,7 @@ def track(
                 progress=progress,
                 command=(*_command("track", scene, out, force, allow_outside), *how),
             )
-        _print_notices(result.notices)
-        tracked, total = int(result.frames.tracked.sum()), len(result.frames)
-        typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
+        print_tracking(result, out)
 
 
 @app.command(
@@ -228,7 +235,7 @@ def fit(
                 _stop("--intervals with several tracks; a joint fit draws its intervals from the throws", MISUSED)
             from .fit_many import fit_tracks
 
-            with _executor(scheduler) as executor, _progress() as progress:
+            with _executor(scheduler) as executor, progress_bars() as progress:
                 many = fit_tracks(
                     tracks,
                     checked,
@@ -239,17 +246,17 @@ def fit(
                     progress=progress,
                     command=_as_typed(),
                 )
-            _print_joint_fit(many)
+            print_joint_fit(many)
             return
         from .analyze import fit_track
 
         how = _given("--intervals", intervals, "profile")
         command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *_options(out, force), *how)
-        with _progress() as progress:
+        with progress_bars() as progress:
             result = fit_track(
                 tracks[0], checked, out, force=force, intervals=method, progress=progress, command=command
             )
-        _print_analysis(result)
+        print_analysis(result)
 
 
 @app.command(
@@ -282,13 +289,13 @@ def predict(
         from .predict import predict_tracks, summary
 
         drawn = (DRAWS if len(tracks) == 1 else 0) if draws is None else draws
-        with _progress() as progress:
+        with progress_bars() as progress:
             made, left_out = predict_tracks(
                 tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
             )
         for line in summary(made, checked.die):
             typer.echo(line)
-        _print_notices(left_out)
+        print_notices(left_out)
         typer.echo(f"See {out}")
 
 
@@ -310,11 +317,9 @@ def throw(
         from .throw import throw as simulate
 
         command = (*_command("throw", plan, out, force), *_flag("--embed-replay", embed_replay))
-        with _announcing():
+        with announcing():
             result = simulate(checked, out, force=force, embed_replay=embed_replay, command=command)
-        face = "open" if result.landed_face is None else result.landed_face
-        typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
-        typer.echo(f"Look at it:  diethrow replay {out} --open")
+        print_throw(result, out)
 
 
 @app.command(
@@ -378,12 +383,11 @@ def film(
                 threads=threads or _cores(),
                 variant=variant,
             )
-        with _progress() as progress:
+        with progress_bars() as progress:
             shot = shoot(
                 checked, out, scene=seen, settings=settings, force=force, progress=progress, command=_as_typed()
             )
-        typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
-        typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
+        print_shot(shot, out)
 
 
 @app.command(
@@ -427,7 +431,7 @@ def replay(
         from .replays import find_recordings, gather, join
 
         found = find_recordings(throws)
-        _print_throws(found)
+        print_throws(found)
         shown = [one.path for one in found]
         if out is not None and out.suffix == ".rrd":
             same = join(found, out, align=align, models=models, force=force)
@@ -512,7 +516,7 @@ def odds(
         from .odds import odds as throw_often
         from .odds import summary
 
-        with _executor(scheduler) as executor, _progress() as progress:
+        with _executor(scheduler) as executor, progress_bars() as progress:
             tallies = throw_often(
                 plan,
                 out,
@@ -607,7 +611,7 @@ def basins(
         from .basins import basins as map_basins
         from .basins import summary
 
-        with _executor(scheduler) as executor, _progress() as progress:
+        with _executor(scheduler) as executor, progress_bars() as progress:
             mapped, measured = map_basins(
                 plan,
                 out,
@@ -680,7 +684,7 @@ def lyapunov(
         from .lyapunov import lyapunov as follow
         from .lyapunov import summary
 
-        with _progress() as progress:
+        with progress_bars() as progress:
             result = follow(plan, out, force=force, progress=progress, command=_as_typed())
         for line in summary(plan, result):
             typer.echo(line)
@@ -704,7 +708,7 @@ def paper(
 
         with _options_that_fit():
             plan = plan_of(quick, seed)
-        with _progress() as progress:
+        with progress_bars() as progress:
             command = _as_typed()
             result = replicate(plan, out, force=force, threads=threads or _cores(), progress=progress, command=command)
         for line in summary(result):
@@ -737,7 +741,9 @@ def batch(
         from .batch import run_batch
 
         _quality(quality)
-        with _executor(scheduler) as executor, _batch_progress() as progress:
+        if scheduler is None:
+            announce_for_workers()
+        with _executor(scheduler) as executor, batch_bar() as progress:
             result = run_batch(
                 scenes,
                 out,
@@ -748,12 +754,8 @@ def batch(
                 allow_outside=allow_outside,
                 progress=progress,
             )
-        for failure in result.failures:
-            typer.echo(f"failed: {failure.scene}: {failure.reason.removeprefix(failure.scene + ': ')}", err=True)
-        finished = f"{len(result.results)} of {len(result.results) + len(result.failures)} clips finished"
-        typer.echo(f"{finished}, {result.kept} of them before; see {out / 'results.csv'}")
+        print_batch(result, out)
         if result.failures:
-            typer.echo(f"{len(result.failures)} failed; see {out / 'failures.csv'}")
             raise typer.Exit(FAILED)
 
 
@@ -808,7 +810,7 @@ def trade(
         from .trade import trade as measure_trade
 
         how = ("--chi-within", str(chi_within), *_given("--coverage", coverage, 20))
-        with _progress() as progress:
+        with progress_bars() as progress:
             result = measure_trade(
                 checked,
                 out,
@@ -818,7 +820,7 @@ def trade(
                 progress=progress,
                 command=(*_command("trade", scene, out, force, allow_outside), *how),
             )
-        _print_trade(result)
+        print_trade(result)
         typer.echo(f"See {out / 'trade.html'}")
 
 
@@ -842,9 +844,9 @@ def check(
         checked = read_scene(scene, allow_outside=allow_outside)
         from .check import check_clip
 
-        with _announcing():
+        with announcing():
             result = check_clip(checked, out, force=force, command=_as_typed())
-        _print_check(result)
+        print_check(result)
         if out is not None:
             typer.echo(f"See {out / 'check.html'}")
         if result.bad:
@@ -888,19 +890,11 @@ def calibrate(
             printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
         from .calibrate import calibrate_camera
 
-        found = calibrate_camera(
-            pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
-        )
-        camera, errors = found.calibration, found.calibration.sigmas
-        typer.echo(
-            f"{len(camera.boards)} of {len(pictures) + (table is not None and table not in pictures)} pictures, residuals "
-            f"{camera.rms_px:.3g} px, focal length {camera.matrix[0, 0]:.6g} ± {errors[0]:.2g} px"
-        )
-        if found.table is not None:
-            x, y, z = 1e3 * found.table.camera.centre_m
-            typer.echo(f"The camera stands at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
-        _print_notices(found.notices)
-        typer.echo(f"Look at it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
+        with announcing():
+            found = calibrate_camera(
+                pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=_as_typed()
+            )
+        print_camera(found, len(pictures) + (table is not None and table not in pictures), out)
 
 
 @contextmanager
@@ -920,7 +914,7 @@ def _one_sentence_errors() -> Iterator[None]:
         from .outputs import OutputExistsError, OutputPlaceError
         from .settings import SceneError
 
-        _print_notices(tuple(getattr(error, "__notes__", ())))
+        print_notices(tuple(getattr(error, "__notes__", ())))
         misused = isinstance(error, (SceneError, OutputExistsError, OutputPlaceError))
         _stop(" ".join(str(error).split()) or type(error).__name__, MISUSED if misused else FAILED)
 
@@ -994,193 +988,6 @@ def _stems_from_interrupt(error: BaseException) -> bool:
 def _stop(sentence: str, status: int) -> NoReturn:
     typer.echo(f"diethrow: {sentence}", err=True)
     raise typer.Exit(status)
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each stage on standard error; nothing where that is not a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    with (
-        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
-        _announcing(),
-    ):
-        tasks: dict[str, TaskID] = {}
-
-        def tell(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                for earlier in tasks.values():
-                    bars.update(earlier, total=1, completed=1)
-                tasks[stage] = bars.add_task(stage, total=None)
-            bars.update(tasks[stage], completed=done, total=total or None)
-
-        yield tell
-        for task in tasks.values():
-            bars.update(task, total=1, completed=1)
-
-
-@contextmanager
-def _announcing() -> Iterator[None]:
-    """Say in one line that kernels are compiled, in the first run of an installation."""
-    from .compiling import announced
-
-    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
-        yield
-
-
-@contextmanager
-def _batch_progress() -> Iterator[Callable[[Standing], None]]:
-    """A bar with the time left on standard error; a line for each clip where that is not a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True)
-    columns = (
-        TextColumn("Clips"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.description}"),
-    )
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
-        clips = bars.add_task("", total=None)
-
-        def tell(standing: Standing) -> None:
-            failed = f"{standing.failed} failed, " if standing.failed else ""
-            left = "" if standing.left_s is None else f"about {_duration(standing.left_s)} left"
-            bars.update(clips, completed=standing.done, total=standing.total, description=f"{failed}{left}")
-            if not console.is_terminal:
-                told = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
-                typer.echo(f"{told}: {standing.last}", err=True)
-
-        yield tell
-
-
-def _duration(seconds: float) -> str:
-    """`40 s`, `12 min`, `3.5 h`."""
-    if seconds < 100:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
-
-
-def _print_analysis(result: Analysis) -> None:
-    """What came out, in a few lines."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}")
-    table.add_row("bounces", f"{len(result.measured.impacts)}, of which the model explains {result.fit.bounces_fitted}")
-    table.add_row("restitution χ", _restitution(result.fit.parameters["chi"]))
-    if result.fit.residual_rms is not None:
-        table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
-    table.add_row("report", str(result.folder / "report.html"))
-    table.add_row("look at it", f"diethrow replay {result.folder} --open")
-    Console(highlight=False, markup=False, soft_wrap=True).print(table)
-    _print_notices((*result.notices, *result.fit.messages))
-
-
-def _print_joint_fit(result: FitOfMany) -> None:
-    """What the throws share, in a few lines."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("throws", f"{len(result.fit.throws)} fitted, {len(result.left_out)} left out")
-    for name, parameter in result.fit.parameters.items():
-        table.add_row(name, _with_interval(parameter))
-    table.add_row("see", str(result.folder / "fit.json"))
-    Console(highlight=False, markup=False, soft_wrap=True).print(table)
-    _print_notices((*result.fit.messages, *result.left_out))
-
-
-def _print_throws(found: Sequence[ThrowRecording]) -> None:
-    """One row a throw."""
-    from rich.console import Console
-    from rich.table import Table
-
-    from .replay.words import short_interval
-
-    table = Table(box=None, pad_edge=False)
-    for name in ("throw", "χ (95 % interval)", "σ", "face", "verdict"):
-        table.add_column(name, no_wrap=name != "throw", overflow="fold")
-    for one in found:
-        said = one.properties
-        chi = short_interval(*(said.get(name) for name in ("chi", "chi_low", "chi_high")))
-        rms = said.get("residual_rms")
-        cells = ("" if rms is None else f"{rms:.2f}", str(said.get("landed_face", "")), str(said.get("verdict", "")))
-        table.add_row(one.name, chi if "chi" in said else "", *cells)
-    Console(highlight=False, markup=False, soft_wrap=True).print(table)
-
-
-def _with_interval(parameter: Parameter) -> str:
-    """The value with its interval, in four digits."""
-    if parameter.low is None or parameter.high is None or parameter.level is None:
-        return f"{parameter.value:.4g}, no interval"
-    return f"{parameter.value:.4g}  ({100 * parameter.level:.0f} %: {parameter.low:.4g} to {parameter.high:.4g})"
-
-
-def _print_trade(result: Trade) -> None:
-    """Every setting in a line, those on the front marked, and the one to use."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for heading in ("", "setting", "a second", "χ", "±", "off by", "coverage"):
-        table.add_column(heading)
-    for s in result.settings:
-        chi = "" if s.chi is None else f"{s.chi:.5f}"
-        width = "" if s.half_width is None else f"{s.half_width:.1e}"
-        off = s.error if s.kind == "model" else s.chi_error
-        covered = "" if s.coverage is None else f"{s.coverage:.0%}"
-        wrong = "" if off is None else f"{off:.1e}"
-        table.add_row("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered)
-    console = Console(highlight=False, markup=False, soft_wrap=True)
-    console.print(table)
-    console.print(result.advice)
-
-
-def _print_check(result: Check) -> None:
-    """Every finding in a row."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
-    table.add_column("")
-    table.add_column("verdict")
-    table.add_column("measured", overflow="fold")
-    table.add_column("what to change", overflow="fold")
-    styles = {"good": "green", "doubtful": "yellow", "bad": "bold red"}
-    for finding in result.findings:
-        word = finding.verdict.value
-        table.add_row(finding.name, f"[{styles[word]}]{word}[/]", *_plain_cells(finding.measured, finding.advice))
-    Console(highlight=False).print(table)
-
-
-def _plain_cells(*texts: str) -> tuple[str, ...]:
-    """Texts that must not be taken for markup."""
-    from rich.markup import escape
-
-    return tuple(escape(text) for text in texts)
-
-
-def _restitution(chi: Parameter) -> str:
-    """The value with its interval, in as many digits as the interval bears."""
-    if chi.value is None:
-        return "not determined"
-    if chi.low is None or chi.high is None or chi.level is None:
-        return f"{chi.value:.4f}, no interval"
-    width = chi.high - chi.low
-    digits = 4 if width <= 0 else min(max(3, 1 - floor(log10(width))), 9)
-    return f"{chi.value:.{digits}f}  ({100 * chi.level:.0f} %: {chi.low:.{digits}f} to {chi.high:.{digits}f})"
-
-
-def _print_notices(sentences: tuple[str, ...]) -> None:
-    for sentence in sentences:
-        typer.echo(f"note: {sentence}", err=True)
 
 
 def _quality(name: str) -> Quality:

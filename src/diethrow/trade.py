@@ -1,10 +1,12 @@
 """`diethrow trade`: speed against accuracy on one's own scene, measured.
 
-Three trades, each from coarse to fine:
+Four trades:
 
 - **Tracking**: the clip is followed at every quality, with all or every n-th frame, at its own or a smaller size; each
   track is fitted. Told are frames of the clip a second, how far poses and χ are from the finest run (or from the truth,
   where a `truth.toml` stands beside the scene), and the width of the χ interval.
+- **Work**: the standard quality with one of its numbers changed: pixel lines walked, pixels that judge a pose, first poses
+  and rivals that race, steps a frame. Told is the same.
 - **Fit**: on the finest track, χ from the bounces one by one, and from the whole throw with each kind of interval. Told
   are seconds, width, and coverage: the share of tracks, simulated from the fit with the frames' own covariances, whose
   interval holds the χ that made them.
@@ -32,6 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .analyze import Progress, RunError, Tracking, check_scene, input_paths, silent, track_scene
+from .executors import one_thread
 from .fitting.flights import fit_flights, moved_state
 from .fitting.impulses import common_restitution, measure_bounces
 from .fitting.results import Fit, Parameter
@@ -48,8 +51,8 @@ from .outputs import whole_folder
 from .provenance import Stopwatch, steady, write_provenance
 from .replay.trade_page import Setting, Trade, fastest_within, trade_page, write_fronts
 from .scene import Scene
-from .tracking.coarser import Coarseness
-from .tracking.quality import QUALITIES
+from .tracking.coarser import WHOLE, Coarseness
+from .tracking.quality import QUALITIES, STANDARD, Quality
 from .tracking.rest import frames_in_flight
 from .tracking.track import Track
 
@@ -77,6 +80,21 @@ LADDER: tuple[tuple[str, int, int], ...] = (
 
 FIRST_OF_LADDER = ("standard", 1, 1)
 """Run once without a clock: what is compiled or read from the cache is no part of a speed."""
+
+WORK: tuple[tuple[str, Quality], ...] = (
+    ("every pixel line while the die is followed, not every second", replace(STANDARD, chase_stride=1)),
+    ("every fourth pixel line", replace(STANDARD, chase_stride=4)),
+    ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
+    ("200 pixels judge a pose, not 800", replace(STANDARD, judging_pixels=200)),
+    ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
+    ("1 first pose, not up to 24", replace(STANDARD, starts=1)),
+    ("6 first poses", replace(STANDARD, starts=6)),
+    ("no rival where the motion breaks off, not all", replace(STANDARD, rivals=0)),
+    ("6 rivals", replace(STANDARD, rivals=6)),
+    ("2 steps a frame, not 4", replace(STANDARD, fine_steps=2)),
+    ("8 steps", replace(STANDARD, fine_steps=8, enough=1e-3)),
+)
+"""The standard quality but for one number."""
 
 STEPS_S = (1e-3, 1e-4, 1e-5)
 """Fixed steps; the longest is what general engines take."""
@@ -111,7 +129,7 @@ def trade(
     check_scene(scene)
     paths = input_paths(scene)
     with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
-        with watch.stage("trade"):
+        with one_thread(), watch.stage("trade"):
             measured = _measured(scene, within, draws, progress)
         _write(folder, scene.path.resolve().parent.name, measured)
         write_provenance(
@@ -151,12 +169,12 @@ def setting_for(
     for k, (quality, every, shrink) in enumerate(LADDER):
         progress("Choosing a setting", k, len(LADDER))
         try:
-            run = _tracked(scene, quality, every, shrink)
+            run = track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
         except RunError:
             if k == len(LADDER) - 1:
                 raise
             continue
-        width = _as_setting((quality, every, shrink), run, None, None).half_width
+        width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
         if width is not None and width <= 0.5 * within:
             return quality, Coarseness(every, shrink)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
@@ -170,28 +188,34 @@ def setting_for(
 
 
 def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Trade:
-    total = len(LADDER) + 1
+    total = len(LADDER) + len(WORK) + 1
     progress("Tracking", 0, total)
-    _tracked(scene, *FIRST_OF_LADDER)
-    runs: list[tuple[tuple[str, int, int], _Run | str]] = []
-    for k, choice in enumerate(reversed(LADDER)):
+    quality, every, shrink = FIRST_OF_LADDER
+    track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
+    tries = [(choice, QUALITIES[choice[0]], Coarseness(*choice[1:])) for choice in reversed(LADDER)]
+    runs: list[tuple[tuple[str, int, int], Run | str]] = []
+    for k, (choice, of_choice, coarseness) in enumerate(tries):
         progress("Tracking", k + 1, total)
-        try:
-            runs.append((choice, _tracked(scene, *choice)))
-        except RunError as error:
-            if k == 0:
-                raise
-            runs.append((choice, str(error)))
+        run = _run_or_reason(scene, of_choice, coarseness)
+        if k == 0 and isinstance(run, str):
+            raise RunError(run)
+        runs.append((choice, run))
     finest = runs[0][1]
-    assert isinstance(finest, _Run)
+    assert isinstance(finest, Run)
+    work: list[tuple[str, Run | str]] = []
+    for k, (name, changed) in enumerate(WORK):
+        progress("Tracking", len(LADDER) + 1 + k, total)
+        work.append((name, _run_or_reason(scene, changed, WHOLE)))
     truth = _true_chi(scene)
     chi = truth if truth is not None else finest.fit.parameters["chi"].value
     reference = "the truth beside the scene" if truth is not None else "the finest run"
-    tracking = [_as_setting(choice, run, finest, chi) for choice, run in runs]
+    tracking = [setting_of(*named(choice), run, finest, chi) for choice, run in runs]
+    parts = [setting_of(name, (), run, finest, chi, kind="work") for name, run in work]
     fits = list(_fits(finest, chi, draws, progress))
     model = list(_models(finest, progress))
     settings = [
         *with_front(tracking, lambda s: s.doubt),
+        *with_front(parts, lambda s: s.doubt),
         *with_front(fits, lambda s: s.half_width),
         *with_front(model, lambda s: s.error),
     ]
@@ -199,7 +223,7 @@ def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Tr
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class Run:
     """One tracking of the clip with its fit."""
 
     tracking: Tracking
@@ -207,31 +231,53 @@ class _Run:
     frames: int
     """Of the clip, whether they were used or not."""
     seconds: float
+    """Of the processor."""
 
     @property
     def in_flight(self) -> Track:
+        """The frames that a model may be fitted to."""
         return frames_in_flight(self.tracking.straight, self.tracking.measured)
 
 
-def _tracked(scene: Scene, quality: str, every: int, shrink: int) -> _Run:
-    """Follow the die and fit the throw, against the clock of the processor."""
+def track_and_fit(scene: Scene, quality: Quality, coarseness: Coarseness = WHOLE) -> Run:
+    """Follow the die and fit the throw, against the clock of the processor. Raises RunError where no die is found."""
     began = time.process_time()
-    tracking = track_scene(scene, quality=QUALITIES[quality], coarseness=Coarseness(every, shrink))
+    tracking = track_scene(scene, quality=quality, coarseness=coarseness)
     fit = fit_throw(frames_in_flight(tracking.straight, tracking.measured), tracking.measured, tracking.die)
     seconds = time.process_time() - began
-    return _Run(tracking, fit, every * len(tracking.frames), seconds)
+    return Run(tracking, fit, coarseness.every * len(tracking.frames), seconds)
 
 
-def _as_setting(choice: tuple[str, int, int], run: _Run | str, finest: _Run | None, chi: float | None) -> Setting:
+def _run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run | str:
+    try:
+        return track_and_fit(scene, quality, coarseness)
+    except RunError as error:
+        return str(error)
+
+
+def named(choice: tuple[str, int, int]) -> tuple[str, tuple[str, ...]]:
+    """The name of a rung of the ladder, and the options of `diethrow analyze` that choose it."""
     quality, every, shrink = choice
     name = f"{quality}, {_ordinal(every)} frame, {'full size' if shrink == 1 else f'1/{shrink} of the size'}"
     less = [("--every", every), ("--shrink", shrink)]
-    options = ("--quality", quality, *(text for o, n in less if n > 1 for text in (o, str(n))))
+    return name, ("--quality", quality, *(text for o, n in less if n > 1 for text in (o, str(n))))
+
+
+def setting_of(
+    name: str,
+    options: tuple[str, ...],
+    run: Run | str,
+    finest: Run | None,
+    chi: float | None,
+    *,
+    kind: str = "tracking",
+) -> Setting:
+    """What a run gave, beside the finest one and the χ of reference; or, in words, why it gave nothing."""
     if isinstance(run, str):
-        return Setting("tracking", name, 0.0, 0.0, None, options=options, why_not=run)
+        return Setting(kind, name, 0.0, 0.0, None, options=options, why_not=run)
     found = run.fit.parameters["chi"]
     return Setting(
-        "tracking",
+        kind,
         name,
         run.frames / run.seconds,
         run.seconds,
@@ -245,7 +291,7 @@ def _as_setting(choice: tuple[str, int, int], run: _Run | str, finest: _Run | No
     )
 
 
-def _corners_apart_mm(run: _Run, finest: _Run) -> float | None:
+def _corners_apart_mm(run: Run, finest: Run) -> float | None:
     """Median distance [mm] of the die's corners from those of the finest run, on the frames that both have."""
     one, other = run.tracking.smoothed, finest.tracking.smoothed
     _, a, b = np.intersect1d(one.frame[one.tracked], other.frame[other.tracked], return_indices=True)
@@ -285,7 +331,7 @@ def _true_chi(scene: Scene) -> float | None:
 # --- fits -------------------------------------------------------------------------------------------------------------
 
 
-def _fits(finest: _Run, chi: float | None, draws: int, progress: Progress) -> Iterator[Setting]:
+def _fits(finest: Run, chi: float | None, draws: int, progress: Progress) -> Iterator[Setting]:
     """χ by each method on the finest track, and its coverage on tracks made from the fit."""
     tracks = list(_again(finest, draws)) if finest.fit.bounces_fitted else []
     made_with = finest.fit.parameters["chi"].value
@@ -336,7 +382,7 @@ def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
     return Parameter(value, max(low, 0.0), min(high, 1.0), LEVEL_OF_INTERVALS, True, False)
 
 
-def _again(finest: _Run, draws: int) -> Iterator[Track]:
+def _again(finest: Run, draws: int) -> Iterator[Track]:
     """The track, as the fitted throw would have been tracked: errors drawn from the frames' own covariances."""
     throw, track = finest.fit.throw, finest.in_flight
     assert throw is not None
@@ -357,7 +403,7 @@ def _again(finest: _Run, draws: int) -> Iterator[Track]:
 # --- the model --------------------------------------------------------------------------------------------------------
 
 
-def _models(finest: _Run, progress: Progress) -> Iterator[Setting]:
+def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
     """Throws like the fitted one, by events and in steps."""
     fit, die = finest.fit, finest.tracking.die
     chi = fit.parameters["chi"].value

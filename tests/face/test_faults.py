@@ -14,11 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from footage_files import noisy_frames, write_cine, write_photron, write_pictures, write_tiff
-from numba import njit
 
 import diethrow.provenance
 from diethrow.analyze import track_only
-from diethrow.compiling import SENTENCE, announced
 from diethrow.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
 from diethrow.provenance import InputChangedError, files_read, steady
 from diethrow.scene import read_scene
@@ -186,32 +184,3 @@ def test_a_file_and_its_lock_exclude_each_other(tmp_path: Path, monkeypatch: pyt
     with locked(tmp_path / "a.csv"), pytest.raises(OutputBusyError), whole_file(tmp_path / "a.csv"):
         pytest.fail("two runs write one file")
     assert list(tmp_path.iterdir()) == []
-
-
-# --- compilation ---
-
-
-def test_compilation_is_announced_once_and_only_of_what_is_kept() -> None:
-    def twice(x: float) -> float:
-        return 2.0 * x
-
-    twice.__module__ = "diethrow.model.kernels"
-    fresh, again = njit(twice), njit(twice)
-    said: list[str] = []
-    with announced(said.append):
-        assert fresh(1.0) == 2.0  # compiled in every run: no word of it
-        assert said == []
-        again._cache = _Kept()
-        assert again(1.0) == 2.0
-        assert again(1) == 2
-    assert said == [SENTENCE]
-
-
-class _Kept:
-    """A cache that is always empty."""
-
-    def load_overload(self, *_: object) -> None:
-        return None
-
-    def save_overload(self, *_: object) -> None:
-        pass

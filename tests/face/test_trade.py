@@ -72,6 +72,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trade, Path]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(trades, "LADDER", (("fast", 4, 2), ("fast", 1, 1)))
         patch.setattr(trades, "FIRST_OF_LADDER", ("fast", 4, 2))
+        patch.setattr(trades, "WORK", trades.WORK[6:7])
         patch.setattr(trades, "THROWS", 20)
         patch.setattr(trades, "STEPS_S", (1e-3,))
         return trade(read_scene(SAMPLE), out, draws=1), out
@@ -79,8 +80,8 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trade, Path]:
 
 def test_every_trade_is_measured(measured: tuple[Trade, Path]) -> None:
     found, _ = measured
-    assert [len(found.of(kind)) for kind in ("tracking", "fit", "model")] == [2, 4, 5]
-    for s in found.of("tracking"):
+    assert [len(found.of(kind)) for kind in ("tracking", "work", "fit", "model")] == [2, 1, 4, 5]
+    for s in (*found.of("tracking"), *found.of("work")):
         assert s.rate > 0.0
         assert s.chi == pytest.approx(0.5829, abs=0.02)
     exact = found.of("model")[0]

@@ -36,7 +36,7 @@ def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
         true = tossed().at(k / FPS)
         turned = rotation_between(quat_from_matrix(pose.rotation), true.quaternion)
         errors.append(np.concatenate([true.position_m - pose.position_m, turned]))
-        C = np.linalg.inv(pose.information) + shared_covariance(marks, 0, k / FPS)
+        C = np.linalg.inv(pose.information) + shared_covariance(VIEW, marks, 0, k / FPS)
         squares.append(errors[-1] @ np.linalg.solve(C, errors[-1]))
     return np.array(errors), np.array(squares)
 

@@ -251,3 +251,27 @@ def test_rounded_corners_are_allowed_more_of_it() -> None:
     track = seen(throw, rng)
     camera = studio().camera
     assert (shared_sigma(track, camera, ROUND) > 2.0 * shared_sigma(track, camera, CUBE)).all()
+
+
+def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_known_with_the_nearest() -> None:
+    """A shared error along a line of sight that turns would, as one covariance for all frames, deny the sideways part."""
+    throw, rng = lone(1)
+    track, camera = seen(throw, rng), studio().camera
+    rays = track.position_m - camera.centre_m
+    along = 1e-4 * rays / np.linalg.norm(rays, axis=1)[:, None]
+    shared = np.zeros((len(track), 6, 6))
+    shared[:, :3, :3] = along[:, :, None] * along[:, None]
+    shared[1::2] = np.nan
+    found = measure(replace(track, shared=shared), CUBE, camera)
+    told = smooth(track, found.own, found.floor).covariance - smooth(track, found.own).covariance
+    even = np.flatnonzero(track.tracked[:-1])[::2]
+    even = even[even % 2 == 0]
+    np.testing.assert_allclose(told[even], shared[even], atol=1e-15)
+    # Nearest of an odd frame are both its neighbours; the later one is taken.
+    np.testing.assert_allclose(told[even[:-1] + 1], shared[even[:-1] + 2], atol=1e-15)
+    # A flight as a whole takes the middling one of its frames.
+    flight = found.throw.flights[0]
+    assert flight.covariance is not None
+    assert found.own.flights[0].covariance is not None
+    floor = (flight.covariance - found.own.flights[0].covariance)[:3, :3]
+    assert np.abs(shared[even][:, :3, :3] - floor).max(axis=(1, 2)).min() < 1e-15

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, Studio, film, photograph, studio
+from footage_of_throws import DICE, FPS, ArrayClip, Studio, film, photograph, pips, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
@@ -14,7 +14,9 @@ from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import symmetry_rotations
 from diethrow.tracking.camera import Camera
+from diethrow.tracking.faces import read_faces
 from diethrow.tracking.follow import follow, look_through
 from diethrow.tracking.offsets import eyes_at
 from diethrow.tracking.pose import MIRRORED, Pose, View, make_view, refine_pose, stacked, with_reflections
@@ -182,3 +184,31 @@ def test_a_late_camera_is_a_synchronised_one_in_another_place() -> None:
         now = CUBE.solid.vertices @ state.rotation.T + state.position_m
         # Gravity over the offset is left out: g δ²/2 is 0.2 µm.
         np.testing.assert_allclose(moved.rotation[e] @ now.T + moved.translation[e][:, None], truly, atol=3e-7)
+
+
+def test_the_numbers_are_read_where_several_cameras_track() -> None:
+    cube, side, rng = replace(CUBE, marks="pips"), from_the_side(ROOM), np.random.default_rng(5)
+    start = State(
+        0.0, np.array([0.0, 0.0, 0.018]), np.array([0.8, 0.3, 0.4, 0.33]), np.array([0.0, 0.0, 0.15]),
+        np.array([60.0, 45.0, 30.0]),
+    )  # fmt: skip
+    times = np.arange(60) / FPS
+    states = [Flight(start, np.inf).at(float(t)) for t in times]
+    clips = []
+    for room in (ROOM, side):
+        frames = [np.clip(photograph(room, cube, state, rng, pips(cube)), 0, 255) for state in states]
+        clips.append(ArrayClip(np.rint(frames).astype(np.uint8), times, 8))
+    followed = look_through(clips, [ROOM.camera, side.camera], cube, background=[ROOM.table, side.table])
+    read = read_faces(cube, followed.marks)
+    claimed = [number for number in read.numbers if number is not None]
+    # Two faces are hardly seen by the first camera, whose pictures are read.
+    assert len(claimed) >= 4
+    assert len(set(claimed)) == len(claimed)
+    # Which face is called the first is open; from there on all must be what was painted.
+    turns = symmetry_rotations(cube.solid)
+    normals = cube.solid.normals
+    painted = [
+        np.array([int(np.argmin(np.linalg.norm(normals - n @ turn.T, axis=1))) + 1 for n in normals]) for turn in turns
+    ]
+    assert any(all(n is None or n == one[f] for f, n in enumerate(read.numbers)) for one in painted)
+    assert followed.track.shared is None

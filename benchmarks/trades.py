@@ -1,0 +1,291 @@
+"""Speed against accuracy, measured and published: `python benchmarks/trades.py` writes docs/trades.md and its pictures.
+
+Tracking and its work, on the clips in data_samples: every setting that `diethrow trade` tries, followed and fitted. χ is
+compared with the truth that is kept in tests/data. The model, on the throws of `benchmarks/peers.py`: by events at several
+tolerances, in fixed steps in double and single precision, and, where they are installed (`pip install mujoco==4.0.0
+dartpy==6.20.0`), MuJoCo and DART at two steps; faces are compared with those of exact events.
+
+Speeds are ratios of processor time to a setting that runs in the same round, so that what else a machine does weighs on both:
+median and range over the rounds. What is compiled or read from a disk is no part of a speed: the model's ways all run once
+before the first round, and of a clip's settings the default does, which needs every kernel.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tomllib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib import pyplot as plt
+from numpy.typing import NDArray
+from peers import DIE, ENGINES, cpu_seconds, installed, landed_faces, our_faces, releases
+
+from diethrow.analyze import RunError
+from diethrow.executors import one_thread
+from diethrow.model.ensembles import Stage
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.simulate import Precision
+from diethrow.model.stepping import stepped_landings
+from diethrow.replay.trade_page import Setting, speed_against_doubt
+from diethrow.scene import Scene, read_scene
+from diethrow.tracking.coarser import WHOLE, Coarseness
+from diethrow.tracking.quality import QUALITIES, Quality
+from diethrow.trade import LADDER, STEPS_S, TOLERANCES_M, WORK, Run, named, setting_of, track_and_fit, with_front
+
+Faces = NDArray[np.int64]
+
+ROOT = Path(__file__).parents[1]
+CLIPS = ("cube_wood", "cube_mirror", "icosahedron_cork", "tetrahedron_wood")
+ROUNDS = 3
+THROWS = 200
+CHI = 0.5
+PEER_STEPS_S = (1e-3, 2.5e-4)
+DEFAULT = ("standard", 1, 1)
+FINEST = LADDER[-1]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", nargs="+", choices=CLIPS, default=list(CLIPS))
+    parser.add_argument("--rounds", type=int, default=ROUNDS, help="in each of which everything runs (%(default)s)")
+    parser.add_argument("--throws", type=int, default=THROWS, help="of each engine in a round (%(default)s)")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page (%(default)s)")
+    chosen = parser.parse_args(arguments)
+    told = {
+        name: vars(chosen)[name]
+        for name in ("clips", "rounds", "throws")
+        if vars(chosen)[name] != parser.get_default(name)
+    }
+    command = " ".join(
+        ["python benchmarks/trades.py", *(f"--{name} {as_words(value)}" for name, value in told.items())]
+    )
+    matplotlib.use("Agg")
+    with one_thread():
+        model = measured_model(chosen.rounds, chosen.throws)
+        clips = {name: measured_clip(name, chosen.rounds) for name in chosen.clips}
+    for name, rows in clips.items():
+        draw(chosen.out / f"trades_{name}.svg", [r for r in rows if not r.is_work], "χ may be off by")
+    draw(chosen.out / "trades_model.svg", model, "share on another face")
+    (chosen.out / "trades.md").write_text(page(command, chosen.rounds, chosen.throws, clips, model), encoding="utf-8")
+    return 0
+
+
+def as_words(value: object) -> str:
+    """As it stands on a command line."""
+    return " ".join(value) if isinstance(value, list) else str(value)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A setting, over all rounds."""
+
+    setting: Setting
+    """Its rate is the median of `speeds`."""
+    speeds: tuple[float, ...]
+    """Of the default's, in each round."""
+    is_work: bool = False
+
+
+def over_rounds(settings: Sequence[Setting], seconds: NDArray[np.float64], default: int) -> list[Row]:
+    """Rows from the processor times (rounds, settings) [s]; NaN for a setting that gave nothing."""
+    speeds = seconds[:, default, None] / seconds
+    middle = np.median(speeds, axis=0)
+    return [
+        Row(replace(s, rate=float(m) if np.isfinite(m) else 0.0), tuple(speeds[:, k]), s.kind == "work")
+        for k, (s, m) in enumerate(zip(settings, middle, strict=True))
+    ]
+
+
+# --- clips ------------------------------------------------------------------------------------------------------------
+
+
+def measured_clip(name: str, rounds: int) -> list[Row]:
+    """Every setting on one clip, by turns."""
+    scene = read_scene(ROOT / "data_samples" / name / "scene.toml")
+    truth = tomllib.loads((ROOT / "tests" / "data" / name / "truth.toml").read_text(encoding="utf-8"))
+    chi = float(truth["truth"]["chi"])
+    tries: list[tuple[str, tuple[str, ...], Quality, Coarseness, str]] = [
+        (*named(choice), QUALITIES[choice[0]], Coarseness(*choice[1:]), "tracking") for choice in LADDER
+    ]
+    tries += [(what, (), quality, WHOLE, "work") for what, quality in WORK]
+    seconds = np.full((rounds, len(tries)), np.nan)
+    found: list[Run | str] = []
+    run_or_reason(scene, QUALITIES[DEFAULT[0]], Coarseness(*DEFAULT[1:]))
+    for k in range(rounds):
+        found.clear()
+        for j, (what, _, quality, coarseness, _) in enumerate(tries):
+            print(f"{name}, round {k + 1} of {rounds}: {what}", file=sys.stderr, flush=True)
+            run = run_or_reason(scene, quality, coarseness)
+            found.append(run)
+            if isinstance(run, Run):
+                seconds[k, j] = run.seconds
+    finest = found[LADDER.index(FINEST)]
+    settings = [
+        setting_of(what, options, run, finest if isinstance(finest, Run) else None, chi, kind=kind)
+        for (what, options, _, _, kind), run in zip(tries, found, strict=True)
+    ]
+    rows = over_rounds(settings, seconds, LADDER.index(DEFAULT))
+    return [*marked([r for r in rows if not r.is_work]), *marked([r for r in rows if r.is_work])]
+
+
+def run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run | str:
+    """A run, or why there is none."""
+    try:
+        return track_and_fit(scene, quality, coarseness)
+    except RunError as error:
+        return str(error).removeprefix(f"{scene.path}: ")
+
+
+def marked(rows: Sequence[Row], badness: Callable[[Setting], float | None] = lambda s: s.doubt) -> list[Row]:
+    """The rows with those on the front marked."""
+    return [replace(r, setting=s) for r, s in zip(rows, with_front([r.setting for r in rows], badness), strict=True)]
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def measured_model(rounds: int, throws: int) -> list[Row]:
+    """The same throws in all ways, by turns; the first way is ours as it comes."""
+    starts = releases(throws, 1)
+    law = SmoothImpact(CHI)
+    ways: list[tuple[str, int, Callable[[], Faces]]] = []
+    for tolerance in TOLERANCES_M:
+        stage = Stage(DIE, law, precision=Precision(root_m=tolerance))
+        # About as long as the others take.
+        many = np.tile(starts, (50, 1))
+        ways.append((f"diethrow, events, roots to {tolerance:.0e} m", 50, partial(by_events, stage, many)))
+    for step_s in STEPS_S:
+        for single in (False, True):
+            name = f"diethrow, steps of {1e6 * step_s:g} µs, {'single' if single else 'double'} precision"
+            ways.append((name, 1, partial(stepped_landings, DIE, CHI, starts, step_s, single=single)))
+    for name, make in installed(list(ENGINES)).items():
+        for step_s in PEER_STEPS_S:
+            ways.append((f"{name}, steps of {1e6 * step_s:g} µs", 1, partial(by_engine, make(CHI, step_s), starts)))
+    exact = our_faces(starts, CHI) + 1
+    seconds = np.full((rounds, len(ways)), np.nan)
+    faces = [way() for _, _, way in ways]
+    for k in range(rounds):
+        for j, (name, times, way) in enumerate(ways):
+            print(f"model, round {k + 1} of {rounds}: {name}", file=sys.stderr, flush=True)
+            seconds[k, j] = max(cpu_seconds(way), 1e-9) / times
+    settings = [
+        Setting("model", name, 0.0, 0.0, float((found[:throws] != exact).mean()))
+        for (name, _, _), found in zip(ways, faces, strict=True)
+    ]
+    return marked(over_rounds(settings, seconds, 0), lambda s: s.error)
+
+
+def by_events(stage: Stage, starts: NDArray[np.float64]) -> Faces:
+    """Numbers of the faces."""
+    return np.asarray(stage.throw(starts).face)
+
+
+def by_engine(engine: object, starts: NDArray[np.float64]) -> Faces:
+    """The same of another engine; 0 for none."""
+    return np.asarray(landed_faces(engine, starts)) + 1  # type: ignore[arg-type]
+
+
+# --- the page ---------------------------------------------------------------------------------------------------------
+
+
+def draw(path: Path, rows: Sequence[Row], y: str) -> None:
+    """The front as a small SVG."""
+    badness: Callable[[Setting], float | None] = (
+        (lambda s: s.error) if path.stem == "trades_model" else (lambda s: s.doubt)
+    )
+    with plt.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem, "font.size": 9.0}):
+        figure, ax = plt.subplots(figsize=(7.2, 3.2), layout="constrained")
+        speed_against_doubt(ax, [r.setting for r in rows], badness, "times the speed of the default", y)
+        figure.savefig(path, metadata={"Date": None})
+        plt.close(figure)
+
+
+def page(command: str, rounds: int, throws: int, clips: dict[str, list[Row]], model: list[Row]) -> str:
+    """The page as Markdown."""
+    parts = [
+        f"""# Speed against accuracy
+
+What a choice between faster and finer costs and gains, measured on the clips in `data_samples` and beside other engines:
+`diethrow trade SCENE` does the same on one's own scene and names the setting to use. This page was written by
+
+```sh
+{command}
+```
+
+Speed is a ratio to the default on the same machine in the same round, by the time of one processor: the median of {rounds}
+rounds in which everything runs by turns, and in brackets the range. In bold is what nothing beats in both speed and accuracy;
+numbers in the pictures are those of the tables, right is faster, low is better.
+
+## Tracking and fit
+
+The default is `--quality standard` on the whole clip. χ is that of the whole way from clip to fit; *off by* is its distance
+from the truth with which the clip was rendered. Corners are compared with those of the finest run. Below the line, the standard
+quality has one of its numbers changed: pixel lines walked along the edges and pixels that judge a pose are what is looked at;
+first poses and rivals are hypotheses.
+"""
+    ]
+    for name, rows in clips.items():
+        ladder, work = [r for r in rows if not r.is_work], [r for r in rows if r.is_work]
+        parts.append(f"### {name}\n\n![Speed against the doubt of χ](trades_{name}.svg)\n")
+        parts.append(table(["", "setting", "speed", "χ", "95 %", "off by", "corners [mm]"], clip_cells(ladder)))
+        parts.append(table(["", "standard, but", "speed", "χ", "95 %", "off by", "corners [mm]"], clip_cells(work)))
+        reasons = [f"- {r.setting.name}: {r.setting.why_not}" for r in rows if r.setting.why_not is not None]
+        if reasons:
+            parts.append("χ stays open:\n\n" + "\n".join(reasons) + "\n")
+    parts.append(
+        f"""## Model, beside other engines
+
+{throws} throws of a cube of 2 cm from 0.3 m at 40 rad/s, χ = {CHI:g}, no friction, until the face is decided. The engines are
+set up as `benchmarks/peers.py` says, each as near to a rigid impact as it comes; what that script prints is how their states
+agree impact by impact. The default is events with roots to {TOLERANCES_M[0]:.0e} m; by chance one throw in six lands alike.
+
+![Speed against the share of throws on another face](trades_model.svg)
+"""
+    )
+    cells = [[str(k), r.setting.name, ratio(r), f"{r.setting.error or 0.0:.1%}"] for k, r in enumerate(model, start=1)]
+    parts.append(
+        table(["", "way", "speed", "on another face"], [bold(c, r) for c, r in zip(cells, model, strict=True)])
+    )
+    return "\n".join(parts)
+
+
+def clip_cells(rows: Sequence[Row]) -> list[list[str]]:
+    """The rows of a clip, with the numbers of the picture."""
+    cells, number = [], 0
+    for row in rows:
+        s = row.setting
+        number += s.why_not is None
+        if s.why_not is not None or s.chi is None or s.chi_low is None or s.chi_high is None:
+            cells.append(["", s.name, ratio(row), "open", "", "", "" if s.error is None else f"{s.error:.2g}"])
+            continue
+        told = [f"{s.chi:.4f}", f"{s.chi_low:.4f} to {s.chi_high:.4f}", f"{s.chi_error or 0.0:.1e}"]
+        cells.append(bold([str(number), s.name, ratio(row), *told, "" if s.error is None else f"{s.error:.2g}"], row))
+    return cells
+
+
+def ratio(row: Row) -> str:
+    """Median and range."""
+    if not row.setting.rate:
+        return ""
+    return f"{row.setting.rate:.2g} ({min(row.speeds):.2g} to {max(row.speeds):.2g})"
+
+
+def bold(cells: Sequence[str], row: Row) -> list[str]:
+    """The cells, in bold where the row is on the front."""
+    return [f"**{cell}**" if row.setting.on_front and cell else cell for cell in cells]
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, ["---"] * len(header), *rows)) + "\n"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

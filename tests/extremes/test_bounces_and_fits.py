@@ -1,0 +1,179 @@
+"""Bounces and fits: one impact and sixty, χ at both ends, noise from none to too much."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import throws
+from throws import random_release, seen, true_throw
+
+from diethrow.fitting.results import Fit
+from diethrow.fitting.whole_throw import fit_throw
+from diethrow.model.motion import Throw
+from diethrow.model.solids import make_die
+from diethrow.tracking.bounces import NoFlightError, measure
+from diethrow.tracking.track import Track
+
+Told = Callable[[str], None]
+
+CUBE = make_die("cube", 0.016, 0.0048)
+SEED = 2
+"""Of a throw whose first flights all last some tens of frames."""
+
+
+def filmed(chi: float, impacts: int, *, noise: float = 1.0) -> tuple[Throw, Track]:
+    """A throw through so many impacts and the frames of it, with noise that they state."""
+    rng = np.random.default_rng(SEED)
+    throw = true_throw(CUBE, random_release(CUBE, rng), chi, impacts=impacts)
+    return throw, seen(throw, rng, noise=noise, stated=noise)
+
+
+def found(throw: Throw, track: Track) -> tuple[int, int]:
+    """Bounces that are where one is, to half a frame, and those that are nowhere."""
+    true_s = np.array([impact.time_s for impact in throw.impacts])
+    near = [np.abs(true_s - impact.time_s).min() < 0.5 / throws.FPS for impact in measure(track, CUBE).throw.impacts]
+    return sum(near), len(near) - sum(near)
+
+
+def fitted(track: Track) -> Fit:
+    """As an analysis does it."""
+    measured = measure(track, CUBE)
+    return fit_throw(measured.independent, measured.throw, CUBE)
+
+
+def counted(number: int, what: str) -> str:
+    """One or several of something."""
+    return f"{number} {what}" + "s" * (number != 1)
+
+
+def chi_in_words(fit: Fit) -> str:
+    """χ with its interval, or why there is none."""
+    chi = fit.parameters["chi"]
+    if chi.value is None or chi.low is None or chi.high is None:
+        return f"given up: {fit.messages[-1]}"
+    digits = 1 - int(np.floor(np.log10(max(chi.high - chi.low, 1e-12))))
+    value, low, high = (f"{number:.{digits}f}" for number in (chi.value, chi.low, chi.high))
+    return f"χ = {value}, {low} to {high}, from {counted(fit.bounces_fitted, 'bounce')}"
+
+
+def holds(fit: Fit, chi: float) -> bool:
+    """Whether the interval, twice as wide, holds the truth: one of 95 % proves little, twice its width proves a blunder."""
+    told = fit.parameters["chi"]
+    if told.value is None or told.low is None or told.high is None:
+        return False
+    # A bound of the range of χ is no edge of an interval that noise could have moved.
+    low, high = 2.0 * told.low - told.value, 2.0 * told.high - told.value
+    return low <= chi <= high or (chi == 0.0 and told.low == 0.0) or (chi == 1.0 and told.high == 1.0)
+
+
+@pytest.mark.parametrize(
+    "impacts",
+    [1, pytest.param(20, marks=pytest.mark.slow), pytest.param(60, marks=pytest.mark.slow)],
+    ids=lambda n: f"{n} impact" + "s" * (n > 1),
+)
+def test_every_impact_of_an_elastic_throw_is_found(
+    impacts: int, monkeypatch: pytest.MonkeyPatch, happened: Told
+) -> None:
+    """Of one impact one is found, and of twenty and sixty at χ = 1 nine in ten, each to half a frame; none where none is."""
+    # Time grows faster than the square of the impacts: sixty take minutes.
+    monkeypatch.setattr(throws, "FPS", 500.0)
+    throw, track = filmed(1.0, impacts)
+    right, wrong = found(throw, track)
+    assert right >= 0.9 * impacts
+    assert wrong <= 0.05 * impacts
+    happened(f"{right} of {impacts} found on {len(track)} frames, {wrong} where there is none")
+
+
+@pytest.mark.slow
+def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
+    monkeypatch: pytest.MonkeyPatch, happened: Told
+) -> None:
+    """A throw of ten impacts at χ = 0.97 is fitted as far as the frames decide it, and χ lies in its interval."""
+    monkeypatch.setattr(throws, "FPS", 500.0)
+    fit = fitted(filmed(0.97, 10)[1])
+    assert holds(fit, 0.97)
+    happened(chi_in_words(fit))
+
+
+@pytest.mark.parametrize("chi", [0.0, 1.0], ids=lambda chi: f"chi {chi:g}")
+def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Told) -> None:
+    """At χ = 0 and at χ = 1 the interval holds the truth, and ends where the range does."""
+    fit = fitted(filmed(chi, 1)[1])
+    told = fit.parameters["chi"]
+    assert holds(fit, chi)
+    assert told.low is not None
+    assert told.high is not None
+    assert 0.0 <= told.low <= told.high <= 1.0
+    happened(chi_in_words(fit))
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1.0, 30.0], ids=lambda noise: f"{noise:g} times the usual noise")
+def test_noise_widens_the_interval_and_moves_nothing_out_of_it(noise: float, happened: Told) -> None:
+    """From no noise to speak of, 2 nm and a hundred-thousandth of a degree, to 0.6 mm and 3 degrees a frame, χ lies in its
+    interval."""
+    fit = fitted(filmed(0.5, 2, noise=noise)[1])
+    assert holds(fit, 0.5)
+    happened(chi_in_words(fit))
+
+
+def test_exact_poses_are_no_division_by_zero(happened: Told) -> None:
+    """Poses without any error, that state the usual one, give χ all but exactly."""
+    rng = np.random.default_rng(SEED)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
+    track = seen(throw, rng)
+    positions, quaternions = throw.poses(track.time_s)
+    fit = fitted(replace(track, position_m=positions, quaternion=quaternions))
+    chi = fit.parameters["chi"]
+    assert chi.value == pytest.approx(0.5, abs=1e-5)
+    happened(chi_in_words(fit))
+
+
+def test_noise_that_hides_the_motion_is_given_up(happened: Told) -> None:
+    """Frames that err by 20 mm and 100 degrees show no flight: one sentence, and no χ."""
+    with pytest.raises(NoFlightError, match=r"\d+ frames are tracked, and \d+ of them move as a die can") as caught:
+        measure(filmed(0.5, 2, noise=1000.0)[1], CUBE)
+    happened(f"given up: {caught.value}")
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 10], ids=lambda n: f"{n} frame" + "s" * (n > 1))
+def test_few_frames_say_little(frames: int, happened: Told) -> None:
+    """Fewer than three frames make no flight; three and more do, and χ stays open without a bounce."""
+    track = filmed(0.5, 1)[1]
+    rows = slice(0, frames)
+    few = Track(
+        track.frame[rows], track.time_s[rows], track.position_m[rows], track.quaternion[rows], track.covariance[rows],
+        track.status[rows],
+    )  # fmt: skip
+    if frames < 3:
+        with pytest.raises(NoFlightError, match="wanted at least three in a row") as caught:
+            measure(few, CUBE)
+        happened(f"given up: {caught.value}")
+        return
+    fit = fitted(few)
+    assert fit.parameters["chi"].value is None
+    happened(chi_in_words(fit))
+
+
+@pytest.mark.parametrize(
+    "fps", [1, 30, pytest.param(100_000, marks=pytest.mark.slow)], ids=lambda fps: f"{fps} frames/s"
+)
+def test_a_rate_too_low_is_given_up_and_a_high_one_is_used(
+    fps: int, monkeypatch: pytest.MonkeyPatch, happened: Told
+) -> None:
+    """A throw that is over in a few frames leaves χ open, in words; one on thousands of frames gives it all the better."""
+    monkeypatch.setattr(throws, "FPS", float(fps))
+    rng = np.random.default_rng(SEED)
+    release = random_release(CUBE, rng)
+    throw = true_throw(CUBE, release, 0.5, impacts=2, frames_after=int(0.04 * fps))
+    track = seen(throw, rng)
+    try:
+        fit = fitted(track)
+    except NoFlightError as error:
+        assert fps < 100.0
+        happened(f"{counted(len(track), 'frame')}, given up: {error}")
+        return
+    assert holds(fit, 0.5) if fps > 1e3 else fit.parameters["chi"].value is None
+    happened(f"{counted(len(track), 'frame')}, {chi_in_words(fit)}")

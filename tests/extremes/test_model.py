@@ -1,0 +1,81 @@
+"""The model: numbers of impacts, χ at both ends, and releases that leave nothing to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from random_throws import DICE, random_release
+
+from diethrow.model.ensembles import Stage
+from diethrow.model.impacts import CoulombImpact, SmoothImpact
+from diethrow.model.motion import State, energy_J
+from diethrow.model.simulate import Ending, Until, throw_die
+from diethrow.model.stepping import stepped_landings
+
+Told = Callable[[str], None]
+
+CUBE = DICE["cube"]
+
+
+@pytest.mark.parametrize("impacts", [1, 60, 2000], ids=lambda n: f"{n} impact" + "s" * (n > 1))
+def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int, happened: Told) -> None:
+    """At χ = 1 without friction the energy stays, to rounding, through any number of impacts."""
+    release = random_release(np.random.default_rng(1), CUBE)
+    throw = throw_die(CUBE, release, SmoothImpact(1.0), until=Until(impacts=impacts)).throw
+    energies = np.array([energy_J(CUBE, flight.start) for flight in throw.flights])
+    drift = float(np.abs(energies / energies[0] - 1.0).max())
+    assert len(throw.impacts) == impacts
+    # Each impact rounds some ten numbers, up or down.
+    assert drift < 1e-15 * 100.0 * max(impacts, 10) ** 0.5
+    happened(f"{len(throw.impacts)} made, energy changed by {drift:.0e} of itself")
+
+
+@pytest.mark.parametrize("chi", [0.0, 1e-9, 0.99], ids=lambda chi: f"chi {chi:g}")
+@pytest.mark.parametrize("shape", ["tetrahedron", "icosahedron"])
+def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, happened: Told) -> None:
+    """From impacts that end dead to those that hardly lose anything, a die comes to rest on a face."""
+    die = DICE[shape]
+    results = [throw_die(die, random_release(np.random.default_rng(k), die), SmoothImpact(chi)) for k in range(5)]
+    assert all(result.ending is Ending.RESTED for result in results)
+    counts = [result.impact_count for result in results]
+    happened(f"5 of 5 at rest after {min(counts)} to {max(counts)} impacts")
+
+
+@pytest.mark.parametrize("mu", [0.0, 1e6], ids=lambda mu: f"mu {mu:g}")
+def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: Told) -> None:
+    """Without friction, and with friction that nothing overcomes, no impact adds energy."""
+    release = random_release(np.random.default_rng(3), CUBE)
+    impacts = throw_die(CUBE, release, CoulombImpact(0.5, mu)).throw.impacts
+    gained = max(impact.energy_after_J / impact.energy_before_J - 1.0 for impact in impacts)
+    assert gained < 1e-12
+    happened(f"{len(impacts)} impacts, the largest gain {max(gained, 0.0):.0e} of the energy")
+
+
+def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Told) -> None:
+    """A die released on a face, at rest, has landed without an impact."""
+    down = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
+    result = throw_die(CUBE, down, SmoothImpact(0.5))
+    assert (result.ending, result.impact_count) == (Ending.RESTED, 0)
+    happened(f"landed on face {result.landed_face} after {result.impact_count} impacts")
+
+
+@pytest.mark.parametrize("throws", [1, 2000], ids=lambda n: f"{n} throw" + "s" * (n > 1))
+def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: Told) -> None:
+    """One throw and two thousand land as the same throws do one by one, the first five looked at."""
+    rng = np.random.default_rng(5)
+    states = [random_release(rng, CUBE) for _ in range(throws)]
+    starts = np.array([[*s.position_m, *s.quaternion, *s.velocity_m_s, *s.omega_rad_s] for s in states])
+    faces = Stage(CUBE, SmoothImpact(0.3)).throw(starts).face
+    alone = [throw_die(CUBE, state, SmoothImpact(0.3)).landed_face for state in states[:5]]
+    np.testing.assert_array_equal(faces[:5], alone)
+    happened(f"{len(faces)} landed, the first on {faces[:5].tolist()}")
+
+
+@pytest.mark.parametrize("step_s", [0.0, -1e-3, np.nan, np.inf], ids=lambda step: f"{step:g} s")
+def test_a_step_that_is_none_is_refused(step_s: float, happened: Told) -> None:
+    """Fixed steps of no length, or of none that ends, are refused."""
+    with pytest.raises(ValueError, match="wanted a time above 0 s") as caught:
+        stepped_landings(CUBE, 0.5, np.zeros((1, 13)), step_s)
+    happened(str(caught.value))

@@ -1,0 +1,121 @@
+"""What the first run of an installation says and does besides its work."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from multiprocessing import active_children
+from pathlib import Path
+
+import numba
+import pytest
+from numba import njit
+from typer.testing import CliRunner
+
+from diethrow import compiling
+from diethrow.batch import Batch
+from diethrow.cli import app
+from diethrow.compiling import SENTENCE, announced, compile_model, model_ahead
+from diethrow.model import kernels
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+
+
+class _Kept:
+    """A cache that is always empty."""
+
+    def load_overload(self, *_: object) -> None:
+        return None
+
+    def save_overload(self, *_: object) -> None:
+        pass
+
+
+@pytest.fixture
+def fresh() -> Callable[[float], float]:
+    """A kernel of ours that no cache holds yet."""
+
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    twice.__module__ = "diethrow.model.kernels"
+    kernel = njit(twice)
+    kernel._cache = _Kept()
+    return kernel  # type: ignore[no-any-return]
+
+
+def test_compilation_is_announced_once_and_only_of_what_is_kept(fresh: Callable[[float], float]) -> None:
+    def thrice(x: float) -> float:
+        return 3.0 * x
+
+    thrice.__module__ = "diethrow.model.kernels"
+    said: list[str] = []
+    with announced(said.append):
+        assert njit(thrice)(1.0) == 3.0  # compiled in every run: no word of it
+        assert said == []
+        assert fresh(1.0) == 2.0
+        assert fresh(1) == 2
+    assert said == [SENTENCE]
+
+
+@pytest.mark.parametrize("haste", [False, True])
+def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_block(
+    fresh: Callable[[float], float], haste: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(compiling, "compile_model", partial(time.sleep, 60))
+    monkeypatch.setattr(compiling, "cores", lambda: 2)
+    before, begun, during = set(active_children()), time.monotonic(), set()
+
+    def first_run() -> None:
+        with model_ahead():
+            assert set(active_children()) == before
+            fresh(1.0)
+            while not during:  # a thread starts it
+                during.update(set(active_children()) - before)
+                time.sleep(0.01)
+            if haste:
+                raise KeyboardInterrupt
+
+    if haste:
+        with pytest.raises(KeyboardInterrupt):
+            first_run()
+    else:
+        first_run()
+    assert len(during) == 1
+    assert not any(process.is_alive() for process in during)
+    assert time.monotonic() - begun < 20
+
+
+def test_on_one_core_nobody_else_compiles(fresh: Callable[[float], float], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "cores", lambda: 1)
+    monkeypatch.setattr(compiling, "Processes", None)  # would raise if called
+    with model_ahead():
+        fresh(1.0)
+
+
+def test_the_model_is_compiled_in_the_ways_that_a_fit_asks_for() -> None:
+    """Smooth, with friction, and through the air: what `selection` tries."""
+    compile_model()
+    kinds = {(each[1].instance_class, each[3].instance_class) for each in kernels.run_tangent.signatures}
+    smooth, rough = kernels.SmoothLaw, kernels.RoughLaw
+    assert kinds >= {(smooth, kernels.Vacuum), (rough, kernels.Vacuum), (smooth, kernels.Air)}
+    assert any(each[1].instance_class is smooth for each in kernels.run_throw.signatures)
+
+
+def test_an_empty_cache_is_told_from_a_full_one(tmp_path: Path) -> None:
+    asked = "from diethrow.compiling import is_compiled; print(is_compiled())"
+    empty = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    told = subprocess.run([sys.executable, "-c", asked], env=empty, capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("cold", [True, False])
+def test_a_batch_says_once_that_its_workers_compile(cold: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiling, "is_compiled", lambda: not cold)
+    monkeypatch.setattr("diethrow.batch.run_batch", lambda *_, **__: Batch((), (), 0))
+    said = CliRunner().invoke(app, ["batch", "a.toml", "b.toml", "--out", "out"]).stderr
+    assert said.count(SENTENCE) == cold
