@@ -33,8 +33,11 @@ _AT_REST_M = 2e-4
 _HEIGHT_M, _SPEED_M_S = 5e-5, 0.02
 """By which heights and velocities count beside each other."""
 
-_FEWEST_BOUNCES = 3
-"""Two numbers each, for four unknowns."""
+_FEWEST_BOUNCES = 4
+"""Two numbers each, for four unknowns: of three bounces some motion explains what a wrong die does, too."""
+
+_UNLIKE = 25.0
+"""Mean square of what a motion leaves, so weighted, beyond which it is not what the table does."""
 
 _FASTEST_HZ = 200.0
 _STARTS, _APART = 3, 0.1
