@@ -17,7 +17,8 @@ from math import ceil, cos, floor, hypot, sin, sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
+
+from ..model.compiled import compiled, inner, int64, truth
 
 GAINS = 6
 """Light on one face of one frame: T, 1, a, b, aT, bT. What the paint scatters follows the texture T, what it mirrors lies over
@@ -59,7 +60,11 @@ MOST_HIDDEN = 0.5
 """Share of a face's pixels that may be unlike its texture before the face is left out of a frame."""
 
 
-@njit(cache=True, nogil=True)
+_FIRST, _ALL, _POSE, _LOOKING, _FITTING, _NO_PLACES = int64(0), int64(GAINS), int64(6), int64(4), int64(3), truth(False)
+"""Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
+
+
+@inner(nogil=True)
 def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of a camera point, lens distortion included."""
     a, b = x / z, y / z
@@ -70,7 +75,7 @@ def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     """Solve the leading n × n of a symmetric positive definite system in place of its lower triangle; False where it is not."""
     for i in range(n):
@@ -88,7 +93,7 @@ def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _back(L: Any, n: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(n):
@@ -103,7 +108,7 @@ def _back(L: Any, n: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: float, E: Any, origin: Any) -> float:
     """Axes E (3, 3, rows a, b, normal) and origin (3,) of a face in the camera; returns the cosine of the view."""
     for k in range(3):
@@ -119,7 +124,7 @@ def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: flo
     return -(E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]) / away
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
     """S (3, 3), camera axes, with c + S r the mean place over the exposure of a point r of a die about its centre c.
 
@@ -137,7 +142,7 @@ def _shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
         S[i, i] += 1.0 - k * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
     """The axes and the origin of a face as they seem on a picture with S."""
     still = E.copy()
@@ -148,7 +153,7 @@ def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
         origin[i] = centre[i] + offset * E[2, i]
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _outline(
     K: Any, dist: Any, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
@@ -178,7 +183,7 @@ def _outline(
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _spline(coef: Any, x: float, y: float, out: Any) -> None:
     """Value and derivatives by x and y (in texels) of a cubic B-spline surface, in out (3,); x runs along columns."""
     j, i = floor(x), floor(y)
@@ -214,7 +219,7 @@ def _spline(coef: Any, x: float, y: float, out: Any) -> None:
     out[0], out[1], out[2] = v, gx, gy
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _blur_on_face(
     K: Any, Rcw: Any, E: Any, origin: Any, offset: float, vel: Any, omega: Any, exposure: float, lens: Any, motion: Any
 ) -> None:
@@ -246,13 +251,13 @@ def _blur_on_face(
         motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _reach_px(K: Any, depth: float, motion: Any) -> float:
     """Pixels by which motion during the exposure carries a face's border to either side."""
     return 0.5 * sqrt(12.0 * (motion[0] + motion[2])) * sqrt(K[0, 0] * K[1, 1]) / depth
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, spread: Any) -> int:
     """By how much more a face is blurred on a frame than its texture, in `spread` (2, 3): principal directions [texels],
     √3 standard deviations long, and the sign, -1 where it is less; returns how many of them matter. `base` (2, 3) is the blur of
@@ -279,7 +284,7 @@ def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float,
     return number
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any, out: Any) -> None:
     """The spline blurred along `number` directions, by three-point Gauss-Hermite quadrature along each: exact for
     quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
@@ -302,7 +307,7 @@ def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any,
             out[2] += share * (side[2] - gy)
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _curvature(coef: Any, x: float, y: float, side: Any) -> float:
     """Half the Laplacian of the spline [1/texel²], over steps of one texel: what more variance of blur does to it."""
     top = coef.shape[0] - 2.0 - 1e-9
@@ -314,7 +319,7 @@ def _curvature(coef: Any, x: float, y: float, side: Any) -> float:
     return 0.5 * total
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _relative(steep: Any, n: int) -> None:
     """Slopes as shares of the largest; where there is none, all pixels count alike."""
     most = 0.0
@@ -324,7 +329,7 @@ def _relative(steep: Any, n: int) -> None:
         steep[i] = steep[i] / most if most > 0.0 else 1.0
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _robust_gains(
     n: int,
     grey: Any,
@@ -388,7 +393,7 @@ def _robust_gains(
     return scale
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def look_at_face(
     image: Any,
     x0: int,
@@ -497,7 +502,19 @@ def look_at_face(
     c = np.zeros(GAINS)
     _relative(steep, m)
     scale = _robust_gains(
-        m, grey, basis, 0 if known else 1, GAINS if known else PLAIN, floor_grey, 1e9, cut, 4, steep, w, res, c
+        np.int64(m),
+        grey,
+        basis,
+        0 if known else 1,
+        GAINS if known else PLAIN,
+        floor_grey,
+        1e9,
+        cut,
+        _LOOKING,
+        steep,
+        w,
+        res,
+        c,
     )
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0
@@ -520,7 +537,7 @@ def look_at_face(
     return used / m
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def mark_equations(
     image: Any,
     x0: int,
@@ -622,7 +639,7 @@ def mark_equations(
         for i in range(3):
             origin[i] = middle[i] + offsets[f] * E[2, i]
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
-        m = 0
+        m = _FIRST
         for v in range(first, last + 1, stride):
             low, high = float(x0), float(x0 + width - 1)
             for k in range(counts[f]):
@@ -669,7 +686,9 @@ def mark_equations(
         if m < 40:
             continue
         _relative(steep, m)
-        scale = _robust_gains(m, grey, basis, 0, GAINS, floor_grey, 2.0 * usual_grey[f], cut, 3, steep, w, res, c)
+        scale = _robust_gains(
+            m, grey, basis, _FIRST, _ALL, floor_grey, 2.0 * usual_grey[f], cut, _FITTING, steep, w, res, c
+        )
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
@@ -722,10 +741,10 @@ def mark_equations(
                     C[k, h] += jk * basis[i, h]
         for k in range(PLAIN, GAINS):
             S[k, k] += 1.0 / (GRADIENT * c[0]) ** 2
-        if not _solve(S, GAINS, C[0], elim):
+        if not _solve(S, _ALL, C[0], elim):
             continue
         for k in range(N):
-            _back(S, GAINS, C[k], elim)
+            _back(S, _ALL, C[k], elim)
             for h in range(k, N):
                 s = 0.0
                 for q in range(GAINS):
@@ -746,7 +765,7 @@ def mark_equations(
                 place[f, k, N] = gg[6 + k]
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
     """Turn the first six rows and columns (two vectors) from camera to world axes."""
     N = len(g)
@@ -773,10 +792,11 @@ def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
             for k in range(N):
                 s += M[i, k] * T[j, k]
             H[i, j] = s
-    g[:] = y
+    for k in range(N):
+        g[k] = y[k]
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _turned(R: Any, w: Any) -> Any:
     """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -792,7 +812,7 @@ def _turned(R: Any, w: Any) -> Any:
     return out
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def refine_on_marks(
     image: Any,
     x0: int,
@@ -840,7 +860,7 @@ def refine_on_marks(
     for _ in range(steps):
         mark_equations(
             image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base, axes, offsets, corners,
-            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, False, H, g, place, stats,
+            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, _NO_PLACES, H, g, place, stats,
         )  # fmt: skip
         for i in range(6):
             y[i] = g[i] / factor + other_g[i]
@@ -851,7 +871,7 @@ def refine_on_marks(
         for i in range(6):
             # Columns of metres and of radians: the pivots are judged relative to their own diagonal.
             A[i, i] *= 1.0 + 1e-12
-        if not _solve(A, 6, y, step):
+        if not _solve(A, _POSE, y, step):
             H[:] = 0.0
             break
         for i in range(6):
@@ -872,7 +892,7 @@ def refine_on_marks(
     return p, Q, H
 
 
-@njit(cache=True, nogil=True)
+@inner(nogil=True)
 def _moved_px(K: Any, Rcw: Any, tcw: Any, pos: Any, step: Any, reach: float) -> float:
     """How far in the picture a step (6,) of a die that reaches so far [m] moves its farthest points at the most."""
     x, y, z, depth = 0.0, 0.0, 0.0, tcw[2]

@@ -904,7 +904,7 @@ def _one_sentence_errors() -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         _stop("stopped; no output was left behind", INTERRUPTED)
-    except SystemError as error:
+    except (SystemError, RuntimeError) as error:
         if not _stems_from_interrupt(error):
             raise
         _stop("stopped; no output was left behind", INTERRUPTED)
@@ -979,10 +979,11 @@ def _as_typed() -> tuple[str, ...]:
 
 
 def _stems_from_interrupt(error: BaseException) -> bool:
-    """Whether this is Ctrl-C in disguise: within a compiled kernel it comes out as a chain of SystemErrors."""
+    """Whether this is Ctrl-C in disguise: within a compiled kernel it comes out as a chain of SystemErrors; while a kernel
+    is compiled, LLVM's callback may swallow it, and numba then misses the code that the callback should have handed on."""
     while error.__cause__ is not None:
         error = error.__cause__
-    return isinstance(error, KeyboardInterrupt)
+    return isinstance(error, KeyboardInterrupt) or "no compiled object yet" in str(error)
 
 
 def _stop(sentence: str, status: int) -> NoReturn:

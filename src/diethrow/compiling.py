@@ -9,7 +9,7 @@ from typing import Any
 
 from .executors import Processes, cores
 
-SENTENCE = "compiling the kernels, once for this installation; it takes a minute or less, and later runs load them"
+SENTENCE = "compiling the kernels, once for this installation; it takes a minute or so, and later runs load them"
 
 
 @contextmanager
