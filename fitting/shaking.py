@@ -36,9 +36,6 @@ _HEIGHT_M, _SPEED_M_S = 5e-5, 0.02
 _FEWEST_BOUNCES = 4
 """Two numbers each, for four unknowns: of three bounces some motion explains what a wrong die does, too."""
 
-_UNLIKE = 25.0
-"""Mean square of what a motion leaves, so weighted, beyond which it is not what the table does."""
-
 _FASTEST_HZ = 200.0
 _STARTS, _APART = 3, 0.1
 """Starts given, and the turn of the table over a throw, as part of a period, by which frequencies are apart."""
