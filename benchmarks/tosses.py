@@ -31,7 +31,7 @@ from scipy.optimize import least_squares, minimize
 
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import fit_jointly
-from diethrow.fitting.joint_effects import EFFECTS, load_in_flight
+from diethrow.fitting.joint_effects import EFFECTS, load_before_bounces
 from diethrow.fitting.outset import Outset, outset_of
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
@@ -295,7 +295,7 @@ def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
         errors, seconds = [], 0.0
         for k in range(folds):
             rest = others(entries, k, folds)
-            load = load_in_flight(rest) if name.startswith("the same") else None
+            load = load_before_bounces(rest) if name.startswith("the same") else None
             begin = time.perf_counter()
             tuned = mujoco_tuned(rest, die, start, load)
             seconds += time.perf_counter() - begin

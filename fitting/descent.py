@@ -6,7 +6,9 @@ are alike, by Levenberg and Marquardt's method (Nocedal & Wright, Numerical Opti
 is zero until a step fails. J T⁻¹ is reduced to a triangle by reflections, never squared.
 
 Bounds hold for single x. A step that would cross one is solved again with that unknown put on its bound, and so on.
-The descent ends when a step promises to lower the cost by less than `ENOUGH`, a three-thousandth of a sigma.
+The descent ends when a step promises to lower the cost by less than `enough`; where the
+cost says that the model is not that of the data at all, by less than `_ROUGHLY` of it. A robust loss converges slowly there,
+and such a fit is only ever told from better ones.
 """
 
 from __future__ import annotations
@@ -21,34 +23,49 @@ from .robust import condensed, in_units_of, solved, triangle
 Array = NDArray[np.float64]
 
 ENOUGH = 1e-7
-"""Fall of the cost Σ r², in units of a residual's variance."""
+"""Fall of the cost Σ r², in units of a residual's variance, that is not worth a step: a three-thousandth of a sigma."""
+
+NEARLY = 1e-2
+"""The same for a fit that only leads to the next: a tenth of a sigma."""
 
 _CRAWL = 1e-3
 """The same for damped steps: along a valley that curls, where the cost falls by less it is not worth the way."""
+
+_ROUGHLY = 1e-4
+"""Part of a hopeless cost by which a step must promise to lower it; fits that fail then take a third of the steps."""
 
 _FIRST_DAMPING = 1e-2
 _MOST_DAMPING = 1e8
 
 
 def descend(
-    evaluate: Callable[[Array], tuple[Array, Array]], root: Array, low: Array, high: Array, *, steps: int = 40
+    evaluate: Callable[[Array], tuple[Array, Array]],
+    root: Array,
+    low: Array,
+    high: Array,
+    *,
+    steps: int = 40,
+    enough: float = ENOUGH,
+    hopeless: float = np.inf,
 ) -> Array:
     """The x (m,) with the least Σ r², started from 0.
 
     `evaluate(x)` gives residuals (n,) and their derivative (n, m) there, `root` (m, m) is T, and `low`, `high` (m,) are
-    the bounds of x, which hold 0. Residuals that are not finite count as infinitely bad.
+    the bounds of x, which hold 0. Residuals that are not finite count as infinitely bad; a cost above `hopeless` is no fit.
     """
     x = np.zeros(len(root))
     residuals, jacobian = evaluate(x)
+    few = condensed(residuals, jacobian)
     cost, damping = _cost(residuals), 0.0
     for _ in range(steps):
-        step, gain = _step(residuals, jacobian, root, low - x, high - x, damping)
-        if 0.0 <= gain < (_CRAWL if damping > 0.0 else ENOUGH):
+        step, gain = _step(few, root, low - x, high - x, damping)
+        least = _ROUGHLY * cost if cost > hopeless else max(enough, _CRAWL if damping > 0.0 else 0.0)
+        if 0.0 <= gain < least:
             break
-        trial = evaluate(x + step)
-        lower = _cost(trial[0])
+        residuals, jacobian = evaluate(x + step)
+        lower = _cost(residuals)
         if lower < cost:
-            x, cost, (residuals, jacobian) = x + step, lower, trial
+            x, cost, few = x + step, lower, condensed(residuals, jacobian)
             damping = 0.1 * damping if damping > _FIRST_DAMPING else 0.0
         else:
             damping = max(10.0 * damping, _FIRST_DAMPING)
@@ -62,11 +79,8 @@ def _cost(residuals: Array) -> float:
     return total if np.isfinite(total) else np.inf
 
 
-def _step(
-    residuals: Array, jacobian: Array, root: Array, low: Array, high: Array, damping: float
-) -> tuple[Array, float]:
-    """The step (m,) within its bounds, and by how much a linear model says the cost falls."""
-    few = condensed(residuals, jacobian)
+def _step(few: Array, root: Array, low: Array, high: Array, damping: float) -> tuple[Array, float]:
+    """The step (m,) within its bounds, and by how much a linear model says the cost falls; `few` is [J r], condensed."""
     free = np.ones(len(root), bool)
     step = np.zeros(len(root))
     while free.any():

@@ -10,6 +10,7 @@ say how large the errors of single frames really are, and set the mark that a mo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,11 +81,11 @@ def fit_flights(sightings: Sightings, measured: Throw) -> FreeFlights:
         else:
             sightings = sightings.where(~missing)
     kept = np.ones(len(sightings), bool)
+    fits: list[FreeFlight | None] = []
     for k, flight in enumerate(measured.flights):
-        kept[sightings.flight == k] = _consistent(sightings.where(sightings.flight == k), flight)
-    clean = sightings.where(kept)
-    fits = tuple(fit_flight(clean.where(clean.flight == k), f) for k, f in enumerate(measured.flights))
-    return FreeFlights(clean, fits, _pooled_variance(fits), int((~kept).sum()), noise)
+        fit, kept[sightings.flight == k] = _consistent(sightings.where(sightings.flight == k), flight)
+        fits.append(fit)
+    return FreeFlights(sightings.where(kept), tuple(fits), _pooled_variance(fits), int((~kept).sum()), noise)
 
 
 def fit_flight(sightings: Sightings, guess: Flight) -> FreeFlight | None:
@@ -181,18 +182,18 @@ def _straight_start(sightings: Sightings, time_s: float) -> State:
     return Flight(first, first.time_s).at(time_s) if np.isfinite(time_s) else first
 
 
-def _consistent(sightings: Sightings, guess: Flight) -> NDArray[np.bool_]:
-    """Which frames (n,) of one flight agree with the flight that the others make.
+def _consistent(sightings: Sightings, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:
+    """The flight that most frames make, and which of them (n,) agree with it.
 
     The worst are taken away first and the flight is fitted again: many that err alike, as while the die comes into view,
     bend it so much that the less wrong ones among them do not stand out.
     """
     n = len(sightings)
     kept = np.ones(n, bool)
-    if n < 5:  # with fewer, an outlier bends the flight more than it stands out from it
-        return kept
+    whole = fit = fit_flight(sightings, guess)
+    if fit is None or n < 5:  # with fewer, an outlier bends the flight more than it stands out from it
+        return fit, kept
     for _ in range(_MOST_TRIMS):
-        fit = fit_flight(sightings.where(kept), guess)
         assert fit is not None
         errors = pose_errors(sightings, *fit.flight.poses(sightings.time_s))
         s = (whitened(sightings, errors) ** 2).sum(1)
@@ -200,7 +201,8 @@ def _consistent(sightings: Sightings, guess: Flight) -> NDArray[np.bool_]:
         if (agree == kept).all() or agree.sum() < 5:
             break
         kept = agree
-    return kept if _is_credible(kept) else np.ones(n, bool)
+        fit = fit_flight(sightings.where(kept), guess)
+    return (fit, kept) if _is_credible(kept) else (whole, np.ones(n, bool))
 
 
 def _is_credible(kept: NDArray[np.bool_]) -> bool:
@@ -231,7 +233,7 @@ def _flight_noise(sightings: Sightings, measured: Throw) -> tuple[float, float]:
     return float(sigma_m), float(sigma_rad)
 
 
-def _pooled_variance(fits: tuple[FreeFlight | None, ...]) -> float:
+def _pooled_variance(fits: Sequence[FreeFlight | None]) -> float:
     """Variance of a whitened residual in most flights: the median, each weighted by its frames; 1 where none has any.
 
     The median, because a flight in which tracking missed a bounce scatters without measure.

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from ..model.motion import Throw
@@ -17,7 +16,6 @@ from ..model.solids import Die
 from ..model.tables import LEVEL, Table
 from ..tracking.track import Track
 from .flights import FreeFlights, fit_flights
-from .intervals import variance_inflation
 from .landing import landing_odds
 from .lengthening import through_the_bounces
 from .physics import Physics
@@ -68,12 +66,11 @@ def physics_of_fit(fit: Fit, die: Die, table: Table = LEVEL) -> Physics:
 
 
 def _estimate(shot: Shot, measured: Throw, free: FreeFlights) -> Estimate:
-    variance, tau = variance_inflation(shot.residuals, shot.residuals.size - len(shot.root), shot.sightings.flight)
-    inverse = solve_triangular(shot.root, np.eye(len(shot.root)))
-    covariance = inverse @ inverse.T * variance * tau
+    variance, tau = shot.inflation
+    covariance = shot.covariance * variance * tau
     chi = shot.physics.values["chi"]
     reach = float(norm.ppf(0.5 + 0.5 * LEVEL_OF_INTERVALS)) * float(np.sqrt(covariance[12, 12]))
     low, high = np.clip([chi - reach, chi + reach], *shot.physics.bounds("chi"))
     parameter = Parameter(chi, float(low), float(high), LEVEL_OF_INTERVALS, True, False)
-    _, odds, _ = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
+    _, odds, _ = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
     return Estimate(shot.reached, measured.impacts[shot.reached - 1].time_s, parameter, odds)

@@ -117,15 +117,18 @@ def apparent_restitution(
     )
 
 
-def measure_bounces(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> tuple[Bounce | None, ...]:
-    """Every impact at one known vertex between two flights that could be fitted; None for the others.
+def measure_bounces(
+    die: Die, free: FreeFlights, impacts: Sequence[Impact], begin: int = 0, end: int | None = None
+) -> tuple[Bounce | None, ...]:
+    """Every impact at one known vertex between two flights that could be fitted; None for the others. Of them all those
+    from `begin` up to `end`.
 
     The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
     interval of its own, that one is kept: it knows that the flights meet there, and needs no height of the table.
     """
     bounces: list[Bounce | None] = []
     scale = max(1.0, free.variance)
-    for impact, before, after in zip(impacts, free.flights, free.flights[1:], strict=False):
+    for impact, before, after in list(zip(impacts, free.flights, free.flights[1:], strict=False))[begin:end]:
         if before is None or after is None or impact.contact != "vertex" or len(impact.vertices) != 1:
             bounces.append(None)
             continue
@@ -204,13 +207,13 @@ def _scaled(flight: Flight, variance: float) -> Flight:
     return Flight(flight.start, flight.end_s, covariance)
 
 
-def _contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
+def contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
     """From the centre to the point that touches (3,) [m], world axes, for a vertex turned to the table."""
     inset = 1.0 - die.corner_radius_m / die.solid.inradius
     return np.asarray(rotation @ die.solid.vertices[vertex] * inset - np.array([0.0, 0.0, die.corner_radius_m]))
 
 
-def _normal_velocity(state: State, arm: Array) -> float:
+def normal_velocity(state: State, arm: Array) -> float:
     return float(state.velocity_m_s[2] + state.omega_rad_s[0] * arm[1] - state.omega_rad_s[1] * arm[0])
 
 
@@ -219,8 +222,8 @@ def _touch_time(die: Die, before: Flight, near_s: float, vertex: int) -> float:
     t = near_s
     for _ in range(8):
         state = before.at(t)
-        arm = _contact_arm(die, state.rotation, vertex)
-        u = _normal_velocity(state, arm)
+        arm = contact_arm(die, state.rotation, vertex)
+        u = normal_velocity(state, arm)
         if u >= 0.0:
             return near_s
         step = -(float(state.position_m[2]) + float(arm[2])) / u
@@ -238,18 +241,18 @@ def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vert
     The instant shifts to where the (varied) flight before touches; one Newton step is exact to the first order.
     """
     state = before.at(time_s)
-    arm = _contact_arm(die, state.rotation, vertex)
-    state = before.at(time_s - (float(state.position_m[2]) + float(arm[2])) / _normal_velocity(state, arm))
-    arm = _contact_arm(die, state.rotation, vertex)
+    arm = contact_arm(die, state.rotation, vertex)
+    state = before.at(time_s - (float(state.position_m[2]) + float(arm[2])) / normal_velocity(state, arm))
+    arm = contact_arm(die, state.rotation, vertex)
     later = after.at(state.time_s)
     # Either orientation is an estimate of the same: each velocity is taken with the arm of its own flight.
-    arm_after = _contact_arm(die, matrix_from_quat(later.quaternion), vertex)
+    arm_after = contact_arm(die, matrix_from_quat(later.quaternion), vertex)
     dv, dw = later.velocity_m_s - state.velocity_m_s, later.omega_rad_s - state.omega_rad_s
     lever = die.mass_kg / die.inertia_kg_m2 * float(dv[2])
     return np.array(
         [
-            _normal_velocity(state, arm),
-            _normal_velocity(later, arm_after),
+            normal_velocity(state, arm),
+            normal_velocity(later, arm_after),
             dv[0],
             dv[1],
             dw[0] - lever * arm[1],

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 _CLOSE = 0.01
 """Relative error of √excess at which a bound of an interval is found: a hundredth of the half width."""
 
-_MOST_TRIALS = 12
+_FEW_TRIALS, _MOST_TRIALS = 6, 16
 
 
 def variance_inflation(residuals: Array, degrees_of_freedom: float, flight: NDArray[np.int64]) -> tuple[float, float]:
@@ -66,14 +66,15 @@ def profile_interval(
 def _crossing(excess: Callable[[float], float], value: float, sigma: float, bound: float, z: float) -> float:
     """Where √excess, which is nearly linear, comes to z on the way from the value to a bound; the bound if it never does.
 
-    By the rule of false position within a bracket, after Anderson & Björck (BIT 13, 253, 1973).
+    By the rule of false position within a bracket, after Anderson & Björck (BIT 13, 253, 1973); by halves where that is
+    slow, as at the end of a flat stretch, whose cliff an interval includes.
     """
     if abs(bound - value) < 1e-12:
         return bound
     near, far, far_root = value, None, 0.0
     near_root = 0.0
     x = value + z * sigma
-    for _ in range(_MOST_TRIALS):
+    for trial in range(_MOST_TRIALS):
         beyond = (x - bound) * np.sign(sigma) >= 0.0
         x = bound if beyond else x
         root = float(np.sqrt(max(0.0, excess(x))))
@@ -87,6 +88,8 @@ def _crossing(excess: Callable[[float], float], value: float, sigma: float, boun
             # Not beyond yet: on by the slope seen so far, at most fourfold.
             x = value + (x - value) * min(4.0, 1.1 * z / max(root, 1e-3 * z))
         else:
+            if abs(far - near) < _CLOSE * abs(far - value):
+                return far
             share = (z - near_root) / (far_root - near_root)
-            x = near + (far - near) * float(np.clip(share, 0.05, 0.95))
-    return x
+            x = near + (far - near) * float(np.clip(share, 0.05, 0.95) if trial < _FEW_TRIALS else 0.5)
+    return x if far is None else far

@@ -18,7 +18,7 @@ from ..model.motion import GRAVITY_M_S2
 from ..model.rotations import matrix_from_quat
 from .crowd import Crowd, Entry, crowd_of
 from .joint_descent import CONVERGED_ENOUGH, Point, descended, left_out_misses, seen_from
-from .physics import LOAD, Physics
+from .physics import LEAST_OF_CALIBRATION, LOAD, Physics
 from .results import Effect
 
 Array = NDArray[np.float64]
@@ -47,6 +47,9 @@ _FIRST_FADES_S_PER_M = (0.1, 1.0)
 FOR_FIRST = 8
 """Throws by which such values are compared."""
 
+_CONTRADICTED = 4.0
+"""Standard errors by which a clock misses that of the flights alone where these refute it."""
+
 _SURE = 0.95
 """Confidence with which an effect must pay."""
 
@@ -71,9 +74,12 @@ def with_effects(
                 continue
             wider = _widened(crowd, point, effect)
             gains = before - crowd.costs(left_out_misses(crowd, wider))
+            step()
+            if (why := refuted_by_flights(wider.physics, crowd.entries)) is not None:
+                refused[effect] = Effect(effect, _evidence(gains), why)
+                continue
             trials[effect] = (wider, gains)
             refused[effect] = _refusal(effect, gains, before)
-            step()
         paying = [effect for effect, (_, gains) in trials.items() if gains.mean() > _price(gains)]
         if not paying:
             break
@@ -91,17 +97,65 @@ def load_before_bounces(entries: Sequence[Entry]) -> Array:
     circles while it falls freely. `loaded` asks the same of all flights of one throw, with their covariances."""
     matrix, right = np.zeros((3, 3)), np.zeros(3)
     for entry in entries:
-        rows, state = entry.outset.rows, entry.outset.fair_state
-        times = entry.track.time_s[rows] - state.time_s
-        line = np.stack([np.ones_like(times), times], 1)
-        rest = np.eye(len(rows)) - line @ np.linalg.pinv(line)
-        circled = np.einsum("mn,nij->mij", rest, matrix_from_quat(entry.track.quaternion[rows])).reshape(-1, 3)
-        fallen = state.position_m + np.outer(times, state.velocity_m_s)
-        fallen[:, 2] -= 0.5 * GRAVITY_M_S2 * times**2
+        columns, left = _free_fall(entry)
         weight = 1.0 / entry.outset.sigma_m**2
-        matrix += weight * circled.T @ circled
-        right -= weight * circled.T @ (rest @ (entry.track.position_m[rows] - fallen)).ravel()
+        matrix += weight * columns[:, :3].T @ columns[:, :3]
+        right += weight * columns[:, :3].T @ left
     return np.asarray(np.linalg.lstsq(matrix, right, rcond=1e-9)[0], dtype=np.float64)
+
+
+def refuted_by_flights(physics: Physics, entries: Sequence[Entry]) -> str | None:
+    """Why the clock of a fit cannot be, where what flies free has another; None where nothing speaks against it.
+
+    In throws that no law foretells to within the errors of the frames, a clock can stand for what the law lacks.
+    """
+    if "clock_scale" not in physics.values:
+        return None
+    clock, error = clock_before_bounces(physics, entries)
+    if abs(physics.clock - clock) <= _CONTRADICTED * np.hypot(error, LEAST_OF_CALIBRATION["clock_scale"]):
+        return None
+    return (
+        f"Throws would be foretold best with a clock of {physics.clock:.4g}, but the flights before the first bounce fall "
+        f"with g on one of {clock:.4f} ± {error:.4f}."
+    )
+
+
+def clock_before_bounces(physics: Physics, entries: Sequence[Entry]) -> tuple[float, float]:
+    """True seconds in one of the tracks, from how the die falls before the first bounce, and its standard error.
+
+    In flight the centre of mass falls by g c² t²/2 in the track's time t, with c the clock; the three numbers of a load
+    are fitted beside it, as in `load_before_bounces`.
+    """
+    matrix, right, squares, freedom = np.zeros((4, 4)), np.zeros(4), 0.0, 0
+    for entry in entries:
+        columns, fallen = _free_fall(entry)
+        weight = 1.0 / entry.outset.sigma_m**2
+        matrix += weight * columns.T @ columns
+        right += weight * columns.T @ fallen
+        squares += weight * float(fallen @ fallen)
+        freedom += 3 * len(entry.outset.rows) - 6
+    values = np.linalg.lstsq(matrix, right, rcond=1e-12)[0]
+    variance = max(1.0, (squares - float(right @ values)) / max(freedom - 4, 1))
+    squared = 1.0 + float(values[3]) / (GRAVITY_M_S2 * physics.length)
+    error = float(np.sqrt(variance * np.linalg.pinv(matrix)[3, 3])) / (GRAVITY_M_S2 * physics.length)
+    clock = float(np.sqrt(max(squared, 1e-6)))
+    return clock, 0.5 * error / clock
+
+
+def _free_fall(entry: Entry) -> tuple[Array, Array]:
+    """Derivatives (3 n, 4) of the heights and places of one flight by a load (3,) and by gravity, and what is left (3 n,)
+    of them, all without what a straight line explains."""
+    rows, state = entry.outset.rows, entry.outset.fair_state
+    times = entry.track.time_s[rows] - state.time_s
+    line = np.stack([np.ones_like(times), times], 1)
+    rest = np.eye(len(rows)) - line @ np.linalg.pinv(line)
+    circled = -np.einsum("mn,nij->mij", rest, matrix_from_quat(entry.track.quaternion[rows])).reshape(-1, 3)
+    fall = np.zeros((len(rows), 3))
+    fall[:, 2] = -0.5 * (rest @ times**2)
+    flown = state.position_m + np.outer(times, state.velocity_m_s)
+    flown[:, 2] -= 0.5 * GRAVITY_M_S2 * times**2
+    left = rest @ (entry.track.position_m[rows] - flown)
+    return np.column_stack([circled, fall.ravel()]), left.ravel()
 
 
 def _widened(crowd: Crowd, point: Point, effect: str) -> Point:

@@ -17,7 +17,7 @@ from ..model.simulate import Until
 from ..model.solids import Die, lowest_face
 from ..tracking.track import Track
 from .flights import moved_state
-from .physics import Physics, course
+from .physics import QUICK, Physics
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
     Unchanged where the last flight begins with a corner below the table, as a fit through prescribed vertices may.
     """
     last = throw.flights[-1].start
-    until_s = physics.values.get("clock_scale", 1.0) * end_s
+    until_s = physics.clock * end_s
     if until_s <= last.time_s or not physics.can_release(last):
         return throw
     on = physics.throw(last, Until(time_s=until_s)).throw
@@ -69,7 +69,7 @@ def continued(physics: Physics, throw: Throw, end_s: float) -> Throw:
 
 
 def landing_odds(
-    physics: Physics, throw: Throw, initial: State, covariance: Array, vertices: tuple[int, ...]
+    physics: Physics, initial: State, covariance: Array, vertices: tuple[int, ...]
 ) -> tuple[int | None, dict[int, float] | None, tuple[str, ...]]:
     """Face on which throws drawn from the fit come to rest, the odds of every face, and what to say of them.
 
@@ -84,7 +84,7 @@ def landing_odds(
     for _ in range(DRAWS):
         x = spread @ rng.standard_normal(len(spread))
         start = moved_state(initial, x[:12])
-        face = _landing(physics.moved(x[12:]), start, vertices, throw.flights[-1].start.time_s)
+        face = _landing(physics.moved(x[12:]), start, vertices)
         if face is None:
             undecided += 1
         else:
@@ -104,9 +104,7 @@ def landing_odds(
     return likely, odds, ()
 
 
-def _landing(physics: Physics, start: State, vertices: tuple[int, ...], until_s: float) -> int | None:
+def _landing(physics: Physics, start: State, vertices: tuple[int, ...]) -> int | None:
     """The face of one throw, through the fitted impacts and then by itself; None where it is not decided."""
-    clock = physics.values.get("clock_scale", 1.0)
-    last = course(physics, start, np.array([until_s / clock]), vertices).throw.flights[-1].start
-    run = physics.run(last, impacts=_MOST_IMPACTS, keep=False)
+    run = physics.run(physics.after(start, vertices), impacts=_MOST_IMPACTS, keep=False, precision=QUICK)
     return None if run is None else run.landed_face

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..model.rotations import matrix_from_quat
 from .flights import FreeFlights, flight_jacobian
 from .intervals import variance_inflation
+from .robust import orthonormal
 from .sightings import pose_errors, whitened, whitened_jacobian
 
 Array = NDArray[np.float64]
@@ -57,7 +58,7 @@ def load_in_flight(free: FreeFlights) -> Load | None:
         errors = pose_errors(own, *fit.flight.poses(own.time_s))
         motion = whitened_jacobian(own, errors, flight_jacobian(fit.flight.start, own.time_s)).reshape(-1, 12)
         shift = own.whitener[:, :, :3] @ matrix_from_quat(own.quaternion)
-        basis = np.linalg.qr(motion / np.linalg.norm(motion, axis=0))[0]
+        basis = orthonormal(motion, np.diag(np.linalg.norm(motion, axis=0)))
         apart = np.column_stack([whitened(own, errors).ravel(), shift.reshape(-1, _SHIFT)])
         apart -= basis @ (basis.T @ apart)
         residuals.append(apart[:, 0].reshape(-1, 6))

@@ -12,6 +12,7 @@ an effect that is not in use has none: it costs no parameter, no time and no lin
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
 | loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
 | tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
+| oscillating table | `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: z = A sin(2πft + phase) | 0 |
 | air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
 | clock | `clock_scale`: true seconds in a second of the track | 1 |
 | length scale | `length_scale`: metres of the track in a true metre | 1 |
@@ -21,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,7 @@ from ..model.solids import Die
 from ..model.tables import Table
 from ..model.tangent import Propagation, propagate
 from .loaded import LOAD
+from .shaking import SHAKE
 
 Array = NDArray[np.float64]
 
@@ -52,13 +54,14 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "inertia": ("inertia_kg_m2",),
     "loaded die": LOAD,
     "tilted table": ("tilt_x_rad", "tilt_y_rad"),
+    "oscillating table": SHAKE,
     "air drag": ("drag_per_m",),
     "clock": ("clock_scale",),
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
 
-ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag"})}
+ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
 """Effects that no fit of one throw has together: a displaced centre of mass has derivatives for smooth impacts without air
 alone (`model.tangent`). Joint fits, which need none, have it with friction."""
 
@@ -74,11 +77,22 @@ _BOUNDS = {
     "tilt_x_rad": (-0.3, 0.3),
     "tilt_y_rad": (-0.3, 0.3),
     "drag_per_m": (0.0, 10.0),
+    "table_amplitude_m": (0.0, 0.05),
+    "table_frequency_hz": (0.1, 1000.0),
+    "table_phase_rad": (-100.0, 100.0),
     "clock_scale": (0.8, 1.25),
     "length_scale": (0.8, 1.25),
 }
 
-LEAST_OF_CALIBRATION = {"clock_scale": 1e-3, "length_scale": 1e-3, "tilt_x_rad": 2e-3, "tilt_y_rad": 2e-3}
+LEAST_OF_CALIBRATION = {
+    "clock_scale": 1e-3,
+    "length_scale": 1e-3,
+    "tilt_x_rad": 2e-3,
+    "tilt_y_rad": 2e-3,
+    "table_amplitude_m": 2e-5,
+    "table_frequency_hz": np.inf,  # what does not move has no frequency
+    "table_phase_rad": np.inf,
+}
 """Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
 of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
 
@@ -86,13 +100,25 @@ _LEAST_SHARE = 1e-3
 """The same of a centre of mass, as a share of an edge: the corners of a real die are not truer than that."""
 
 _SOME: dict[str, tuple[dict[str, float], ...]] = {
-    "friction": ({"mu": 0.1}, {"mu": 0.4}),
+    "friction": ({"mu": 0.1}, {"mu": 0.4}, {"mu": 1.0}),
     "fading restitution": ({"chi_fade_s_per_m": 1.0},),
 }
 """Values of an effect, from small to large among those that scenes have, from which a fit may find its way."""
 
 _SLOW_FADE_S_PER_M = 1e-6
 """Where the law needs a finite speed scale although nothing fades yet."""
+
+
+QUICK = kernels.Precision(0.0, 1e-4, 1.0, 1e-4)
+"""For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
+`benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
+change, and they take a fifth of the time."""
+
+
+@lru_cache(maxsize=64)
+def kernel_body(die: Die) -> kernels.Body:
+    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
+    return body_of(die)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +149,16 @@ class Physics:
     def free(self) -> tuple[str, ...]:
         """Names of the parameters that a fit moves, in the order of its unknowns."""
         return tuple(name for name in self.values if name not in self.held)
+
+    @property
+    def clock(self) -> float:
+        """True seconds in a second of the track."""
+        return self.values.get("clock_scale", 1.0)
+
+    @property
+    def length(self) -> float:
+        """Metres of the track in a true metre."""
+        return self.values.get("length_scale", 1.0)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -160,6 +196,8 @@ class Physics:
         """The value at which a parameter does nothing."""
         if name == "corner_radius_m":
             return self.die.corner_radius_m
+        if name in SHAKE:
+            return float(getattr(self.table, name.removeprefix("table_")))
         return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _OFF.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
@@ -178,8 +216,7 @@ class Physics:
     def with_some_of(self, effect: str) -> list[Physics]:
         """The same with a little and with much of one effect, for fits that find no way from none of it."""
         wider = self.with_effect(effect)
-        some = [wider.with_values(**values) for values in _SOME.get(effect, ())]
-        return [*some, *(other for physics in some for other in physics.with_other_restitutions())]
+        return [wider.with_values(**values) for values in _SOME.get(effect, ())]
 
     def with_other_restitutions(self) -> list[Physics]:
         """The same with the other kinds of restitution; none where nothing rubs and all mean the same."""
@@ -222,12 +259,16 @@ class Physics:
 
     @cached_property
     def plane(self) -> Table:
-        """The table with the fitted tilt."""
-        if "tilt_x_rad" not in self.values:
-            return self.table
-        x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
-        # A turn about x by a leans the normal towards -y; about y by b towards x.
-        return replace(self.table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+        """The table with the fitted tilt and motion."""
+        table = self.table
+        if SHAKE[0] in self.values:
+            amplitude, frequency, phase = (self.values[name] for name in SHAKE)
+            table = replace(table, amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase)
+        if "tilt_x_rad" in self.values:
+            x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
+            # A turn about x by a leans the normal towards -y; about y by b towards x.
+            table = replace(table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+        return table
 
     def throw(self, start: State, until: Until) -> ThrowResult:
         """The throw that the die makes by itself. Raises ValueError for a start below the table."""
@@ -238,7 +279,22 @@ class Physics:
         them, may lie."""
         return self._packed(start) is not None
 
-    def run(self, start: State, *, end_s: float = np.inf, impacts: int, keep: bool) -> Run | None:
+    def after(self, start: State, vertices: tuple[int, ...]) -> State:
+        """Where the last flight of a throw through prescribed vertices begins."""
+        drag = self.values.get("drag_per_m", 0.0)
+        return propagate(
+            self.body, start, self.law, [], vertices=vertices, table=self.plane, parameters=(), drag_per_m=drag
+        ).last_start
+
+    def run(
+        self,
+        start: State,
+        *,
+        end_s: float = np.inf,
+        impacts: int,
+        keep: bool,
+        precision: kernels.Precision = kernels.FINE,
+    ) -> Run | None:
         """The throw left to itself, in short; None for a start below the table.
 
         The event loop without the values of a `Throw`, which take ten times as long.
@@ -249,10 +305,10 @@ class Physics:
         if not self.body.is_spherical_top:
             return self._run_top(start, end_s, impacts)
         _, _, face, _, _, log, _ = kernels.run_throw(
-            body_of(self.body),
+            kernel_body(self.body),
             kernels.law_of(self.law.code, self.law.parameters),
             self.plane.plane,
-            kernels.FINE,
+            precision,
             packed,
             float(start.time_s),
             end_s - float(start.time_s),
@@ -302,7 +358,7 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
 
     `start` is true: its time is that of the track times the clock scale.
     """
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
+    clock, length = physics.clock, physics.length
     names = tuple(name for name in physics.free if name not in _OFF)
     passed = tuple("speed_scale_m_s" if name == "chi_fade_s_per_m" else name for name in names)
     way = propagate(

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ..model import kernels
-from ..model.bodies import body_of, kernel_starts, touching_vertices, world_poses
+from ..model.bodies import kernel_starts, touching_vertices, world_poses
 from ..model.ensembles import Stage
 from ..model.motion import State
 from ..model.rotations import matrix_from_quat
@@ -31,15 +31,11 @@ from ..tracking.track import ABSENT, TRACKED, Track
 from .flights import moved_state
 from .landing import resting_face
 from .outset import FEWEST, Outset, flight_length, outset_before, outset_of, usable_rows
-from .physics import Physics
+from .physics import QUICK, Physics, kernel_body
 from .results import Parameter
+from .scales import in_true_units
 
 Array = NDArray[np.float64]
-
-QUICK = kernels.Precision(0.0, 1e-4, 1.0, 1e-4)
-"""For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
-`benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
-change, and they take a fifth of the time."""
 
 SURE = 0.95
 
@@ -101,7 +97,7 @@ def simulated_throws(
     for state, times in zip(states, times_s, strict=True):
         if len(times) and times[0] < state.time_s - 1e-12:
             raise ValueError(f"times_s from {times[0]:g}: wanted none before the state's, {state.time_s:g} s")
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
+    clock, length = physics.clock, physics.length
     starts = [lifted(physics, in_true_units(physics, state)) for state in states]
     firsts = np.concatenate([[0], np.cumsum([len(times) for times in times_s])]).astype(np.int64)
     times = clock * np.concatenate([np.empty(0), *times_s])
@@ -116,7 +112,7 @@ def simulated_throws(
     begins = np.array([start.time_s for start in starts])
     law = kernels.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
-    fixed = (_body(physics.body), law, physics.plane.plane, precision)
+    fixed = (kernel_body(physics.body), law, physics.plane.plane, precision)
 
     def part(low: int, high: int) -> None:
         kernels.poses_of_throws(*fixed, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
@@ -132,27 +128,9 @@ def simulated_throws(
 
 
 @lru_cache(maxsize=64)
-def _body(die: Die) -> kernels.Body:
-    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
-    return body_of(die)
-
-
-@lru_cache(maxsize=64)
 def _corners(die: Die) -> Array:
     """As `touching_vertices`, likewise."""
     return touching_vertices(die)
-
-
-def in_true_units(physics: Physics, state: State) -> State:
-    """A state on the track's clock and in its metres, by the scales of the physics."""
-    clock, length = physics.values.get("clock_scale", 1.0), physics.values.get("length_scale", 1.0)
-    return State(
-        clock * state.time_s,
-        state.position_m / length,
-        state.quaternion,
-        state.velocity_m_s / (clock * length),
-        state.omega_rad_s / clock,
-    )
 
 
 def lifted(physics: Physics, state: State) -> State:

@@ -52,7 +52,8 @@ class Fit:
     parameters: dict[str, Parameter]
     """By name; `chi` always."""
     initial: State | None
-    """The fitted state at the beginning of the first flight."""
+    """The fitted state at the beginning of the first flight: on the true clock and in true metres where the fit found
+    that the track has others (`clock_scale`, `length_scale`)."""
     initial_covariance: Array | None
     """(12, 12) of `initial`: position [m], rotation vector [rad], velocity [m/s], angular velocity [rad/s], world axes,
     R_true = exp(δ) R; scaled up by what the residuals show of the frames' true errors."""
@@ -72,7 +73,7 @@ class Fit:
     messages: tuple[str, ...]
     """One sentence each: what a careful reader of the numbers should know."""
     throw: Throw | None
-    """The model's throw, from `initial` through every impact that the fit reached."""
+    """The model's throw, from `initial` through every impact that the fit reached, on the track's clock and in its metres."""
     restitution: Restitution = "stronge"
     """What χ means where something rubs; see `model.impacts.CoulombImpact`."""
     covariance: Array | None = None

@@ -61,6 +61,17 @@ def triangle(jacobian: Array) -> Array:
     return root * np.where(np.diag(root) < 0.0, -1.0, 1.0)[:, None]
 
 
+def orthonormal(jacobian: Array, root: Array) -> Array:
+    """Orthonormal columns (n, m) that span those of a derivative (n, m); `root` (m, m) measures its unknowns, as in
+    `in_units_of`."""
+    scaled = in_units_of(root, jacobian)
+    own = triangle(scaled)
+    # What moves nothing, such as friction where every contact sticks, has a column of zeros and keeps it.
+    still = np.diag(own) < 1e-12 * np.diag(own).max()
+    own[still, still] = 1.0
+    return np.asarray(in_units_of(own, scaled))
+
+
 @compiled
 def _triangle(columns: Array) -> Array:
     """R (m, m) of the QR decomposition of a matrix given by its columns (m, n), n >= m, by Householder's reflections.

@@ -25,14 +25,21 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from .flights import FreeFlights
-from .intervals import variance_inflation
-from .lengthening import CLEARLY, best_attempt, is_explained, loss_scale, reach
+from .lengthening import (
+    best_attempt,
+    is_explained,
+    loss_scale,
+    reach,
+    starts_with,
+    ways_of_friction,
+    well_explained,
+)
 from .loaded import Load, load_in_flight
-from .physics import EFFECTS, RESTITUTIONS, Physics, course
+from .physics import EFFECTS, Physics
 from .results import Effect
-from .robust import condensed, huber, in_units_of, triangle
-from .shots import Shot, root_of, shoot
-from .sightings import pose_errors, whitened, whitened_jacobian
+from .robust import condensed, huber, in_units_of, orthonormal
+from .shaking import shakes_seen
+from .shots import Shot, linear, shoot, widened, with_physics
 
 Array = NDArray[np.float64]
 
@@ -44,6 +51,10 @@ _FIXED = 1e-3
 
 _HOPEFUL = 0.3
 """Part of the price at which an effect is fitted: a gain foretold by derivatives may be short of the real one."""
+
+
+HELD_AT_FIRST = frozenset({"table_frequency_hz", "table_phase_rad"})
+"""Of a motion that the bounces show, what a fit to the first of them leaves alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,9 +105,9 @@ class Trial:
         return Effect(self.effect, self.gain, why)
 
 
-def try_effects(shot: Shot, free: FreeFlights) -> list[Trial]:
+def try_effects(shot: Shot, measured: Throw, free: FreeFlights) -> list[Trial]:
     """Every effect that is not in use, tried on the frames that a shot explains."""
-    return [_try(shot, effect, free) for effect in unused_effects(shot.physics)]
+    return [_try(shot, effect, measured, free) for effect in unused_effects(shot.physics)]
 
 
 def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> list[Trial]:
@@ -107,12 +118,12 @@ def try_effects_at_a_loss(shot: Shot, measured: Throw, free: FreeFlights) -> lis
     """
     attempt = best_attempt(shot, measured, free)
     if attempt is None or not attempt.vertices:
-        return try_effects(shot, free) if shot.vertices else []
+        return try_effects(shot, measured, free) if shot.vertices else []
     trials: list[Trial] = []
     for effect in unused_effects(shot.physics):
         # Once one effect explains the flight, another has to do the same, which a few frames tell.
         explained = any(trial.shot is not None and is_explained(trial.shot, free) for trial in trials)
-        trials.append(_try_on(shot, attempt, effect, free, patient=not explained))
+        trials.append(_try_on(shot, attempt, effect, measured, free, patient=not explained))
     return trials
 
 
@@ -134,29 +145,32 @@ def unused_effects(physics: Physics) -> list[str]:
     return [effect for effect in candidates_for(physics) if effect not in physics.effects]
 
 
-def _try_on(shot: Shot, attempt: Shot, effect: str, free: FreeFlights, *, patient: bool) -> Trial:
+def _try_on(shot: Shot, attempt: Shot, effect: str, measured: Throw, free: FreeFlights, *, patient: bool) -> Trial:
     """One effect on the frames of an attempt that failed without it."""
     k2 = loss_scale(free)
-    starts = (shot.physics.with_effect(effect), *shot.physics.with_some_of(effect))
+    starts = [*starts_with(effect, shot.physics, free, shot.reached, attempt.reached), shot.physics.with_effect(effect)]
     if effect == "loaded die":
         load, gain = _hopeful_load(attempt, free)
         if load is None:
             return Trial(effect, None, gain, _price(attempt, effect), 0.0)
-        starts = (shot.physics.with_values(**load.values),)
+        starts = [shot.physics.with_values(**load.values)]
+    if is_unknown_motion(effect, shot.physics):
+        # One bounce cannot tell three numbers: the frequency stays as all bounces have it until the fit has some of them.
+        seen = shakes_seen(shot.physics.body, free, measured.impacts)
+        starts = [replace(shot.physics.with_values(**values), held=HELD_AT_FIRST) for values in seen]
+        patient = True  # it is in few scenes, and where it is, others may have passed for it at the first bounce
     onward = attempt.vertices[len(shot.vertices) :]
-    tried = [reach(with_physics(shot, p, k2), onward, attempt.reached, free, patient=patient) for p in starts]
-    found = [other for other in tried if other is not None]
+    found: list[Shot] = []
+    for physics in (*starts, *(kind for start in starts for kind in start.with_other_restitutions())):
+        other = reach(with_physics(shot, physics, k2), onward, attempt.reached, free, patient=patient)
+        found += [] if other is None else [other]
+        if other is not None and well_explained(other, free):
+            break
     if not found:
         return Trial(effect, None, 0.0, _price(attempt, effect), 0.0)
-    refitted = [shoot(attempt.sightings, other, other.vertices, k2) for other in _nearest_of_each_kind(found)]
-    enough = min(other.cost(k2) + CLEARLY * max(1.0, other.mean_square) for other in refitted)
-    return _compared(attempt, next(other for other in refitted if other.cost(k2) <= enough), effect, k2)
-
-
-def _nearest_of_each_kind(shots: list[Shot]) -> list[Shot]:
-    """The best shot with each kind of restitution, in the order in which the kinds are preferred."""
-    kinds = [kind for kind in RESTITUTIONS if any(shot.physics.restitution == kind for shot in shots)]
-    return [min((s for s in shots if s.physics.restitution == kind), key=lambda s: s.mean_square) for kind in kinds]
+    best = min(found, key=lambda other: other.mean_square)
+    refitted = shoot(attempt.sightings, best, best.vertices, k2)
+    return _compared(attempt, ways_of_friction(refitted, free)[0], effect, k2)
 
 
 def candidates_for(physics: Physics) -> tuple[str, ...]:
@@ -164,22 +178,20 @@ def candidates_for(physics: Physics) -> tuple[str, ...]:
     return tuple(effect for effect in EFFECTS if physics.goes_with(effect))
 
 
-def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
-    """The same throw with other parameters free, and the information that its frames have on them."""
-    residuals, jacobian = _linear(replace(shot, physics=physics))
-    scaled = huber(residuals, jacobian, k2)[1]
-    return replace(
-        shot, physics=physics, residuals=residuals, root=root_of(scaled.reshape(-1, scaled.shape[2]), physics)
-    )
+def is_unknown_motion(effect: str, physics: Physics) -> bool:
+    """Whether an effect is the motion of a table of which the scene says nothing: no derivative leads there from rest."""
+    return effect == "oscillating table" and not physics.table.moves
 
 
-def _try(shot: Shot, effect: str, free: FreeFlights) -> Trial:
+def _try(shot: Shot, effect: str, measured: Throw, free: FreeFlights) -> Trial:
     """One effect on the frames that a shot explains."""
     k2 = loss_scale(free)
     if effect == "loaded die":
         return _try_load(shot, free)
-    wider = with_physics(shot, shot.physics.with_effect(effect), k2)
-    hoped = _foreseen_gain(wider, k2)
+    if is_unknown_motion(effect, shot.physics):
+        return _try_motion(shot, measured, free)
+    wider, residuals, jacobian = widened(shot, shot.physics.with_effect(effect), k2)
+    hoped = _foreseen_gain(residuals, jacobian, wider.root)
     if hoped < _HOPEFUL * _price(shot, effect):
         return Trial(effect, None, hoped, _price(shot, effect), 0.0)
     return _compared(shot, shoot(shot.sightings, wider, shot.vertices, k2), effect, k2)
@@ -205,6 +217,16 @@ def _try_load(shot: Shot, free: FreeFlights) -> Trial:
     return _compared(shot, min(found, key=lambda s: s.cost(k2)), effect, k2)
 
 
+def _try_motion(shot: Shot, measured: Throw, free: FreeFlights) -> Trial:
+    """The same of a table that oscillates, from the motions that the bounces show."""
+    effect, k2 = "oscillating table", loss_scale(free)
+    starts = [shot.physics.with_values(**seen) for seen in shakes_seen(shot.physics.body, free, measured.impacts)]
+    found = [shoot(shot.sightings, with_physics(shot, start, k2), shot.vertices, k2) for start in starts]
+    if not found:
+        return Trial(effect, None, 0.0, _price(shot, effect), 0.0)
+    return _compared(shot, min(found, key=lambda other: other.cost(k2)), effect, k2)
+
+
 def _compared(shot: Shot, wider: Shot, effect: str, k2: float) -> Trial:
     """What an effect gains on the frames that both shots are fitted to."""
     scale = _scale(wider)
@@ -220,26 +242,17 @@ def _price(shot: Shot, effect: str) -> float:
     return len(EFFECTS[effect]) * float(0.5 * np.log(shot.residuals.size) + np.log(count))
 
 
-def _linear(shot: Shot) -> tuple[Array, Array]:
-    """Whitened residuals (n, 6) of a shot and their derivative (n, 6, 12 + k)."""
-    way = course(shot.physics, shot.state, shot.sightings.time_s, shot.vertices)
-    errors = pose_errors(shot.sightings, way.positions_m, way.quaternions)
-    return whitened(shot.sightings, errors), whitened_jacobian(shot.sightings, errors, way.jacobian)
-
-
-def _foreseen_gain(wider: Shot, k2: float) -> float:
+def _foreseen_gain(residuals: Array, jacobian: Array, root: Array) -> float:
     """By how much half the cost would fall if the residuals were linear in all unknowns, in units of what is left."""
-    residuals, jacobian = huber(*_linear(wider), k2)
-    few = condensed(residuals.ravel(), in_units_of(wider.root, jacobian.reshape(-1, jacobian.shape[2])))
+    few = condensed(residuals.ravel(), in_units_of(root, jacobian.reshape(-1, jacobian.shape[2])))
     left = float(few[-1, -1] ** 2)
     fall = float((residuals**2).sum()) - left
-    return 0.5 * fall / max(1.0, left / max(residuals.size - len(wider.root), 1))
+    return 0.5 * fall / max(1.0, left / max(residuals.size - len(root), 1))
 
 
 def _scale(shot: Shot) -> float:
     """s² τ of what a shot leaves."""
-    freedom = shot.residuals.size - len(shot.root)
-    variance, tau = variance_inflation(shot.residuals, freedom, shot.sightings.flight)
+    variance, tau = shot.inflation
     return variance * tau
 
 
@@ -249,8 +262,8 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
     With H the hat matrix of a linear fit, the residuals of a block left out are (1 - H_bb)⁻¹ r_b (Cook & Weisberg,
     Residuals and Influence in Regression, 1982, Sec. 3.2).
     """
-    residuals, jacobian = _linear(shot)
-    q = _orthonormal(jacobian, shot.root).reshape(len(residuals), 6, -1)
+    residuals, jacobian = linear(shot)
+    q = orthonormal(jacobian.reshape(-1, jacobian.shape[2]), shot.root).reshape(len(residuals), 6, -1)
     costs = []
     for rows in _blocks(shot):
         own = q[rows].reshape(-1, q.shape[2])
@@ -262,16 +275,6 @@ def left_out_costs(shot: Shot, k2: float) -> Array:
         kept, _ = huber(apart, np.empty((len(apart), 6, 0)), k2)
         costs.append(float((kept**2).sum()))
     return np.array(costs)
-
-
-def _orthonormal(jacobian: Array, root: Array) -> Array:
-    """Orthonormal columns (6 n, m) that span those of a derivative (n, 6, m)."""
-    scaled = in_units_of(root, jacobian.reshape(-1, jacobian.shape[2]))
-    own = triangle(scaled)
-    # What moves nothing, such as friction where every contact sticks, has a column of zeros and keeps it.
-    still = np.diag(own) < 1e-12 * np.diag(own).max()
-    own[still, still] = 1.0
-    return np.asarray(in_units_of(own, scaled))
 
 
 def _blocks(shot: Shot) -> list[NDArray[np.int64]]:

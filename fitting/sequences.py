@@ -68,7 +68,7 @@ def simulated_sequences(shot: Shot, target: int, free: FreeFlights) -> list[Vert
 def own_sequence(physics: Physics, start: State, until_s: float) -> Vertices:
     """The vertices with which a throw left to itself strikes until a time on the track's clock, up to where it stops
     bouncing; none for a start below the table, from which there is no throw."""
-    end_s = physics.values.get("clock_scale", 1.0) * until_s
+    end_s = physics.clock * until_s
     run = physics.run(start, end_s=end_s, impacts=_MOST_IMPACTS, keep=True)
     if run is None:
         return ()

@@ -11,11 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from ..model.motion import State, Throw
 from ..model.tangent import Propagation
-from .descent import descend
+from .descent import ENOUGH, descend
 from .flights import FreeFlights, left_jacobian, moved_state
+from .intervals import variance_inflation
 from .physics import Physics, course
 from .robust import huber, triangle
 from .sightings import Sightings, pose_errors, whitened, whitened_jacobian
@@ -25,6 +27,9 @@ Array = NDArray[np.float64]
 FIRST_SIGMA = {"chi": 0.3, "mu": 0.2, "chi_fade_s_per_m": 0.2}
 """Scale of the first steps of a parameter that no frame has told of; it has no weight in a fit. Others: a tenth of what
 their bounds allow."""
+
+_HOPELESS = 2.0
+"""k² a frame: a cost above which a shot is no fit. One that counts as explained (`lengthening.MISFIT`) costs less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,14 +59,33 @@ class Shot:
         """Of the whitened residuals."""
         return float((self.residuals**2).mean())
 
+    @property
+    def inflation(self) -> tuple[float, float]:
+        """By how much its covariance is scaled for what the residuals show: s² and τ (`intervals`)."""
+        return variance_inflation(self.residuals, self.residuals.size - len(self.root), self.sightings.flight)
+
+    @property
+    def covariance(self) -> Array:
+        """(12 + k, 12 + k) of state and free parameters, by the stated errors of the frames: (Tᵀ T)⁻¹."""
+        inverse = solve_triangular(self.root, np.eye(len(self.root)))
+        return np.asarray(inverse @ inverse.T, dtype=np.float64)
+
+    @property
+    def rounding(self) -> float:
+        """Sigmas by which rounding of the start and of the parameters to doubles moves the frames, at most."""
+        state = (self.state.position_m, np.ones(3), self.state.velocity_m_s, self.state.omega_rad_s)
+        values = [self.physics.values[name] for name in self.physics.free]
+        return float(np.finfo(float).eps * np.linalg.norm(self.root * np.concatenate([*state, values]), axis=0).max())
+
     def cost(self, k2: float) -> float:
         """Σ ρ over the frames; `k2` as in `robust.huber`."""
         scaled, _ = huber(self.residuals, np.empty((len(self.residuals), 6, 0)), k2)
         return float((scaled**2).sum())
 
 
-def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: float) -> Shot:
-    """The throw through `vertices` nearest to the frames, started from another shot. `k2` as in `robust.huber`."""
+def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: float, *, enough: float = ENOUGH) -> Shot:
+    """The throw through `vertices` nearest to the frames, started from another shot. `k2` as in `robust.huber`, `enough`
+    as in `descent.descend`."""
     physics = start.physics
     names = physics.free
     reach = np.array([[bound - physics.values[name] for bound in physics.bounds(name)] for name in names])
@@ -75,7 +99,7 @@ def shoot(sightings: Sightings, start: Shot, vertices: tuple[int, ...], k2: floa
         residuals, jacobian = huber(residuals, jacobian, k2)
         return residuals.ravel(), jacobian.reshape(-1, jacobian.shape[2])
 
-    x = descend(evaluate, start.root, low, high)
+    x = descend(evaluate, start.root, low, high, enough=enough, hopeless=_HOPELESS * k2 * len(sightings))
     residuals, jacobian, way = _seen_from(sightings, start, x, vertices)
     _, scaled = huber(residuals, jacobian, k2)
     return replace(
@@ -97,6 +121,25 @@ def _seen_from(
     way = course(start.physics.moved(x[12:]), moved_state(start.state, x[:12]), sightings.time_s, vertices)
     errors = pose_errors(sightings, way.positions_m, way.quaternions)
     return whitened(sightings, errors), whitened_jacobian(sightings, errors, way.jacobian), way.way
+
+
+def linear(shot: Shot) -> tuple[Array, Array]:
+    """Whitened residuals (n, 6) of a shot and their derivative (n, 6, 12 + k)."""
+    residuals, jacobian, _ = _seen_from(shot.sightings, shot, np.zeros(12 + len(shot.physics.free)), shot.vertices)
+    return residuals, jacobian
+
+
+def with_physics(shot: Shot, physics: Physics, k2: float) -> Shot:
+    """The same throw with other parameters free, and the information that its frames have on them."""
+    return widened(shot, physics, k2)[0]
+
+
+def widened(shot: Shot, physics: Physics, k2: float) -> tuple[Shot, Array, Array]:
+    """`with_physics`, and the residuals (n, 6) of the robust loss with their derivative (n, 6, 12 + k)."""
+    residuals, jacobian = linear(replace(shot, physics=physics))
+    scaled, slopes = huber(residuals, jacobian, k2)
+    root = root_of(slopes.reshape(-1, slopes.shape[2]), physics)
+    return replace(shot, physics=physics, residuals=residuals, root=root), scaled, slopes
 
 
 def root_of(jacobian: Array, physics: Physics) -> Array:
@@ -136,7 +179,7 @@ def clear_of_impacts(shot: Shot) -> NDArray[np.bool_]:
     instants = shot.way.impact_times_s
     if not len(instants):
         return np.ones(len(shot.sightings), bool)
-    clock = shot.physics.values.get("clock_scale", 1.0)
+    clock = shot.physics.clock
     away = np.abs(clock * shot.sightings.time_s[:, None] - instants).min(1)
     return np.asarray(away >= 0.5 * shot.sightings.interval_s)
 

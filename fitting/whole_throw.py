@@ -13,7 +13,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
 from scipy.stats import norm
 
 from ..model.motion import Throw
@@ -25,11 +24,12 @@ from .flights import FreeFlights, fit_flights, moved_state
 from .impulses import Bounce, common_restitution, measure_bounces
 from .intervals import profile_interval, variance_inflation
 from .landing import continued, landing_odds, resting_face
-from .lengthening import best_attempt, can_go_on, loss_scale, through_the_bounces, with_preferred_restitution
+from .lengthening import at_its_limit, best_attempt, can_go_on, loss_scale, through_the_bounces, ways_of_friction
 from .physics import Physics
 from .results import Effect, Fit, Parameter
-from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss, with_physics
-from .shots import Shot, mean_squares, opening, shoot
+from .scales import as_tracked
+from .selection import Trial, no_longer_pays, try_effects, try_effects_at_a_loss
+from .shots import Shot, mean_squares, opening, shoot, with_physics
 from .sightings import sight
 from .words import bounce_words, frame_words, inflation_words, missed_words
 
@@ -60,10 +60,13 @@ class _Work:
     track: Track
     measured: Throw
     free: FreeFlights
-    bounces: tuple[Bounce | None, ...]
     first: int
     """The first flight that two frames show."""
     intervals: IntervalMethod
+
+    def bounces(self, die: Die, begin: int, end: int | None = None) -> tuple[Bounce | None, ...]:
+        """Of the measured impacts, those from `begin` up to `end`, looked at one by one."""
+        return measure_bounces(die, self.free, self.measured.impacts, begin, end)
 
 
 def fit_throw(
@@ -88,35 +91,37 @@ def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMet
         return _nothing(messages, "no flight has two frames with a pose: neither the start nor chi can be determined.")
     if first > 0:
         messages.append(f"The fit begins after bounce {first}: the frames before it do not make a flight.")
-    bounces = measure_bounces(physics.die, free, measured.impacts)
-    work = _Work(track, measured, free, bounces, first, intervals)
+    work = _Work(track, measured, free, first, intervals)
     if len(measured.flights) == first + 1:
         messages.append("chi cannot be determined: the track shows no bounce after the first flight.")
         return _unbounded(work, opening(free, first, physics), messages)
     if not can_go_on(free, first):
         messages.append("chi cannot be determined: no flight after the first bounce has two frames clear of impacts.")
         return _unbounded(work, opening(free, first, physics), messages)
-    shots, trials = _with_effects(work, physics)
+    shots, ways, trials = _with_effects(work, physics)
     if not shots[0].vertices and shots[0].reached > first:
         messages.append("chi cannot be determined: the frames make one flight, through every bounce that was measured.")
         return _unbounded(work, shots[0], messages)
     if shots[0].reached == first:
         return _unexplained(work, shots[0], trials, messages)
-    return _explained(work, shots, trials, messages)
+    return _explained(work, shots, ways, trials, messages)
 
 
-def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Trial]]:
-    """The best shots with as many effects as pay, and the trials of the others."""
+def _with_effects(work: _Work, physics: Physics) -> tuple[list[Shot], list[Shot], list[Trial]]:
+    """The best shots with as many effects as pay, the ways in which friction makes the first of them, and the trials of
+    the other effects."""
     shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    ways = shots[:1]
     trials = _trials(work, shots[0])
     for _ in range(_MOST_EFFECTS):
         longer = _best_with_one_more(work, shots, trials)
         if longer is None:
             break
         shots = _without_what_no_longer_pays(work, longer)
-        shots = [with_preferred_restitution(shots[0], work.free), *shots[1:]]
+        ways = ways_of_friction(shots[0], work.free)
+        shots = [ways[0], *shots[1:]]
         trials = _trials(work, shots[0])
-    return shots, trials
+    return shots, ways, trials
 
 
 def _without_what_no_longer_pays(work: _Work, shots: list[Shot]) -> list[Shot]:
@@ -137,45 +142,55 @@ def _best_with_one_more(work: _Work, shots: list[Shot], trials: list[Trial]) -> 
     best, found = (shots[0].reached - 1, 0.0), None
     for trial in sorted((t for t in trials if t.pays), key=lambda t: t.worth, reverse=True):
         assert trial.shot is not None
-        longer = through_the_bounces(_openings(work, trial.shot.physics), work.measured, work.free)
+        longer = _led_through(work, trial.shot.physics)
         if longer[0].reached >= shots[0].reached and (longer[0].reached, trial.worth) > best:
             best, found = (longer[0].reached, trial.worth), longer
-        if not can_go_on(work.free, best[0]):
+        if not can_go_on(work.free, best[0]) or (found is not None and at_its_limit(found[0])):
             break  # nothing can lead farther, and what follows gains less
     return found
+
+
+def _led_through(work: _Work, physics: Physics) -> list[Shot]:
+    """The shots from the first flight on; what was held at first is set free where the fit stops, and it goes on."""
+    shots = through_the_bounces(_openings(work, physics), work.measured, work.free)
+    k2 = loss_scale(work.free)
+    while (held := shots[0].physics.held) and shots[0].vertices:
+        freed = replace(shots[0].physics, held=held - {max(held)})
+        wider = with_physics(shots[0], freed, k2)
+        shots = through_the_bounces([shoot(wider.sightings, wider, wider.vertices, k2)], work.measured, work.free)
+    return shots
 
 
 def _trials(work: _Work, shot: Shot) -> list[Trial]:
     """Every effect that is not in use, tried on the frames explained so far and, where there is one, on the flight that
     is not."""
-    if can_go_on(work.free, shot.reached):
+    if can_go_on(work.free, shot.reached) and not at_its_limit(shot):
         return try_effects_at_a_loss(shot, work.measured, work.free)
-    return try_effects(shot, work.free) if shot.vertices else []
+    return try_effects(shot, work.measured, work.free) if shot.vertices else []
 
 
 def _openings(work: _Work, physics: Physics) -> list[Shot]:
     """The first flight alone, with several χ to begin with where no bounce says which."""
-    bounce = work.bounces[work.first] if work.first < len(work.bounces) else None
+    starts = [0.55, 0.85, 0.25]
     if physics.effects:
         starts = [physics.values["chi"]]
-    elif bounce is not None and 0.02 < bounce.chi < 0.98:
-        starts = [bounce.chi]
     else:
-        starts = [0.55, 0.85, 0.25]
+        seen = work.bounces(physics.die, work.first, work.first + 1)
+        starts = [bounce.chi for bounce in seen if bounce is not None and 0.02 < bounce.chi < 0.98] or starts
     return [opening(work.free, work.first, physics.with_values(chi=chi)) for chi in starts]
 
 
-def _explained(work: _Work, shots: list[Shot], trials: list[Trial], messages: list[str]) -> Fit:
+def _explained(work: _Work, shots: list[Shot], ways: list[Shot], trials: list[Trial], messages: list[str]) -> Fit:
     """The result of a fit through one bounce or more."""
     shot = shots[0]
     total, explained = len(work.measured.impacts) - work.first, shot.reached - work.first
     messages += bounce_words(shots, work.free, total, explained)
-    variance, tau = _inflation(shot)
+    variance, tau = shot.inflation
     messages += inflation_words(variance, tau)
-    parameters = _parameters(shot, work, variance * tau, messages)
-    covariance = _covariance(shot.root) * variance * tau
-    throw = continued(shot.physics, shot.throw, float(work.track.time_s[-1]))
-    face, odds, landing_words = landing_odds(shot.physics, shot.throw, shot.state, covariance, shot.vertices)
+    parameters = _parameters(ways, work, variance * tau, messages)
+    covariance = shot.covariance * variance * tau
+    throw = as_tracked(shot.physics, continued(shot.physics, shot.throw, float(work.track.time_s[-1])))
+    face, odds, landing_words = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
     return Fit(
         parameters=parameters,
         initial=shot.state,
@@ -198,7 +213,7 @@ def _unexplained(work: _Work, start: Shot, trials: list[Trial], messages: list[s
     attempt = best_attempt(start, work.measured, work.free)
     rms = None if attempt is None else float(np.sqrt(attempt.mean_square))
     worst = None if attempt is None else np.sqrt(max(mean_squares(attempt).values()))
-    later = work.bounces[start.reached :]
+    later = work.bounces(start.physics.die, start.reached)
     messages.append(missed_words(len(work.measured.impacts) - start.reached, worst, later))
     fit = replace(_unbounded(work, start, messages), considered=_left_out(trials), residual_rms=rms)
     common = common_restitution(later, level=LEVEL_OF_INTERVALS)
@@ -254,8 +269,9 @@ def _chosen(physics: Physics) -> tuple[str, ...]:
     """The effects in the model, those that the scene states among them."""
     law = () if "friction" in physics.effects else ("smooth impact",)
     rounded = ("rounded corners",) if physics.body.corner_radius_m > 0.0 else ()
-    moving = ("oscillating table",) if physics.table.moves else ()
-    return (*law, *rounded, *moving, *(name for name in physics.effects if name != "corner radius"))
+    moving = ("oscillating table",) if physics.plane.moves else ()
+    listed = ("rounded corners", "oscillating table")
+    return (*law, *rounded, *moving, *(name for name in physics.effects if name not in listed))
 
 
 def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
@@ -263,29 +279,19 @@ def _left_out(trials: list[Trial]) -> tuple[Effect, ...]:
     return tuple(trial.in_words for trial in trials if not trial.pays)
 
 
-def _inflation(shot: Shot) -> tuple[float, float]:
-    """By how much the covariance is scaled for what the residuals show: s² and τ."""
-    freedom = shot.residuals.size - len(shot.root)
-    return variance_inflation(shot.residuals, freedom, shot.sightings.flight)
-
-
-def _covariance(root: Array) -> Array:
-    """(Tᵀ T)⁻¹."""
-    inverse = solve_triangular(root, np.eye(len(root)))
-    return np.asarray(inverse @ inverse.T)
-
-
-def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
-    """Every free parameter with its interval; None, and a message, where the data leave all of its range open."""
-    found = {}
-    covariance, drawn = _covariance(shot.root) * scale, {}
+def _parameters(ways: list[Shot], work: _Work, scale: float, messages: list[str]) -> dict[str, Parameter]:
+    """Every free parameter with its interval, which holds those of all ways to make the throw; None, and a message, where
+    the data leave all of its range open."""
+    found, shot = {}, ways[0]
+    covariance, drawn = shot.covariance * scale, {}
     if work.intervals == "bootstrap":
         drawn = bootstrap_intervals(shot, loss_scale(work.free), level=LEVEL_OF_INTERVALS)
     for k, name in enumerate(shot.physics.free, start=12):
         sigma = float(np.sqrt(covariance[k, k]))
         value, bounds = shot.physics.values[name], shot.physics.bounds(name)
         if work.intervals == "profile":
-            low, high = _profile(shot, name, sigma, scale, work.free)
+            ends = [_profile(way, name, ways[0], scale, work.free) for way in ways]
+            low, high = min(end[0] for end in ends), max(end[1] for end in ends)
         else:
             low, high = drawn.get(name, (value - _Z * sigma, value + _Z * sigma))
         found[name] = _bounded(value, low, high, bounds=bounds, near=0.01 * sigma)
@@ -296,12 +302,13 @@ def _parameters(shot: Shot, work: _Work, scale: float, messages: list[str]) -> d
     return found
 
 
-def _profile(shot: Shot, name: str, sigma: float, scale: float, free: FreeFlights) -> tuple[float, float]:
-    """The interval of one parameter from the profile of the likelihood."""
+def _profile(shot: Shot, name: str, best: Shot, scale: float, free: FreeFlights) -> tuple[float, float]:
+    """The interval of one parameter from the profile of the likelihood about a shot that is as good as the best."""
     k2 = loss_scale(free)
-    least = shot.cost(k2)
-    column = _covariance(shot.root)[:, 12 + shot.physics.free.index(name)]
-    along = column / column[12 + shot.physics.free.index(name)]
+    least = best.cost(k2)
+    column = shot.covariance[:, 12 + shot.physics.free.index(name)]
+    variance = column[12 + shot.physics.free.index(name)]
+    along, sigma = column / variance, float(np.sqrt(variance * scale))
 
     def excess(value: float) -> float:
         # All else where a straight valley would have it: from the fit itself the way leads round bends of a valley a

@@ -8,7 +8,7 @@ import numpy as np
 
 from .flights import FreeFlights
 from .impulses import Bounce
-from .lengthening import MISFIT, can_go_on, keeps_its_sequence
+from .lengthening import MISFIT, at_its_limit, can_go_on, keeps_its_sequence
 from .sequences import own_sequence
 from .shots import Shot
 
@@ -37,13 +37,7 @@ def bounce_words(shots: list[Shot], free: FreeFlights, total: int, explained: in
     """What to say of the bounces that the fit runs through, and of the one that stopped it."""
     words, shot = [], shots[0]
     if explained < total:
-        why = (
-            f"after bounce {explained + 1} every throw that was tried misses the frames by more than {MISFIT:g} times "
-            "their scatter"
-            if can_go_on(free, shot.reached)
-            else "the flights that follow have fewer than two frames clear of impacts"
-        )
-        words.append(f"The model explains {explained} of {total} bounces; {why}.")
+        words.append(f"The model explains {explained} of {total} bounces; {_why_no_more(shot, free, explained)}.")
     if len(shot.vertices) != explained:
         words.append(
             f"The fitted throw has {len(shot.vertices)} impacts where {explained} bounces were measured: "
@@ -61,13 +55,28 @@ def bounce_words(shots: list[Shot], free: FreeFlights, total: int, explained: in
     return words
 
 
+def _why_no_more(shot: Shot, free: FreeFlights, explained: int) -> str:
+    if not can_go_on(free, shot.reached):
+        return "the flights that follow have fewer than two frames clear of impacts"
+    if at_its_limit(shot):
+        return (
+            "errors of the start grow from bounce to bounce, and doubles cannot carry the fit through another "
+            f"(rounding alone already moves frames by {shot.rounding:.0e} sigma)"
+        )
+    return (
+        f"after bounce {explained + 1} every throw that was tried misses the frames by more than {MISFIT:g} times "
+        "their scatter"
+    )
+
+
 def inflation_words(variance: float, tau: float) -> list[str]:
     """The sentence that says by how much sigmas and intervals were scaled up, if they were."""
     if variance < 1.2 and tau < 1.2:
         return []
+    larger = f"{np.sqrt(variance):.2f} sigma (rms) and " if variance > 1.0 else ""
+    why = "the frames' errors are larger than stated, or the model is not quite right; " if variance > 1.0 else ""
     return [
-        f"Residuals are {np.sqrt(variance):.2f} sigma (rms) and alike over {tau:.1f} frames: the frames' errors are "
-        f"larger than stated, or the model is not quite right; sigmas and intervals are scaled up by "
+        f"Residuals are {larger}alike over {tau:.1f} frames: {why}sigmas and intervals are scaled up by "
         f"{np.sqrt(variance * tau):.2f}."
     ]
 

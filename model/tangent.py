@@ -73,7 +73,8 @@ from .simulate import Ending, checked_release
 from .solids import Die, inner_vertices
 from .tables import LEVEL, Table
 from .tangent_tops import SHIFTS, cross_matrix
-from .touch import packed_state
+from .tops import body_state
+from .touch import packed_state, unpacked_state
 
 Array = NDArray[np.float64]
 
@@ -118,6 +119,8 @@ class Propagation:
     impact_jacobian: Array
     """(k, 12 + m) of the instants of the impacts [s], by the same columns."""
     make_throw: Callable[[], Throw] = field(repr=False)
+    last_start: State
+    """Where the last flight begins: after the last impact, or the start itself; world axes."""
 
     @cached_property
     def throw(self) -> Throw:
@@ -185,7 +188,19 @@ def propagate(
     else:
         make_throw = partial(_throw_in_air, die, packed, float(start.time_s), log, end_s, table, drag_per_m)
     positions, quaternions, jacobian = _in_world(die, table, parameters, poses[back], jacobian[back])
-    return Propagation(positions, quaternions, jacobian, log[:, 0].copy(), impact_jacobian, make_throw)
+    last = _after(die, table, log[-1], is_top) if len(log) else start
+    return Propagation(positions, quaternions, jacobian, log[:, 0].copy(), impact_jacobian, make_throw, last)
+
+
+def _after(die: Die, table: Table, row: Array, is_top: bool) -> State:
+    """The state after a logged impact, in world axes."""
+    packed = np.concatenate([row[2:9], row[15:21]])
+    if is_top:
+        state = body_state(die, unpacked_state(packed, row[0]))
+    else:
+        packed[2] += die.corner_radius_m
+        state = unpacked_state(packed, row[0])
+    return in_axes(state, table.world_from_table) if table.tilt_rad else state
 
 
 def _check_names(parameters: Sequence[str]) -> None:

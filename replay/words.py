@@ -162,6 +162,9 @@ MEANINGS = {
     "tilt_x_rad": "tilt of the table about x [rad]",
     "tilt_y_rad": "tilt of the table about y [rad]",
     "drag_per_m": "air drag [1/m]",
+    "table_amplitude_m": "amplitude of the table's motion [m]",
+    "table_frequency_hz": "frequency of the table's motion [Hz]",
+    "table_phase_rad": "phase of the table's motion at t = 0 [rad]",
     "clock_scale": "true seconds in a second of the clip [1]",
     "length_scale": "metres of the track in a true metre [1]",
 }
@@ -175,7 +178,9 @@ def meaning(name: str) -> str:
 
 def effects_sentences(fit: Fit) -> list[str]:
     """Which effects the throw needed, and what became of the others."""
-    stated = {"smooth impact", "oscillating table"}
+    stated = {"smooth impact"}
+    if "table_amplitude_m" not in fit.parameters:
+        stated.add("oscillating table")  # its motion is the scene's
     if "corner_radius_m" not in fit.parameters:
         stated.add("rounded corners")  # they are the scene's
     beyond = [name for name in fit.chosen if name not in stated]

@@ -20,6 +20,8 @@ from .fitting.results import Fit
 from .fitting.whole_throw import IntervalMethod, fit_throw
 from .model.motion import Throw
 from .model.solids import Die
+from .model.tables import LEVEL
+from .model.tables import Table as ModelTable
 from .outputs import ROOM_BYTES, demand_room, whole_folder
 from .provenance import InputFile, Stopwatch, add_timings, steady, write_provenance
 from .records import (
@@ -215,12 +217,12 @@ def fit_track(
 ) -> Analysis:
     """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
     watch = Stopwatch()
-    scene.still_table()
+    table = scene.table.in_model
     frames = read_track(track_path)
     paths = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
-        fit = _fit(frames, measured, scene.die, progress, watch, intervals)
+        fit = _fit(frames, measured, scene.die, progress, watch, intervals, table)
         write_vertices(folder / "vertices.csv", scene.die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = _write_model(folder, fit, frames)
@@ -232,7 +234,7 @@ def fit_track(
             fps=_rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=_growing(frames, measured, scene.die, fit, progress, watch),
+            estimates=_growing(frames, measured, scene.die, fit, progress, watch, table),
             notices=smoothed_notices(track_path),
         )
         _write_recording(folder, record, progress, watch)
@@ -412,19 +414,31 @@ def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
 
 
 def _fit(
-    frames: Track, measured: Throw, die: Die, progress: Progress, watch: Stopwatch, intervals: IntervalMethod
+    frames: Track,
+    measured: Throw,
+    die: Die,
+    progress: Progress,
+    watch: Stopwatch,
+    intervals: IntervalMethod,
+    table: ModelTable = LEVEL,
 ) -> Fit:
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
-        return fit_throw(frames_in_flight(frames, measured), measured, die, intervals=intervals)
+        return fit_throw(frames_in_flight(frames, measured), measured, die, table, intervals)
 
 
 def _growing(
-    frames: Track, measured: Throw, die: Die, fit: Fit, progress: Progress, watch: Stopwatch
+    frames: Track,
+    measured: Throw,
+    die: Die,
+    fit: Fit,
+    progress: Progress,
+    watch: Stopwatch,
+    table: ModelTable = LEVEL,
 ) -> tuple[Estimate, ...]:
     with watch.stage("estimates"):
         progress("Bounce by bounce", 0, 0)
-        return estimates(frames_in_flight(frames, measured), measured, die, fit)
+        return estimates(frames_in_flight(frames, measured), measured, die, fit, table)
 
 
 def _write_model(folder: Path, fit: Fit, frames: Track) -> Track:

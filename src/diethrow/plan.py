@@ -58,10 +58,7 @@ class Plan:
     @property
     def model_table(self) -> ModelTable:
         """The table as the model has it."""
-        motion = self.table.motion
-        if motion is None:
-            return ModelTable()
-        return ModelTable(amplitude_m=motion.amplitude_m, frequency_hz=motion.frequency_hz, phase_rad=motion.phase_rad)
+        return self.table.in_model
 
 
 def read_plan(path: Path) -> Plan:

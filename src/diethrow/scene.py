@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from .model.solids import ROUNDEST, SHAPES, Die, make_die
+from .model.tables import Table as ModelTable
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
 from .tracking.footage import MOST_PIXELS
@@ -78,6 +79,17 @@ class Table:
     """Free text; `mirror` says that the table reflects."""
     motion: Motion | None = None
 
+    @property
+    def in_model(self) -> ModelTable:
+        """The table as the model has it."""
+        if self.motion is None:
+            return ModelTable()
+        return ModelTable(
+            amplitude_m=self.motion.amplitude_m,
+            frequency_hz=self.motion.frequency_hz,
+            phase_rad=self.motion.phase_rad,
+        )
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -105,10 +117,10 @@ class Scene:
         return self.cameras
 
     def still_table(self) -> Table:
-        """The table, at rest. Raises SceneError for one that moves: tracking and fitting know only one at rest."""
+        """The table, at rest. Raises SceneError for one that moves: tracking and joint fits know only one at rest."""
         motion = self.table.motion
         if motion is not None and motion.amplitude_m > 0:
-            wanted = "an oscillating table is simulated but not yet tracked or fitted, wanted 0"
+            wanted = "an oscillating table is fitted to a single track (diethrow fit) but not yet tracked, wanted 0"
             raise refuse(self.path, "table.motion.amplitude_m", motion.amplitude_m, wanted)
         return self.table
 

@@ -240,7 +240,7 @@ def test_a_table_that_moves_is_read_and_refused_by_what_knows_only_one_at_rest(f
     assert scene.table.motion is not None
     assert scene.table.motion.frequency_hz == 25.0
     with pytest.raises(
-        SceneError, match=r"table\.motion\.amplitude_m = 0\.001: an oscillating table is simulated but not yet"
+        SceneError, match=r"table\.motion\.amplitude_m = 0\.001: an oscillating table is fitted to a single track"
     ):
         scene.still_table()
 

@@ -12,6 +12,7 @@ from diethrow.fitting.flights import fit_flights
 from diethrow.fitting.loaded import LOAD, load_in_flight
 from diethrow.fitting.physics import EFFECTS, Physics
 from diethrow.fitting.results import Fit
+from diethrow.fitting.scales import as_tracked
 from diethrow.fitting.sightings import sight
 from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
@@ -62,6 +63,28 @@ def test_a_contact_that_sticks_leaves_friction_open_until_one_slides() -> None:
     assert fit.bounces_fitted == 3
     assert_inside(fit, "chi", 0.6, 2e-3)
     assert_inside(fit, "mu", 0.2, 0.02)
+
+
+def test_where_any_friction_beyond_some_sticks_as_well_its_interval_says_so() -> None:
+    """The slip of this one bounce stops for every mu from 0.15 on, and chi goes a little with it."""
+    fit = fit_throw(*thrown(CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
+    assert fit.chosen == ("friction",)
+    chi, mu = fit.parameters["chi"], fit.parameters["mu"]
+    assert chi.low is not None
+    assert chi.high is not None
+    assert mu.low is not None
+    assert chi.low <= 0.535 <= chi.high
+    assert 0.1 < mu.low < 0.27
+    assert mu.high == 3.0
+    assert not mu.at_bound
+
+
+def test_friction_is_found_behind_the_bend_where_a_slip_just_stops() -> None:
+    """Descents from little friction end at the bend, 0.29; a fit from there goes through the first bounce alone."""
+    fit = fit_throw(*thrown(CoulombImpact(0.84, 0.43), 7), CUBE)
+    assert fit.bounces_fitted >= 2
+    assert_inside(fit, "chi", 0.84, 1e-3)
+    assert_inside(fit, "mu", 0.43, 5e-3)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -158,3 +181,23 @@ def test_an_effect_that_is_off_is_in_no_law() -> None:
     assert plain.body is CUBE
     assert plain.plane is LEVEL
     assert plain.effects == ()
+
+
+@pytest.mark.parametrize("scale", ["clock_scale", "length_scale"])
+def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_given_as_the_track_has_it(scale: str) -> None:
+    track, measured = thrown(SmoothImpact(0.5), 3)
+    clock, length = (1.02, 1.0) if scale == "clock_scale" else (1.0, 1.02)
+    wrong = Physics(CUBE, LEVEL, {"chi": 0.5}).with_values(clock_scale=clock, length_scale=length)
+    seen_so = replace(track, time_s=track.time_s / clock, position_m=length * track.position_m)
+    fit = fit_throw(seen_so, as_tracked(wrong, measured), CUBE)
+    assert fit.chosen == ("smooth impact", "clock" if scale == "clock_scale" else "length scale")
+    assert_inside(fit, scale, 1.02, 1e-3)
+    assert_inside(fit, "chi", 0.5, 1e-3)
+    assert fit.throw is not None
+    off = fit.throw.poses(seen_so.time_s)[0] - seen_so.position_m
+    # Frames err by 0.15 mm along the line of sight; at 1 m/s a clock left as it was would be off by 2 mm.
+    assert np.abs(off).max() < 1e-3
+    middle = 0.5 * float(seen_so.time_s[-1])
+    state = fit.throw.at(middle)
+    ahead = fit.throw.poses(np.array([middle + 1e-6]))[0][0]
+    assert ahead - state.position_m == pytest.approx(1e-6 * state.velocity_m_s, abs=1e-10)

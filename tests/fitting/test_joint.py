@@ -10,7 +10,7 @@ from throws import FPS, random_release, seen
 
 from diethrow.fitting.crowd import Entry, entry_of
 from diethrow.fitting.joint import JointFit, fit_jointly
-from diethrow.fitting.joint_effects import load_before_bounces
+from diethrow.fitting.joint_effects import clock_before_bounces, load_before_bounces, refuted_by_flights
 from diethrow.fitting.physics import LOAD, Physics
 from diethrow.fitting.prediction import simulated_poses
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
@@ -114,3 +114,17 @@ def test_a_track_that_does_not_allow_it_is_named() -> None:
         entry_of("toss_7", replace(track, status=np.where(track.time_s < 0.01, track.status, "lost")), CUBE)
     with pytest.raises(ValueError, match="wanted at least two for a joint fit"):
         fit_jointly(entries(TRUTH, count=1), CUBE)
+
+
+def test_a_clock_that_free_fall_refutes_is_refused_and_a_wrong_one_is_told() -> None:
+    right, physics = entries(TRUTH), Physics(CUBE, LEVEL, {"chi": 0.5})
+    clock, error = clock_before_bounces(physics, right)
+    assert abs(clock - 1.0) < 4.0 * error < 0.02
+    assert refuted_by_flights(physics, right) is None
+    assert refuted_by_flights(physics.with_values(clock_scale=clock), right) is None
+    why = refuted_by_flights(physics.with_values(clock_scale=0.95), right)
+    assert why is not None
+    assert "fall with g" in why
+    slow = [entry_of(e.name, replace(e.track, time_s=e.track.time_s / 1.05), CUBE) for e in right]
+    assert clock_before_bounces(physics, slow)[0] == pytest.approx(1.05, abs=0.01)
+    assert refuted_by_flights(physics.with_values(clock_scale=1.05), slow) is None

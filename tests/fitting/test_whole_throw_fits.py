@@ -302,3 +302,18 @@ def test_the_profile_finds_its_way_round_the_bends_of_a_long_valley(seed: int) -
     track, measured = seen(throw, rng, noise=0.05, stated=0.05), roughly_measured(throw, rng)
     profile, covariance = (chi_of(fit_throw(track, measured, CUBE, intervals=k)) for k in ("profile", "covariance"))
     assert profile[2] - profile[1] == pytest.approx(covariance[2] - covariance[1], rel=0.01)
+
+
+def test_a_throw_of_many_bounces_is_fitted_as_far_as_doubles_carry_and_says_so() -> None:
+    """Errors of the start grow up to a hundredfold at a bounce; chi is long known when rounding begins to be felt."""
+    rng = np.random.default_rng(3)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.9, impacts=12)
+    fit = fit_throw(seen(throw, rng), roughly_measured(throw, rng), CUBE)
+    assert 5 <= fit.bounces_fitted < 12
+    assert any(f"explains {fit.bounces_fitted} of 12 bounces" in m and "doubles" in m for m in fit.messages)
+    assert fit.chosen == ("smooth impact",)
+    chi = fit.parameters["chi"]
+    assert chi.low is not None
+    assert chi.high is not None
+    assert chi.value == pytest.approx(0.9, abs=1e-4)
+    assert abs(0.9 - 0.5 * (chi.low + chi.high)) < chi.high - chi.low

@@ -1,0 +1,69 @@
+"""How long a fit takes: `python benchmarks/fit_time.py [throws]`.
+
+Simulated tracks of a cube at χ = 0.8 through six bounces, smooth and with μ = 0.2, thinned to about 300 frames, with the
+noise of `tests/throws.py`. Printed for each law: processor time of a fit with its intervals, kernels compiled before, and
+by how much χ and μ are off at most.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from throws import FPS, random_release, roughly_measured, seen
+
+from diethrow.fitting.whole_throw import fit_throw
+from diethrow.model.impacts import CoulombImpact, SmoothImpact
+from diethrow.model.motion import Throw
+from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import make_die
+from diethrow.tracking.track import Track
+
+CUBE = make_die("cube", 0.016, 0.0048)
+CHI, MU, BOUNCES, FRAMES = 0.8, 0.2, 6, 300
+
+
+def thrown(law: SmoothImpact | CoulombImpact, seed: int) -> tuple[Track, Throw]:
+    """A track of about so many frames, and its measured throw."""
+    rng = np.random.default_rng(seed)
+    whole = throw_die(CUBE, random_release(CUBE, rng), law, until=Until(impacts=BOUNCES)).throw
+    last = whole.flights[-1]
+    end_s = min(last.end_s, last.start.time_s + 60 / FPS)
+    throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
+    track, measured = seen(throw, rng), roughly_measured(throw, rng)
+    columns = (track.frame, track.time_s, track.position_m, track.quaternion, track.covariance, track.status)
+    step = max(1, round(len(track) / FRAMES))
+    return Track(*(column[::step] for column in columns)), measured
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("throws", type=int, nargs="?", default=12)
+    count = parser.parse_args().throws
+    for law in (SmoothImpact(CHI), CoulombImpact(CHI, MU)):
+        fit_throw(*thrown(law, count), CUBE)  # compiles
+        seconds, off = [], []
+        for seed in range(count):
+            track, measured = thrown(law, seed)
+            began = time.process_time()
+            fit = fit_throw(track, measured, CUBE)
+            seconds.append(time.process_time() - began)
+            found = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
+            off.append([found.get("chi", np.nan) - CHI, found.get("mu", MU) - MU])
+        worst = np.abs(off).max(0)
+        print(
+            f"{type(law).__name__}: median {np.median(seconds):.2f} s, longest {max(seconds):.2f} s; "
+            f"off by at most {worst[0]:.1g} in chi, {worst[1]:.1g} in mu",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main()
