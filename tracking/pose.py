@@ -108,6 +108,13 @@ def with_reflections(view: View) -> View:
     return replace(view, eyes=view.eyes._replace(weight=np.where(direct, 1.0, shared)))
 
 
+def seen_by_first(view: View) -> View:
+    """The view with the edges of the first camera alone; what hides them stays."""
+    weight = np.zeros_like(view.eyes.weight)
+    weight[0] = 1.0
+    return replace(view, eyes=view.eyes._replace(weight=weight))
+
+
 LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
 """Bounds of the prior's standard deviations, positions in units of the die's reach: see `Lens`."""
 
