@@ -1690,10 +1690,11 @@ def rough_rub(
             return FLIES, time + high - begin, hit, knots, known
         copy_to(state, after)
         time += dt
-        if pressing == 0:
-            return FLIES, time - begin, -1, knots, known
+        # First of all: within no time nothing presses, and a die at rest would fly and touch there without end.
         if time >= begin + limit:
             return TIME_REACHED, limit, -1, knots, known
+        if pressing == 0:
+            return FLIES, time - begin, -1, knots, known
         room[2] = room[1] / dt
         n, z_table = 0, table_height(plane, time)
         for k in range(active.shape[0]):

@@ -5,9 +5,11 @@ import pytest
 from random_throws import DICE, random_quaternion
 
 from diethrow.model import kernels
+from diethrow.model.bodies import body_of
 from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact, impulse_N_s
 from diethrow.model.motion import GRAVITY_M_S2, State
 from diethrow.model.rotations import matrix_from_quat
+from diethrow.model.tables import LEVEL
 from diethrow.model.touch import Touch
 
 ENDINGS = {"newton": kernels.NEWTON, "poisson": kernels.POISSON, "stronge": kernels.STRONGE}
@@ -350,7 +352,7 @@ def test_impossible_parameters_are_refused(make, message):
 # ---- held contact ----------------------------------------------------------------------------------------------------
 
 CUBE = DICE["cube"]
-FEET = np.ascontiguousarray(CUBE.solid.vertices[CUBE.solid.vertices[:, 2] < 0])
+FEET = np.ascontiguousarray(DICE["cube"].solid.vertices[DICE["cube"].solid.vertices[:, 2] < 0])
 
 
 def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, feet=FEET):
@@ -455,3 +457,16 @@ def test_a_die_in_millimetres_slides_as_in_metres():
         kernels.friction_step(velocity, FEET, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
         kernels.friction_step(small, 1e-3 * FEET, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
         np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
+
+
+def test_a_die_at_rest_that_is_followed_for_no_time_stays_where_it_is():
+    """Within no time nothing presses it onto the table; it does not fly off and touch without end."""
+    poses = np.empty((1, 7))
+    lying = np.zeros((1, 13))
+    lying[0, 2], lying[0, 3] = 0.5 * DICE["cube"].solid.edge_m, 1.0
+    law = CoulombImpact(chi=0.3, mu=0.2)
+    kernels.poses_of_throws(
+        body_of(DICE["cube"]), kernels.law_of(law.code, law.parameters), LEVEL.plane, kernels.Precision(0.0, 1e-4, 1.0, 1e-4),
+        lying, np.zeros(1), np.zeros(1), np.array([0, 1]), 10**7, poses,
+    )  # fmt: skip
+    np.testing.assert_array_equal(poses, lying[:, :7])
