@@ -103,9 +103,9 @@ distance near the mirror, where die and reflection hide each other's contours, b
 
 def with_reflections(view: View) -> View:
     """The view with what the mirror shows as views of their own; without a mirror the same view."""
-    shared = 1.0 if view.die.corner_radius_m == 0.0 else ROUNDED_IN_MIRROR
+    reflected = 1.0 if view.die.corner_radius_m == 0.0 else ROUNDED_IN_MIRROR
     direct = np.arange(len(view.eyes.weight)) < len(view.cameras)
-    return replace(view, eyes=view.eyes._replace(weight=np.where(direct, 1.0, shared)))
+    return replace(view, eyes=view.eyes._replace(weight=np.where(direct, 1.0, reflected)))
 
 
 def seen_by_first(view: View) -> View:

@@ -25,7 +25,7 @@ class Quality:
     band_px: float
     """Least half-width of the band of pixels about an edge. The two greys beside an edge are not known: of what the pixels
     tell of its place 35 % are lost to them in a band of 3.5 pixels, 15 % in one of 8. On faces of one grey poses then err by a
-    tenth less, in twice the time; on wood, cork and paint they do not, whose grain is no noise."""
+    tenth less; on wood, cork and paint they do not, whose grain is no noise."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
     starts: int
