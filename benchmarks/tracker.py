@@ -74,7 +74,7 @@ from diethrow.model.solids import Die
 from diethrow.scene import Scene, read_scene
 from diethrow.tracking.clip import Clip, Frame
 from diethrow.tracking.pose import make_view, refine_pose
-from diethrow.tracking.quality import QUALITIES
+from diethrow.tracking.quality import QUALITIES, STANDARD, Quality
 
 Array = NDArray[np.float64]
 
@@ -126,6 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--picture", type=Path, help="where to draw the trade between the qualities")
     parser.add_argument("--keep", type=Path, help="a file of results to begin with and to add to")
     parser.add_argument("--draws", type=int, default=200, help="of the noise, against the bound; 0 for no such table")
+    parser.add_argument("--band-px", type=float, default=STANDARD.band_px, help="about the edges, against the bound")
     chosen = parser.parse_intermixed_args(arguments)
     results, failures = measured_clips(chosen)
     if results:
@@ -337,11 +338,13 @@ POSES = 4
 def efficiency_rows(chosen: argparse.Namespace) -> list[list[str]]:
     """One row for each die and quality."""
     return [
-        efficiency_row(name, die, quality, chosen.draws) for name, die in DICE.items() for quality in chosen.qualities
+        efficiency_row(name, die, replace(QUALITIES[quality], band_px=chosen.band_px), chosen.draws)
+        for name, die in DICE.items()
+        for quality in chosen.qualities
     ]
 
 
-def efficiency_row(name: str, die: Die, quality: str, draws: int) -> list[str]:
+def efficiency_row(name: str, die: Die, quality: Quality, draws: int) -> list[str]:
     """Errors of single frames over many draws of the noise, beside the bound."""
     room = studio()
     room = Studio(room.camera, room.table, noise_grey=NOISE_GREY)
@@ -355,7 +358,7 @@ def efficiency_row(name: str, die: Die, quality: str, draws: int) -> list[str]:
         spreads.append([components(room, matrix) for matrix in (covariance, bound)])
     ours, least = np.sqrt(np.mean(np.square(spreads), axis=0))
     pairs = [f"{a:.4f} ({b:.4f}) {unit}" for a, b, unit in zip(ours, least, ("deg", "mm", "mm"), strict=True)]
-    return [name, quality, f"{np.sqrt(np.mean(ratios)):.2f}", *pairs]
+    return [name, quality.name, f"{np.sqrt(np.mean(ratios)):.2f}", *pairs]
 
 
 def random_state(rng: np.random.Generator) -> State:
@@ -392,9 +395,11 @@ def shifted(state: State, step: Array) -> State:
     return replace(state, position_m=state.position_m + step[:3], quaternion=quaternion)
 
 
-def covariance_of(room: Studio, die: Die, state: State, quality: str, draws: int, rng: np.random.Generator) -> Array:
+def covariance_of(
+    room: Studio, die: Die, state: State, quality: Quality, draws: int, rng: np.random.Generator
+) -> Array:
     """(6, 6) of the tracker's errors about their mean, over draws of the noise, from starts a little off."""
-    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, quality=QUALITIES[quality])
+    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, quality=quality)
     plain = photograph(room, die, state)
     found = np.empty((draws, 6))
     for k in range(draws):
