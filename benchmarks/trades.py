@@ -24,7 +24,7 @@ import matplotlib
 import numpy as np
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
-from peers import DIE, ENGINES, cpu_seconds, installed, landed_faces, our_faces, releases
+from peers import DIE, ENGINES, Engine, cpu_seconds, installed, landed_faces, our_faces, releases
 
 from diethrow.analyze import RunError
 from diethrow.executors import one_thread
@@ -206,9 +206,9 @@ def by_events(stage: Stage, starts: NDArray[np.float64]) -> Faces:
     return np.asarray(stage.throw(starts).face)
 
 
-def by_engine(engine: object, starts: NDArray[np.float64]) -> Faces:
+def by_engine(engine: Engine, starts: NDArray[np.float64]) -> Faces:
     """The same of another engine; 0 for none."""
-    return np.asarray(landed_faces(engine, starts)) + 1  # type: ignore[arg-type]
+    return np.asarray(landed_faces(engine, starts)) + 1
 
 
 # --- the page ---------------------------------------------------------------------------------------------------------
