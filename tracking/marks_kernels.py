@@ -49,6 +49,9 @@ LITTLE_BLUR = 0.3
 """Variance [texel²] up to which more or less blur adds half of it times the second derivatives of the texture. What that leaves
 out, an eighth of its square times the fourth ones, is 0.6 % of a step that is blurred by a texel, and odd about it: it moves
 nothing. Beyond, the texture is looked up at more places."""
+MODERATE_BLUR = 1.0
+"""The same on the grid itself, where differences from texel to texel stand for the derivatives: three texels so weighted have
+just that variance, and no weight is negative up to here."""
 EVERY_THIRD, MANY = 3, 600
 """On the way one pixel in three tells the scale of the residuals well enough, where a face has so many."""
 BUFFER = 60_000
@@ -572,8 +575,8 @@ def look_at_face(
     inverse variance times `importance`, and `count` (n, n) by one where the frame shows a texel; `own` (2, 3) becomes the
     blur of this frame (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981), whose kernel adds no variance
     of its own. Where the texture is `known`, only what `faces.use` names is looked at, the light is fitted with the texture,
-    of which `knots` (6, n, n) are value and derivatives x, y, xx, xy, yy on the grid, and what does not look like it is left
-    out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the texels in view
+    of which `knots` (6, n, n) are value, slopes x, y and second differences xx, xy, yy on the grid, and what does not look
+    like it is left out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the texels in view
     that were used, below a half of which nothing is added, and the sum of weights; zeros for a face that is not seen.
     """
     n = total.shape[0]
@@ -596,7 +599,7 @@ def look_at_face(
     half = 0.5 * (n - 1)
     more, spread = np.zeros(3), np.zeros((2, 3))
     largest = _extra_blur(own[0], own[1], optics.blur, faces.base[f], texel, more)
-    bent = NO_BLUR <= largest < LITTLE_BLUR
+    bent = NO_BLUR <= largest < MODERATE_BLUR
     number = 0 if bent else _directions(more, spread)
     grey, where, steep, texture = bench.grey, bench.where, bench.steep, bench.texture
     m = _FIRST
