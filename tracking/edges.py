@@ -66,6 +66,10 @@ BIWEIGHT_VARIANCE = 0.8281
 """Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
 ROBUST_TURNS = 3
 """Times that the intensities of a stretch are solved with weights from the last residuals."""
+OVERSTEP = 1.4
+"""Factor on the steps at the lens blur. With the weights of the last residuals kept, as here, the normal equations are steeper
+than the robust cost, by 1.2 for Gaussian residuals and by 1.6 on grain: a plain step left 38 % of the way on wood. Up to twice
+the step converges wherever they are steeper at all."""
 APART_PX = 2.0
 """Margin about the outline of a reflection (or of the die before its reflection) within which rows are left out."""
 COLUMNS = 8
@@ -1249,14 +1253,14 @@ def look(
         # come into the band beyond that.
         lp = sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         lr = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-        shrink = min(1.0, reach / 3.0 / max(lp, 1e-300), 0.14 / max(lr, 1e-300))
+        shrink = min(OVERSTEP if fine else 1.0, reach / 3.0 / max(lp, 1e-300), 0.14 / max(lr, 1e-300))
         for a in range(6):
             step[a] *= shrink
             away[a] += step[a]
         for a in range(3):
             p[a] += step[a]
         Q = turn(Q, step[3:])
-        if fine and (gain < lens.enough or _moved_px(eyes, pos, step, lr * reach, reach) < lens.settled_px):
+        if fine and (gain < lens.enough or _moved_px(eyes, pos, step, shrink * lr * reach, reach) < lens.settled_px):
             break
     cost = 0.0
     if lens.samples > 0:

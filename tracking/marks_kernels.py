@@ -66,6 +66,10 @@ the edge are left there."""
 SETTLED_PX = 0.1
 """A step of the refinement that moves no point by more is the last one: marks are blurred over five times as much at least, and
 what the next step would move is of second order in that share."""
+OVERSTEP = 1.2
+"""Factor on the steps of the refinement. With the weights of the last residuals kept, as here, the normal equations are steeper
+than the robust cost: by the ratio of the means of the biweight and of its influence function's slope, 0.915 to 0.758 for
+Gaussian residuals. One plain step left a sixth of the way."""
 MOST_HIDDEN = 0.5
 """Share of a face's pixels, or texels, that may be unlike its texture before the face is left out of a frame."""
 
@@ -1032,15 +1036,15 @@ def refine_on_marks(
             seen = _solve(A, _POSE, y, step)
             if not seen:
                 break
+            gained = 0.0
             for i in range(6):
+                gained += step[i] * y[i]
+                step[i] *= OVERSTEP
                 away[i] += step[i]
             for i in range(3):
                 p[i] += step[i]
             Q = _turned(Q, step[3:])
-            # A third of a sigma moved: the next step would be a fifth of that.
-            gained = 0.0
-            for i in range(6):
-                gained += step[i] * y[i]
+            # A third of a sigma moved: the next step would be a tenth of that.
             if gained < 0.1 or _moved_px(K, Rcw, tcw, p, step, reach) < SETTLED_PX:
                 break
         for i in range(6):
