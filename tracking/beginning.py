@@ -36,8 +36,8 @@ frames from which the usual size is known."""
 FEW_FRAMES = 100
 """Length of a clip below which no frame is passed over in the search for the first that shows anything."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
-"""Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
-that, as with a die of little contrast, the best start above the second is taken."""
+"""Share of the contour that must show a clear step over a trial, with no frame missed, for a start to be taken at once; where
+none offers that, as with a die of little contrast, the best start above the second is taken."""
 STAGES = (4, 8, 16, 32, 64)
 """Frames over which the starts race each other; a start must be followed over the second to be believed."""
 BEHIND = 0.3
@@ -71,7 +71,7 @@ def find_beginning(
         best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
         if best is not None:
             support = float(best.seen.support[best.seen.known].mean())
-            if support > SURE_SUPPORT:
+            if support > SURE_SUPPORT and best.seen.known[: STAGES[1]].all():
                 return _begun(best, reel, k, unused)
             if spare is None or support > spare[0]:
                 spare = support, k, best

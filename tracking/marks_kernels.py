@@ -580,8 +580,9 @@ def look_at_face(
     blur of this frame (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981), whose kernel adds no variance
     of its own. Where the texture is `known`, only what `faces.use` names is looked at, the light is fitted with the texture,
     of which `knots` (6, n, n) are value, slopes x, y and second differences xx, xy, yy on the grid, and what does not look
-    like it is left out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the texels in view
-    that were used, below a half of which nothing is added, and the sum of weights; zeros for a face that is not seen.
+    like it is left out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the
+    texels in view that were used, below a half of which nothing is added, and the sum of weights; zeros for a face that is
+    not seen.
     """
     n = total.shape[0]
     E, origin = np.zeros((3, 3)), np.zeros(3)
