@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from ..model.rotations import continuous_sign
-from .joined import transition
+from .flights import transition
 from .track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
