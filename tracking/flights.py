@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Flight, State
-from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from . import flights_kernels as kernels
 
 Array = NDArray[np.float64]
@@ -167,9 +167,9 @@ def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[A
 
 def seen_minus_motion(seen: Sightings, state: State) -> Array:
     """Whitened residuals (n, 6) of frames from one motion."""
-    p, q = Flight(state, np.inf).poses(seen.time_s)
-    raw = np.concatenate([seen.position_m - p, rotation_between(q, seen.quaternion)], axis=1)
-    return np.asarray((seen.whitener @ raw[:, :, None])[:, :, 0])
+    return chain_misses(
+        replace(seen, lean=seen.lean[:, :, :0]), np.array([0, len(seen)]), packed(state)[None], np.zeros(0)
+    )
 
 
 def misfits(seen: Sightings, state: State) -> Array:

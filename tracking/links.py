@@ -50,53 +50,88 @@ FAR_SIGMAS = 5.0
 """A table found this many sigmas from where it should be was not calibrated as well as is taken for granted."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A flight fitted by itself."""
+
+    rows: NDArray[np.int64]
+    misfit: Array
+    """(n,) distance of its frames, in sigmas."""
+    good: NDArray[np.int64]
+    """Its rows without those far off."""
+    state: State
+    """Of the good ones."""
+
+    @staticmethod
+    def of(seen: Sightings, rows: NDArray[np.int64]) -> _Part:
+        state, _, _ = fit_flight(seen.rows(rows))
+        misfit = misfits(seen.rows(rows), state)
+        good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
+        if not 3 <= len(good) < len(rows):
+            return _Part(rows, misfit, rows, state)
+        return _Part(rows, misfit, good, fit_flight(seen.rows(good))[0])
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Its first row and its last."""
+        return int(self.rows[0]), int(self.rows[-1])
+
+
 def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> Joined:
     """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
     flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
-    bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
-    judged: dict[tuple[int, ...], float] = {}
+    bounces are removed, of neighbours the weaker first; open ones stay, since one motion through both flights would be
+    neither."""
+    judged: dict[tuple[tuple[int, int], tuple[int, int]], float] = {}
+    alone = [_Part.of(seen, rows) for rows in parts]
     while True:
         strains = []
-        for a, b in itertools.pairwise(parts):
-            pair = (int(a[0]), int(a[-1]), int(b[0]), int(b[-1]))
+        for a, b in itertools.pairwise(alone):
+            pair = a.span, b.span
             if pair not in judged:
                 judged[pair] = np.inf if _is_gross(seen, a, b, die) else _strain(seen, a, b)
             strains.append(judged[pair])
         opened = [strain > OPEN_STRAIN for strain in strains]
-        joined = _fit_parts(seen, parts, opened)
+        joined = _fit_parts(seen, alone, opened)
         impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
         faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
         if any(faulty):
             # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
             opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
-            joined = _fit_parts(seen, parts, opened)
-        faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
-        if not faults:
+            joined = _fit_parts(seen, alone, opened)
+        jumps = {k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)}
+        if not jumps:
             return joined
-        k = min(faults, key=lambda j: _jump(joined, j, die))
-        parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
+        weakest = {k for k, jump in jumps.items() if jump <= min(jumps.get(j, np.inf) for j in (k - 1, k + 1))}
+        merged = [alone[0]]
+        for k, part in enumerate(alone[1:]):
+            if k in weakest:
+                merged[-1] = _Part.of(seen, np.concatenate([merged[-1].rows, part.rows]))
+            else:
+                merged.append(part)
+        alone = merged
 
 
-def _is_gross(seen: Sightings, a: NDArray[np.int64], b: NDArray[np.int64], die: Die) -> bool:
+def _is_gross(seen: Sightings, a: _Part, b: _Part, die: Die) -> bool:
     """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
     track was lost there and taken up under another labelling. Forcing them together would spoil both."""
-    before, after = (Flight(fit_flight(seen.rows(_best_rows(seen, rows)))[0], np.inf) for rows in (a, b))
-    t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
+    before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
+    t = _meeting(a.state, b.state, float(seen.time_s[a.rows[-1]]), float(seen.time_s[b.rows[0]]))
     p, q = before.at(t), after.at(t)
     turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
     away = float(np.linalg.norm(p.position_m - q.position_m))
     return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
 
 
-def _strain(seen: Sightings, before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
+def _strain(seen: Sightings, before: _Part, after: _Part) -> float:
     """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
     left out: one frame may straddle the contact in its exposure."""
-    a, b = before[-LONGEST:], after[:LONGEST]
-    alone = np.concatenate([misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0]) for rows in (a, b)])
-    pair = seen.rows(np.concatenate([a, b]))
-    joined = _fit_parts(pair, [np.arange(len(a)), np.arange(len(a), len(a) + len(b))], [False])
-    beside = joined.scatter.scale[0] * joined.residual[max(len(a) - 4, 0) : len(a) + 4]
-    return float(np.mean(np.sort(beside)[:-1])) / max(float(np.median(alone)), 0.5)
+    a = before if len(before.rows) <= LONGEST else _Part.of(seen, before.rows[-LONGEST:])
+    b = after if len(after.rows) <= LONGEST else _Part.of(seen, after.rows[:LONGEST])
+    joined = _fit_parts(seen, [a, b], [False], seen.rows(np.concatenate([a.rows, b.rows])))
+    usual = float(np.median(np.concatenate([a.misfit, b.misfit])))
+    beside = joined.scatter.scale[0] * joined.residual[max(len(a.rows) - 4, 0) : len(a.rows) + 4]
+    return float(np.mean(np.sort(beside)[:-1])) / max(usual, 0.5)
 
 
 def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
@@ -120,26 +155,18 @@ def _jump(joined: Joined, k: int, die: Die) -> float:
     return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
 
 
-def _fit_parts(seen: Sightings, parts: list[NDArray[np.int64]], opened: list[bool]) -> Joined:
-    """The joint fit of the frames of all flights, from each flight's own fit."""
-    good = [_best_rows(seen, rows) for rows in parts]
-    states = [fit_flight(seen.rows(rows))[0] for rows in good]
+def _fit_parts(seen: Sightings, parts: list[_Part], opened: list[bool], fitted: Sightings | None = None) -> Joined:
+    """The joint fit of all frames, or of those given, from each flight's own fit."""
     links = []
-    for k in range(len(parts) - 1):
-        if opened[k]:
+    for before, after, is_open in zip(parts[:-1], parts[1:], opened, strict=True):
+        if is_open:
             # Between the frames that surely lie on either flight; where exactly, no single instant says.
-            links.append(0.5 * float(seen.time_s[good[k][-1]] + seen.time_s[good[k + 1][0]]))
+            t = 0.5 * float(seen.time_s[before.good[-1]] + seen.time_s[after.good[0]])
         else:
-            low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
-            links.append(_meeting(states[k], states[k + 1], low, high))
-    return fit_joined(seen, states, [Link(t, is_open) for t, is_open in zip(links, opened, strict=True)])
-
-
-def _best_rows(seen: Sightings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of a flight without those far off its own motion."""
-    misfit = misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0])
-    good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
-    return good if len(good) >= 3 else rows
+            low, high = float(seen.time_s[before.rows[-1]]), float(seen.time_s[after.rows[0]])
+            t = _meeting(before.state, after.state, low, high)
+        links.append(Link(t, is_open))
+    return fit_joined(seen if fitted is None else fitted, [part.state for part in parts], links)
 
 
 def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
