@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
+from ..model.motion import Flight, State, Throw
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from . import flights_kernels as kernels
 
@@ -200,6 +200,11 @@ def transitions(flight: Flight, times_s: Array) -> Array:
     M[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
     M[:, 3:6, 9:12] = tau[:, None, None] * left_jacobians(turns)
     return M
+
+
+def flights_at(throw: Throw, times_s: Array) -> NDArray[np.int64]:
+    """Which flight holds each of some instants (n,): `Throw.flight_at` of them all."""
+    return np.searchsorted([impact.time_s for impact in throw.impacts], times_s, side="right").astype(np.int64)
 
 
 def transition(flight: Flight, time_s: float) -> Array:
