@@ -233,6 +233,76 @@ def roll(
                 states[k + 1, 8 + i] += jumps[k, i]
 
 
+@compiled(nogil=True)
+def step(
+    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, change: Array, changes: Array,
+    most_s: float,
+) -> None:  # fmt: skip
+    """Change a chain in place: its first state, and each link, whose instant moves by `most_s` at the most."""
+    moved = np.empty(14)
+    _moved(first, change, moved)
+    for i in range(14):
+        first[i] = moved[i]
+    for k in range(len(times_s)):
+        if is_open[k]:
+            _moved(free[k], changes[k], moved)
+            for i in range(14):
+                free[k, i] = moved[i]
+        else:
+            times_s[k] += min(max(changes[k, 0], -most_s), most_s)
+            for i in range(6):
+                jumps[k, i] += changes[k, 1 + i]
+
+
+@compiled(nogil=True)
+def strike_rows(
+    ends: Array, jumps: Array, which: NDArray[np.int64], points: Array, rounding: Array, ratio: Array, table_m: float,
+    contact_sigma_m: float, lever_sigma: Array, by_end: Array, by_link: Array, miss: Array,
+) -> None:  # fmt: skip
+    """What each strike obeys, in sigmas: its point on the table, and J Δω = m r × Δv. Derivatives by the state at the end of
+    the flight before and by the link, and what is missed now."""
+    ball, arm, moves = np.empty(3), np.empty(3), np.empty(3)
+    for s in range(len(which)):
+        k = which[s]
+        w, x, y, z = ends[k, 4], ends[k, 5], ends[k, 6], ends[k, 7]
+        a, b, c = points[s, 0], points[s, 1], points[s, 2]
+        ball[0] = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c
+        ball[1] = 2.0 * (x * y + w * z) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (y * z - w * x) * c
+        ball[2] = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
+        arm[0], arm[1], arm[2] = ball[0], ball[1], ball[2] - rounding[s]
+        turn = _cross_matrix(-ball[0], -ball[1], -ball[2])
+        spin = _cross_matrix(ends[k, 11], ends[k, 12], ends[k, 13])
+        push = _cross_matrix(jumps[k, 0], jumps[k, 1], jumps[k, 2])
+        lever = _cross_matrix(arm[0], arm[1], arm[2])
+        # δ(R p) = δθ × R p, and both p and R move on with the instant.
+        for i in range(3):
+            moves[i] = spin[i, 0] * ball[0] + spin[i, 1] * ball[1] + spin[i, 2] * ball[2]
+        by_end[s, 0, 2] = 1.0 / contact_sigma_m
+        by_link[s, 0, 0] = (moves[2] + ends[k, 10]) / contact_sigma_m
+        miss[s, 0] = (ends[k, 3] + arm[2] - table_m) / contact_sigma_m
+        tight = 1.0 / lever_sigma[k]
+        for i in range(3):
+            by_end[s, 0, 3 + i] = turn[2, i] / contact_sigma_m
+            by_link[s, 1 + i, 4 + i] = tight
+            pushed = jumps[k, 3 + i]
+            for j in range(3):
+                total = push[i, 0] * turn[0, j] + push[i, 1] * turn[1, j] + push[i, 2] * turn[2, j]
+                by_end[s, 1 + i, 3 + j] = ratio[s] * tight * total
+                by_link[s, 1 + i, 0] += ratio[s] * tight * push[i, j] * moves[j]
+                by_link[s, 1 + i, 1 + j] = -ratio[s] * tight * lever[i, j]
+                pushed -= ratio[s] * lever[i, j] * jumps[k, j]
+            miss[s, 1 + i] = tight * pushed
+
+
+@inner
+def _cross_matrix(x: float, y: float, z: float) -> Array:
+    """(3, 3) that multiplies by v × from the left."""
+    out = np.zeros((3, 3))
+    out[0, 1], out[0, 2], out[1, 2] = -z, y, -x
+    out[1, 0], out[2, 0], out[2, 1] = z, -y, x
+    return out
+
+
 @inner
 def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
     """exp(v) and dt J(v) of v = (x, y, z); the series below 1e-3 rad as in `left_jacobians`."""

@@ -26,8 +26,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Flight, State
-from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
-from .chains import Stage, solve_chain, spread_along
+from . import flights_kernels as kernels
+from .chains import MOST, Stages, solve_chain, spread_along
 from .flights import (
     Scatter,
     Sightings,
@@ -160,7 +160,7 @@ def fit_joined(
         normal, gradient, stages = chain.equations(course, weights)
         for _ in range(12):
             first, changes = solve_chain(normal, gradient, stages, damping)
-            if max(np.abs(step).max() for step in (first, *changes)) < FARTHEST:
+            if max(np.abs(first).max(), np.abs(changes).max(initial=0.0)) < FARTHEST:
                 trial = chain.stepped(first, changes)
                 there = trial.course()
                 new = trial.cost(there, weights)
@@ -192,14 +192,10 @@ def _scale(squares: Array, parameters: int) -> float:
 class _Rules:
     """What the strikes of a chain obey, each with four rows in sigmas."""
 
-    which: NDArray[np.int64]
-    """(S,) the links that are strikes."""
     by_end: Array
     """(S, 4, 12) derivative with respect to the state at the end of the flight before."""
     by_link: Array
-    """(S, 4, 7)."""
-    by_table: Array
-    """(S, 4)."""
+    """(S, 4, MOST)."""
     miss: Array
     """(S, 4)."""
 
@@ -243,6 +239,10 @@ class _Chain:
     is_open: NDArray[np.bool_]
     free: Array
     """(N, 14) packed states behind open links."""
+    which: NDArray[np.int64]
+    """(S,) the links that are strikes."""
+    contacts: tuple[Array, Array, Array]
+    """(S, 3) points, (S,) roundings and (S,) m/J of the strikes."""
     shared: Array
     shared_sigma: Array
     table_m: float
@@ -269,15 +269,22 @@ class _Chain:
         is_open = np.array([link.is_open for link in links], bool)
         free = np.array([packed(start) for start in starts[1:]]).reshape(-1, 14)
         times_s = np.array([link.time_s for link in links])
+        struck = [(k, link.strike) for k, link in enumerate(links) if link.strike is not None]
+        contacts = (
+            np.array([strike.point_m for _, strike in struck]).reshape(-1, 3),
+            np.array([strike.rounding_m for _, strike in struck]),
+            np.array([strike.mass_over_inertia for _, strike in struck]),
+        )
         return _Chain(
-            seen, spacing_s, packed(starts[0]), links, times_s, jumps, is_open, free, np.zeros(len(shared_sigma)),
-            shared_sigma, 0.0, table_sigma_m, lever_sigma, scatter,
+            seen, spacing_s, packed(starts[0]), links, times_s, jumps, is_open, free,
+            np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
+            table_sigma_m, lever_sigma, scatter,
         )  # fmt: skip
 
     @property
     def has_table(self) -> bool:
         """Whether anything strikes it."""
-        return any(link.strike is not None for link in self.links)
+        return len(self.which) > 0
 
     @property
     def constants(self) -> int:
@@ -299,33 +306,13 @@ class _Chain:
 
     def _rules(self, ends: Array) -> _Rules:
         """Of each strike: its point on the table, and J Δω = m r × Δv."""
-        which = np.array([k for k, link in enumerate(self.links) if link.strike is not None], np.int64)
-        strikes = [link.strike for link in self.links if link.strike is not None]
-        count = len(strikes)
-        by_end, by_link, by_table, miss = (np.zeros((count, 4, *more)) for more in ((12,), (7,), (), ()))
-        if not count:
-            return _Rules(which, by_end, by_link, by_table, miss)
-        end, velocity, spin = ends[which, 1:4], ends[which, 8:11], ends[which, 11:14]
-        dv, dw = self.jumps[which, :3], self.jumps[which, 3:]
-        points = np.array([strike.point_m for strike in strikes])
-        ball = (matrix_from_quat(ends[which, 4:8]) @ points[:, :, None])[:, :, 0]
-        arm = ball - np.outer([strike.rounding_m for strike in strikes], [0.0, 0.0, 1.0])
-        ratio = np.array([strike.mass_over_inertia for strike in strikes])
-        # δ(R p) = δθ × R p, and both p and R move on with the instant.
-        turn, moves = -_crosses(ball), np.cross(spin, ball)
-        lever = (ratio / self.lever_sigma[which])[:, None, None]
-        pushes = lever * _crosses(dv)
-        by_end[:, 0, 2], by_end[:, 0, 3:6] = 1.0, turn[:, 2]
-        by_end[:, 0] /= CONTACT_SIGMA_M
-        by_end[:, 1:, 3:6] = pushes @ turn
-        by_link[:, 0, 0] = (moves[:, 2] + velocity[:, 2]) / CONTACT_SIGMA_M
-        by_link[:, 1:, 0] = (pushes @ moves[:, :, None])[:, :, 0]
-        by_link[:, 1:, 1:4] = -lever * _crosses(arm)
-        by_link[:, 1:, 4:7] = np.eye(3) / self.lever_sigma[which, None, None]
-        by_table[:, 0] = -1.0 / CONTACT_SIGMA_M
-        miss[:, 0] = (end[:, 2] + arm[:, 2] - self.table_m) / CONTACT_SIGMA_M
-        miss[:, 1:] = (dw - ratio[:, None] * np.cross(arm, dv)) / self.lever_sigma[which, None]
-        return _Rules(which, by_end, by_link, by_table, miss)
+        count = len(self.which)
+        by_end, by_link, miss = np.zeros((count, 4, 12)), np.zeros((count, 4, MOST)), np.zeros((count, 4))
+        kernels.strike_rows(
+            ends, self.jumps, self.which, *self.contacts, self.table_m, CONTACT_SIGMA_M, self.lever_sigma, by_end, by_link,
+            miss,
+        )  # fmt: skip
+        return _Rules(by_end, by_link, miss)
 
     @property
     def _priors(self) -> tuple[Array, Array]:
@@ -350,7 +337,7 @@ class _Chain:
         """Sum of weighted squared sigmas of frames, priors and strikes."""
         return float(weights @ (course.misses**2 @ self._share())) + self._rest(course)
 
-    def equations(self, course: _Course, weights: Array) -> tuple[Array, Array, list[Stage]]:
+    def equations(self, course: _Course, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors with those of the first, and the links between."""
         size = 12 + self.constants
         normal, gradient = chain_sums(
@@ -362,45 +349,31 @@ class _Chain:
         gradient[0, 12:] += value / sigma**2
         return normal, gradient, self._stages(course, size)
 
-    def _stages(self, course: _Course, size: int) -> list[Stage]:
+    def _stages(self, course: _Course, size: int) -> Stages:
         """The links as `chains` wants them."""
-        rules, stages = course.rules, []
-        row_of = {int(k): i for i, k in enumerate(rules.which)}
-        onward = np.tile(np.eye(size), (len(self.links), 1, 1))
-        onward[:, :12, :12] = np.where(self.is_open[:, None, None], 0.0, course.passages)
+        stages, rules = Stages.empty(len(self.links), size), course.rules
+        stages.sizes[:] = np.where(self.is_open, 12, 7)
+        constants = np.arange(12, size)
+        stages.onward[:, constants, constants] = 1.0
+        stages.onward[:, :12, :12] = np.where(self.is_open[:, None, None], 0.0, course.passages)
         # The velocity at the link changes with its instant only through gravity, which both sides share.
-        turned = np.zeros((len(self.links), size, 7))
-        turned[:, 0:6, 0] = -self.jumps
-        turned[:, 6:12, 1:] = np.eye(6)
-        rows = np.zeros((len(rules.which), 4, size))
-        rows[:, :, :12] = rules.by_end @ course.passages[rules.which]
-        if self.has_table:
-            rows[:, :, -1] = rules.by_table
-        for k, link in enumerate(self.links):
-            i = row_of.get(k)
-            if link.is_open:
-                stages.append(Stage(onward[k], np.eye(size, 12), np.zeros((0, size)), np.zeros((0, 12)), np.zeros(0)))
-            elif i is None:
-                stages.append(Stage(onward[k], turned[k], np.zeros((0, size)), np.zeros((0, 7)), np.zeros(0)))
-            else:
-                stages.append(Stage(onward[k], turned[k], rows[i], rules.by_link[i], rules.miss[i]))
+        stages.turned[:, 0:6, 0] = -self.jumps
+        stages.turned[:, np.arange(6, 12), np.arange(1, 7)] = 1.0
+        stages.turned[self.is_open] = np.eye(size, MOST)
+        stages.rows[self.which, :, :12] = rules.by_end @ course.passages[self.which]
+        stages.rows[self.which, 0, size - 1] -= 1.0 / CONTACT_SIGMA_M
+        stages.own_rows[self.which], stages.miss[self.which] = rules.by_link, rules.miss
         return stages
 
-    def stepped(self, first: Array, changes: Sequence[Array]) -> _Chain:
+    def stepped(self, first: Array, changes: Array) -> _Chain:
         """The chain after a step; links keep their order and move by half a frame at the most."""
-        times_s, jumps, free = self.times_s.copy(), self.jumps.copy(), self.free.copy()
-        for k, change in enumerate(changes):
-            if self.is_open[k]:
-                free[k] = _moved(free[k], change)
-            else:
-                times_s[k] += min(max(float(change[0]), -0.5 * self.spacing_s), 0.5 * self.spacing_s)
-                jumps[k] += change[1:]
+        start, times_s, jumps, free = self.first.copy(), self.times_s.copy(), self.jumps.copy(), self.free.copy()
+        kernels.step(start, times_s, jumps, self.is_open, free, first[:12], changes, 0.5 * self.spacing_s)
         for k in range(1, len(times_s)):
             times_s[k] = max(times_s[k], times_s[k - 1] + 1e-6 * self.spacing_s)
         m = len(self.shared)
         return replace(
-            self, first=_moved(self.first, first[:12]), times_s=times_s, jumps=jumps, free=free,
-            shared=self.shared + first[12 : 12 + m],
+            self, first=start, times_s=times_s, jumps=jumps, free=free, shared=self.shared + first[12 : 12 + m],
             table_m=self.table_m + (float(first[-1]) if self.has_table else 0.0),
         )  # fmt: skip
 
@@ -411,9 +384,9 @@ class _Chain:
         size, count = len(last), len(self.links)
         beside, sigma_time_s = np.full((count, 25, 25), np.nan), np.full(count, np.nan)
         for k in np.flatnonzero(~self.is_open):
-            passed = np.zeros((25, size + 7))
+            passed = np.zeros((25, size + MOST))
             passed[:12, :12] = course.passages[k]
-            passed[12:24] = np.hstack([stages[k].onward, stages[k].turned])[:12]
+            passed[12:24] = np.hstack([stages.onward[k], stages.turned[k]])[:12]
             passed[24, size] = 1.0
             beside[k] = passed @ pairs[k] @ passed.T
             sigma_time_s[k] = np.sqrt(max(beside[k, 24, 24], 0.0))
@@ -430,7 +403,7 @@ class _Chain:
                 state, C = motion.at(float(begins[k])), passage @ C @ passage.T
             flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
         squares, strain = course.squares(self.scatter), np.zeros(count)
-        strain[course.rules.which] = (course.rules.miss**2).sum(1)
+        strain[self.which] = (course.rules.miss**2).sum(1)
         ratio = np.minimum(np.sqrt(squares) / CUT_SIGMA, 1.0)
         share = float(np.mean(self.scatter.variance * self._share()))
         cost = self._rest(course) + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
@@ -449,16 +422,3 @@ class _Chain:
         if self.scatter.wander.any():
             return normal - stated + chain_meats(*parts, weights, share, self.scatter, size)
         return normal - stated + chain_sums(*parts, course.misses, weights**2, share, size)[0]
-
-
-def _moved(state: Array, change: Array) -> Array:
-    """A packed state (14,) after a change (12,)."""
-    turned = quat_multiply(quat_from_rotvec(change[3:6]), state[4:8])
-    return np.concatenate([state[:1], state[1:4] + change[:3], turned, state[8:14] + change[6:12]])
-
-
-def _crosses(v: Array) -> Array:
-    """(n, 3, 3) with _crosses(v)[k] @ u = v[k] × u."""
-    out = np.zeros((len(v), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -v[:, 2], v[:, 1], -v[:, 0]
-    return out - np.swapaxes(out, 1, 2)
