@@ -54,6 +54,10 @@ CONTACT_SIGMA_M = 2e-5
 """How far a single contact may lie off it: a stiff die of a few grams dents by some hundredths of a millimetre."""
 FARTHEST = 1e5
 """A step longer than this in any parameter (SI) leaves all that a die can do: the spin of a die reaches some 1e3."""
+LOOSE_TURNS = 3
+"""Steps over which frames are drawn in."""
+SLOW, SLOWEST = 0.5, 0.95
+"""Between these, steps that shrink by such a factor are taken together, twenty of them at the most."""
 LEVER_SHARE, LEVER_RAD_S = 0.01, 0.3
 """Tolerance of J Δω = m r × Δv, as a share of Δω and at the least: drilled pips change J by a per cent, and the
 contact is a patch of some 0.1 mm, not a point."""
@@ -148,13 +152,13 @@ def fit_joined(
     sigma = np.zeros(0) if shared_sigma is None else shared_sigma
     form = scatter or Scatter.white()
     chain = _Chain.from_guess(seen, list(starts), tuple(links), sigma, form, table_sigma_m)
-    course, damping = chain.course(), 1e-6
+    course, damping, gains = chain.course(), 1e-6, [0.0]
     for turn in range(steps):
         if scatter is None:
             chain = replace(chain, scatter=Scatter.white(_scale(course.squares(Scatter.white()), chain.numbers)))
         squares = course.squares(chain.scatter)
         # A first guess may leave all frames far off: they are drawn in before any is taken for wrong.
-        loose = max(3.0, float(np.sqrt(np.median(squares))) / MEDIAN_RMS) if turn < 3 else 1.0
+        loose = max(3.0, float(np.sqrt(np.median(squares))) / MEDIAN_RMS) if turn < LOOSE_TURNS else 1.0
         weights = _biweights(squares, loose)
         cost = chain.cost(course, weights)
         normal, gradient, stages = chain.equations(course, weights)
@@ -169,10 +173,25 @@ def fit_joined(
             damping = max(damping * 10.0, 1e-9)
         else:
             break
+        gains.append(cost - new)
+        if turn > LOOSE_TURNS and (times := _steps_to_come(gains[-2:])) > 1.0:
+            further = chain.stepped(times * first, times * changes)
+            ahead = further.course()
+            if further.robust_cost(ahead) < trial.robust_cost(there):
+                trial, there, gains = further, ahead, [*gains, 0.0]
         chain, course, damping = trial, there, max(damping * 0.1, 1e-12)
-        if cost - new < min(1e-2, 1e-4 * cost) and turn >= 4:
+        if cost - new < min(1e-2, 1e-4 * cost) and turn > LOOSE_TURNS:
             break
     return chain.finished(course, weights)
+
+
+def _steps_to_come(gains: Sequence[float]) -> float:
+    """How many steps like the last are still to come, where each is shorter than the one before by the same factor: frames
+    on the brink of being taken for wrong are drawn in or let go little by little. 1 where the steps say no such thing."""
+    before, last = gains
+    # The gain of a step goes as its square.
+    rate = float(np.sqrt(last / before)) if 0.0 < last < before else 0.0
+    return 1.0 / (1.0 - rate) if SLOW < rate < SLOWEST else 1.0
 
 
 def _biweights(squares: Array, loose: float) -> Array:
@@ -337,6 +356,12 @@ class _Chain:
         """Sum of weighted squared sigmas of frames, priors and strikes."""
         return float(weights @ (course.misses**2 @ self._share())) + self._rest(course)
 
+    def robust_cost(self, course: _Course) -> float:
+        """The same with Tukey's loss for frames (`Joined.cost`)."""
+        ratio = np.minimum(np.sqrt(course.squares(self.scatter)) / CUT_SIGMA, 1.0)
+        share = float(np.mean(self.scatter.variance * self._share()))
+        return self._rest(course) + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
+
     def equations(self, course: _Course, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors with those of the first, and the links between."""
         size = 12 + self.constants
@@ -404,14 +429,11 @@ class _Chain:
             flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
         squares, strain = course.squares(self.scatter), np.zeros(count)
         strain[self.which] = (course.rules.miss**2).sum(1)
-        ratio = np.minimum(np.sqrt(squares) / CUT_SIGMA, 1.0)
-        share = float(np.mean(self.scatter.variance * self._share()))
-        cost = self._rest(course) + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
         links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
         shared_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
         return Joined(
             tuple(flights), links, sigma_time_s, beside, np.sqrt(squares), weights, self.scatter, self.shared,
-            shared_sigma, strain, self.table_m, cost,
+            shared_sigma, strain, self.table_m, self.robust_cost(course),
         )  # fmt: skip
 
     def _noises(self, course: _Course, weights: Array, normal: Array) -> Array:
