@@ -199,6 +199,30 @@ def _biweights(squares: Array, loose: float) -> Array:
     return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
 
 
+def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) -> float:
+    """Squared sigmas that the joined link k would cost as that strike, over what it costs free: to the first order, from how
+    far the free motion is off what the strike obeys, and how sure it is there."""
+    before, behind = joined.flights[k].at(joined.links[k].time_s), joined.flights[k + 1].start
+    jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
+    by_end, by_link, miss = np.zeros((1, 4, 12)), np.zeros((1, 4, MOST)), np.zeros((1, 4))
+    kernels.strike_rows(
+        packed(before)[None], jump[None], np.zeros(1, np.int64), strike.point_m[None], np.array([strike.rounding_m]),
+        np.array([strike.mass_over_inertia]), joined.table_m, CONTACT_SIGMA_M,
+        _lever_sigma(jump[None]), by_end, by_link, miss,
+    )  # fmt: skip
+    rows = np.zeros((4, 25))
+    rows[:, :12], rows[:, 18:24], rows[:, 24] = by_end[0], by_link[0, :, 1:7], by_link[0, :, 0]
+    rows[:, 6:12] -= by_link[0, :, 1:7]
+    spread = np.eye(4) + rows @ joined.beside[k] @ rows.T
+    spread[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
+    return float(miss[0] @ np.linalg.solve(spread, miss[0]))
+
+
+def _lever_sigma(jumps: Array) -> Array:
+    """(N,) [rad/s] tolerance of what strikes do to the spin."""
+    return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + LEVER_RAD_S)
+
+
 def _scale(squares: Array, parameters: int) -> float:
     """σ from the median frame, corrected for the fitted parameters, and drawn to 1 where the frames are few."""
     numbers = 6.0 * len(squares)
@@ -237,7 +261,7 @@ class _Course:
 
     def squares(self, scatter: Scatter) -> Array:
         """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
-        return np.asarray(self.misses**2 @ (1.0 / scatter.variance) / 6.0)
+        return np.einsum("ni,ni,i->n", self.misses, self.misses, 1.0 / scatter.variance) / 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,7 +307,6 @@ class _Chain:
         for k, link in enumerate(links):
             before, after = (Flight(start, np.inf).at(link.time_s) for start in starts[k : k + 2])
             jumps[k] = [*(after.velocity_m_s - before.velocity_m_s), *(after.omega_rad_s - before.omega_rad_s)]
-        lever_sigma = LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + LEVER_RAD_S
         spacing_s = float(np.median(np.diff(seen.time_s))) if len(seen) > 1 else 1.0
         is_open = np.array([link.is_open for link in links], bool)
         free = np.array([packed(start) for start in starts[1:]]).reshape(-1, 14)
@@ -297,7 +320,7 @@ class _Chain:
         return _Chain(
             seen, spacing_s, packed(starts[0]), links, times_s, jumps, is_open, free,
             np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
-            table_sigma_m, lever_sigma, scatter,
+            table_sigma_m, _lever_sigma(jumps), scatter,
         )  # fmt: skip
 
     @property
@@ -354,7 +377,8 @@ class _Chain:
 
     def cost(self, course: _Course, weights: Array) -> float:
         """Sum of weighted squared sigmas of frames, priors and strikes."""
-        return float(weights @ (course.misses**2 @ self._share())) + self._rest(course)
+        frames = np.einsum("n,ni,ni,i->", weights, course.misses, course.misses, self._share())
+        return float(frames) + self._rest(course)
 
     def robust_cost(self, course: _Course) -> float:
         """The same with Tukey's loss for frames (`Joined.cost`)."""

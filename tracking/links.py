@@ -20,7 +20,7 @@ from ..model.motion import Flight, State
 from ..model.rotations import rotation_between
 from ..model.solids import Die, inner_vertices
 from .flights import Scatter, Sightings, fit_flight, misfits
-from .joined import Joined, Link, Strike, fit_joined
+from .joined import Joined, Link, Strike, fit_joined, strike_cost
 from .parting import TABLE_REACH
 from .quick import is_crowded, resolved
 from .scatter import estimate_scatter
@@ -38,6 +38,9 @@ GROSS_RAD = 0.2
 STRIKE_STRAIN = 40.0
 """Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
 thousandth of the cases; slow errors of the frames take the rest)."""
+HOPELESS = 1000.0
+"""Squared sigmas by which a corner does worse than another, to the first order, without being tried: what is left out are
+flights that curve within the uncertainty of the instant, and takes some tens."""
 LIKELY_STRAIN = 9.5
 """Squared sigmas that four rules cost by chance in one case of twenty."""
 NEAR_SHARE = 0.1
@@ -225,7 +228,7 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     """The chain with its joined links as impacts at the low vertex of least cost. Those that cost more than noise does
     are left free: two contacts at once, or an edge that struck along its length, push at no one vertex."""
     strikes = _strikes(die)
-    lowest = [_lowest(joined, k, strikes) for k in range(len(joined.links))]
+    lowest = [_likely(joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
     links = [
         link if link.is_open or not low else replace(link, strike=low[0])
         for link, low in zip(joined.links, lowest, strict=True)
@@ -244,6 +247,14 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
         best = min(trials, key=lambda trial: trial.cost, default=joined)
         joined = best if best.cost < joined.cost + STRIKE_STRAIN else joined
     return joined
+
+
+def _likely(joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[Strike]:
+    """Of the contacts that link k may be, the likeliest first, those that are not out of the question."""
+    if joined.links[k].is_open or not low:
+        return low
+    costs = [strike_cost(joined, k, strike, rules.table_sigma_m) for strike in low]
+    return [low[i] for i in np.argsort(costs) if costs[i] < min(costs) + HOPELESS]
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
