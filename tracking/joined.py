@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
+from ..model.motion import GRAVITY_M_S2, Flight, State
 from . import flights_kernels as kernels
 from .chains import MOST, Stages, solve_chain, spread_along
 from .flights import (
@@ -303,14 +303,12 @@ class _Chain:
         scatter: Scatter,
         table_sigma_m: float,
     ) -> _Chain:
-        jumps = np.zeros((len(links), 6))
-        for k, link in enumerate(links):
-            before, after = (Flight(start, np.inf).at(link.time_s) for start in starts[k : k + 2])
-            jumps[k] = [*(after.velocity_m_s - before.velocity_m_s), *(after.omega_rad_s - before.omega_rad_s)]
+        numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
+        fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, GRAVITY_M_S2])
+        # Both sides of a link fall alike: what is left is how much longer one has fallen than the other.
+        jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, np.diff(numbers[:, 11:14], axis=0)])
         spacing_s = float(np.median(np.diff(seen.time_s))) if len(seen) > 1 else 1.0
         is_open = np.array([link.is_open for link in links], bool)
-        free = np.array([packed(start) for start in starts[1:]]).reshape(-1, 14)
-        times_s = np.array([link.time_s for link in links])
         struck = [(k, link.strike) for k, link in enumerate(links) if link.strike is not None]
         contacts = (
             np.array([strike.point_m for _, strike in struck]).reshape(-1, 3),
@@ -318,7 +316,7 @@ class _Chain:
             np.array([strike.mass_over_inertia for _, strike in struck]),
         )
         return _Chain(
-            seen, spacing_s, packed(starts[0]), links, times_s, jumps, is_open, free,
+            seen, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
             np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
             table_sigma_m, _lever_sigma(jumps), scatter,
         )  # fmt: skip

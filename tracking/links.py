@@ -236,8 +236,13 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     trial = rules.again(seen, joined, links, joined.scatter)
     if trial.cost < joined.cost + LIKELY_STRAIN * len(links) and all(len(low) < 2 for low in lowest):
         return trial
+    sure = [k for k, low in enumerate(lowest) if len(low) == 1 and _cost(joined, k, low[0], rules) < LIKELY_STRAIN]
+    links = [links[k] if k in sure else link for k, link in enumerate(joined.links)]
+    trial = rules.again(seen, joined, links, joined.scatter)
+    if trial.cost < joined.cost + LIKELY_STRAIN * len(sure):
+        joined = trial
     for k, low in enumerate(lowest):
-        if joined.links[k].is_open:
+        if joined.links[k].is_open or joined.links[k].strike is not None:
             continue
         trials = []
         for strike in low:
@@ -252,9 +257,13 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
 def _likely(joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[Strike]:
     """Of the contacts that link k may be, the likeliest first, those that are not out of the question."""
     if joined.links[k].is_open or not low:
-        return low
-    costs = [strike_cost(joined, k, strike, rules.table_sigma_m) for strike in low]
+        return []
+    costs = [_cost(joined, k, strike, rules) for strike in low]
     return [low[i] for i in np.argsort(costs) if costs[i] < min(costs) + HOPELESS]
+
+
+def _cost(joined: Joined, k: int, strike: Strike, rules: Rules) -> float:
+    return strike_cost(joined, k, strike, rules.table_sigma_m)
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
