@@ -19,6 +19,7 @@ bend the fit no further than they may, and the squares they leave (`strain`) say
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -157,9 +158,8 @@ def fit_joined(
         if scatter is None:
             chain = replace(chain, scatter=Scatter.white(_scale(course.squares(Scatter.white()), chain.numbers)))
         squares = course.squares(chain.scatter)
-        # A first guess may leave all frames far off: they are drawn in before any is taken for wrong.
-        loose = max(3.0, float(np.sqrt(np.median(squares))) / MEDIAN_RMS) if turn < LOOSE_TURNS else 1.0
-        weights = _biweights(squares, loose)
+        # A first guess may leave all frames of a flight far off: they are drawn in before any is taken for wrong.
+        weights = _biweights(squares, _looseness(squares, course.cuts) if turn < LOOSE_TURNS else np.ones(len(squares)))
         cost = chain.cost(course, weights)
         normal, gradient, stages = chain.equations(course, weights)
         for _ in range(12):
@@ -194,7 +194,16 @@ def _steps_to_come(gains: Sequence[float]) -> float:
     return 1.0 / (1.0 - rate) if SLOW < rate < SLOWEST else 1.0
 
 
-def _biweights(squares: Array, loose: float) -> Array:
+def _looseness(squares: Array, cuts: NDArray[np.int64]) -> Array:
+    """(n,) by how much wider a frame's bounds are at first: as wide as its flight is off, and thrice at the least."""
+    loose = np.full(len(squares), 3.0)
+    for a, b in itertools.pairwise(cuts):
+        if b > a:
+            loose[a:b] = max(3.0, float(np.sqrt(np.median(squares[a:b]))) / MEDIAN_RMS)
+    return loose
+
+
+def _biweights(squares: Array, loose: Array) -> Array:
     ratio = np.sqrt(squares) / (CUT_SIGMA * loose)
     return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
 
