@@ -221,7 +221,23 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
-    return rules.again(seen, found, found.links, _scatter_of(seen, found))
+    return _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+
+
+def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
+    """The chain with contacts that no frame parts as one, where one of them is open: of the flight between nothing is known,
+    and so nothing of how many there were."""
+    while True:
+        edges = np.searchsorted(seen.time_s, joined.links_s, side="right")
+        borne_out = [joined.weights[a:b].any() for a, b in itertools.pairwise(edges)]
+        opened = [a.is_open or b.is_open for a, b in itertools.pairwise(joined.links)]
+        k = next((k for k, frames in enumerate(borne_out) if opened[k] and not frames), None)
+        if k is None:
+            return joined
+        middle_s = 0.5 * (joined.links[k].time_s + joined.links[k + 1].time_s)
+        links = [*joined.links[:k], Link(middle_s, is_open=True), *joined.links[k + 2 :]]
+        starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
+        joined = rules.fit(seen, starts, links, joined.scatter)
 
 
 def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:

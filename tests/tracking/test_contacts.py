@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from throws import FPS, random_release, seen, true_throw
+from throws import FPS, initial_errors, random_release, seen, true_throw
 
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
@@ -17,7 +17,8 @@ from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, inner_vertices, make_die, symmetry_rotations
 from diethrow.tracking.bounces import measure, measure_throw
 from diethrow.tracking.flights import Sightings, carried_on, moved, rotation_matrix, transition
-from diethrow.tracking.joined import Joined, Link, Strike, fit_joined
+from diethrow.tracking.joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined
+from diethrow.tracking.links import Rules, settle
 from diethrow.tracking.rest import Carried, carried_from, flown, frames_in_flight
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
@@ -238,6 +239,28 @@ def test_a_table_at_another_height_than_stated_does_not_bend_the_flights() -> No
     plain, found = measure(track, CUBE), measure(lifted, CUBE)
     assert found.joined.table_m == pytest.approx(0.004, abs=5e-4)
     assert found.throw.impacts[0].time_s == pytest.approx(plain.throw.impacts[0].time_s, abs=0.02 / FPS)
+
+
+@pytest.mark.parametrize("second_is_open", [True, False], ids=["both open", "one open"])
+def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
+    # Something happened within five hidden frames that no impact does: the die comes out aside and turned.
+    whole, _ = bounced(CUBE, LAWS["smooth"], 3, 40)
+    t = whole.impacts[0].time_s
+    aside = np.array([0.004, 0.0, 0.001, 0.3, 0.2, 0.0, 0.2, 0.0, 0.1, 5.0, 0.0, -9.0])
+    behind = Flight(moved(whole.flights[1].at(t), aside), whole.flights[1].end_s)
+    throw = Throw((whole.flights[0], behind), whole.impacts)
+    track = seen(throw, np.random.default_rng(3))
+    poses = sightings(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
+    links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
+    chain = fit_joined(poses, [throw.flights[0].start, behind.start, behind.start], links)
+    settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M))
+    assert [link.is_open for link in settled.links] == [True]
+    assert abs(settled.links[0].time_s - t) < 2.0 / FPS
+    for fitted, true in zip(settled.flights, throw.flights, strict=True):
+        errors = initial_errors(fitted.at(t), true.at(t))
+        sigma = np.sqrt(np.diag(transition(fitted, t) @ fitted.covariance @ transition(fitted, t).T))
+        # Twelve numbers, the largest of which is seldom beyond three sigmas.
+        assert np.abs(errors / sigma).max() < 4.0
 
 
 def test_what_no_frame_knows_of_stays_where_it_is() -> None:
