@@ -153,13 +153,38 @@ def fit_joined(
     sigma = np.zeros(0) if shared_sigma is None else shared_sigma
     form = scatter or Scatter.white()
     chain = _Chain.from_guess(seen, list(starts), tuple(links), sigma, form, table_sigma_m)
+    best = _descended(chain, find_scale=scatter is None, by_flight=False, steps=steps)
+    if (lost := best.lost_flights()) > 0:
+        other = _descended(chain, find_scale=scatter is None, by_flight=True, steps=steps)
+        if other.lost_flights() < lost:
+            best = other
+    return best.chain.finished(best.course, best.weights)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where a descent has come to."""
+
+    chain: _Chain
+    course: _Course
+    weights: Array
+
+    def lost_flights(self) -> int:
+        """How many flights of three frames or more none of their frames bears out."""
+        return sum(b - a >= 3 and not self.weights[a:b].any() for a, b in itertools.pairwise(self.course.cuts))
+
+
+def _descended(chain: _Chain, *, find_scale: bool, by_flight: bool, steps: int) -> _Found:
+    """The chain where no step gains any more. A first guess may leave all frames far off, and they are drawn in before any
+    is taken for wrong: all alike, or those of each flight by themselves. The latter finds a flight that begins so far
+    off that it would be left without frames; but where another contact lies within one, all together know better."""
     course, damping, gains = chain.course(), 1e-6, [0.0]
     for turn in range(steps):
-        if scatter is None:
+        if find_scale:
             chain = replace(chain, scatter=Scatter.white(_scale(course.squares(Scatter.white()), chain.numbers)))
         squares = course.squares(chain.scatter)
-        # A first guess may leave all frames of a flight far off: they are drawn in before any is taken for wrong.
-        weights = _biweights(squares, _looseness(squares, course.cuts) if turn < LOOSE_TURNS else np.ones(len(squares)))
+        cuts = course.cuts if by_flight else np.array([0, len(squares)])
+        weights = _biweights(squares, _looseness(squares, cuts) if turn < LOOSE_TURNS else np.ones(len(squares)))
         cost = chain.cost(course, weights)
         normal, gradient, stages = chain.equations(course, weights)
         for _ in range(12):
@@ -182,7 +207,7 @@ def fit_joined(
         chain, course, damping = trial, there, max(damping * 0.1, 1e-12)
         if cost - new < min(1e-2, 1e-4 * cost) and turn > LOOSE_TURNS:
             break
-    return chain.finished(course, weights)
+    return _Found(chain, course, weights)
 
 
 def _steps_to_come(gains: Sequence[float]) -> float:
@@ -195,7 +220,7 @@ def _steps_to_come(gains: Sequence[float]) -> float:
 
 
 def _looseness(squares: Array, cuts: NDArray[np.int64]) -> Array:
-    """(n,) by how much wider a frame's bounds are at first: as wide as its flight is off, and thrice at the least."""
+    """(n,) by how much wider a frame's bounds are at first: as wide as its group is off, and thrice at the least."""
     loose = np.full(len(squares), 3.0)
     for a, b in itertools.pairwise(cuts):
         if b > a:
