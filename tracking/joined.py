@@ -154,10 +154,9 @@ def fit_joined(
     form = scatter or Scatter.white()
     chain = _Chain.from_guess(seen, list(starts), tuple(links), sigma, form, table_sigma_m)
     best = _descended(chain, find_scale=scatter is None, by_flight=False, steps=steps)
-    if (lost := best.lost_flights()) > 0:
+    if best.lost_flights > 0:
         other = _descended(chain, find_scale=scatter is None, by_flight=True, steps=steps)
-        if other.lost_flights() < lost:
-            best = other
+        best = min(best, other, key=lambda found: (found.lost_flights, found.cost if scatter else 0.0))
     return best.chain.finished(best.course, best.weights)
 
 
@@ -169,9 +168,15 @@ class _Found:
     course: _Course
     weights: Array
 
+    @property
     def lost_flights(self) -> int:
         """How many flights of three frames or more none of their frames bears out."""
         return sum(b - a >= 3 and not self.weights[a:b].any() for a, b in itertools.pairwise(self.course.cuts))
+
+    @property
+    def cost(self) -> float:
+        """Comparable between descents of one scatter."""
+        return self.chain.robust_cost(self.course)
 
 
 def _descended(chain: _Chain, *, find_scale: bool, by_flight: bool, steps: int) -> _Found:
