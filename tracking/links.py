@@ -39,8 +39,8 @@ STRIKE_STRAIN = 40.0
 """Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
 thousandth of the cases; slow errors of the frames take the rest)."""
 HOPELESS = 1000.0
-"""Squared sigmas by which a corner does worse than another, to the first order, without being tried: what is left out are
-flights that curve within the uncertainty of the instant, and takes some tens."""
+"""Squared sigmas, to the first order, beyond which a contact is not tried at all: what that leaves out, how flights curve
+within the uncertainty of the instant, makes some tens."""
 LIKELY_STRAIN = 9.5
 """Squared sigmas that four rules cost by chance in one case of twenty."""
 NEAR_SHARE = 0.1
@@ -241,27 +241,24 @@ def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
 
 
 def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
-    """The chain with its joined links as impacts at the low vertex of least cost. Those that cost more than noise does
-    are left free: two contacts at once, or an edge that struck along its length, push at no one vertex."""
+    """The chain with its joined links as impacts at the low vertex of least cost: those with one likely vertex at once, if
+    that holds, and the others one by one. Those that cost more than noise does are left free: two contacts at once, or an
+    edge that struck along its length, push at no one vertex."""
     strikes = _strikes(die)
-    lowest = [_likely(joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
-    links = [
-        link if link.is_open or not low else replace(link, strike=low[0])
-        for link, low in zip(joined.links, lowest, strict=True)
-    ]
-    trial = rules.again(seen, joined, links, joined.scatter)
-    if trial.cost < joined.cost + LIKELY_STRAIN * len(links) and all(len(low) < 2 for low in lowest):
-        return trial
-    sure = [k for k, low in enumerate(lowest) if len(low) == 1 and _cost(joined, k, low[0], rules) < LIKELY_STRAIN]
-    links = [links[k] if k in sure else link for k, link in enumerate(joined.links)]
-    trial = rules.again(seen, joined, links, joined.scatter)
-    if trial.cost < joined.cost + LIKELY_STRAIN * len(sure):
-        joined = trial
-    for k, low in enumerate(lowest):
-        if joined.links[k].is_open or joined.links[k].strike is not None:
+    likely = [_likely(joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
+    alone = [k for k, found in enumerate(likely) if len(found) == 1]
+    for sure in (alone, [k for k in alone if likely[k][0][0] < LIKELY_STRAIN]):
+        struck = {k: replace(joined.links[k], strike=likely[k][0][1]) for k in sure}
+        links = [struck.get(k, link) for k, link in enumerate(joined.links)]
+        trial = rules.again(seen, joined, links, joined.scatter) if sure else joined
+        if trial.cost < joined.cost + LIKELY_STRAIN * len(sure):
+            joined = trial
+            break
+    for k, found in enumerate(likely):
+        if joined.links[k].strike is not None:
             continue
         trials = []
-        for strike in low:
+        for _, strike in found:
             links = list(joined.links)
             links[k] = replace(links[k], strike=strike)
             trials.append(rules.again(seen, joined, links, joined.scatter))
@@ -270,16 +267,13 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     return joined
 
 
-def _likely(joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[Strike]:
-    """Of the contacts that link k may be, the likeliest first, those that are not out of the question."""
-    if joined.links[k].is_open or not low:
+def _likely(joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[tuple[float, Strike]]:
+    """Of the contacts that link k may be, those that are not out of the question, with what they would cost to the first
+    order."""
+    if joined.links[k].is_open:
         return []
-    costs = [_cost(joined, k, strike, rules) for strike in low]
-    return [low[i] for i in np.argsort(costs) if costs[i] < min(costs) + HOPELESS]
-
-
-def _cost(joined: Joined, k: int, strike: Strike, rules: Rules) -> float:
-    return strike_cost(joined, k, strike, rules.table_sigma_m)
+    costs = [(strike_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
+    return [(cost, strike) for cost, strike in costs if cost < HOPELESS]
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
