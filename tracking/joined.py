@@ -57,6 +57,8 @@ FARTHEST = 1e5
 """A step longer than this in any parameter (SI) leaves all that a die can do: the spin of a die reaches some 1e3."""
 LOOSE_TURNS = 3
 """Steps over which frames are drawn in."""
+FEW_SHARE = 0.25
+"""Of the frames of a flight: fewer may lie on any motion by chance, as the first behind a bounce does."""
 SLOW, SLOWEST = 0.5, 0.95
 """Between these, steps that shrink by such a factor are taken together, twenty of them at the most."""
 LEVER_SHARE, LEVER_RAD_S = 0.01, 0.3
@@ -170,8 +172,9 @@ class _Found:
 
     @property
     def lost_flights(self) -> int:
-        """How many flights of three frames or more none of their frames bears out."""
-        return sum(b - a >= 3 and not self.weights[a:b].any() for a, b in itertools.pairwise(self.course.cuts))
+        """How many flights of three frames or more hardly any of their frames bear out."""
+        borne_out = [(b - a, int((self.weights[a:b] > 0.0).sum())) for a, b in itertools.pairwise(self.course.cuts)]
+        return sum(frames >= 3 and good < FEW_SHARE * frames for frames, good in borne_out)
 
     @property
     def cost(self) -> float:
@@ -469,7 +472,7 @@ class _Chain:
         last, pairs = spread_along(normal, self._noises(course, weights, normal), stages)
         size, count = len(last), len(self.links)
         beside, sigma_time_s = np.full((count, 25, 25), np.nan), np.full(count, np.nan)
-        for k in np.flatnonzero(~self.is_open):
+        for k in np.flatnonzero(~self.is_open).tolist():
             passed = np.zeros((25, size + MOST))
             passed[:12, :12] = course.passages[k]
             passed[12:24] = np.hstack([stages.onward[k], stages.turned[k]])[:12]
