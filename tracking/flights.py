@@ -191,14 +191,22 @@ def left_jacobians(v: Array) -> Array:
     return np.asarray(np.eye(3) + first * V + second * (V @ V))
 
 
-def transitions(flight: Flight, times_s: Array) -> Array:
-    """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
+def pose_rows(flight: Flight, times_s: Array) -> Array:
+    """Derivatives (n, 6, 12) of the pose at instants (n,) with respect to the flight's start state."""
     tau = np.asarray(times_s, float) - flight.start.time_s
     turns = np.outer(tau, flight.start.omega_rad_s)
-    M = np.tile(np.eye(12), (len(tau), 1, 1))
+    M = np.zeros((len(tau), 6, 12))
+    M[:, 0:3, 0:3] = np.eye(3)
     M[:, 0:3, 6:9] = tau[:, None, None] * np.eye(3)
     M[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
     M[:, 3:6, 9:12] = tau[:, None, None] * left_jacobians(turns)
+    return M
+
+
+def transitions(flight: Flight, times_s: Array) -> Array:
+    """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
+    M = np.tile(np.eye(12), (len(times_s), 1, 1))
+    M[:, :6] = pose_rows(flight, times_s)
     return M
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from ..model.rotations import continuous_sign
-from .flights import flights_at, transitions
+from .flights import flights_at, pose_rows
 from .track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -38,8 +38,7 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
         flight, mine = throw.flights[k], rows[told & (flight_of == k)]
         if flight.covariance is None or not len(mine):
             continue
-        # What a pose is made of: six rows of the transition.
-        M = transitions(flight, track.time_s[mine])[:, :6]
+        M = pose_rows(flight, track.time_s[mine])
         poses = M @ flight.covariance @ np.swapaxes(M, 1, 2)
         if floor is not None:
             poses += floor[mine]
