@@ -105,14 +105,30 @@ def chain_misses(seen: Sightings, cuts: NDArray[np.int64], states: Array, shared
     return misses
 
 
+def informations(seen: Sightings, share: Array) -> tuple[Array, Array]:
+    """What frames say of their poses and of the shared errors, the six whitened numbers counting with their `share` (6,):
+    information (n, 6 + m, 6 + m), and the (n, 6 + m, 6) that turn whitened residuals into pulls. Of no motion: fits of
+    one share have it once."""
+    own = 6 + seen.lean.shape[2]
+    information, pulls = np.empty((len(seen), own, own)), np.empty((len(seen), own, 6))
+    kernels.weigh(_arrays(seen)[3], seen.lean, share, information, pulls)
+    return information, pulls
+
+
 def chain_sums(
-    seen: Sightings, cuts: NDArray[np.int64], states: Array, misses: Array, weights: Array, share: Array, size: int
+    seen: Sightings,
+    cuts: NDArray[np.int64],
+    states: Array,
+    misses: Array,
+    weights: Array,
+    told: tuple[Array, Array],
+    size: int,
 ) -> tuple[Array, Array]:
     """Normal equations of each flight about its state: matrices (flights, size, size) of the twelve numbers of the state and
     the shared errors, and gradients (flights, size) of half the cost; what is beyond 12 + m stays zero. Frames count with
-    their weight (n,), and the six whitened numbers with their `share` (6,)."""
+    their weight (n,), `told` are their `informations`."""
     normal, gradient = np.zeros((len(states), size, size)), np.zeros((len(states), size))
-    kernels.sums(*_arrays(seen)[::3], seen.lean, misses, weights, share, cuts, states, normal, gradient)
+    kernels.sums(_arrays(seen)[0], *told, misses, weights, cuts, states, normal, gradient)
     return normal, gradient
 
 

@@ -38,17 +38,42 @@ def misses(
 
 
 @compiled(nogil=True)
+def weigh(W: Array, lean: Array, share: Array, information: Array, pulls: Array) -> None:
+    """What each frame says of its pose and of the shared errors: information (n, 6 + m, 6 + m), and (n, 6 + m, 6) that makes
+    the pull of whitened residuals. Of no motion: once for all steps of a fit."""
+    m = lean.shape[2]
+    columns = np.empty((6, 6 + m))
+    for k in range(len(W)):
+        for i in range(6):
+            for j in range(6):
+                columns[i, j] = W[k, i, j]
+            for j in range(m):
+                total = 0.0
+                for b in range(6):
+                    total += W[k, i, b] * lean[k, b, j]
+                columns[i, 6 + j] = total
+        for a in range(6 + m):
+            for i in range(6):
+                pulls[k, a, i] = share[i] * columns[i, a]
+            for b in range(a + 1):
+                total = 0.0
+                for i in range(6):
+                    total += pulls[k, a, i] * columns[i, b]
+                information[k, a, b] = total
+                information[k, b, a] = total
+
+
+@compiled(nogil=True)
 def sums(
-    time: Array, W: Array, lean: Array, off: Array, weight: Array, share: Array, cuts: NDArray[np.int64],
-    states: Array, normal: Array, gradient: Array,
+    time: Array, information: Array, pulls: Array, off: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
+    normal: Array, gradient: Array,
 ) -> None:  # fmt: skip
     """Fill the normal equations of each flight. With the information A of a frame about its pose, and D = (1, τ) for the
     place and (E, τJ) for the turn, a frame adds Dᵀ A D: the twelve columns need not be whitened one by one."""
-    m = lean.shape[2]
-    own = 6 + m
-    columns, weighted, A, u = np.empty((6, own)), np.empty((6, own)), np.empty((own, own)), np.empty(own)
-    turns = np.empty((3, 6))
-    AT, TAT = np.empty((own, 6)), np.empty((6, 6))
+    own = information.shape[1]
+    m = own - 6
+    A, u = np.empty((own, own)), np.empty(own)
+    turns, AT, TAT = np.empty((3, 6)), np.empty((own, 6)), np.empty((6, 6))
     for flight in range(len(states)):
         state, N, g = states[flight], normal[flight], gradient[flight]
         for k in range(cuts[flight], cuts[flight + 1]):
@@ -60,28 +85,13 @@ def sums(
             for i in range(3):
                 for j in range(3):
                     turns[i, j], turns[i, 3 + j] = E[i, j], L[i, j]
-            for i in range(6):
-                counts = weight[k] * share[i]
-                for j in range(6):
-                    columns[i, j] = W[k, i, j]
-                for j in range(m):
-                    total = 0.0
-                    for b in range(6):
-                        total += W[k, i, b] * lean[k, b, j]
-                    columns[i, 6 + j] = total
-                for j in range(own):
-                    weighted[i, j] = counts * columns[i, j]
             for a in range(own):
                 pull = 0.0
                 for i in range(6):
-                    pull += weighted[i, a] * off[k, i]
-                u[a] = pull
-                for b in range(a + 1):
-                    total = 0.0
-                    for i in range(6):
-                        total += weighted[i, a] * columns[i, b]
-                    A[a, b] = total
-                    A[b, a] = total
+                    pull += pulls[k, a, i] * off[k, i]
+                u[a] = weight[k] * pull
+                for b in range(own):
+                    A[a, b] = weight[k] * information[k, a, b]
             for a in range(own):
                 for b in range(6):
                     AT[a, b] = A[a, 3] * turns[0, b] + A[a, 4] * turns[1, b] + A[a, 5] * turns[2, b]
@@ -343,7 +353,9 @@ def fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array,
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
     _guess(time, position, quaternion, states[0])
-    lean, weight, none, unit = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0), np.ones(6)
+    lean, weight, none = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0)
+    information, pulls = np.empty((n, 6, 6)), np.empty((n, 6, 6))
+    weigh(W, lean, np.ones(6), information, pulls)
     cuts = np.zeros(2, np.int64)
     cuts[1] = n
     off, step = np.empty((n, 6)), np.empty(12)
@@ -351,7 +363,7 @@ def fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array,
     left = _squares(off)
     for _ in range(12):
         normal, gradient = np.zeros((1, 12, 12)), np.zeros((1, 12))
-        sums(time, W, lean, off, weight, unit, cuts, states, normal, gradient)
+        sums(time, information, pulls, off, weight, cuts, states, normal, gradient)
         _invert(normal[0], inverse)
         for a in range(12):
             step[a] = 0.0

@@ -35,6 +35,7 @@ from .flights import (
     chain_meats,
     chain_misses,
     chain_sums,
+    informations,
     packed,
     roll_out,
     transition,
@@ -335,6 +336,10 @@ class _Chain:
     lever_sigma: Array
     """(N,) tolerance [rad/s] of each strike's spin; set by the guess, so that the cost means the same on every step."""
     scatter: Scatter
+    told: tuple[Array, Array]
+    """What the frames say, for the scatter that the chain began with (`flights.informations`)."""
+    told_share: float
+    """The first number's share in that."""
 
     @staticmethod
     def from_guess(
@@ -357,10 +362,11 @@ class _Chain:
             np.array([strike.rounding_m for _, strike in struck]),
             np.array([strike.mass_over_inertia for _, strike in struck]),
         )
+        share = 1.0 / scatter.slow_variance(spacing_s)
         return _Chain(
             seen, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
             np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
-            table_sigma_m, _lever_sigma(jumps), scatter,
+            table_sigma_m, _lever_sigma(jumps), scatter, informations(seen, share), float(share[0]),
         )  # fmt: skip
 
     @property
@@ -429,14 +435,17 @@ class _Chain:
     def equations(self, course: _Course, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors with those of the first, and the links between."""
         size = 12 + self.constants
-        normal, gradient = chain_sums(
-            self.seen, course.cuts, course.states, course.misses, weights, self._share(), size
-        )
+        normal, gradient = self._sums(course, weights, size)
         sigma, value = self._priors
         constants = np.arange(12, size)
         normal[0, constants, constants] += 1.0 / sigma**2
         gradient[0, 12:] += value / sigma**2
         return normal, gradient, self._stages(course, size)
+
+    def _sums(self, course: _Course, weights: Array, size: int) -> tuple[Array, Array]:
+        """Of the frames alone. A scatter that is found on the way is white: all shares change by one factor."""
+        change = float(self._share()[0]) / self.told_share
+        return chain_sums(self.seen, course.cuts, course.states, course.misses, change * weights, self.told, size)
 
     def _stages(self, course: _Course, size: int) -> Stages:
         """The links as `chains` wants them."""
@@ -502,9 +511,9 @@ class _Chain:
 
     def _noises(self, course: _Course, weights: Array, normal: Array) -> Array:
         """Covariances of the flights' gradients, as the errors are: `normal` has them as they were weighted."""
-        share, size = self._share(), normal.shape[1]
-        parts = (self.seen, course.cuts, course.states)
-        stated, _ = chain_sums(*parts, course.misses, weights, share, size)
+        size = normal.shape[1]
+        stated, _ = self._sums(course, weights, size)
         if self.scatter.wander.any():
-            return normal - stated + chain_meats(*parts, weights, share, self.scatter, size)
-        return normal - stated + chain_sums(*parts, course.misses, weights**2, share, size)[0]
+            parts = (self.seen, course.cuts, course.states, weights)
+            return normal - stated + chain_meats(*parts, self._share(), self.scatter, size)
+        return normal - stated + self._sums(course, weights**2, size)[0]

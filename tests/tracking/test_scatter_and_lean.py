@@ -21,6 +21,7 @@ from diethrow.tracking.flights import (
     chain_misses,
     chain_sums,
     fit_flight,
+    informations,
     moved,
     packed,
     seen_minus_motion,
@@ -100,7 +101,7 @@ def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> Non
     ones, share = np.ones(len(sightings)), np.full(6, 0.25)
     cuts, states = np.array([0, len(sightings)]), packed(state)[None]
     misses = chain_misses(sightings, cuts, states, np.zeros(0))
-    normal, _ = chain_sums(sightings, cuts, states, misses, ones, share, 12)
+    normal, _ = chain_sums(sightings, cuts, states, misses, ones, informations(sightings, share), 12)
     # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
     meats = chain_meats(sightings, cuts, states, ones, share, Scatter.white(2.0), 12)
     unit = 1.0 / np.sqrt(np.diag(normal[0]))
