@@ -119,7 +119,11 @@ class Throw:
 
     def flight_at(self, time_s: float) -> int:
         """Index of the flight that holds this instant; before the release the first, after the end the last."""
-        return int(np.searchsorted([impact.time_s for impact in self.impacts], time_s, side="right"))
+        return int(self.flights_at(time_s))
+
+    def flights_at(self, times_s: ArrayLike) -> NDArray[np.int64]:
+        """(n,) the same of many instants."""
+        return np.searchsorted([impact.time_s for impact in self.impacts], times_s, side="right")
 
     def at(self, time_s: float) -> State:
         """The state at any instant."""
@@ -128,7 +132,7 @@ class Throw:
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
         times = np.asarray(times_s, float)
-        which = np.searchsorted([impact.time_s for impact in self.impacts], times, side="right")
+        which = self.flights_at(times)
         positions, quaternions = np.empty((len(times), 3)), np.empty((len(times), 4))
         for k in np.unique(which):
             mine = which == k

@@ -33,19 +33,17 @@ from .clip import Clip
 from .edges import settle
 from .flights import transition
 from .hints import HandStart, excluded_rows
-from .marks import edge_information, frames_to_learn_from, learn_marks, refine_by_marks, shared_covariance
+from .marks import FramePoses, frames_to_learn_from, learn_marks, refine_by_marks
 from .marks_textures import Marks
 from .offsets import Offsets, eyes_at, find_offsets
 from .pose import (
     THREADS,
-    Pose,
     View,
     blur_step,
     contour_leans,
     covariances,
     labelled_like,
     make_view,
-    pose_from,
     share_in_view,
     shares_in_view,
     with_reflections,
@@ -373,7 +371,7 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
     out = Seen.empty(len(times_s))
     position, quaternion = throw.poses(times_s)
     out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)
-    which = np.searchsorted([impact.time_s for impact in throw.impacts], times_s, side="right")
+    which = throw.flights_at(times_s)
     starts = [flight.start for flight in throw.flights]
     tau = times_s - np.array([s.time_s for s in starts])[which]
     out.motion[:, :3] = np.array([s.velocity_m_s for s in starts])[which]
@@ -407,7 +405,6 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
     if marks is None or len(reel.clips) > 1:
         return seen, marks, None
-    adjusted = Throw(marks.flights, throw.impacts)
     both = [
         pair
         for pair, shared in zip(zip(throw.flights, marks.flights, strict=True), marks.shared, strict=True)
@@ -417,19 +414,30 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
         return seen, marks, None
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
+    by_edges, adjusted = _poses_by_edges(view, edges, seen), Throw(marks.flights, throw.impacts)
     with ThreadPoolExecutor(THREADS) as pool:
         for first, frames in reel.blocks():
-            jobs = {
-                k: pool.submit(_marked, view, marks, frames[k - first], adjusted, edges, seen, k)
-                for k in range(first, first + len(frames))
-                if edges.tracked[k]
-            }
-            for k, job in jobs.items():
-                pose, shared[k] = job.result()
-                out.position_m[k], out.rotation[k], out.lean[k] = pose.position_m, pose.rotation, pose.contour_lean
-                out.H[k, :6, :6] = pose.information
+            # Where no edges were seen there is no frame to refine.
+            known = np.flatnonzero(edges.tracked[first : first + len(frames)])
+            rows = first + known
+            some = frames if len(known) == len(frames) else frames[known]
+            poses, shared[rows] = refine_by_marks(
+                view, marks, some, by_edges.part(rows), adjusted, edges.time_s[rows], pool
+            )
+            out.position_m[rows], out.rotation[rows] = poses.position_m, poses.rotation
+            out.lean[rows], out.H[rows, :6, :6] = poses.contour_lean, poses.information
             report.at_least(2 * len(reel) + first + len(frames))
     return out, marks, shared
+
+
+def _poses_by_edges(view: View, edges: Track, seen: Seen) -> FramePoses:
+    """What the edges of each frame say, with the covariances of `edges`; rows that it lacks hold NaN."""
+    n, known = len(edges), edges.tracked
+    rotation, information, lean = np.full((n, 3, 3), np.nan), np.full((n, 6, 6), np.nan), np.full((n, 6), np.nan)
+    rotation[known] = matrix_from_quat(edges.quaternion[known])
+    information[known] = np.linalg.inv(edges.covariance[known])
+    lean[known] = contour_leans(seen.H[known], view.lens)
+    return FramePoses(edges.position_m, rotation, information, lean)
 
 
 def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
@@ -472,27 +480,6 @@ def _as_sure_as_they_scatter(track: Track, throw: Throw) -> Track:
     miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
     squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
     return replace(track, covariance=track.covariance * max(1.0, float(np.median(squared)) / CHI2_MEDIAN))
-
-
-def _marked(
-    view: View, marks: Marks, picture: Frames, adjusted: Throw, edges: Track, seen: Seen, k: int
-) -> tuple[Pose, Array]:
-    """One frame refined on marks and edges, from where its flight leads unless that is over or no flight, and what it
-    shares with all others."""
-    time_s = float(edges.time_s[k])
-    shared = shared_covariance(view, marks, adjusted.flight_at(time_s), time_s)
-    by_edges = replace(
-        pose_from(edges.position_m[k], matrix_from_quat(edges.quaternion[k]), seen.H[k], seen.stats[k], 0.0, view.lens),
-        information=np.linalg.inv(edges.covariance[k]),
-    )
-    start = adjusted.at(time_s) if time_s <= adjusted.flights[-1].end_s else None
-    if start is not None and np.isnan(shared).any():
-        start = replace(start, position_m=edges.position_m[k], quaternion=edges.quaternion[k])
-    pose = refine_by_marks(view, marks, np.asarray(picture[0], np.float32), by_edges, start)
-    # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
-    part = edge_information(view, marks, by_edges) @ by_edges.contour_lean
-    lean = np.asarray(np.linalg.lstsq(pose.information, part, rcond=None)[0], np.float64)
-    return replace(pose, contour_lean=lean), shared
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ half a pixel this alone turned dice by 0.2 degrees. Each frame is therefore comp
 blur, motion during the exposure included.
 
 What is left after all this is mostly common to all frames of a clip: where the textures sit on the body. It is part of the
-covariance of `Marks.flights` and stands by itself in `shared_covariance`; the information of a refined single frame is
+covariance of `Marks.flights` and stands by itself in `shared_covariances`; the information of a refined single frame is
 about that frame's own pixels alone.
 
 Pose increments are (δp, δθ): world position [m], and rotation vector in world axes [rad], R_true = exp(δθ) R.
@@ -38,14 +38,17 @@ Pose increments are (δp, δθ): world position [m], and rotation vector in worl
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import State, Throw
-from ..model.rotations import quat_from_matrix
-from .flights import transition
+from ..model.motion import GRAVITY_M_S2, Throw
+from ..model.rotations import matrix_from_quat
+from .flights import transitions
 from .marks_adjustment import adjusted, contour_covariance, links_between, turn_between
 from .marks_kernels import TUKEY, refine_on_marks
 from .marks_textures import (
@@ -53,14 +56,13 @@ from .marks_textures import (
     Look,
     Marks,
     blank_marks,
-    blurs,
     face_grid,
-    on_faces,
-    seen_by,
+    faces_of,
+    optics_of,
     with_learned_textures,
 )
 from .marks_textures import FaceGrid as FaceGrid
-from .pose import Pose, View, outline_box
+from .pose import THREADS, View, outline_box, weak_prior
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -72,10 +74,11 @@ the clip."""
 SHORT_FLIGHT = 10
 """Frames of a flight below which all are looked at."""
 CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY, TUKEY, TUKEY)
-"""Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
-moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
-SETTLED_SIGMAS = 0.3
-"""A round that moves no flight by more than this many of its sigmas is the last."""
+"""Cut of the robust weights [sigmas] in each round of adjusting and learning again. A narrow cut from the start would take what
+the first poses misplaced for something that hides the die. The rounds with wide cuts see half of the looks."""
+SETTLED_SIGMAS = 0.5
+"""A round that moves no flight by more than this many of its sigmas is the last of its kind, with a wide cut or the last one: the
+next would move it by a third of that."""
 WILD_SIGMAS = 6.0
 """A flight that moves by more, once the cut is narrow, is no flight: a die that rolls or slides does not fall, and pulls at its
 neighbours from round to round. Flights that are some move by two or three sigmas there at the most."""
@@ -84,6 +87,8 @@ NEAR_BOUNCE = 1.0
 PLACED_PX = 0.005
 """One sigma of where a picture has a mark: light that falls aslant on its border, the form of a pixel, the curve of a
 sensor move it by some thousandths of a pixel, on all frames alike."""
+WINDOW_PX = 6.0
+"""Margin of a frame's window about the outline."""
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
 
@@ -97,7 +102,7 @@ def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
     if len(bounces):
         away = np.abs(track.time_s[good, None] - bounces).min(1)
         good = good[away > NEAR_BOUNCE * spacing]
-    flight = np.array([throw.flight_at(float(t)) for t in track.time_s[good]])
+    flight = throw.flights_at(track.time_s[good])
     chosen = []
     for k in np.unique(flight):
         mine = good[flight == k]
@@ -124,18 +129,23 @@ def learn_marks(
     links = links_between(looks, throw)
     few = _thinned(looks)
     marks = with_learned_textures(view, few, throw.flights, blank_marks(view, grid, saturation_grey, throw), CUTS[0])
+    settled = False
     for cut in CUTS:
+        wide = cut > TUKEY
+        if wide and settled:
+            continue
         if not len(marks.marked_faces):
             return None
-        chosen = looks if cut == TUKEY else few
+        chosen = few if wide else looks
         marks, moved_sigmas = adjusted(view, chosen, links, marks, cut)
-        if cut == TUKEY and (moved_sigmas > WILD_SIGMAS).any():
+        if not wide and (moved_sigmas > WILD_SIGMAS).any():
             marks, looks, links = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
             chosen = looks
             if len(looks) < 2 * FEWEST_LOOKS:
                 return None
         marks = with_learned_textures(view, chosen, marks.flights, marks, cut)
-        if cut == TUKEY and moved_sigmas.max() < SETTLED_SIGMAS:
+        settled = bool(moved_sigmas.max() < SETTLED_SIGMAS)
+        if settled and not wide:
             break
     return marks if len(marks.marked_faces) else None
 
@@ -150,44 +160,100 @@ def _without_flights(
     return replace(marks, flights=flights, shared=shared), looks, links_between(looks, throw)
 
 
-def refine_by_marks(view: View, marks: Marks, image: Image, pose: Pose, start: State | None = None) -> Pose:
-    """The pose that marks and edges of one frame bear out together.
+@dataclass(frozen=True, eq=False)
+class FramePoses:
+    """Poses of single frames, from edges alone or from marks and edges: one row each."""
 
-    `pose` is that of the edges; `start` the state that the flight gives for this frame, from which the steps begin where
-    it is known. Where no marked face is seen, the edges' pose comes back, its covariance widened by their systematic errors.
+    position_m: Array
+    """(n, 3)"""
+    rotation: Array
+    """(n, 3, 3) body to world."""
+    information: Array
+    """(n, 6, 6) inverse covariance from the pixels of each frame alone."""
+    contour_lean: Array
+    """(n, 6) [m/px, rad/px] by how much each is off for every pixel that the contour is taken too far out."""
+
+    def part(self, rows: slice | NDArray[np.int64]) -> FramePoses:
+        """Some rows."""
+        return FramePoses(self.position_m[rows], self.rotation[rows], self.information[rows], self.contour_lean[rows])
+
+
+def refine_by_marks(
+    view: View, marks: Marks, frames: NDArray[Any], edges: FramePoses, throw: Throw, times_s: Array, pool: Executor
+) -> tuple[FramePoses, Array]:
+    """The poses that marks and edges of each frame bear out together, and the covariance (n, 6, 6) that each shares with all
+    others (`shared_covariances`).
+
+    `frames` (n, cameras, height, width) at `times_s` (n,) belong to the poses `edges`; the steps begin where `throw`, the
+    adjusted flights with their impacts, leads, or at the edges' pose where that is over or no flight. Where no marked face is
+    seen, the edges' pose stays, its covariance widened by their systematic errors.
     """
-    edges = edge_information(view, marks, pose)
-    still = np.zeros(3)
-    if start is None:
-        start = State(0.0, pose.position_m, quat_from_matrix(pose.rotation), still, still)
-    rotation = start.rotation
-    away = np.concatenate([pose.position_m - start.position_m, turn_between(rotation, pose.rotation)])
-    p, R, H = refine_on_marks(
-        image, 0, 0, *seen_by(view, marks), np.asarray(start.position_m, float), rotation,
-        *blurs(view, marks, start.velocity_m_s, start.omega_rad_s), *on_faces(view, marks, TUKEY), marks.factor,
-        edges, edges @ away, STEPS, np.zeros((len(marks.looks), 3)),
-    )  # fmt: skip
-    if not H.any():
-        return replace(pose, information=edges)
-    return replace(pose, position_m=p, rotation=R, information=H + edges)
+    which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
+    velocity, omega = np.empty((len(times_s), 3)), np.empty((len(times_s), 3))
+    for k in np.unique(which):
+        mine, start = which == k, throw.flights[k].start
+        shared[mine] = shared_covariances(view, marks, int(k), times_s[mine])
+        fall = GRAVITY_M_S2 * (times_s[mine] - start.time_s)
+        velocity[mine], omega[mine] = start.velocity_m_s - np.outer(fall, [0.0, 0.0, 1.0]), start.omega_rad_s
+    over = times_s > throw.flights[-1].end_s
+    velocity[over], omega[over] = 0.0, 0.0
+    position, quaternion = throw.poses(times_s)
+    by_flight = ~over & np.isfinite(shared[:, 0, 0])
+    position = np.where(by_flight[:, None], position, edges.position_m)
+    rotation = np.where(by_flight[:, None, None], matrix_from_quat(quaternion), edges.rotation)
+    boxes = _windows(view, position, rotation)
+    sure = edge_information(view, marks, edges)
+    away = np.concatenate([edges.position_m - position, turn_between(rotation, edges.rotation)], axis=1)
+    pull, H = np.einsum("nij,nj->ni", sure, away), np.zeros((len(times_s), 6, 6))
+    optics, faces = optics_of(view, marks), faces_of(view, marks, TUKEY)
+
+    def some(rows: slice) -> None:
+        refine_on_marks(
+            frames[rows], boxes[rows], optics, faces, position[rows], rotation[rows], velocity[rows], omega[rows],
+            marks.factor, sure[rows], pull[rows], STEPS, H[rows],
+        )  # fmt: skip
+
+    cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
+    for job in [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts)]:
+        job.result()
+    unseen = ~H.any(axis=(1, 2))
+    position[unseen], rotation[unseen] = edges.position_m[unseen], edges.rotation[unseen]
+    information = H + sure
+    # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
+    part = np.einsum("nij,nj->ni", sure, edges.contour_lean)
+    lean = np.linalg.solve(information + weak_prior(view), part[..., None])[..., 0]
+    return FramePoses(position, rotation, information, lean), shared
 
 
-def edge_information(view: View, marks: Marks, pose: Pose) -> Array:
-    """(6, 6) of a pose from edges, what they get wrong in common taken into account."""
-    common = contour_covariance(view, pose.position_m, marks.contour_m)
+def edge_information(view: View, marks: Marks, edges: FramePoses) -> Array:
+    """(n, 6, 6) of poses from edges, what they get wrong in common taken into account."""
+    common = contour_covariance(view, edges.position_m, marks.contour_m)
     # (Σ + S)⁻¹ by way of the information, which may be singular where Σ does not exist.
-    return np.asarray(pose.information @ np.linalg.inv(np.eye(6) + common @ pose.information))
+    return np.asarray(edges.information @ np.linalg.inv(np.eye(6) + common @ edges.information))
 
 
-def shared_covariance(view: View, marks: Marks, flight: int, time_s: float) -> Array:
-    """(6, 6) of the pose at an instant that all frames share: what the uncertain places of the textures do to every one of
-    them, and what no frame can show, PLACED_PX. It belongs on top of whatever a fit of many frames says, because it does not
-    shrink with their number. NaN in a flight from which nothing was learned."""
-    M = transition(marks.flights[flight], time_s)[:6]
-    place_m = marks.flights[flight].at(time_s).position_m
-    distance_m = float(np.linalg.norm(place_m - view.camera.centre_m))
-    placed = contour_covariance(view, place_m, PLACED_PX * distance_m / view.camera.matrix[0, 0])
-    return np.asarray(M @ marks.shared[flight] @ M.T + placed)
+def shared_covariances(view: View, marks: Marks, flight: int, times_s: Array) -> Array:
+    """(n, 6, 6) of the poses at `times_s` (n,) that all frames share: what the uncertain places of the textures do to every
+    one of them, and what no frame can show, PLACED_PX. It belongs on top of whatever a fit of many frames says, because it
+    does not shrink with their number. NaN in a flight from which nothing was learned."""
+    M = transitions(marks.flights[flight], times_s)[:, :6]
+    places_m, _ = marks.flights[flight].poses(times_s)
+    distance_m = np.linalg.norm(places_m - view.camera.centre_m, axis=1)[:, None, None]
+    unit = PLACED_PX / view.camera.matrix[0, 0]
+    placed = distance_m**2 * contour_covariance(view, places_m, float(unit))
+    return np.asarray(M @ marks.shared[flight] @ np.swapaxes(M, 1, 2) + placed)
+
+
+def _windows(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:
+    """(n, 4) pixel windows x0, y0, x1, y1 (end exclusive) round the dice as placed; empty where one lies outside."""
+    corners = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
+    px, camera = view.camera.project(corners), view.camera
+    good = np.asarray(np.isfinite(px).all(axis=(1, 2)))
+    px = np.where(good[:, None, None], px, -1e6)
+    size = np.array([camera.width_px, camera.height_px])
+    low = np.clip(np.floor(px.min(1) - WINDOW_PX), 0, size)
+    high = np.clip(np.ceil(px.max(1) + WINDOW_PX) + 1, 0, size)
+    return np.concatenate([low, high], axis=1).astype(np.int64)
 
 
 def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[Look]:
@@ -197,7 +263,7 @@ def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw:
         time_s = float(track.time_s[row])
         flight = throw.flight_at(time_s)
         state = throw.flights[flight].at(time_s)
-        box = outline_box(view, state.position_m, state.rotation, 6.0)
+        box = outline_box(view, state.position_m, state.rotation, WINDOW_PX)
         if box is None or not track.tracked[row]:
             continue
         x0, y0, x1, y1 = box

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
 from .flights import moved, transitions
-from .marks_kernels import SHARED, WARPS, mark_equations
-from .marks_textures import Look, Marks, Poses, blurs, on_faces, poses_of, seen_by
+from .marks_kernels import BUFFER, SHARED, WARPS, Faces, Optics, mark_equations, new_bench
+from .marks_textures import Look, Marks, Poses, faces_of, optics_of, poses_of
 from .pose import THREADS, View
 
 Array = NDArray[np.float64]
@@ -63,8 +63,7 @@ def adjusted(
     blur_at = 12 * len(used) + WARPS * len(place_of)
     in_flight = np.bincount([look.flight for look in looks])
     poses = poses_of(looks, marks.flights)
-    with ThreadPoolExecutor(THREADS) as pool:
-        equations = list(pool.map(lambda i: _equations(view, marks, looks[i], poses, i, cut), range(len(looks))))
+    equations = _equations(optics_of(view, marks), faces_of(view, marks, cut), looks, poses)
     edges = _edges_minus_flights(looks, poses)
     squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
@@ -145,15 +144,17 @@ def _inverse(A: Array) -> Array:
 
 
 def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array:
-    """(6, 6) of the pose from edges that all lie `contour_m` off, in world axes: sideways by as much, in
-    distance by the share of the die's size that it is, and turned by it over half the die's size."""
+    """(..., 6, 6) of poses (..., 3) from edges that all lie `contour_m` off, in world axes: sideways by as much, in distance
+    by the share of the die's size that it is, and turned by it over half the die's size."""
     toward = position_m - view.camera.centre_m
-    distance = float(np.linalg.norm(toward))
-    ray = toward / distance
+    distance = np.linalg.norm(toward, axis=-1)[..., None, None]
+    ray = toward[..., :, None] / distance
     size = 2.0 * view.reach_m
-    out = np.zeros((6, 6))
-    out[:3, :3] = contour_m**2 * (np.eye(3) + ((2.0 * distance / size) ** 2 - 1.0) * np.outer(ray, ray))
-    out[3:, 3:] = (2.0 * contour_m / size) ** 2 * np.eye(3)
+    out = np.zeros((*toward.shape[:-1], 6, 6))
+    out[..., :3, :3] = contour_m**2 * (
+        np.eye(3) + ((2.0 * distance / size) ** 2 - 1.0) * ray * np.swapaxes(ray, -1, -2)
+    )
+    out[..., 3:, 3:] = (2.0 * contour_m / size) ** 2 * np.eye(3)
     return out
 
 
@@ -167,18 +168,25 @@ def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
 
 
 def _equations(
-    view: View, marks: Marks, look: Look, poses: Poses, i: int, cut: float
-) -> tuple[Array, Array, Array, Array]:
-    """Normal equations of look `i` at the pose of its flight."""
-    H, g = np.zeros((6, 6)), np.zeros(6)
-    place = np.zeros((len(marks.looks), WARPS + SHARED, 7 + WARPS + SHARED))
-    stats = np.zeros((len(marks.looks), 3))
-    mark_equations(
-        look.image, look.x0, look.y0, *seen_by(view, marks), poses.position_m[i], poses.rotation[i],
-        *blurs(view, marks, poses.velocity_m_s[i], poses.omega_rad_s[i]), *on_faces(view, marks, cut), True, H, g,
-        place, stats,
-    )  # fmt: skip
-    return H, g, place, stats
+    optics: Optics, faces: Faces, looks: list[Look], poses: Poses
+) -> list[tuple[Array, Array, Array, Array]]:
+    """Normal equations of every look at the pose of its flight."""
+    count = len(faces.counts)
+
+    def of_some(some: NDArray[np.int64]) -> list[tuple[Array, Array, Array, Array]]:
+        bench, out = new_bench(BUFFER), []
+        for i in some:
+            look, H, g = looks[i], np.zeros((6, 6)), np.zeros(6)
+            place, stats = np.zeros((count, WARPS + SHARED, 7 + WARPS + SHARED)), np.zeros((count, 3))
+            mark_equations(
+                look.image, look.x0, look.y0, optics, faces, poses.position_m[i], poses.rotation[i],
+                poses.velocity_m_s[i], poses.omega_rad_s[i], True, bench, H, g, place, stats,
+            )  # fmt: skip
+            out.append((H, g, place, stats))
+        return out
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        return [one for part in pool.map(of_some, np.array_split(np.arange(len(looks)), THREADS)) for one in part]
 
 
 def _edges_minus_flights(looks: list[Look], poses: Poses) -> Array:

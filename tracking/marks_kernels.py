@@ -14,7 +14,7 @@ position, and r × t by rotation.
 from __future__ import annotations
 
 from math import ceil, cos, floor, hypot, sin, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,7 +43,17 @@ THINNED = 3
 NO_BLUR = 0.02
 """Variance [texel²] below which more or less blur is left out: a texture's own is about one."""
 BLUR_STEP = 1.15
-"""Factor on the lens blur for its difference quotient."""
+"""Factor on the lens blur for its difference quotient. Its derivative proper would rest on the texture's curvature at one place,
+and so on its noise, which every look that it was learned from shares: blurs came out a quarter too large."""
+LITTLE_BLUR = 0.3
+"""Variance [texel²] up to which more or less blur adds half of it times the second derivatives of the texture. What that leaves
+out, an eighth of its square times the fourth ones, is 0.6 % of a step that is blurred by a texel, and odd about it: it moves
+nothing. Beyond, the texture is looked up at more places."""
+MODERATE_BLUR = 1.0
+"""The same on the grid itself, where differences from texel to texel stand for the derivatives: three texels so weighted have
+just that variance, and no weight is negative up to here."""
+EVERY_THIRD, MANY = 3, 600
+"""On the way one pixel in three tells the scale of the residuals well enough, where a face has so many."""
 BUFFER = 60_000
 """Pixels of one face at the most; larger faces are walked on every second, third, ... row."""
 TUKEY = 4.685
@@ -56,15 +66,106 @@ the edge are left there."""
 SETTLED_PX = 0.1
 """A step of the refinement that moves no point by more is the last one: marks are blurred over five times as much at least, and
 what the next step would move is of second order in that share."""
+OVERSTEP = 1.2
+"""Factor on the steps of the refinement. With the weights of the last residuals kept, as here, the normal equations are steeper
+than the robust cost: by the ratio of the means of the biweight and of its influence function's slope, 0.915 to 0.758 for
+Gaussian residuals. One plain step left a sixth of the way."""
 MOST_HIDDEN = 0.5
-"""Share of a face's pixels that may be unlike its texture before the face is left out of a frame."""
+"""Share of a face's pixels, or texels, that may be unlike its texture before the face is left out of a frame."""
 
 
-_FIRST, _ALL, _POSE, _LOOKING, _FITTING, _NO_PLACES = int64(0), int64(GAINS), int64(6), int64(4), int64(3), truth(False)
+_FIRST, _ALL, _POSE, _LOOKING, _FITTING = int64(0), int64(GAINS), int64(6), int64(4), int64(3)
+_NO_PLACES, _KNOWN, _MOST = truth(False), truth(True), int64(BUFFER)
 """Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
+_inner = inner(nogil=True)
+_inner_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
+"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler."""
 
 
-@inner(nogil=True)
+class Optics(NamedTuple):
+    """The camera, and what blurs its pictures."""
+
+    rays: Any
+    """(height, width, 2) camera rays x/z, y/z of the pixels of the whole picture, lens distortion undone."""
+    matrix: Any
+    """(3, 3) [px]"""
+    distortion: Any
+    """(5,)"""
+    rotation: Any
+    """(3, 3) world to camera."""
+    translation: Any
+    """(3,) [m]"""
+    exposure: float
+    """[s]"""
+    blur: float
+    """[px] of the lens."""
+
+
+class Faces(NamedTuple):
+    """The die's faces with what they show, and how pixels are compared with it."""
+
+    axes: Any
+    """(faces, 3, 3) rows a, b and the outward normal, body axes."""
+    offsets: Any
+    """(faces,) [m]"""
+    corners: Any
+    """(faces, most, 2) [m] of the flat part in (a, b), padded."""
+    counts: Any
+    """(faces,) corners of each."""
+    base: Any
+    """(faces, 2, 3) [m²] blur of the textures, see `_blur_on_face`."""
+    coefficients: Any
+    """(faces, n, n) of the splines."""
+    use: Any
+    """(faces, n, n) 0 where no pixel looks, 1 where few do because the texture is flat, 2 where all do."""
+    usual_grey: Any
+    """(faces,) usual residual of a pixel; 0 for a face that shows nothing."""
+    margin: float
+    """[px] by which pixels stay away from where the flat part ends."""
+    texel: float
+    """[m]"""
+    saturation: float
+    """[grey] from which pixels tell nothing."""
+    floor_grey: float
+    """Least noise."""
+    cut: float
+    """Of the robust weights [sigmas]."""
+
+
+class Bench(NamedTuple):
+    """Room for the pixels of one face, taken once for many frames."""
+
+    grey: Any
+    texture: Any
+    a: Any
+    b: Any
+    """Light changes with these: face coordinates, one at the grid's border."""
+    steep: Any
+    weight: Any
+    left: Any
+    size: Any
+    where: Any
+    slope: Any
+    """(2, most) of the texture by a and b [1/m]."""
+    ray: Any
+    """(2, most)"""
+    softer: Any
+    """(2, most) derivatives of the texture by its own variance [1/texel²] and by the lens blur [1/px]."""
+    bent: Any
+    """(10,) a spline and its derivatives at one place."""
+
+
+@compiled(nogil=True)
+def new_bench(most: int) -> Bench:
+    """A bench for `most` pixels of a face."""
+    return Bench(
+        np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
+        np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty((2, most)),
+        np.empty(10),
+    )  # fmt: skip
+
+
+@_inner
 def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of a camera point, lens distortion included."""
     a, b = x / z, y / z
@@ -75,7 +176,7 @@ def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@inner(nogil=True)
+@_inner
 def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     """Solve the leading n × n of a symmetric positive definite system in place of its lower triangle; False where it is not."""
     for i in range(n):
@@ -93,7 +194,7 @@ def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     return True
 
 
-@inner(nogil=True)
+@_inner
 def _back(L: Any, n: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(n):
@@ -108,7 +209,7 @@ def _back(L: Any, n: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@inner(nogil=True)
+@_inner
 def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: float, E: Any, origin: Any) -> float:
     """Axes E (3, 3, rows a, b, normal) and origin (3,) of a face in the camera; returns the cosine of the view."""
     for k in range(3):
@@ -124,7 +225,7 @@ def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: flo
     return -(E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]) / away
 
 
-@inner(nogil=True)
+@_inner
 def _shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
     """S (3, 3), camera axes, with c + S r the mean place over the exposure of a point r of a die about its centre c.
 
@@ -142,7 +243,7 @@ def _shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
         S[i, i] += 1.0 - k * (w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
 
 
-@inner(nogil=True)
+@_inner
 def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
     """The axes and the origin of a face as they seem on a picture with S."""
     still = E.copy()
@@ -153,7 +254,7 @@ def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
         origin[i] = centre[i] + offset * E[2, i]
 
 
-@inner(nogil=True)
+@_inner
 def _outline(
     K: Any, dist: Any, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
@@ -183,9 +284,9 @@ def _outline(
     return True
 
 
-@inner(nogil=True)
-def _spline(coef: Any, x: float, y: float, out: Any) -> None:
-    """Value and derivatives by x and y (in texels) of a cubic B-spline surface, in out (3,); x runs along columns."""
+@_inner
+def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
+    """Value and derivatives by x and y (in texels) of a cubic B-spline surface; x runs along columns."""
     j, i = floor(x), floor(y)
     s, t = x - j, y - i
     bx0 = (1.0 - s) ** 3 / 6.0
@@ -206,20 +307,56 @@ def _spline(coef: Any, x: float, y: float, out: Any) -> None:
     dy = (dy0, dy1, -dy0 - dy1 - dy3, dy3)
     v, gx, gy = 0.0, 0.0, 0.0
     for k in range(4):
-        c0, c1, c2, c3 = (
-            coef[i - 1 + k, j - 1],
-            coef[i - 1 + k, j],
-            coef[i - 1 + k, j + 1],
-            coef[i - 1 + k, j + 2],
-        )
-        row = c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3
-        v += by[k] * row
-        gy += dy[k] * row
+        row = coef[i - 1 + k]
+        c0, c1, c2, c3 = row[j - 1], row[j], row[j + 1], row[j + 2]
+        level = c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3
+        v += by[k] * level
+        gy += dy[k] * level
         gx += by[k] * (c0 * dx0 + c1 * dx1 + c2 * dx2 + c3 * dx3)
-    out[0], out[1], out[2] = v, gx, gy
+    return v, gx, gy
 
 
-@inner(nogil=True)
+@_inner
+def _bent_spline(coef: Any, x: float, y: float, out: Any) -> None:
+    """The same with all higher derivatives, in out (10,): value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy."""
+    j, i = floor(x), floor(y)
+    s, t = x - j, y - i
+    bx0, bx1, bx3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
+    bx2 = 1.0 - bx0 - bx1 - bx3
+    dx0, dx1, dx3 = -0.5 * (1.0 - s) ** 2, s * (1.5 * s - 2.0), 0.5 * s * s
+    dx2 = -dx0 - dx1 - dx3
+    by0, by1, by3 = (1.0 - t) ** 3 / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), t * t * t / 6.0
+    dy0, dy1, dy3 = -0.5 * (1.0 - t) ** 2, t * (1.5 * t - 2.0), 0.5 * t * t
+    weights = (
+        (by0, dy0, 1.0 - t, -1.0),
+        (by1, dy1, 3.0 * t - 2.0, 3.0),
+        (1.0 - by0 - by1 - by3, -dy0 - dy1 - dy3, 1.0 - 3.0 * t, -3.0),
+        (by3, dy3, t, 1.0),
+    )
+    v, gx, gy, xx, xy, yy, xxx, xxy, xyy, yyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(4):
+        row = coef[i - 1 + k]
+        c0, c1, c2, c3 = row[j - 1], row[j], row[j + 1], row[j + 2]
+        r0 = c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3
+        r1 = c0 * dx0 + c1 * dx1 + c2 * dx2 + c3 * dx3
+        r2 = (1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3)
+        w0, w1, w2, w3 = weights[k]
+        v += w0 * r0
+        gx += w0 * r1
+        gy += w1 * r0
+        xx += w0 * r2
+        xy += w1 * r1
+        yy += w2 * r0
+        xxx += w0 * (c3 - c0 + 3.0 * (c1 - c2))
+        xxy += w1 * r2
+        xyy += w2 * r1
+        yyy += w3 * r0
+    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8], out[9] = (
+        v, gx, gy, xx, xy, yy, xxx, xxy, xyy, yyy
+    )  # fmt: skip
+
+
+@_inner
 def _blur_on_face(
     K: Any, Rcw: Any, E: Any, origin: Any, offset: float, vel: Any, omega: Any, exposure: float, lens: Any, motion: Any
 ) -> None:
@@ -251,22 +388,28 @@ def _blur_on_face(
         motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
 
 
-@inner(nogil=True)
+@_inner
 def _reach_px(K: Any, depth: float, motion: Any) -> float:
     """Pixels by which motion during the exposure carries a face's border to either side."""
     return 0.5 * sqrt(12.0 * (motion[0] + motion[2])) * sqrt(K[0, 0] * K[1, 1]) / depth
 
 
-@inner(nogil=True)
-def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, spread: Any) -> int:
-    """By how much more a face is blurred on a frame than its texture, in `spread` (2, 3): principal directions [texels],
-    √3 standard deviations long, and the sign, -1 where it is less; returns how many of them matter. `base` (2, 3) is the blur of
-    the texture, of the lens for one pixel and of motion."""
+@_inner
+def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, more: Any) -> float:
+    """By how much more a face is blurred on a frame than its texture, as variances xx, xy, yy in `more` (3,) [texel²]; returns
+    the size of the largest. `base` (2, 3) is the blur of the texture, of the lens for one pixel and of motion."""
     iv = 1.0 / (texel * texel)
     s = blur_px * blur_px
-    caa = (s * (lens[0] - base[0, 0]) + motion[0] - base[1, 0]) * iv
-    cab = (s * (lens[1] - base[0, 1]) + motion[1] - base[1, 1]) * iv
-    cbb = (s * (lens[2] - base[0, 2]) + motion[2] - base[1, 2]) * iv
+    for k in range(3):
+        more[k] = (s * (lens[k] - base[0, k]) + motion[k] - base[1, k]) * iv
+    return abs(0.5 * (more[0] + more[2])) + sqrt(0.25 * (more[0] - more[2]) ** 2 + more[1] * more[1])
+
+
+@_inner
+def _directions(more: Any, spread: Any) -> int:
+    """Principal directions [texel] of variances `more` (3,), √3 standard deviations long, and the sign, -1 for less blur, in
+    `spread` (2, 3); how many of them matter."""
+    caa, cab, cbb = more[0], more[1], more[2]
     mean, half = 0.5 * (caa + cbb), sqrt(0.25 * (caa - cbb) ** 2 + cab * cab)
     number = 0
     for k in range(2):
@@ -284,42 +427,28 @@ def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float,
     return number
 
 
-@inner(nogil=True)
-def _blurred(coef: Any, x: float, y: float, spread: Any, number: int, side: Any, out: Any) -> None:
-    """The spline blurred along `number` directions, by three-point Gauss-Hermite quadrature along each: exact for
-    quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
-    _spline(coef, x, y, out)
-    if number == 0:
-        return
+@_inner
+def _blurred(coef: Any, x: float, y: float, spread: Any, number: int) -> tuple[float, float, float]:
+    """The spline blurred along `number` directions, with its slopes, by three-point Gauss-Hermite quadrature along each:
+    exact for quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
+    v, gx, gy = _spline(coef, x, y)
     top = coef.shape[0] - 2.0 - 1e-9
-    v, gx, gy = out[0], out[1], out[2]
+    value, by_x, by_y = v, gx, gy
     for k in range(number):
         share = spread[k, 2] / 6.0
         for sign in (-1.0, 1.0):
-            _spline(
+            aside, ax, ay = _spline(
                 coef,
                 min(max(x + sign * spread[k, 0], 1.0), top),
                 min(max(y + sign * spread[k, 1], 1.0), top),
-                side,
             )
-            out[0] += share * (side[0] - v)
-            out[1] += share * (side[1] - gx)
-            out[2] += share * (side[2] - gy)
+            value += share * (aside - v)
+            by_x += share * (ax - gx)
+            by_y += share * (ay - gy)
+    return value, by_x, by_y
 
 
-@inner(nogil=True)
-def _curvature(coef: Any, x: float, y: float, side: Any) -> float:
-    """Half the Laplacian of the spline [1/texel²], over steps of one texel: what more variance of blur does to it."""
-    top = coef.shape[0] - 2.0 - 1e-9
-    _spline(coef, x, y, side)
-    total = -4.0 * side[0]
-    for dx, dy in ((-1.0, 0.0), (1.0, 0.0), (0.0, -1.0), (0.0, 1.0)):
-        _spline(coef, min(max(x + dx, 1.0), top), min(max(y + dy, 1.0), top), side)
-        total += side[0]
-    return 0.5 * total
-
-
-@inner(nogil=True)
+@_inner
 def _relative(steep: Any, n: int) -> None:
     """Slopes as shares of the largest; where there is none, all pixels count alike."""
     most = 0.0
@@ -329,132 +458,156 @@ def _relative(steep: Any, n: int) -> None:
         steep[i] = steep[i] / most if most > 0.0 else 1.0
 
 
-@inner(nogil=True)
-def _robust_gains(
-    n: int,
-    grey: Any,
-    basis: Any,
-    first: int,
-    last: int,
-    floor_grey: float,
-    ceiling_grey: float,
-    cut: float,
-    turns: int,
-    steep: Any,
-    w: Any,
-    res: Any,
-    c: Any,
-) -> float:
-    """Fit grey = basis · c by biweight least squares, columns `first` to `last` of basis (n, GAINS) alone; fills weights w,
-    residuals res and c, and returns the scale [grey], between `floor_grey` and `ceiling_grey`; -1 where there is no
-    fit. The scale is that of the pixels that are `steep`: where the texture changes, small errors of place and blur add to
-    the noise, and those are the pixels that the pose rests on."""
-    A, y, x = np.zeros((GAINS, GAINS)), np.zeros(GAINS), np.zeros(GAINS)
-    K = last - first
-    size = np.empty(n)
+@_inner_sums
+def _light_sums(n: int, grey: Any, texture: Any, xs: Any, ys: Any, weight: Any, A: Any, y: Any) -> None:
+    """Normal matrix A (lower half) and right side y of the six numbers of light, T, 1, a, b, aT, bT: of their products only
+    eighteen differ."""
+    s0, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    t0, tx, ty, txx, txy, tyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    q0, qx, qy, qxx, qxy, qyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    y0, y1, y2, y3, y4, y5 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(n):
-        w[i] = 1.0
+        w, t, a, b = weight[i], texture[i], xs[i], ys[i]
+        wa, wb, wt, wg = w * a, w * b, w * t, w * grey[i]
+        waa, wab, wbb, wtt, wgt = wa * a, wa * b, wb * b, wt * t, wg * t
+        s0 += w
+        sx += wa
+        sy += wb
+        sxx += waa
+        sxy += wab
+        syy += wbb
+        t0 += wt
+        tx += wa * t
+        ty += wb * t
+        txx += waa * t
+        txy += wab * t
+        tyy += wbb * t
+        q0 += wtt
+        qx += wtt * a
+        qy += wtt * b
+        qxx += wtt * a * a
+        qxy += wtt * a * b
+        qyy += wtt * b * b
+        y0 += wgt
+        y1 += wg
+        y2 += wg * a
+        y3 += wg * b
+        y4 += wgt * a
+        y5 += wgt * b
+    A[0, 0] = q0
+    A[1, 0], A[1, 1] = t0, s0
+    A[2, 0], A[2, 1], A[2, 2] = tx, sx, sxx
+    A[3, 0], A[3, 1], A[3, 2], A[3, 3] = ty, sy, sxy, syy
+    A[4, 0], A[4, 1], A[4, 2], A[4, 3], A[4, 4] = qx, tx, txx, txy, qxx
+    A[5, 0], A[5, 1], A[5, 2], A[5, 3], A[5, 4], A[5, 5] = qy, ty, txy, tyy, qxy, qyy
+    y[0], y[1], y[2], y[3], y[4], y[5] = y0, y1, y2, y3, y4, y5
+
+
+@_inner_sums
+def _light_left(n: int, c: Any, grey: Any, texture: Any, xs: Any, ys: Any, left: Any) -> None:
+    """What the light leaves of the grey levels."""
+    c0, c1, c2, c3, c4, c5 = c[0], c[1], c[2], c[3], c[4], c[5]
+    for i in range(n):
+        a, b = xs[i], ys[i]
+        left[i] = grey[i] - (c0 + c4 * a + c5 * b) * texture[i] - (c1 + c2 * a + c3 * b)
+
+
+@_inner_sums
+def _weights(n: int, icut: float, left: Any, weight: Any) -> float:
+    """The biweight of residuals, given the inverse of its cut; their sum."""
+    total = 0.0
+    for i in range(n):
+        q = left[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        weight[i] = q * q
+        total += q * q
+    return total
+
+
+@_inner
+def _robust_gains(
+    n: int, known: bool, floor_grey: float, ceiling_grey: float, cut: float, turns: int, bench: Bench, A: Any, c: Any
+) -> float:
+    """Fit the light of n pixels by biweight least squares: all GAINS numbers where the texture is `known`, else a plane.
+    Fills the bench's weights and residuals and c, and returns the scale [grey], between `floor_grey` and `ceiling_grey`; -1
+    where there is no fit. The scale is that of the pixels that are `steep`: where the texture changes, small errors of place
+    and blur add to the noise, and those are the pixels that the pose rests on."""
+    grey, texture, xs, ys = bench.grey, bench.texture, bench.a, bench.b
+    weight, left, size, steep = bench.weight, bench.left, bench.size, bench.steep
+    y, x = np.zeros(GAINS), np.zeros(GAINS)
+    for i in range(n):
+        weight[i] = 1.0
     scale = floor_grey
+    K = GAINS if known else PLAIN - 1
     for turn_number in range(turns):
-        A[:] = 0.0
-        y[:] = 0.0
-        for i in range(n):
-            wi = w[i]
-            if wi <= 0.0:
-                continue
+        _light_sums(n, grey, texture, xs, ys, weight, A, y)
+        if known:
+            level = max(abs(c[0]), scale) if turn_number > 0 else 255.0
+            for a in range(PLAIN, GAINS):
+                A[a, a] += (scale / (GRADIENT * level)) ** 2
+        else:
             for a in range(K):
-                wa = wi * basis[i, a + first]
-                y[a] += wa * grey[i]
+                y[a] = y[a + 1]
                 for b in range(a + 1):
-                    A[a, b] += wa * basis[i, b + first]
-        if last > PLAIN:
-            level = max(abs(x[0]), scale) if turn_number > 0 else 255.0
-            for a in range(PLAIN, last):
-                A[a - first, a - first] += (scale / (GRADIENT * level)) ** 2
+                    A[a, b] = A[a + 1, b + 1]
         if not _solve(A, K, y, x):
             return -1.0
+        for a in range(K):
+            c[a if known else a + 1] = x[a]
+        _light_left(n, c, grey, texture, xs, ys, left)
+        step = EVERY_THIRD if turn_number < turns - 1 and n > MANY else 1
         m = 0
-        for i in range(n):
-            left = grey[i]
-            for a in range(K):
-                left -= x[a] * basis[i, a + first]
-            res[i] = left
+        for i in range(0, n, step):
             if steep[i] >= STEEP:
-                size[m] = abs(left)
+                size[m] = abs(left[i])
                 m += 1
+        if m == 0:
+            return -1.0
         scale = min(max(floor_grey, 1.4826 * np.median(size[:m])), ceiling_grey)
-        iv = 1.0 / (cut * scale)
-        for i in range(n):
-            q = res[i] * iv
-            w[i] = (1.0 - q * q) ** 2 if abs(q) < 1.0 else 0.0
-    c[:] = 0.0
-    for a in range(K):
-        c[a + first] = x[a]
+        _weights(n, 1.0 / (cut * scale), left, weight)
     return scale
 
 
 @compiled(nogil=True)
 def look_at_face(
-    image: Any,
-    x0: int,
-    y0: int,
-    K: Any,
-    dist: Any,
-    Rcw: Any,
-    tcw: Any,
-    pos: Any,
-    R: Any,
-    vel: Any,
-    omega: Any,
-    exposure: float,
-    blur_px: float,
-    base: Any,
-    axes: Any,
-    offset: float,
-    corners: Any,
-    count: int,
-    margin: float,
-    texel: float,
-    saturation: float,
-    floor_grey: float,
-    cut: float,
-    coef: Any,
-    use: Any,
-    known: bool,
-    values: Any,
-    weights: Any,
-    own: Any,
-) -> float:
-    """What one frame shows of a face's texture, on its grid.
+    image: Any, x0: int, y0: int, optics: Optics, faces: Faces, f: int, knots: Any, pos: Any, R: Any, vel: Any, omega: Any,
+    known: bool, importance: float, bench: Bench, total: Any, weights: Any, count: Any, own: Any,
+) -> tuple[float, float]:  # fmt: skip
+    """What one frame shows of the texture of face f, on its grid.
 
-    `values` (n, n) become the texture as this frame shows it, `weights` (n, n) their inverse variance, 0 where the frame
-    does not show it, and `own` (2, 3) their blur (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981),
-    whose kernel adds no variance of its own. Where the texture is `known`, only what `use` names is looked at, the light is
-    fitted with the texture, and what does not look like it is left out; else a plane of light alone is fitted, and the
-    values are grey over plane. Returns the share of the texels in view that were used; 0 for a face that is not seen.
+    `total` (n, n) becomes more by the texture as this frame shows it times its weight, `weights` (n, n) by that weight, the
+    inverse variance times `importance`, and `count` (n, n) by one where the frame shows a texel; `own` (2, 3) becomes the
+    blur of this frame (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981), whose kernel adds no variance
+    of its own. Where the texture is `known`, only what `faces.use` names is looked at, the light is fitted with the texture,
+    of which `knots` (6, n, n) are value, slopes x, y and second differences xx, xy, yy on the grid, and what does not look
+    like it is left out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the
+    texels in view that were used, below a half of which nothing is added, and the sum of weights; zeros for a face that is
+    not seen.
     """
-    n = values.shape[0]
-    weights[:] = 0.0
+    n = total.shape[0]
     E, origin = np.zeros((3, 3)), np.zeros(3)
-    if _face_in_camera(Rcw, tcw, pos, R, axes, offset, E, origin) < GRAZING:
-        return 0.0
+    K, dist, Rcw, coef, use, texel = (
+        optics.matrix, optics.distortion, optics.rotation, faces.coefficients[f], faces.use[f], faces.texel
+    )  # fmt: skip
+    offset, sides = faces.offsets[f], faces.counts[f]
+    if _face_in_camera(Rcw, optics.translation, pos, R, faces.axes[f], offset, E, origin) < GRAZING:
+        return 0.0, 0.0
     S, centre = np.zeros((3, 3)), origin - offset * E[2]
-    _shrink(Rcw, omega, exposure, S)
-    _blur_on_face(K, Rcw, E, origin, offset, vel, omega, exposure, own[0], own[1])
+    _shrink(Rcw, omega, optics.exposure, S)
+    _blur_on_face(K, Rcw, E, origin, offset, vel, omega, optics.exposure, own[0], own[1])
     _smear(S, centre, offset, E, origin)
-    px, planes = np.zeros((count, 2)), np.zeros((count, 3))
-    margin += _reach_px(K, origin[2], own[1])
-    if not _outline(K, dist, E, origin, corners, count, margin, px, planes):
-        return 0.0
+    px, planes = np.zeros((sides, 2)), np.zeros((sides, 3))
+    margin = faces.margin + _reach_px(K, origin[2], own[1])
+    if not _outline(K, dist, E, origin, faces.corners[f], sides, margin, px, planes):
+        return 0.0, 0.0
     height, width = image.shape
     half = 0.5 * (n - 1)
-    total = n * n
-    spread, side, out = np.zeros((2, 3)), np.zeros(3), np.zeros(3)
-    number = _extra_blur(own[0], own[1], blur_px, base, texel, spread)
-    grey, res, w, steep = np.empty(total), np.empty(total), np.empty(total), np.empty(total)
-    basis = np.empty((total, GAINS))
-    where = np.empty(total, np.int64)
-    m = 0
+    more, spread = np.zeros(3), np.zeros((2, 3))
+    largest = _extra_blur(own[0], own[1], optics.blur, faces.base[f], texel, more)
+    bent = NO_BLUR <= largest < MODERATE_BLUR
+    number = 0 if bent else _directions(more, spread)
+    grey, where, steep, texture = bench.grey, bench.where, bench.steep, bench.texture
+    m = _FIRST
     for i in range(n):
         b = (i - half) * texel
         for j in range(n):
@@ -466,7 +619,7 @@ def look_at_face(
             Z = origin[2] + a * E[0, 2] + b * E[1, 2]
             u, v = _pixel_of(K, dist, X, Y, Z)
             inside = True
-            for k in range(count):
+            for k in range(sides):
                 if planes[k, 0] * u + planes[k, 1] * v + planes[k, 2] < 0.0:
                     inside = False
                     break
@@ -482,104 +635,76 @@ def look_at_face(
             value, top = 0.0, 0.0
             for r in range(4):
                 cy = ky2 if r == 2 else ky[r]
-                row = iv - 1 + r
-                p0, p1, p2, p3 = image[row, ju - 1], image[row, ju], image[row, ju + 1], image[row, ju + 2]
+                row = image[iv - 1 + r]
+                p0, p1, p2, p3 = row[ju - 1], row[ju], row[ju + 1], row[ju + 2]
                 value += cy * (kx[0] * p0 + kx[1] * p1 + kx2 * p2 + kx[3] * p3)
                 top = max(top, p0, p1, p2, p3)
-            if top >= saturation:
+            if top >= faces.saturation:
                 continue
             grey[m] = value
-            if known:
-                _blurred(coef, float(j), float(i), spread, number, side, out)
-            basis[m, 0] = out[0] if known else 1.0
-            steep[m] = hypot(out[1], out[2]) if known else 1.0
-            basis[m, 1], basis[m, 2], basis[m, 3] = 1.0, a / (half * texel), b / (half * texel)
-            basis[m, 4], basis[m, 5] = basis[m, 0] * basis[m, 2], basis[m, 0] * basis[m, 3]
+            texture[m], steep[m] = 1.0, 1.0
+            if known and number > 0:
+                level, gx, gy = _blurred(coef, float(j), float(i), spread, number)
+                texture[m], steep[m] = level, hypot(gx, gy)
+            elif known:
+                texture[m] = knots[0, i, j]
+                if bent:
+                    texture[m] += 0.5 * (
+                        more[0] * knots[3, i, j] + 2.0 * more[1] * knots[4, i, j] + more[2] * knots[5, i, j]
+                    )
+                steep[m] = hypot(knots[1, i, j], knots[2, i, j])
+            bench.a[m], bench.b[m] = a / (half * texel), b / (half * texel)
             where[m] = i * n + j
             m += 1
     if m < 60:
-        return 0.0
-    c = np.zeros(GAINS)
+        return 0.0, 0.0
+    c, A = np.zeros(GAINS), np.zeros((GAINS, GAINS))
     _relative(steep, m)
-    scale = _robust_gains(
-        np.int64(m),
-        grey,
-        basis,
-        0 if known else 1,
-        GAINS if known else PLAIN,
-        floor_grey,
-        1e9,
-        cut,
-        _LOOKING,
-        steep,
-        w,
-        res,
-        c,
-    )
+    scale = _robust_gains(m, known, faces.floor_grey, 1e9, faces.cut, _LOOKING, bench, A, c)
     if scale < 0.0 or (known and c[0] <= 0.0):
-        return 0.0
-    used = 0.0
+        return 0.0, 0.0
+    # What this frame says of each texel: its value in place of the residual, its weight in place of the robust one.
+    values, each = bench.left, bench.weight
+    used, together = 0.0, 0.0
     for k in range(m):
-        i, j = where[k] // n, where[k] % n
         if known:
-            contrast = c[0] + c[4] * basis[k, 2] + c[5] * basis[k, 3]
+            contrast = c[0] + c[4] * bench.a[k] + c[5] * bench.b[k]
             if contrast <= 0.1 * c[0]:
+                each[k] = 0.0
                 continue
-            values[i, j] = basis[k, 0] + res[k] / contrast
-            weights[i, j] = w[k] * (contrast / scale) ** 2
-            used += w[k]
+            used += each[k]
+            values[k] = texture[k] + values[k] / contrast
+            each[k] *= (contrast / scale) ** 2
         else:
-            plane = grey[k] - res[k]
+            plane = grey[k] - values[k]
+            each[k] = 0.0
             if plane > 2.0 * scale:
-                values[i, j] = grey[k] / plane
-                weights[i, j] = (plane / scale) ** 2
+                values[k] = grey[k] / plane
+                each[k] = (plane / scale) ** 2
                 used += 1.0
-    return used / m
+        together += each[k]
+    if used < MOST_HIDDEN * m:
+        return used / m, 0.0
+    for k in range(m):
+        if each[k] > 0.0:
+            i, j = where[k] // n, where[k] % n
+            total[i, j] += importance * each[k] * values[k]
+            weights[i, j] += importance * each[k]
+            count[i, j] += 1
+    return used / m, importance * together
 
 
 @compiled(nogil=True)
 def mark_equations(
-    image: Any,
-    x0: int,
-    y0: int,
-    rays: Any,
-    K: Any,
-    dist: Any,
-    Rcw: Any,
-    tcw: Any,
-    pos: Any,
-    R: Any,
-    vel: Any,
-    omega: Any,
-    exposure: float,
-    blur_px: float,
-    base: Any,
-    axes: Any,
-    offsets: Any,
-    corners: Any,
-    counts: Any,
-    margin: float,
-    texel: float,
-    saturation: float,
-    floor_grey: float,
-    cut: float,
-    usual_grey: Any,
-    coef: Any,
-    use: Any,
-    places: bool,
-    H: Any,
-    g: Any,
-    place: Any,
-    stats: Any,
-) -> None:
+    image: Any, x0: int, y0: int, optics: Optics, faces: Faces, pos: Any, R: Any, vel: Any, omega: Any, places: bool,
+    bench: Bench, H: Any, g: Any, place: Any, stats: Any,
+) -> None:  # fmt: skip
     """Fill H (6, 6) and g (6,) of the pose increment from the marks of every face in view.
 
-    `image` is a float32 window whose pixel [0, 0] lies at (x0, y0); `rays` (height, width, 2) are those of the whole
-    picture. `coef`, `use` (faces, n, n) are the textures: `use` is 0 where no pixel looks, 1 where few do because the texture
-    is flat, 2 where all do. `place` (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1) becomes, for the warps of each face's
-    texture and the lens blur [px], the rows of their normal matrix: by pose (6), by themselves, and the right side; with
-    `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become pixels seen, pixels used and noise
-    [grey].
+    `image` is a float32 window whose pixel [0, 0] lies at (x0, y0). `place` (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1)
+    becomes, for the warps of each face's texture and the lens blur [px], the rows of their normal matrix: by pose (6), by
+    themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become
+    pixels seen, pixels used and noise [grey].
     """
     H[:] = 0.0
     g[:] = 0.0
@@ -587,27 +712,22 @@ def mark_equations(
         place[:] = 0.0
     N = 6 + WARPS + SHARED if places else 6
     stats[:] = 0.0
+    K, dist, Rcw, tcw, texel = optics.matrix, optics.distortion, optics.rotation, optics.translation, faces.texel
+    offsets, corners, counts = faces.offsets, faces.corners, faces.counts
     height, width = image.shape
-    n = coef.shape[1]
+    n = faces.coefficients.shape[1]
     half = 0.5 * (n - 1)
     E, origin = np.zeros((3, 3)), np.zeros(3)
     most = corners.shape[1]
     px, planes = np.zeros((most, 2)), np.zeros((most, 3))
-    grey = np.empty(BUFFER)
-    basis = np.empty((BUFFER, GAINS))
-    slope = np.empty((BUFFER, 2))
-    ray = np.empty((BUFFER, 2))
-    spread, wider, own, side = np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros(3)
-    softer = np.empty((BUFFER if places else 1, 2))
-    more = 0
-    w, res, steep = np.empty(BUFFER), np.empty(BUFFER), np.empty(BUFFER)
-    out = np.zeros(3)
-    c = np.zeros(GAINS)
-    J = np.zeros(N)
+    more, spread, further, own = np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
+    grey, texture, steep, bent = bench.grey, bench.texture, bench.steep, bench.bent
+    slope, ray, softer = bench.slope, bench.ray, bench.softer
+    c, A = np.zeros(GAINS), np.zeros((GAINS, GAINS))
     HH, gg, C = np.zeros((N, N)), np.zeros(N), np.zeros((N, GAINS))
-    S, elim = np.zeros((GAINS, GAINS)), np.zeros(GAINS)
+    elim = np.zeros(GAINS)
     shrink, wide, centre, middle = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    _shrink(Rcw, omega, exposure, shrink)
+    _shrink(Rcw, omega, optics.exposure, shrink)
     for i in range(3):
         centre[i] = tcw[i] + Rcw[i, 0] * pos[0] + Rcw[i, 1] * pos[1] + Rcw[i, 2] * pos[2]
         for j in range(3):
@@ -615,13 +735,14 @@ def mark_equations(
             wide[i, j] = (2.0 if i == j else 0.0) - shrink[i, j]
     for i in range(3):
         middle[i] = wide[i, 0] * centre[0] + wide[i, 1] * centre[1] + wide[i, 2] * centre[2]
-    for f in range(axes.shape[0]):
-        if usual_grey[f] <= 0.0:
+    for f in range(faces.axes.shape[0]):
+        if faces.usual_grey[f] <= 0.0:
             continue
-        if _face_in_camera(Rcw, tcw, pos, R, axes[f], offsets[f], E, origin) < GRAZING:
+        coef, use, base = faces.coefficients[f], faces.use[f], faces.base[f]
+        if _face_in_camera(Rcw, tcw, pos, R, faces.axes[f], offsets[f], E, origin) < GRAZING:
             continue
-        _blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, exposure, own[0], own[1])
-        border = margin + _reach_px(K, origin[2], own[1])
+        _blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, optics.exposure, own[0], own[1])
+        border = faces.margin + _reach_px(K, origin[2], own[1])
         if not _outline(K, dist, E, origin, corners[f], counts[f], border, px, planes):
             continue
         top, bottom = px[0, 1], px[0, 1]
@@ -631,10 +752,14 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        number = _extra_blur(own[0], own[1], blur_px, base[f], texel, spread)
+        wider = 0
         if places:
-            more = _extra_blur(own[0], own[1], BLUR_STEP * blur_px, base[f], texel, wider)
-        stride = 1 + max(int((last - first + 1) * (right - left)), 0) // BUFFER
+            _extra_blur(own[0], own[1], BLUR_STEP * optics.blur, base, texel, more)
+            wider = _directions(more, further)
+        largest = _extra_blur(own[0], own[1], optics.blur, base, texel, more)
+        little = NO_BLUR <= largest < LITTLE_BLUR
+        number = 0 if little else _directions(more, spread)
+        stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
         # With λ D = c + S r on the ray D through a pixel, r = λ D/S - c/S: rays and centre are bent rather than the die.
         for i in range(3):
             origin[i] = middle[i] + offsets[f] * E[2, i]
@@ -652,9 +777,9 @@ def mark_equations(
                     high = low - 1.0
             for u in range(ceil(low), floor(high) + 1):
                 value = image[v - y0, u - x0]
-                if value >= saturation:
+                if value >= faces.saturation:
                     continue
-                dx, dy = rays[v, u, 0], rays[v, u, 1]
+                dx, dy = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 bx = wide[0, 0] * dx + wide[0, 1] * dy + wide[0, 2]
                 by = wide[1, 0] * dx + wide[1, 1] * dy + wide[1, 2]
                 bz = wide[2, 0] * dx + wide[2, 1] * dy + wide[2, 2]
@@ -665,93 +790,69 @@ def mark_equations(
                 x, y = a / texel + half, b / texel + half
                 if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0):
                     continue
-                kind = use[f, int(y + 0.5), int(x + 0.5)]
+                kind = use[int(y + 0.5), int(x + 0.5)]
                 if kind == 0 or (kind == 1 and (u + v) % THINNED != 0):
                     continue
-                _blurred(coef[f], x, y, spread, number, side, out)
-                grey[m] = value
-                basis[m, 0], basis[m, 1] = out[0], 1.0
-                basis[m, 2], basis[m, 3] = (x - half) / half, (y - half) / half
-                basis[m, 4], basis[m, 5] = out[0] * basis[m, 2], out[0] * basis[m, 3]
-                slope[m, 0], slope[m, 1] = out[1] / texel, out[2] / texel
-                steep[m] = hypot(out[1], out[2])
+                if places or little:
+                    _bent_spline(coef, x, y, bent)
+                if number > 0:
+                    level, gx, gy = _blurred(coef, x, y, spread, number)
+                elif little:
+                    level = bent[0] + 0.5 * (more[0] * bent[3] + 2.0 * more[1] * bent[4] + more[2] * bent[5])
+                    gx = bent[1] + 0.5 * (more[0] * bent[6] + 2.0 * more[1] * bent[7] + more[2] * bent[8])
+                    gy = bent[2] + 0.5 * (more[0] * bent[7] + 2.0 * more[1] * bent[8] + more[2] * bent[9])
+                else:
+                    level, gx, gy = _spline(coef, x, y)
+                grey[m], texture[m] = value, level
+                bench.a[m], bench.b[m] = (x - half) / half, (y - half) / half
+                slope[0, m], slope[1, m] = gx / texel, gy / texel
+                steep[m] = hypot(gx, gy)
                 if places:
-                    value = out[0]
-                    _blurred(coef[f], x, y, wider, more, side, out)
-                    softer[m, 1] = (out[0] - value) / ((BLUR_STEP - 1.0) * blur_px)
-                    softer[m, 0] = _curvature(coef[f], x, y, side)
-                ray[m, 0], ray[m, 1] = dx, dy
+                    softer[0, m] = 0.5 * (bent[3] + bent[5])
+                    blurrier, _, _ = _blurred(coef, x, y, further, wider)
+                    softer[1, m] = (blurrier - level) / ((BLUR_STEP - 1.0) * optics.blur)
+                ray[0, m], ray[1, m] = dx, dy
                 m += 1
         stats[f, 0] = m
         if m < 40:
             continue
         _relative(steep, m)
-        scale = _robust_gains(
-            m, grey, basis, _FIRST, _ALL, floor_grey, 2.0 * usual_grey[f], cut, _FITTING, steep, w, res, c
-        )
+        c[:] = 0.0
+        scale = _robust_gains(m, _KNOWN, faces.floor_grey, 2.0 * faces.usual_grey[f], faces.cut, _FITTING, bench, A, c)
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
         for i in range(m):
-            used += w[i]
+            used += bench.weight[i]
         stats[f, 1], stats[f, 2] = used, scale
         if used < (1.0 - MOST_HIDDEN) * m:
             continue
         HH[:] = 0.0
         gg[:] = 0.0
         C[:] = 0.0
-        S[:] = 0.0
+        # Everything in camera axes; turned to world axes once, after the sum.
+        if places:
+            _add_places(m, c, E, offsets[f], half * texel, bench, HH, gg, C)
+        else:
+            _add_pose(m, c, E, offsets[f], half * texel, bench, HH, gg, C)
+        _light_sums(m, grey, texture, bench.a, bench.b, bench.weight, A, elim)
         iv = 1.0 / (scale * scale)
-        for i in range(m):
-            wi = w[i] * iv
-            if wi <= 0.0:
-                continue
-            for k in range(GAINS):
-                for h in range(k + 1):
-                    S[k, h] += wi * basis[i, k] * basis[i, h]
-            if steep[i] < FLAT:
-                continue
-            contrast = c[0] + c[4] * basis[i, 2] + c[5] * basis[i, 3]
-            ga, gb = contrast * slope[i, 0], contrast * slope[i, 1]
-            dx, dy = ray[i, 0], ray[i, 1]
-            nd = E[2, 0] * dx + E[2, 1] * dy + E[2, 2]
-            # Everything in camera axes here; turned to world axes once, after the sum.
-            slip = (ga * (E[0, 0] * dx + E[0, 1] * dy + E[0, 2]) + gb * (E[1, 0] * dx + E[1, 1] * dy + E[1, 2])) / nd
-            tx = slip * E[2, 0] - ga * E[0, 0] - gb * E[1, 0]
-            ty = slip * E[2, 1] - ga * E[0, 1] - gb * E[1, 1]
-            tz = slip * E[2, 2] - ga * E[0, 2] - gb * E[1, 2]
-            a, b = basis[i, 2] * half * texel, basis[i, 3] * half * texel
-            rx = offsets[f] * E[2, 0] + a * E[0, 0] + b * E[1, 0]
-            ry = offsets[f] * E[2, 1] + a * E[0, 1] + b * E[1, 1]
-            rz = offsets[f] * E[2, 2] + a * E[0, 2] + b * E[1, 2]
-            J[0], J[1], J[2] = tx, ty, tz
-            J[3], J[4], J[5] = ry * tz - rz * ty, rz * tx - rx * tz, rx * ty - ry * tx
-            if places:
-                radial = ga * a + gb * b
-                J[6], J[7] = -ga, -gb
-                J[8], J[9], J[10], J[11] = -ga * a, -ga * b, -gb * a, -gb * b
-                J[12], J[13] = -radial * a, -radial * b
-                J[14], J[15] = contrast * softer[i, 0], contrast * softer[i, 1]
-            for k in range(N):
-                jk = wi * J[k]
-                gg[k] += jk * res[i]
-                for h in range(k + 1):
-                    HH[k, h] += jk * J[h]
-                for h in range(GAINS):
-                    C[k, h] += jk * basis[i, h]
         for k in range(PLAIN, GAINS):
-            S[k, k] += 1.0 / (GRADIENT * c[0]) ** 2
-        if not _solve(S, _ALL, C[0], elim):
+            A[k, k] += 1.0 / (GRADIENT * c[0]) ** 2 / iv
+        if not _solve(A, _ALL, C[0], elim):
             continue
         for k in range(N):
-            _back(S, _ALL, C[k], elim)
+            _back(A, _ALL, C[k], elim)
             for h in range(k, N):
                 s = 0.0
                 for q in range(GAINS):
                     s += C[h, q] * elim[q]
                 HH[h, k] -= s
         for k in range(N):
+            gg[k] *= iv
+            HH[k, k] *= iv
             for h in range(k):
+                HH[k, h] *= iv
                 HH[h, k] = HH[k, h]
         _turn_to_world(Rcw, HH, gg)
         for k in range(6):
@@ -765,7 +866,84 @@ def mark_equations(
                 place[f, k, N] = gg[6 + k]
 
 
-@inner(nogil=True)
+@_inner_sums
+def _by_pose(
+    ga: float, gb: float, dx: float, dy: float, a: float, b: float, E: Any, offset: float
+) -> tuple[float, float, float, float, float, float]:
+    """Derivative of a pixel's grey level by the pose, in camera axes, from its slopes by face coordinates, its ray and the
+    place (a, b) that it shows."""
+    nd = E[2, 0] * dx + E[2, 1] * dy + E[2, 2]
+    slip = (ga * (E[0, 0] * dx + E[0, 1] * dy + E[0, 2]) + gb * (E[1, 0] * dx + E[1, 1] * dy + E[1, 2])) / nd
+    tx = slip * E[2, 0] - ga * E[0, 0] - gb * E[1, 0]
+    ty = slip * E[2, 1] - ga * E[0, 1] - gb * E[1, 1]
+    tz = slip * E[2, 2] - ga * E[0, 2] - gb * E[1, 2]
+    rx = offset * E[2, 0] + a * E[0, 0] + b * E[1, 0]
+    ry = offset * E[2, 1] + a * E[0, 1] + b * E[1, 1]
+    rz = offset * E[2, 2] + a * E[0, 2] + b * E[1, 2]
+    return tx, ty, tz, ry * tz - rz * ty, rz * tx - rx * tz, rx * ty - ry * tx
+
+
+@_inner_sums
+def _add_pose(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
+    """Add m pixels to HH (6, 6, lower half), gg (6,) and C (6, GAINS), the products with the light, all at unit noise."""
+    J = np.empty(6)
+    for i in range(m):
+        w = bench.weight[i]
+        if w <= 0.0 or bench.steep[i] < FLAT:
+            continue
+        x, y, t = bench.a[i], bench.b[i], bench.texture[i]
+        contrast = c[0] + c[4] * x + c[5] * y
+        J[0], J[1], J[2], J[3], J[4], J[5] = _by_pose(
+            contrast * bench.slope[0, i], contrast * bench.slope[1, i], bench.ray[0, i], bench.ray[1, i], unit * x, unit * y,
+            E, offset,
+        )  # fmt: skip
+        r, xt, yt = bench.left[i], x * t, y * t
+        for k in range(6):
+            jk = w * J[k]
+            gg[k] += jk * r
+            C[k, 0] += jk * t
+            C[k, 1] += jk
+            C[k, 2] += jk * x
+            C[k, 3] += jk * y
+            C[k, 4] += jk * xt
+            C[k, 5] += jk * yt
+            # The whole row, though the lower half would do: a loop of fixed length is one instruction or two.
+            for h in range(6):
+                HH[k, h] += jk * J[h]
+
+
+@_inner_sums
+def _add_places(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
+    """The same with the warps of the texture and the lens blur: HH (N, N), gg (N,), C (N, GAINS)."""
+    J = np.empty(6 + WARPS + SHARED)
+    for i in range(m):
+        w = bench.weight[i]
+        if w <= 0.0 or bench.steep[i] < FLAT:
+            continue
+        x, y, t = bench.a[i], bench.b[i], bench.texture[i]
+        contrast = c[0] + c[4] * x + c[5] * y
+        a, b, ga, gb = unit * x, unit * y, contrast * bench.slope[0, i], contrast * bench.slope[1, i]
+        J[0], J[1], J[2], J[3], J[4], J[5] = _by_pose(ga, gb, bench.ray[0, i], bench.ray[1, i], a, b, E, offset)
+        radial = ga * a + gb * b
+        J[6], J[7] = -ga, -gb
+        J[8], J[9], J[10], J[11] = -ga * a, -ga * b, -gb * a, -gb * b
+        J[12], J[13] = -radial * a, -radial * b
+        J[14], J[15] = contrast * bench.softer[0, i], contrast * bench.softer[1, i]
+        r, xt, yt = bench.left[i], x * t, y * t
+        for k in range(6 + WARPS + SHARED):
+            jk = w * J[k]
+            gg[k] += jk * r
+            C[k, 0] += jk * t
+            C[k, 1] += jk
+            C[k, 2] += jk * x
+            C[k, 3] += jk * y
+            C[k, 4] += jk * xt
+            C[k, 5] += jk * yt
+            for h in range(6 + WARPS + SHARED):
+                HH[k, h] += jk * J[h]
+
+
+@_inner
 def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
     """Turn the first six rows and columns (two vectors) from camera to world axes."""
     N = len(g)
@@ -796,7 +974,7 @@ def _turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
         g[k] = y[k]
 
 
-@inner(nogil=True)
+@_inner
 def _turned(R: Any, w: Any) -> Any:
     """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
@@ -814,85 +992,73 @@ def _turned(R: Any, w: Any) -> Any:
 
 @compiled(nogil=True)
 def refine_on_marks(
-    image: Any,
-    x0: int,
-    y0: int,
-    rays: Any,
-    K: Any,
-    dist: Any,
-    Rcw: Any,
-    tcw: Any,
-    pos: Any,
-    R: Any,
-    vel: Any,
-    omega: Any,
-    exposure: float,
-    blur_px: float,
-    base: Any,
-    axes: Any,
-    offsets: Any,
-    corners: Any,
-    counts: Any,
-    margin: float,
-    texel: float,
-    saturation: float,
-    floor_grey: float,
-    cut: float,
-    usual_grey: Any,
-    coef: Any,
-    use: Any,
-    factor: float,
-    other: Any,
-    other_g: Any,
-    steps: int,
-    stats: Any,
-) -> tuple[Any, Any, Any]:
-    """Gauss-Newton on the marks together with another source of the pose.
+    frames: Any, boxes: Any, optics: Optics, faces: Faces, positions: Any, rotations: Any, velocities: Any, omegas: Any,
+    factor: float, others: Any, other_gs: Any, steps: int, H: Any,
+) -> None:  # fmt: skip
+    """Gauss-Newton on the marks together with another source of the pose, on many frames (n, cameras, height, width), whose
+    first camera's windows are `boxes` (n, 4; x0, y0, x1, y1), empty where a frame shall be left alone.
 
-    `other` (6, 6) is that source's information and `other_g` (6,) its information times its pose minus the start;
-    `factor` divides the information of the marks. Returns position (3,), rotation (3, 3) and information (6, 6) of the
-    marks alone, divided by `factor`; zero where no face with marks is seen.
+    `others` (n, 6, 6) is that source's information and `other_gs` (n, 6) its information times its pose minus the start;
+    `factor` divides the information of the marks. `positions` (n, 3) and `rotations` (n, 3, 3) are replaced; H (n, 6, 6)
+    becomes the information of the marks alone, divided by `factor`; zero where no face with marks is seen, whose pose stays.
     """
-    p, Q = pos.copy(), R.copy()
-    H, g = np.zeros((6, 6)), np.zeros(6)
-    place = np.zeros((1, 1, 1))
+    K, Rcw, tcw = optics.matrix, optics.rotation, optics.translation
+    reach = hypot(faces.offsets[0], hypot(faces.corners[0, 0, 0], faces.corners[0, 0, 1]))
+    place, stats = np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3))
+    Hk, g = np.zeros((6, 6)), np.zeros(6)
     A, y, step, away = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
-    for _ in range(steps):
-        mark_equations(
-            image, x0, y0, rays, K, dist, Rcw, tcw, p, Q, vel, omega, exposure, blur_px, base, axes, offsets, corners,
-            counts, margin, texel, saturation, floor_grey, cut, usual_grey, coef, use, _NO_PLACES, H, g, place, stats,
-        )  # fmt: skip
+    bench = new_bench(_MOST)
+    for k in range(frames.shape[0]):
+        x0, y0 = boxes[k, 0], boxes[k, 1]
+        if boxes[k, 2] <= x0 or boxes[k, 3] <= y0:
+            continue
+        image = np.empty((boxes[k, 3] - y0, boxes[k, 2] - x0), np.float32)
+        for i in range(image.shape[0]):
+            for j in range(image.shape[1]):
+                image[i, j] = frames[k, 0, y0 + i, x0 + j]
+        p, Q, vel, omega = positions[k].copy(), rotations[k].copy(), velocities[k], omegas[k]
+        other, other_g = others[k], other_gs[k]
+        seen = False
+        away[:] = 0.0
+        for _ in range(steps):
+            mark_equations(image, x0, y0, optics, faces, p, Q, vel, omega, _NO_PLACES, bench, Hk, g, place, stats)
+            seen = Hk[0, 0] > 0.0
+            if not seen:
+                break
+            for i in range(6):
+                y[i] = g[i] / factor + other_g[i]
+                for j in range(6):
+                    Hk[i, j] /= factor
+                    A[i, j] = Hk[i, j] + other[i, j]
+                    y[i] -= other[i, j] * away[j]
+            for i in range(6):
+                # Columns of metres and of radians: the pivots are judged relative to their own diagonal.
+                A[i, i] *= 1.0 + 1e-12
+            seen = _solve(A, _POSE, y, step)
+            if not seen:
+                break
+            gained = 0.0
+            for i in range(6):
+                gained += step[i] * y[i]
+                step[i] *= OVERSTEP
+                away[i] += step[i]
+            for i in range(3):
+                p[i] += step[i]
+            Q = _turned(Q, step[3:])
+            # A third of a sigma moved: the next step would be a tenth of that.
+            if gained < 0.1 or _moved_px(K, Rcw, tcw, p, step, reach) < SETTLED_PX:
+                break
         for i in range(6):
-            y[i] = g[i] / factor + other_g[i]
             for j in range(6):
-                H[i, j] /= factor
-                A[i, j] = H[i, j] + other[i, j]
-                y[i] -= other[i, j] * away[j]
-        for i in range(6):
-            # Columns of metres and of radians: the pivots are judged relative to their own diagonal.
-            A[i, i] *= 1.0 + 1e-12
-        if not _solve(A, _POSE, y, step):
-            H[:] = 0.0
-            break
-        for i in range(6):
-            away[i] += step[i]
-        for i in range(3):
-            p[i] += step[i]
-        Q = _turned(Q, step[3:])
-        # A third of a sigma moved: the next step would be a fifth of that.
-        gained = 0.0
-        for i in range(6):
-            gained += step[i] * y[i]
-        if (
-            gained < 0.1
-            or _moved_px(K, Rcw, tcw, p, step, hypot(offsets[0], hypot(corners[0, 0, 0], corners[0, 0, 1])))
-            < SETTLED_PX
-        ):
-            break
-    return p, Q, H
+                H[k, i, j] = Hk[i, j] if seen else 0.0
+        if seen:
+            for i in range(3):
+                positions[k, i] = p[i]
+                for j in range(3):
+                    rotations[k, i, j] = Q[i, j]
 
 
-@inner(nogil=True)
+@_inner
 def _moved_px(K: Any, Rcw: Any, tcw: Any, pos: Any, step: Any, reach: float) -> float:
     """How far in the picture a step (6,) of a die that reaches so far [m] moves its farthest points at the most."""
     x, y, z, depth = 0.0, 0.0, 0.0, tcw[2]

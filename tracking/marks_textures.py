@@ -21,7 +21,7 @@ from ..model.rotations import matrix_from_quat
 from ..model.solids import Solid
 from .camera import Camera
 from .flights import transitions
-from .marks_kernels import GRAZING, MARGIN_BLURS, look_at_face
+from .marks_kernels import GRAZING, MARGIN_BLURS, MOST_HIDDEN, Faces, Optics, look_at_face, new_bench
 from .pose import THREADS, View
 
 Array = NDArray[np.float64]
@@ -214,42 +214,42 @@ def with_learned_textures(
     count = np.zeros((2, *shape), np.int32)
     base, base_weight = np.zeros((shape[0], 2, 3)), np.zeros(shape[0])
     seen = np.zeros(shape[0], np.int64)
-    camera = view.camera
-    floor_grey = max(0.5, 0.5 * view.noise_grey)
     poses = poses_of(looks, flights)
     facings = _facings(view, grid, poses)
+    optics, faces = optics_of(view, marks), faces_of(view, marks, cut)
 
     def learn(f: int) -> None:
         known = bool(np.isfinite(marks.texture[f]).any())
         if known and not marks.noise_grey[f]:
             return
-        values, w, own = np.zeros(shape[1:]), np.zeros(shape[1:]), np.zeros((2, 3))
+        knots, bench, own = _knots(marks.coefficients[f]), new_bench(grid.size**2), np.zeros((2, 3))
         for i in np.flatnonzero(facings[:, f] > GRAZING):
-            look = looks[i]
-            share = look_at_face(
-                look.image, look.x0, look.y0, camera.matrix, camera.distortion, camera.rotation,
-                camera.translation_m, poses.position_m[i], poses.rotation[i], poses.velocity_m_s[i], poses.omega_rad_s[i],
-                view.exposure_s,
-                marks.blur_px, marks.base[f], grid.axes[f], grid.offsets[f], grid.corners[f],
-                grid.counts[f], _margin_px(marks), grid.texel_m, marks.saturation_grey, floor_grey, cut, marks.coefficients[f],
-                marks.marked[f], known,
-                values, w, own,
+            look, half = looks[i], seen[f] % 2
+            share, together = look_at_face(
+                look.image, look.x0, look.y0, optics, faces, f, knots, poses.position_m[i], poses.rotation[i],
+                poses.velocity_m_s[i], poses.omega_rad_s[i], known, facings[i, f] ** 2, bench, total[half, f],
+                weight[half, f], count[half, f], own,
             )  # fmt: skip
-            if share < 0.5:
-                continue
-            half = seen[f] % 2
-            seen[f] += 1
-            used = w > 0
-            total[half, f][used] += facings[i, f] ** 2 * w[used] * values[used]
-            base[f] += facings[i, f] ** 2 * w.sum() * own
-            base_weight[f] += facings[i, f] ** 2 * w.sum()
-            weight[half, f] += facings[i, f] ** 2 * w
-            count[half, f] += used
+            if share >= MOST_HIDDEN:
+                seen[f] += 1
+                base[f] += together * own
+                base_weight[f] += together
 
     # Faces know nothing of each other, and each takes its looks in their order: the same sums with any number of threads.
     with ThreadPoolExecutor(THREADS) as pool:
         list(pool.map(learn, range(shape[0])))
     return _with_textures(replace(marks, base=_where_seen(base, base_weight, marks.base)), total, weight, count, seen)
+
+
+def _knots(coefficients: Array) -> Array:
+    """(6, n, n) of a cubic B-spline surface where its coefficients (n, n) sit: value, slopes x and y [1/texel], and differences
+    xx, xy, yy of the second order from texel to texel."""
+    level, slope = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5])
+    same, bend = np.array([0.0, 1.0, 0.0]), np.array([1.0, -2.0, 1.0])
+    values = cv2.sepFilter2D(coefficients, cv2.CV_64F, level, level)
+    slopes = [cv2.sepFilter2D(coefficients, cv2.CV_64F, x, y) for x, y in ((slope, level), (level, slope))]
+    bends = [cv2.sepFilter2D(values, cv2.CV_64F, x, y) for x, y in ((bend, same), (slope, slope), (same, bend))]
+    return np.stack([values, *slopes, *bends])
 
 
 def _facings(view: View, grid: FaceGrid, poses: Poses) -> Array:
@@ -317,24 +317,20 @@ def _steep_places(texture: Array, marked: NDArray[np.uint8]) -> NDArray[np.uint8
     return np.where(marked > 0, 1 + steep, 0).astype(np.uint8)
 
 
-def seen_by(view: View, marks: Marks) -> tuple[Array | NDArray[np.float32], ...]:
+def optics_of(view: View, marks: Marks) -> Optics:
+    """The camera as the kernels want it."""
     camera = view.camera
-    return marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m
-
-
-def on_faces(view: View, marks: Marks, cut: float) -> tuple[object, ...]:
-    grid = marks.grid
-    return (
-        grid.axes, grid.offsets, grid.corners, grid.counts, _margin_px(marks), grid.texel_m,
-        marks.saturation_grey, max(0.5, 0.5 * view.noise_grey), cut, marks.noise_grey, marks.coefficients, marks.marked,
+    return Optics(
+        marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m, float(view.exposure_s),
+        float(marks.blur_px),
     )  # fmt: skip
 
 
-def blurs(
-    view: View, marks: Marks, velocity_m_s: Array, omega_rad_s: Array
-) -> tuple[Array, Array, float, float, Array]:
-    return velocity_m_s, omega_rad_s, view.exposure_s, marks.blur_px, marks.base
-
-
-def _margin_px(marks: Marks) -> float:
-    return MARGIN_BLURS * marks.blur_px + 0.5
+def faces_of(view: View, marks: Marks, cut: float) -> Faces:
+    """The faces and their marks as the kernels want them, for robust weights that end at `cut` [sigmas]."""
+    grid = marks.grid
+    return Faces(
+        grid.axes, grid.offsets, grid.corners, grid.counts, marks.base, marks.coefficients, marks.marked, marks.noise_grey,
+        MARGIN_BLURS * marks.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
+        max(0.5, 0.5 * float(view.noise_grey)), float(cut),
+    )  # fmt: skip

@@ -138,7 +138,8 @@ def _alone(view: View, c: int) -> View:
 def _rows_in_flight(times_s: Array, throw: Throw) -> NDArray[np.int64]:
     """Some frames spread over those that surely lie on a flight."""
     spacing = float(np.median(np.diff(times_s)))
-    flying = np.array([throw.flights[throw.flight_at(float(t))].covariance is not None for t in times_s])
+    known = np.array([flight.covariance is not None for flight in throw.flights])
+    flying = known[throw.flights_at(times_s)]
     bounces = np.array([impact.time_s for impact in throw.impacts])
     if len(bounces):
         flying &= np.abs(times_s[:, None] - bounces).min(1) > NEAR_BOUNCE * spacing

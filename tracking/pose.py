@@ -166,8 +166,16 @@ def covariances(information: Array) -> Array:
 def contour_leans(H: Array, lens: Lens) -> Array:
     """(n, 6) from normal equations (n, 8, 8): what a pixel of contour error does to each pose; zero where nothing was
     solved. Directions that the pixels leave open are held by the refinement's own loose prior, and so is their lean."""
-    loose = np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
-    return np.asarray(np.linalg.solve(H[:, :6, :6] + loose, H[:, :6, CONTOUR, None])[..., 0])
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose(lens), H[:, :6, CONTOUR, None])[..., 0])
+
+
+def weak_prior(view: View) -> Array:
+    """(6, 6) information that holds what the pixels of a frame leave open: nothing is known of the motion."""
+    return _loose(view.lens)
+
+
+def _loose(lens: Lens) -> Array:
+    return np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
 
 
 def make_view(
@@ -269,7 +277,7 @@ def refine_pose(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
         zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
-        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape), H, g, stats,
+        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape, view.eyes), H, g, stats,
     )  # fmt: skip
     return pose_from(p, Q, H, stats, cost, lens)
 
@@ -299,9 +307,9 @@ def blur_step(
     lens = view.lens._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
     look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, position_m, rotation, velocity_m_s,
-        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape), H, g, stats,
+        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape, view.eyes), H, g, stats,
     )  # fmt: skip
-    A = H[:6, :6] + np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
+    A = H[:6, :6] + _loose(lens)
     reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
     information = float(H[BLUR, BLUR] - H[:6, BLUR] @ reply[:, 0])
     pull = float(g[BLUR] - H[:6, BLUR] @ reply[:, 1])

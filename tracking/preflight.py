@@ -312,7 +312,7 @@ def fall_of(track: Track, throw: Throw) -> Fall | None:
     rows = np.flatnonzero(track.tracked)
     drawn, _ = throw.poses(track.time_s[rows])
     left = track.position_m[rows] - drawn
-    same = (np.diff(rows) == 1) & (np.diff([throw.flight_at(float(t)) for t in track.time_s[rows]]) == 0)
+    same = (np.diff(rows) == 1) & (np.diff(throw.flights_at(track.time_s[rows])) == 0)
     scale = np.maximum(np.median(np.abs(left), axis=0), 1e-9)
     # Bounded: a few wild frames must not decide the correlation.
     bounded = np.clip(left / scale, -5.0, 5.0)

@@ -1,7 +1,8 @@
 """The frames of one throw, whatever camera took them: blocks read ahead while others are worked on.
 
 A reel joins the clips of synchronised cameras: its frame k is the stack of every camera's frame k. Reading happens in a
-thread of its own, so that decoding and tracking overlap; never more than a few blocks are in memory.
+thread of its own, so that decoding and tracking overlap. Every pass over the clip wants all frames again: those of a short
+clip are decoded once and kept; of a long one never more than a few blocks are in memory.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ BLOCK_BYTES = 2**24
 MOST_FRAMES = 64
 RECENT_BYTES = 2**26
 """Frames that random access keeps."""
+KEPT_BYTES = 2**27
+"""Pixels of a clip that is kept whole: 512 frames of 512 × 512 and 8 bit. What takes longest to decode is filmed for seconds,
+not minutes; a clip that is larger comes from a format that costs little to read again."""
 
 
 class Reel:
@@ -48,6 +52,9 @@ class Reel:
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
         self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
         self._keep = max(4, RECENT_BYTES // frame_bytes)
+        self._whole: Frames | None = None
+        if len(self) * frame_bytes <= KEPT_BYTES:
+            self._whole, self._there = np.empty((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
 
     def __len__(self) -> int:
         return len(self.times_s)
@@ -55,6 +62,10 @@ class Reel:
     def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
         """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
         stop = len(self) if stop is None else stop
+        if self._whole is not None and self._there[start:stop].all():
+            for first in range(start, stop, self._block):
+                yield first, self._whole[first : min(first + self._block, stop)]
+            return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()
         reader = threading.Thread(target=self._read, args=(start, stop, queue, closed), daemon=True)
@@ -84,6 +95,8 @@ class Reel:
 
     def frame(self, k: int) -> Frames:
         """One frame (cameras, height, width), cheap where frames are asked for in order or again soon."""
+        if self._whole is not None and self._there[k]:
+            return np.asarray(self._whole[k])
         if k in self._recent:
             return self._recent[k]
         if self._running is None or not 0 <= k - self._running[0] < MOST_FRAMES:
@@ -97,8 +110,15 @@ class Reel:
 
     def _remember(self, k: int, stack: Frames) -> None:
         self._recent[k] = stack
+        self._keep_whole(k, stack[None])
         while len(self._recent) > self._keep:
             self._recent.popitem(last=False)
+
+    def _keep_whole(self, first: int, block: Frames) -> None:
+        """Keep frames of a clip that is kept whole; the same ones again do no harm."""
+        if self._whole is not None:
+            self._whole[first : first + len(block)] = block
+            self._there[first : first + len(block)] = True
 
     def _stack(self, frames: Sequence[Frames]) -> Frames:
         if len(frames) == 1:
@@ -120,6 +140,7 @@ class Reel:
                     if closed.is_set():
                         return
                     block[k] = self._stack([next(run) for run in runs])
+                self._keep_whole(first, block)
                 _put(queue, (first, block), closed)
         except BaseException as error:  # raised again by the thread that reads the blocks
             last = error

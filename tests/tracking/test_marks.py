@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,33 +13,32 @@ from numpy.typing import NDArray
 
 from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
-from diethrow.tracking.marks import frames_to_learn_from, refine_by_marks, shared_covariance
-from diethrow.tracking.marks_textures import undistorted_rays
-from diethrow.tracking.pose import Pose, pose_from
+from diethrow.tracking.marks import FramePoses, frames_to_learn_from, refine_by_marks
+from diethrow.tracking.marks_textures import Marks, undistorted_rays
 
 Array = NDArray[np.float64]
 
 
-def pose_by_edges(position_m: Array, rotation: Array, covariance: Array) -> Pose:
-    """A pose as the refinement on edges leaves it; of the equations behind it only the information counts here."""
-    equations = np.zeros((8, 8))
-    equations[:6, :6] = np.linalg.inv(covariance)
-    return pose_from(position_m, rotation, equations, np.zeros(8), 0.0, VIEW.lens)
+def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePoses, FramePoses, Array]:
+    """Poses (n) of some frames by edges, by marks and edges, and what they share (n, 6, 6)."""
+    track, rows = learned_marks()[1], np.array(which)
+    edges = FramePoses(
+        track.position_m[rows], matrix_from_quat(track.quaternion[rows]), np.linalg.inv(track.covariance[rows]),
+        np.zeros((len(rows), 6)),
+    )  # fmt: skip
+    frames = np.array([film[k] for k in which])[:, None]
+    with ThreadPoolExecutor(2) as pool:
+        return edges, *refine_by_marks(VIEW, marks, frames, edges, Throw(marks.flights, ()), rows / FPS, pool)
 
 
 def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
     """Errors (n, 6), true minus refined, of single frames, and their squares in sigmas (n,): a frame's own and shared."""
-    marks, track = learned_marks()
-    errors, squares = [], []
-    for k in which:
-        edges = pose_by_edges(track.position_m[k], matrix_from_quat(track.quaternion[k]), track.covariance[k])
-        pose = refine_by_marks(VIEW, marks, film[k], edges, marks.flights[0].at(k / FPS))
-        true = tossed().at(k / FPS)
-        turned = rotation_between(quat_from_matrix(pose.rotation), true.quaternion)
-        errors.append(np.concatenate([true.position_m - pose.position_m, turned]))
-        C = np.linalg.inv(pose.information) + shared_covariance(VIEW, marks, 0, k / FPS)
-        squares.append(errors[-1] @ np.linalg.solve(C, errors[-1]))
-    return np.array(errors), np.array(squares)
+    _, poses, shared = refined(learned_marks()[0], film, which)
+    positions, quaternions = tossed().poses(np.array(which) / FPS)
+    turned = rotation_between(quat_from_matrix(poses.rotation), quaternions)
+    errors = np.concatenate([positions - poses.position_m, turned], axis=1)
+    C = np.linalg.inv(poses.information) + shared
+    return errors, np.einsum("ni,nij,nj->n", errors, np.linalg.inv(C), errors)
 
 
 def test_rays_go_back_through_the_lens_to_their_pixels() -> None:
@@ -114,14 +114,11 @@ def test_plain_faces_teach_nothing() -> None:
 
 
 def test_without_a_marked_face_in_view_the_edges_stand_with_wider_sigmas() -> None:
-    marks, track = learned_marks()
-    pose = pose_by_edges(track.position_m[5], tossed().at(5 / FPS).rotation, track.covariance[5])
-    back = refine_by_marks(VIEW, replace(marks, noise_grey=np.zeros(6)), marked_film()[5], pose)
-    assert back.position_m == pytest.approx(pose.position_m)
-    assert (
-        np.linalg.eigvalsh(pose.information - back.information).min()
-        > -1e-6 * np.linalg.eigvalsh(pose.information).max()
-    )
+    marks = replace(learned_marks()[0], noise_grey=np.zeros(6))
+    edges, poses, _ = refined(marks, marked_film(), range(5, 6))
+    np.testing.assert_allclose(poses.position_m, edges.position_m, rtol=1e-12)
+    lost = np.linalg.eigvalsh(edges.information[0] - poses.information[0])
+    assert lost.min() > -1e-6 * np.linalg.eigvalsh(edges.information[0]).max()
 
 
 def test_frames_at_a_bounce_teach_nothing() -> None:

@@ -20,6 +20,17 @@ def clip_of(seed: int, count: int = COUNT, shape: tuple[int, int] = (12, 16)) ->
     return ArrayClip(frames, np.arange(count) / 1000.0, 8)
 
 
+class Counted(ArrayClip):
+    """A clip that counts the frames it hands out."""
+
+    handed_out = 0
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        for frame in super().frames(start, stop):
+            self.handed_out += 1
+            yield frame
+
+
 class Broken(ArrayClip):
     """A clip whose file ends early."""
 
@@ -55,6 +66,20 @@ def test_single_frames_may_be_asked_for_in_any_order() -> None:
     reel, wanted = Reel([clip]), np.array(list(clip.frames()))
     for k in np.random.default_rng(4).integers(0, COUNT, 60):
         np.testing.assert_array_equal(reel.frame(int(k))[0], wanted[k])
+
+
+def test_a_short_clip_is_decoded_once_whatever_is_asked_of_it() -> None:
+    plain = np.array(list(clip_of(9).frames()))
+    clip = Counted(plain, np.arange(COUNT) / 1000.0, 8)
+    reel = Reel([clip])
+    for k in (0, 5, 70):
+        np.testing.assert_array_equal(reel.frame(k)[0], plain[k])
+    before = clip.handed_out
+    for _ in range(2):
+        np.testing.assert_array_equal(np.concatenate([f for _, f in reel.blocks()])[:, 0], plain)
+        np.testing.assert_array_equal(next(reel.blocks_backwards(90))[1][:, 0], plain[90 - 64 : 90])
+    assert reel.frame(COUNT - 1)[0].tolist() == plain[-1].tolist()
+    assert clip.handed_out == before + COUNT
 
 
 def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
