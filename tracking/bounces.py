@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
 from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
-from .flights import Sightings, flights_at
+from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
@@ -129,7 +129,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     use = np.flatnonzero(track.tracked)
     root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
-    flight = flights_at(throw, track.time_s[use])
+    flight = throw.flights_at(track.time_s[use])
     count = np.bincount(flight)[flight]
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
@@ -154,7 +154,7 @@ def _filled(floor: Array, use: NDArray[np.int64]) -> Array:
 
 def _with_floors(throw: Throw, time_s: Array, floor: Array) -> Throw:
     """The throw with the floors (n, 6, 6) of its frames at some instants (n,): each flight with the middling one of its own."""
-    flight_of = flights_at(throw, time_s)
+    flight_of = throw.flights_at(time_s)
     middles = [
         _middle_one(floor[flight_of == k] if np.any(flight_of == k) else floor) for k in range(len(throw.flights))
     ]

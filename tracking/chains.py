@@ -8,7 +8,7 @@ link takes x_k over to the next flight by its own changes u_k,
 and what a contact obeys adds |R_k x_k + S_k u_k + r_k|². That is a linear-quadratic problem, as in optimal control, and is
 solved as such (Riccati; e.g. Bertsekas, Dynamic Programming and Optimal Control, 1995, 4.1): from the last flight to the
 first, what all that follows costs is brought down to a quadratic xᵀ P x + 2 pᵀ x of the state before the link, by the best
-u = K x + k; then the changes are found from the first flight to the last. P is taken together as A^T P A with A = F + G K, a sum
+u = K x + k; then the changes are found from the first flight to the last. P is taken together as Aᵀ P A with A = F + G K, a sum
 of squares, which rounding cannot make negative as it can a difference.
 
 **How sure it is.** The gradients p are sums of independent parts with known covariances (`noises`: those of the flights, and

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State, Throw
+from ..model.motion import Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from . import flights_kernels as kernels
 
@@ -224,11 +224,6 @@ def transitions(flight: Flight, times_s: Array) -> Array:
     M = np.tile(np.eye(12), (len(times_s), 1, 1))
     M[:, :6] = pose_rows(flight, times_s)
     return M
-
-
-def flights_at(throw: Throw, times_s: Array) -> NDArray[np.int64]:
-    """Which flight holds each of some instants (n,): `Throw.flight_at` of them all."""
-    return np.searchsorted([impact.time_s for impact in throw.impacts], times_s, side="right").astype(np.int64)
 
 
 def transition(flight: Flight, time_s: float) -> Array:

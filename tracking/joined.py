@@ -15,6 +15,8 @@ observations with a tolerance, so that a die of not quite the stated inertia and
 bend the fit no further than they may, and the squares they leave (`strain`) say whether the impact is one at that point.
 
 **What all frames share**: m numbers s with a prior (`flights`), and the height of the table with another.
+
+A step of the fit goes along the chain link by link (`chains`), so that its cost grows with the frames and with the links.
 """
 
 from __future__ import annotations

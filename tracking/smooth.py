@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from ..model.rotations import continuous_sign
-from .flights import flights_at, pose_rows
+from .flights import pose_rows
 from .track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -32,7 +32,7 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
     position, quaternion = track.position_m.copy(), track.quaternion.copy()
     covariance, status = track.covariance.copy(), track.status.copy()
     rows = np.arange(int(tracked[0]), int(tracked[-1]) + 1)
-    flight_of = flights_at(throw, track.time_s[rows])
+    flight_of = throw.flights_at(track.time_s[rows])
     told = np.isin(status[rows], (TRACKED, LOST))
     for k in np.unique(flight_of):
         flight, mine = throw.flights[k], rows[told & (flight_of == k)]
