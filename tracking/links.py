@@ -49,6 +49,8 @@ CLEAR_SHARE = 0.03
 """A motion that stays this share of an edge above the table has touched nothing."""
 UNKNOWN_TABLE_M = 3e-3
 """Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
+SAME_FRAMES = 1e-3
+"""Contacts nearer in time than this, in frames, are not two: no instant is known as well."""
 FAR_SIGMAS = 5.0
 """A table found this many sigmas from where it should be was not calibrated as well as is taken for granted."""
 
@@ -225,13 +227,14 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
 
 
 def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
-    """The chain with contacts that no frame parts as one, where one of them is open: of the flight between nothing is known,
-    and so nothing of how many there were."""
+    """The chain with contacts that nothing tells apart as one, which stays open: two of which one is open and no frame
+    between, so that nothing is known of the flight between; and two that a fit has drawn to one instant."""
     while True:
         edges = np.searchsorted(seen.time_s, joined.links_s, side="right")
         borne_out = [joined.weights[a:b].any() for a, b in itertools.pairwise(edges)]
         opened = [a.is_open or b.is_open for a, b in itertools.pairwise(joined.links)]
-        k = next((k for k, frames in enumerate(borne_out) if opened[k] and not frames), None)
+        alike = np.diff(joined.links_s) < SAME_FRAMES * _spacing(seen)
+        k = next((k for k, one in enumerate(alike) if one or (opened[k] and not borne_out[k])), None)
         if k is None:
             return joined
         middle_s = 0.5 * (joined.links[k].time_s + joined.links[k + 1].time_s)

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 CUBE = make_die("cube", 0.016, 0.0048)
 ROUND = make_die("cube", 0.016, 0.0048, corner_radius_m=0.001)
 TETRA = make_die("tetrahedron", 0.022, 0.0015)
+OCTA = make_die("octahedron", 0.016, 0.003)
 
 
 def sightings(track: Track) -> Sightings:
@@ -278,6 +279,21 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
         sigma = np.sqrt(np.diag(transition(fitted, t) @ fitted.covariance @ transition(fitted, t).T))
         # Twelve numbers, the largest of which is seldom beyond three sigmas.
         assert np.abs(errors / sigma).max() < 4.0
+
+
+@pytest.mark.parametrize("seed", [901, 911, 926])
+def test_no_two_contacts_share_an_instant_and_those_that_are_named_are_right(seed: int) -> None:
+    # Three or four impacts within some frames: on these throws fits have drawn two of them to one instant, or have taken
+    # the true story with one more impact in it for another story.
+    rng = np.random.default_rng(seed)
+    die, chi = [CUBE, TETRA, OCTA][(seed - 900) % 3], [0.4, 0.6, 0.8][(seed - 900) // 3 % 3]
+    throw = true_throw(die, random_release(die, rng), chi, impacts=4, frames_after=50)
+    found = measure_throw(seen(throw, rng), die)
+    times_s = np.array([impact.time_s for impact in found.impacts])
+    assert (np.diff(times_s) * FPS > 1e-3).all()
+    for impact in found.impacts:
+        true = min(throw.impacts, key=lambda true: abs(true.time_s - impact.time_s))
+        assert impact.vertices in ((), true.vertices)
 
 
 def test_what_no_frame_knows_of_stays_where_it_is() -> None:
