@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.compiled import compiled, inner
+from .flights import scaled_inverse
 
 Array = NDArray[np.float64]
 
@@ -98,9 +99,7 @@ def spread_along(normal: Array, noises: Array, stages: Stages) -> tuple[Array, A
     ahead[-1] = noises[-1]
     for k_ in range(count - 1, -1, -1):
         ahead[k_] = noises[k_] + A[k_].T @ ahead[k_ + 1] @ A[k_] + R[k_].T @ R[k_]
-    C, owed = np.zeros((d, d)), np.zeros((d, d))
-    _invert(P, d, C)
-    C, beside = -C, np.empty((count, d + MOST, d + MOST))
+    C, owed, beside = -scaled_inverse(P), np.zeros((d, d)), np.empty((count, d + MOST, d + MOST))
     for j in range(count):
         F, G = stages.onward[j], stages.turned[j]
         both = np.vstack([np.eye(d), K[j]])
@@ -249,7 +248,7 @@ def _invert_damped(matrix: Array, n: int, damping: float, inverse: Array) -> Non
     _invert(held, n, inverse)
 
 
-@compiled(nogil=True)
+@inner
 def _invert(matrix: Array, n: int, inverse: Array) -> None:
     """Inverse of the first (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; zero for a number that it
     leaves open."""

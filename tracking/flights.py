@@ -166,19 +166,23 @@ def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
     Gauss-Newton on the exact motion, from the mean spin between neighbours and a line through the positions (fall taken
     out), until a step gains less than a thousandth.
     """
-    numbers, inverse = np.empty(14), np.empty((12, 12))
-    left = kernels.fit(*_arrays(seen), numbers, inverse)
-    return unpacked(numbers), inverse, float(left)
+    states, inverses, left = _fitted(seen, np.array([0, len(seen)]))
+    return unpacked(states[0]), inverses[0], float(left[0])
 
 
 def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
     """As `fit_flight` for many groups of rows at once: packed states (groups, 14), and the sums of squared sigmas (groups,)
     left."""
     ends = np.concatenate([[0], np.cumsum([len(group) for group in groups])]).astype(np.int64)
-    rows = np.concatenate([np.zeros(0, np.int64), *groups])
-    states, left = np.empty((len(groups), 14)), np.empty(len(groups))
-    kernels.fit_many(*_arrays(seen), rows, ends, states, left)
+    states, _, left = _fitted(seen.rows(np.concatenate([np.zeros(0, np.int64), *groups])), ends)
     return states, left
+
+
+def _fitted(seen: Sightings, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """States (g, 14), covariances (g, 12, 12) and squares (g,) of groups of frames that lie one after the other."""
+    states, inverses, left = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
+    kernels.fit_many(*_arrays(seen), ends, states, inverses, left)
+    return states, inverses, left
 
 
 def seen_minus_motion(seen: Sightings, state: State) -> Array:
@@ -229,26 +233,6 @@ def transitions(flight: Flight, times_s: Array) -> Array:
 def transition(flight: Flight, time_s: float) -> Array:
     """Derivative (12, 12) of the state at one instant with respect to the flight's start state."""
     return np.asarray(transitions(flight, np.array([time_s]))[0])
-
-
-def carried_on(state: State, time_s: float) -> tuple[State, Array]:
-    """The state at another instant of the same flight, and its derivative (12, 12): `transition` without the cost of many
-    small calls."""
-    out, M = np.empty(14), np.zeros((12, 12))
-    kernels.carry(packed(state), time_s, out, M)
-    return State(time_s, out[1:4], out[4:8], out[8:11], out[11:14]), M
-
-
-def rotation_matrix(quaternion: Array) -> Array:
-    """(3, 3) of one unit quaternion wxyz."""
-    w, x, y, z = quaternion.tolist()
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
 
 
 def moved(state: State, change: Array) -> State:

@@ -203,8 +203,8 @@ def _error(time: float, position: Array, quaternion: Array, state: Array, e: Arr
     e[3], e[4], e[5] = factor * a, factor * b, factor * c
 
 
-@compiled(nogil=True)
-def carry(state: Array, time: float, out: Array, M: Array) -> None:
+@inner
+def _carry(state: Array, time: float, out: Array, M: Array) -> None:
     """The state (14,) at another instant, and its derivative (12, 12)."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
@@ -235,7 +235,7 @@ def roll(
     for i in range(14):
         states[0, i] = first[i]
     for k in range(len(times_s)):
-        carry(states[k], times_s[k], ends[k], passages[k])
+        _carry(states[k], times_s[k], ends[k], passages[k])
         for i in range(14):
             states[k + 1, i] = free[k, i] if is_open[k] else ends[k, i]
         if not is_open[k]:
@@ -347,8 +347,8 @@ def _product(
     )
 
 
-@compiled(nogil=True)
-def fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
+@inner
+def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
     """Gauss-Newton through the frames of one flight, white errors; fills state (14,) and the inverse normal matrix."""
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
@@ -387,14 +387,13 @@ def fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array,
 
 @compiled(nogil=True)
 def fit_many(
-    time: Array, position: Array, quaternion: Array, W: Array, rows: NDArray[np.int64], ends: NDArray[np.int64],
-    states: Array, left: Array,
+    time: Array, position: Array, quaternion: Array, W: Array, ends: NDArray[np.int64], states: Array, inverses: Array,
+    left: Array,
 ) -> None:  # fmt: skip
-    """One flight through each group of rows."""
-    inverse = np.empty((12, 12))
+    """One flight through each group of frames, which lie one after the other."""
     for group in range(len(states)):
-        mine = rows[ends[group] : ends[group + 1]]
-        left[group] = fit(time[mine], position[mine], quaternion[mine], W[mine], states[group], inverse)
+        a, b = ends[group], ends[group + 1]
+        left[group] = _fit(time[a:b], position[a:b], quaternion[a:b], W[a:b], states[group], inverses[group])
 
 
 @inner
