@@ -41,6 +41,8 @@ thousandth of the cases; slow errors of the frames take the rest)."""
 HOPELESS = 1000.0
 """Squared sigmas, to the first order, beyond which a contact is not tried at all: what that leaves out, how flights curve
 within the uncertainty of the instant, makes some tens."""
+MOST_FRAMES = 0.7
+"""Share of its frames that a flight which is known has."""
 LIKELY_STRAIN = 9.5
 """Squared sigmas that four rules cost by chance in one case of twenty."""
 NEAR_SHARE = 0.1
@@ -248,7 +250,7 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     that holds, and the others one by one. Those that cost more than noise does are left free: two contacts at once, or an
     edge that struck along its length, push at no one vertex."""
     strikes = _strikes(die)
-    likely = [_likely(joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
+    likely = [_likely(seen, joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
     alone = [k for k, found in enumerate(likely) if len(found) == 1]
     for sure in (alone, [k for k in alone if likely[k][0][0] < LIKELY_STRAIN]):
         struck = {k: replace(joined.links[k], strike=likely[k][0][1]) for k in sure}
@@ -270,13 +272,23 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     return joined
 
 
-def _likely(joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[tuple[float, Strike]]:
+def _likely(seen: Sightings, joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[tuple[float, Strike]]:
     """Of the contacts that link k may be, those that are not out of the question, with what they would cost to the first
     order."""
     if joined.links[k].is_open:
         return []
     costs = [(strike_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
+    if not _is_borne_out(seen, joined, k):
+        return costs
     return [(cost, strike) for cost, strike in costs if cost < HOPELESS]
+
+
+def _is_borne_out(seen: Sightings, joined: Joined, k: int) -> bool:
+    """Whether most frames of the flights on either side of a link lie on them. What a flight that others have spoilt makes
+    of a contact says nothing."""
+    cuts = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
+    sides = [joined.weights[a:b] for a, b in (cuts[k : k + 2], cuts[k + 1 : k + 3])]
+    return all(len(side) > 0 and bool((side > 0.0).mean() > MOST_FRAMES) for side in sides)
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
