@@ -33,6 +33,10 @@ SLACK_POSITION_M, SLACK_ROTATION_RAD = 1.5e-5, 1.0e-3
 """Added to each frame's own sigma where nothing has measured yet what shading and marks do to a pose beyond its noise."""
 
 
+AT_ONCE = 64
+"""Groups whose frames are gathered at once: all of a long clip would take more memory than the clip's poses."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scatter:
     """How the frames' whitened errors compare with what the frames state, and how long they stay alike: six of each."""
@@ -173,8 +177,11 @@ def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
 def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
     """As `fit_flight` for many groups of rows at once: packed states (groups, 14), and the sums of squared sigmas (groups,)
     left."""
-    ends = np.concatenate([[0], np.cumsum([len(group) for group in groups])]).astype(np.int64)
-    states, _, left = _fitted(seen.rows(np.concatenate([np.zeros(0, np.int64), *groups])), ends)
+    states, left = np.empty((len(groups), 14)), np.empty(len(groups))
+    for k in range(0, len(groups), AT_ONCE):
+        some = groups[k : k + AT_ONCE]
+        ends = np.concatenate([[0], np.cumsum([len(group) for group in some])]).astype(np.int64)
+        states[k : k + AT_ONCE], _, left[k : k + AT_ONCE] = _fitted(seen.rows(np.concatenate(some)), ends)
     return states, left
 
 
