@@ -73,13 +73,10 @@ def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
 def continuous_sign(quaternions: ArrayLike) -> Array:
     """The same rotations (n, 4) with signs chosen so that neighbours never differ by a flip; NaN rows stay."""
     q = np.array(quaternions, float)
-    last = None
-    for k, row in enumerate(q):
-        if not np.isfinite(row).all():
-            continue
-        if last is not None and last @ row < 0:
-            q[k] = -row
-        last = q[k]
+    known = np.flatnonzero(np.isfinite(q).all(axis=1))
+    turns = (q[known[1:]] * q[known[:-1]]).sum(1) < 0
+    flipped = known[1:][np.cumsum(turns) % 2 == 1]
+    q[flipped] = -q[flipped]
     return q
 
 

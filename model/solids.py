@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -349,6 +349,7 @@ def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
     return int(np.argmin(solid.normals @ np.asarray(rotation)[2])) + 1
 
 
+@lru_cache(maxsize=16)
 def symmetry_rotations(solid: Solid) -> Array:
     """The rotations (order, 3, 3) that carry the solid's vertices onto themselves, the identity first: 12 for the
     tetrahedron, 24 for cube and octahedron, 60 for dodecahedron and icosahedron, 1 for a solid without symmetry."""
@@ -367,7 +368,9 @@ def symmetry_rotations(solid: Solid) -> Array:
             gaps = np.linalg.norm((V @ turn.T)[:, None] - V[None], axis=2).min(1)
             if gaps.max() < 1e-7 * size:
                 found.append(turn)
-    return np.array(found)
+    rotations = np.array(found)
+    rotations.setflags(write=False)
+    return rotations
 
 
 def die_symmetries(die: Die) -> Array:

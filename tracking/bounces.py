@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
 from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
-from .flights import Sightings, transition
+from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 
 LITTLE_SLACK = 0.1
 """Of the usual slack, where the scatter of the frames is measured: what keeps a frame that states no error in bounds."""
-SAMPLES = 2000
-"""Draws from the joint covariance behind the interval of a restitution."""
+SAMPLES, SEED = 2000, 20120404
+"""Draws behind the interval of a restitution."""
 
 
 class NoFlightError(ValueError):
@@ -129,7 +129,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     use = np.flatnonzero(track.tracked)
     root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
-    flight = np.array([throw.flight_at(float(t)) for t in track.time_s[use]])
+    flight = throw.flights_at(track.time_s[use])
     count = np.bincount(flight)[flight]
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
@@ -154,7 +154,7 @@ def _filled(floor: Array, use: NDArray[np.int64]) -> Array:
 
 def _with_floors(throw: Throw, time_s: Array, floor: Array) -> Throw:
     """The throw with the floors (n, 6, 6) of its frames at some instants (n,): each flight with the middling one of its own."""
-    flight_of = np.array([throw.flight_at(float(t)) for t in time_s])
+    flight_of = throw.flights_at(time_s)
     middles = [
         _middle_one(floor[flight_of == k] if np.any(flight_of == k) else floor) for k in range(len(throw.flights))
     ]
@@ -210,13 +210,10 @@ def _at_rest(
 
 def _impacts(joined: Joined, die: Die, spacing_s: float) -> tuple[Impact, ...]:
     """What each link says about its bounce."""
-    rng = np.random.default_rng(20120404)
-    values, vectors = np.linalg.eigh(joined.covariance)
-    draws = rng.standard_normal((SAMPLES, len(values))) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-    return tuple(_impact(joined, die, k, draws, spacing_s) for k in range(len(joined.links)))
+    return tuple(_impact(joined, die, k, spacing_s) for k in range(len(joined.links)))
 
 
-def _impact(joined: Joined, die: Die, k: int, draws: Array, spacing_s: float) -> Impact:
+def _impact(joined: Joined, die: Die, k: int, spacing_s: float) -> Impact:
     """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
     link, before, after = joined.links[k], joined.flights[k], joined.flights[k + 1]
     t = link.time_s
@@ -229,7 +226,7 @@ def _impact(joined: Joined, die: Die, k: int, draws: Array, spacing_s: float) ->
     chi, low, high = np.nan, np.nan, np.nan
     if is_resolved:
         chi = -v_after / v_before
-        low, high = _chi_interval(joined, k, t, arm, v_before, v_after, draws)
+        low, high = _chi_interval(joined.beside[k], a, b, arm)
     middle_before = before.at(0.5 * (before.start.time_s + before.end_s))
     middle_after = after.at(0.5 * (after.start.time_s + after.end_s))
     return Impact(
@@ -262,22 +259,21 @@ def _contact(link: Link, die: Die, state: State) -> tuple[tuple[int, ...], Array
     return touching, np.asarray(arms.mean(0) - np.array([0.0, 0.0, die.corner_radius_m]))
 
 
-def _chi_interval(
-    joined: Joined, k: int, t: float, arm: Array, v_before: float, v_after: float, draws: Array
-) -> tuple[float, float]:
-    """95 % interval of the apparent restitution, by drawing from the joint covariance of both flights."""
-    sides = []
-    shift = draws[:, joined.time_columns[k]]
-    for flight, S, v in zip(joined.flights[k : k + 2], joined.maps[k : k + 2], (v_before, v_after), strict=True):
-        w = flight.start.omega_rad_s
-        row = np.zeros(12)
-        row[3:6] = _turn_derivative(w, arm)
-        row[8] = 1.0
-        row[9:12] = np.cross(arm, [0.0, 0.0, 1.0])
+def _chi_interval(beside: Array, before: State, after: State, arm: Array) -> tuple[float, float]:
+    """95 % interval of the apparent restitution, by drawing both velocities from their joint covariance: that of the states
+    on both sides and of the instant (25, 25)."""
+    rows = np.zeros((2, 25))
+    for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
+        w = state.omega_rad_s
+        row[first + 3 : first + 6] = _turn_derivative(w, arm)
+        row[first + 8] = 1.0
+        row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
         # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
-        acceleration = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
-        sides.append(v + draws @ (row @ transition(flight, t) @ S) + acceleration * shift)
-    low, high = np.percentile(-sides[1] / sides[0], [2.5, 97.5])
+        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+    values, vectors = np.linalg.eigh(rows @ beside @ rows.T)
+    draws = np.random.default_rng(SEED).standard_normal((SAMPLES, 2)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    v_before, v_after = (np.array([normal_velocity(state, arm) for state in (before, after)]) + draws).T
+    low, high = np.percentile(-v_after / v_before, [2.5, 97.5])
     return float(low), float(high)
 
 

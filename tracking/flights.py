@@ -16,20 +16,25 @@ the clip (`lean`), with s a few numbers that all flights share.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import atan2, cos, exp, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.compiled import compiled, inner
-from ..model.motion import GRAVITY_M_S2, Flight, State
-from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ..model.motion import Flight, State
+from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
+from . import flights_kernels as kernels
 
 Array = NDArray[np.float64]
 
 SLACK_POSITION_M, SLACK_ROTATION_RAD = 1.5e-5, 1.0e-3
 """Added to each frame's own sigma where nothing has measured yet what shading and marks do to a pose beyond its noise."""
+
+
+AT_ONCE = 64
+"""Groups whose frames are gathered at once: all of a long clip would take more memory than the clip's poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,39 +101,66 @@ class Sightings:
         return len(self.time_s)
 
 
-@dataclass(frozen=True, eq=False)
-class Sums:
-    """Normal equations of one flight about a guess of its state."""
-
-    normal: Array
-    """(12 + m, 12 + m) of the state and the shared errors."""
-    gradient: Array
-    """(12 + m,) of half the cost."""
-    cost: float
-    """Sum of weighted squared residuals."""
-    squares: Array
-    """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
+def chain_misses(seen: Sightings, cuts: NDArray[np.int64], states: Array, shared: Array) -> Array:
+    """Whitened residuals (n, 6) of frames from the motions of flights, the shared errors (m,) taken out: rows cuts[k] to
+    cuts[k + 1] belong to the packed state (14,) `states[k]`."""
+    misses = np.empty((len(seen), 6))
+    kernels.misses(*_arrays(seen), seen.lean, shared, cuts, states, misses)
+    return misses
 
 
-def flight_sums(seen: Sightings, state: State, shared: Array, weights: Array, share: Array, usual: Array) -> Sums:
-    """Normal equations of the frames of one flight with `shared` (m,) errors taken out, frames weighted (n,) and the six
-    whitened numbers by `share` (6,); `usual` (6,) are the inverse variances that make `squares`."""
-    size = 12 + seen.lean.shape[2]
-    normal, gradient, squares = np.zeros((size, size)), np.zeros(size), np.zeros(len(seen))
-    cost = _sums(
-        *_arrays(seen), seen.lean, weights, share, usual, _packed(state), shared, normal, gradient, squares
-    )  # fmt: skip
-    return Sums(normal, gradient, cost, squares)
+def informations(seen: Sightings, share: Array) -> tuple[Array, Array]:
+    """What frames say of their poses and of the shared errors, the six whitened numbers counting with their `share` (6,):
+    information (n, 6 + m, 6 + m), and the (n, 6 + m, 6) that turn whitened residuals into pulls. Of no motion: fits of
+    one share have it once."""
+    own = 6 + seen.lean.shape[2]
+    information, pulls = np.empty((len(seen), own, own)), np.empty((len(seen), own, 6))
+    kernels.weigh(_arrays(seen)[3], seen.lean, share, information, pulls)
+    return information, pulls
 
 
-def flight_meat(seen: Sightings, state: State, weights: Array, share: Array, scatter: Scatter) -> Array:
-    """Covariance (12 + m, 12 + m) of the gradient of `flight_sums` when the errors are as `scatter` says: the middle of a
-    sandwich."""
-    size = 12 + seen.lean.shape[2]
-    meat = np.zeros((size, size))
+def chain_sums(
+    seen: Sightings,
+    cuts: NDArray[np.int64],
+    states: Array,
+    misses: Array,
+    weights: Array,
+    told: tuple[Array, Array],
+    size: int,
+) -> tuple[Array, Array]:
+    """Normal equations of each flight about its state: matrices (flights, size, size) of the twelve numbers of the state and
+    the shared errors, and gradients (flights, size) of half the cost; what is beyond 12 + m stays zero. Frames count with
+    their weight (n,), `told` are their `informations`."""
+    normal, gradient = np.zeros((len(states), size, size)), np.zeros((len(states), size))
+    kernels.sums(_arrays(seen)[0], *told, misses, weights, cuts, states, normal, gradient)
+    return normal, gradient
+
+
+def chain_meats(
+    seen: Sightings, cuts: NDArray[np.int64], states: Array, weights: Array, share: Array, scatter: Scatter, size: int
+) -> Array:
+    """Covariances (flights, size, size) of the gradients of `chain_sums` when the errors are as `scatter` says: the middle of
+    a sandwich."""
+    meats = np.zeros((len(states), size, size))
     strength = share**2 * scatter.scale**2
-    _meat(*_arrays(seen), seen.lean, weights, strength, _packed(state), scatter.wander, scatter.memory_s, meat)
-    return meat
+    for rows, state, meat in zip(itertools.pairwise(cuts), states, meats, strict=True):
+        part = seen.rows(slice(*rows))
+        kernels.meat(
+            *_arrays(part)[::3], part.lean, weights[slice(*rows)], strength, state, scatter.wander, scatter.memory_s, meat
+        )  # fmt: skip
+    return meats
+
+
+def roll_out(
+    first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array
+) -> tuple[Array, Array, Array]:
+    """Packed start states (N + 1, 14) of a chain of flights, those at the end of each (N, 14), and the derivatives
+    (N, 12, 12) of the ends by the starts. The chain goes on from `first` (14,) over `jumps` (N, 6) of velocity and spin at
+    `times_s` (N,), or with the state `free` (N, 14) where a link is open."""
+    n = len(times_s)
+    states, ends, passages = np.empty((n + 1, 14)), np.empty((n, 14)), np.zeros((n, 12, 12))
+    kernels.roll(first, times_s, jumps, is_open, free, states, ends, passages)
+    return states, ends, passages
 
 
 def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
@@ -138,17 +170,33 @@ def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
     Gauss-Newton on the exact motion, from the mean spin between neighbours and a line through the positions (fall taken
     out), until a step gains less than a thousandth.
     """
-    packed, inverse = np.empty(14), np.empty((12, 12))
-    left = _fit(*_arrays(seen), packed, inverse)
-    state = State(float(packed[0]), packed[1:4], packed[4:8], packed[8:11], packed[11:14])
-    return state, inverse, float(left)
+    states, inverses, left = _fitted(seen, np.array([0, len(seen)]))
+    return unpacked(states[0]), inverses[0], float(left[0])
+
+
+def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
+    """As `fit_flight` for many groups of rows at once: packed states (groups, 14), and the sums of squared sigmas (groups,)
+    left."""
+    states, left = np.empty((len(groups), 14)), np.empty(len(groups))
+    for k in range(0, len(groups), AT_ONCE):
+        some = groups[k : k + AT_ONCE]
+        ends = np.concatenate([[0], np.cumsum([len(group) for group in some])]).astype(np.int64)
+        states[k : k + AT_ONCE], _, left[k : k + AT_ONCE] = _fitted(seen.rows(np.concatenate(some)), ends)
+    return states, left
+
+
+def _fitted(seen: Sightings, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+    """States (g, 14), covariances (g, 12, 12) and squares (g,) of groups of frames that lie one after the other."""
+    states, inverses, left = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
+    kernels.fit_many(*_arrays(seen), ends, states, inverses, left)
+    return states, inverses, left
 
 
 def seen_minus_motion(seen: Sightings, state: State) -> Array:
     """Whitened residuals (n, 6) of frames from one motion."""
-    p, q = Flight(state, np.inf).poses(seen.time_s)
-    raw = np.concatenate([seen.position_m - p, rotation_between(q, seen.quaternion)], axis=1)
-    return np.asarray((seen.whitener @ raw[:, :, None])[:, :, 0])
+    return chain_misses(
+        replace(seen, lean=seen.lean[:, :, :0]), np.array([0, len(seen)]), packed(state)[None], np.zeros(0)
+    )
 
 
 def misfits(seen: Sightings, state: State) -> Array:
@@ -170,40 +218,28 @@ def left_jacobians(v: Array) -> Array:
     return np.asarray(np.eye(3) + first * V + second * (V @ V))
 
 
-def transitions(flight: Flight, times_s: Array) -> Array:
-    """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
+def pose_rows(flight: Flight, times_s: Array) -> Array:
+    """Derivatives (n, 6, 12) of the pose at instants (n,) with respect to the flight's start state."""
     tau = np.asarray(times_s, float) - flight.start.time_s
     turns = np.outer(tau, flight.start.omega_rad_s)
-    M = np.tile(np.eye(12), (len(tau), 1, 1))
+    M = np.zeros((len(tau), 6, 12))
+    M[:, 0:3, 0:3] = np.eye(3)
     M[:, 0:3, 6:9] = tau[:, None, None] * np.eye(3)
     M[:, 3:6, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
     M[:, 3:6, 9:12] = tau[:, None, None] * left_jacobians(turns)
     return M
 
 
+def transitions(flight: Flight, times_s: Array) -> Array:
+    """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
+    M = np.tile(np.eye(12), (len(times_s), 1, 1))
+    M[:, :6] = pose_rows(flight, times_s)
+    return M
+
+
 def transition(flight: Flight, time_s: float) -> Array:
     """Derivative (12, 12) of the state at one instant with respect to the flight's start state."""
     return np.asarray(transitions(flight, np.array([time_s]))[0])
-
-
-def carried_on(state: State, time_s: float) -> tuple[State, Array]:
-    """The state at another instant of the same flight, and its derivative (12, 12): `transition` without the cost of many
-    small calls."""
-    out, M = np.empty(14), np.zeros((12, 12))
-    _carry(_packed(state), time_s, out, M)
-    return State(time_s, out[1:4], out[4:8], out[8:11], out[11:14]), M
-
-
-def rotation_matrix(quaternion: Array) -> Array:
-    """(3, 3) of one unit quaternion wxyz."""
-    w, x, y, z = quaternion.tolist()
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-            [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-            [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
 
 
 def moved(state: State, change: Array) -> State:
@@ -265,287 +301,11 @@ def _arrays(seen: Sightings) -> tuple[Array, Array, Array, Array]:
     )
 
 
-def _packed(state: State) -> Array:
+def packed(state: State) -> Array:
     """(14,): time, position, quaternion, velocity, angular velocity."""
     return np.concatenate([[state.time_s], state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
 
 
-# --- kernels ----------------------------------------------------------------------------------------------------------
-
-
-@compiled(nogil=True)
-def _sums(
-    time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, share: Array, usual: Array,
-    state: Array, shared: Array, normal: Array, gradient: Array, squares: Array,
-) -> float:  # fmt: skip
-    """Fill the normal equations of one flight; returns the cost."""
-    size = 12 + lean.shape[2]
-    rows = np.empty((6, size + 1))
-    cost = 0.0
-    for k in range(len(time)):
-        _rows(time[k], position[k], quaternion[k], W[k], lean[k], state, shared, rows)
-        squares[k] = 0.0
-        for i in range(6):
-            squares[k] += usual[i] * rows[i, size] ** 2 / 6.0
-            counts = weight[k] * share[i]
-            for a in range(size):
-                part = counts * rows[i, a]
-                for b in range(a + 1):
-                    normal[a, b] += part * rows[i, b]
-                gradient[a] -= part * rows[i, size]
-            cost += counts * rows[i, size] ** 2
-    for a in range(size):
-        for b in range(a):
-            normal[b, a] = normal[a, b]
-    return cost
-
-
-@compiled(nogil=True)
-def _meat(
-    time: Array, position: Array, quaternion: Array, W: Array, lean: Array, weight: Array, strength: Array,
-    state: Array, wander: Array, memory_s: Array, meat: Array,
-) -> None:  # fmt: skip
-    """Fill Xᵀ V X for V = 1 + a exp(-|t_j - t_k|/T), rows weighted: frame by frame against what the frames before have
-    left, so that the cost is linear."""
-    m = lean.shape[2]
-    size = 12 + m
-    rows, before, none = np.empty((6, size + 1)), np.zeros((6, size)), np.zeros(m)
-    for k in range(len(time)):
-        _rows(time[k], position[k], quaternion[k], W[k], lean[k], state, none, rows)
-        for i in range(6):
-            for a in range(size + 1):
-                rows[i, a] *= weight[k]
-        for i in range(6):
-            if k > 0:
-                left = exp(-(time[k] - time[k - 1]) / memory_s[i])
-                for a in range(size):
-                    before[i, a] *= left
-            slow = strength[i] * wander[i]
-            for a in range(size):
-                own, past = rows[i, a], before[i, a]
-                for b in range(a + 1):
-                    meat[a, b] += (strength[i] + slow) * own * rows[i, b]
-                    meat[a, b] += slow * (own * before[i, b] + past * rows[i, b])
-            for a in range(size):
-                before[i, a] += rows[i, a]
-    for a in range(size):
-        for b in range(a):
-            meat[b, a] = meat[a, b]
-
-
-@inner
-def _rows(
-    time: float, position: Array, quaternion: Array, W: Array, lean: Array, state: Array, shared: Array, rows: Array
-) -> None:
-    """Rows of one frame: derivative of the whitened motion with respect to the state (12,) and the shared errors (m,),
-    and in the last column seen minus motion."""
-    dt = time - state[0]
-    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = sqrt(x * x + y * y + z * z)
-    E, L = _turn_matrices(x, y, z, angle, dt)
-    e = np.empty(6)
-    for i in range(3):
-        e[i] = position[i] - state[1 + i] - dt * state[8 + i]
-    e[2] += 0.5 * GRAVITY_M_S2 * dt * dt
-    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
-    w, a, b, c = _product(quaternion[0], quaternion[1], quaternion[2], quaternion[3], q[0], -q[1], -q[2], -q[3])
-    if w < 0.0:
-        w, a, b, c = -w, -a, -b, -c
-    sine = sqrt(a * a + b * b + c * c)
-    factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
-    e[3], e[4], e[5] = factor * a, factor * b, factor * c
-    last = rows.shape[1] - 1
-    for i in range(6):
-        total = 0.0
-        for j in range(6):
-            total += W[i, j] * e[j]
-        rows[i, last] = total
-        for j in range(3):
-            rows[i, j] = W[i, j]
-            rows[i, 6 + j] = dt * W[i, j]
-            turned, spun = 0.0, 0.0
-            for b_ in range(3):
-                turned += W[i, 3 + b_] * E[b_, j]
-                spun += W[i, 3 + b_] * L[b_, j]
-            rows[i, 3 + j] = turned
-            rows[i, 9 + j] = spun
-        for j in range(len(shared)):
-            leans = 0.0
-            for b_ in range(6):
-                leans += W[i, b_] * lean[b_, j]
-            rows[i, 12 + j] = leans
-            rows[i, last] -= leans * shared[j]
-
-
-@compiled(nogil=True)
-def _carry(state: Array, time: float, out: Array, M: Array) -> None:
-    """The state (14,) at another instant, and its derivative (12, 12)."""
-    dt = time - state[0]
-    x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    angle = sqrt(x * x + y * y + z * z)
-    E, L = _turn_matrices(x, y, z, angle, dt)
-    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
-    for i in range(14):
-        out[i] = state[i]
-    out[0] = time
-    for i in range(3):
-        out[1 + i] += dt * state[8 + i]
-        M[i, i], M[6 + i, 6 + i], M[9 + i, 9 + i], M[i, 6 + i] = 1.0, 1.0, 1.0, dt
-        for j in range(3):
-            M[3 + i, 3 + j], M[3 + i, 9 + j] = E[i, j], L[i, j]
-    out[3] -= 0.5 * GRAVITY_M_S2 * dt * dt
-    out[10] -= GRAVITY_M_S2 * dt
-    for i in range(4):
-        out[4 + i] = q[i]
-
-
-@inner
-def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
-    """exp(v) and dt J(v) of v = (x, y, z); the series below 1e-3 rad as in `left_jacobians`."""
-    square = angle * angle
-    if angle < 1e-3:
-        sine, first, second = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
-    else:
-        sine = sin(angle) / angle
-        first, second = (1.0 - cos(angle)) / square, (angle - sin(angle)) / (square * angle)
-    v = (x, y, z)
-    E, L = np.empty((3, 3)), np.empty((3, 3))
-    cross = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
-    for i in range(3):
-        for j in range(3):
-            straight = 1.0 if i == j else 0.0
-            twice = v[i] * v[j] - square * straight
-            E[i, j] = straight + sine * cross[i][j] + first * twice
-            L[i, j] = dt * (straight + first * cross[i][j] + second * twice)
-    return E, L
-
-
-@inner
-def _product(
-    aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
-) -> tuple[float, float, float, float]:
-    """Hamilton product of two quaternions wxyz."""
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-
-
-@compiled(nogil=True)
-def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
-    """Gauss-Newton through the frames of one flight, white errors; fills state (14,) and the inverse normal matrix."""
-    n = len(time)
-    _guess(time, position, quaternion, state)
-    lean, weight, none, unit = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0), np.ones(6)
-    normal, gradient, squares = np.zeros((12, 12)), np.zeros(12), np.empty(n)
-    left = _sums(
-        time, position, quaternion, W, lean, weight, unit, unit, state, none, normal, gradient, squares
-    )  # fmt: skip
-    trial = np.empty(14)
-    for _ in range(12):
-        _invert(normal, inverse)
-        step = np.zeros(12)
-        for a in range(12):
-            for b in range(12):
-                step[a] -= inverse[a, b] * gradient[b]
-        _moved(state, step, trial)
-        new_normal, new_gradient = np.zeros((12, 12)), np.zeros(12)
-        new_left = _sums(
-            time, position, quaternion, W, lean, weight, unit, unit, trial, none, new_normal, new_gradient, squares
-        )
-        if not new_left < left:
-            break
-        gain = left - new_left
-        for a in range(14):
-            state[a] = trial[a]
-        normal, gradient, left = new_normal, new_gradient, new_left
-        if gain < 1e-3 * left:
-            break
-    _invert(normal, inverse)
-    return left
-
-
-@inner
-def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> None:
-    """A first state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
-    with the fall taken out. Errors of the frames between cancel in both."""
-    n = len(time)
-    middle = n // 2
-    t0 = time[middle]
-    state[0] = t0
-    for i in range(4):
-        state[4 + i] = quaternion[middle, i]
-    span = max(time[n - 1] - time[0], 1e-12)
-    state[11], state[12], state[13] = 0.0, 0.0, 0.0
-    for k in range(n - 1):
-        a, b = quaternion[k], quaternion[k + 1]
-        w, x, y, z = _product(b[0], b[1], b[2], b[3], a[0], -a[1], -a[2], -a[3])
-        if w < 0.0:
-            w, x, y, z = -w, -x, -y, -z
-        sine = sqrt(x * x + y * y + z * z)
-        factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
-        state[11] += factor * x / span
-        state[12] += factor * y / span
-        state[13] += factor * z / span
-    for i in range(3):
-        fall = 0.5 * GRAVITY_M_S2 if i == 2 else 0.0
-        first = position[0, i] + fall * (time[0] - t0) ** 2
-        last = position[n - 1, i] + fall * (time[n - 1] - t0) ** 2
-        state[8 + i] = (last - first) / span if n > 1 else 0.0
-        state[1 + i] = position[middle, i]
-
-
-@inner
-def _moved(state: Array, step: Array, out: Array) -> None:
-    """The state after a change (12,) of position, rotation vector, velocity and angular velocity."""
-    for i in range(14):
-        out[i] = state[i]
-    for i in range(3):
-        out[1 + i] += step[i]
-        out[8 + i] += step[6 + i]
-        out[11 + i] += step[9 + i]
-    angle = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-    half = sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-    q = _product(
-        cos(0.5 * angle), half * step[3], half * step[4], half * step[5], state[4], state[5], state[6], state[7]
-    )
-    length = sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-    for i in range(4):
-        out[4 + i] = q[i] / length
-
-
-@inner
-def _invert(matrix: Array, inverse: Array) -> None:
-    """Inverse (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; what rounding leaves of a singular
-    direction is held by 1e-13."""
-    n = len(matrix)
-    unit = np.empty(n)
-    for i in range(n):
-        unit[i] = 1.0 / sqrt(max(matrix[i, i], 1e-300))
-    L = np.zeros((n, n))
-    for i in range(n):
-        for j in range(i + 1):
-            total = matrix[i, j] * unit[i] * unit[j]
-            for k in range(j):
-                total -= L[i, k] * L[j, k]
-            if i == j:
-                L[i, i] = sqrt(max(total, 1e-13))
-            else:
-                L[i, j] = total / L[j, j]
-    for column in range(n):
-        x = np.zeros(n)
-        x[column] = 1.0
-        for i in range(n):
-            for k in range(i):
-                x[i] -= L[i, k] * x[k]
-            x[i] /= L[i, i]
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                x[i] -= L[k, i] * x[k]
-            x[i] /= L[i, i]
-        for i in range(n):
-            inverse[i, column] = x[i] * unit[i] * unit[column]
+def unpacked(numbers: Array) -> State:
+    """The state of `packed` numbers."""
+    return State(float(numbers[0]), numbers[1:4], numbers[4:8], numbers[8:11], numbers[11:14])

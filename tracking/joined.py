@@ -15,6 +15,8 @@ observations with a tolerance, so that a die of not quite the stated inertia and
 bend the fit no further than they may, and the squares they leave (`strain`) say whether the impact is one at that point.
 
 **What all frames share**: m numbers s with a prior (`flights`), and the height of the table with another.
+
+A step of the fit goes along the chain link by link (`chains`), so that its cost grows with the frames and with the links.
 """
 
 from __future__ import annotations
@@ -26,11 +28,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
-from .flights import Scatter, carried_on, flight_meat, flight_sums, moved, rotation_matrix, scaled_inverse
-from .flights import Sightings as Sightings
-from .flights import fit_flight as fit_flight
-from .flights import transition as transition
+from ..model.motion import GRAVITY_M_S2, Flight, State
+from . import flights_kernels as kernels
+from .chains import MOST, Stages, solve_chain, spread_along
+from .flights import (
+    Scatter,
+    Sightings,
+    chain_meats,
+    chain_misses,
+    chain_sums,
+    informations,
+    packed,
+    roll_out,
+    transition,
+    unpacked,
+)
 
 Array = NDArray[np.float64]
 
@@ -46,6 +58,12 @@ CONTACT_SIGMA_M = 2e-5
 """How far a single contact may lie off it: a stiff die of a few grams dents by some hundredths of a millimetre."""
 FARTHEST = 1e5
 """A step longer than this in any parameter (SI) leaves all that a die can do: the spin of a die reaches some 1e3."""
+LOOSE_TURNS = 3
+"""Steps over which frames are drawn in."""
+FEW_SHARE = 0.25
+"""Of the frames of a flight: fewer may lie on any motion by chance, as the first behind a bounce does."""
+SLOW, SLOWEST = 0.5, 0.95
+"""Between these, steps that shrink by such a factor are taken together, twenty of them at the most."""
 LEVER_SHARE, LEVER_RAD_S = 0.01, 0.3
 """Tolerance of J Δω = m r × Δv, as a share of Δω and at the least: drilled pips change J by a per cent, and the
 contact is a patch of some 0.1 mm, not a point."""
@@ -91,14 +109,11 @@ class Joined:
     """With covariance."""
     links: tuple[Link, ...]
     """What separates them, at the fitted instants."""
-    covariance: Array
-    """Of all parameters."""
-    maps: tuple[Array, ...]
-    """Each flight's (12, parameters) derivative of its start state."""
     sigma_time_s: Array
     """(N,) standard error of each instant; NaN for open links."""
-    time_columns: NDArray[np.int64]
-    """(N,) which parameter each instant is; -1 for open links."""
+    beside: Array
+    """(N, 25, 25) covariance of the state before each link, that behind it, both at its instant as it stands, and of that
+    instant; NaN for open links."""
     residual: Array
     """(n,) distance of each frame from the motion, in sigmas of its six numbers (root mean square), scattered as they are."""
     weights: Array
@@ -106,6 +121,8 @@ class Joined:
     scatter: Scatter
     shared: Array
     """(m,) the errors that all frames share."""
+    shared_sigma: Array
+    """(m,) their standard errors."""
     strain: Array
     """(N,) squared sigmas by which each strike misses what an impact obeys, over its four numbers; 0 without a strike."""
     table_m: float
@@ -141,36 +158,114 @@ def fit_joined(
     sigma = np.zeros(0) if shared_sigma is None else shared_sigma
     form = scatter or Scatter.white()
     chain = _Chain.from_guess(seen, list(starts), tuple(links), sigma, form, table_sigma_m)
-    weights, damping = np.ones(len(seen)), 1e-6
-    sums = chain.sums(weights)
+    best = _descended(chain, find_scale=scatter is None, by_flight=False, steps=steps)
+    if best.lost_flights > 0:
+        other = _descended(chain, find_scale=scatter is None, by_flight=True, steps=steps)
+        best = min(best, other, key=lambda found: (found.lost_flights, found.cost if scatter else 0.0))
+    return best.chain.finished(best.course, best.weights)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Where a descent has come to."""
+
+    chain: _Chain
+    course: _Course
+    weights: Array
+
+    @property
+    def lost_flights(self) -> int:
+        """How many flights of three frames or more hardly any of their frames bear out."""
+        borne_out = [(b - a, int((self.weights[a:b] > 0.0).sum())) for a, b in itertools.pairwise(self.course.cuts)]
+        return sum(frames >= 3 and good < FEW_SHARE * frames for frames, good in borne_out)
+
+    @property
+    def cost(self) -> float:
+        """Comparable between descents of one scatter."""
+        return self.chain.robust_cost(self.course)
+
+
+def _descended(chain: _Chain, *, find_scale: bool, by_flight: bool, steps: int) -> _Found:
+    """The chain where no step gains any more. A first guess may leave all frames far off, and they are drawn in before any
+    is taken for wrong: all alike, or those of each flight by themselves. The latter finds a flight that begins so far
+    off that it would be left without frames; but where another contact lies within one, all together know better."""
+    course, damping, gains = chain.course(), 1e-6, [0.0]
     for turn in range(steps):
-        if scatter is None:
-            squares = sums.squares * chain.scatter.scale[0] ** 2
-            chain = replace(chain, scatter=Scatter.white(_scale(squares, len(sums.gradient))))
-            sums = replace(sums, squares=squares / chain.scatter.scale[0] ** 2)
-        # A first guess may leave all frames far off: they are drawn in before any is taken for wrong.
-        loose = max(3.0, float(np.sqrt(np.median(sums.squares))) / MEDIAN_RMS) if turn < 3 else 1.0
-        ratio = np.sqrt(sums.squares) / (CUT_SIGMA * loose)
-        weights = np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0)
-        sums = chain.sums(weights)
+        if find_scale:
+            chain = replace(chain, scatter=Scatter.white(_scale(course.squares(Scatter.white()), chain.numbers)))
+        squares = course.squares(chain.scatter)
+        cuts = course.cuts if by_flight else np.array([0, len(squares)])
+        weights = _biweights(squares, _looseness(squares, cuts) if turn < LOOSE_TURNS else np.ones(len(squares)))
+        cost = chain.cost(course, weights)
+        normal, gradient, stages = chain.equations(course, weights)
         for _ in range(12):
-            # A number that no frame knows of, as of a flight between two frames, stays where it is.
-            held = sums.normal + damping * np.diag(np.diag(sums.normal)) + 1e-9 * np.eye(len(sums.gradient))
-            unit = 1.0 / np.sqrt(np.diag(held))
-            step = -unit * np.linalg.solve(held * np.outer(unit, unit), unit * sums.gradient)
-            if np.abs(step).max() < FARTHEST:
-                trial = chain.stepped(step)
-                new = trial.sums(weights)
-                if new.cost <= sums.cost * (1.0 + 1e-12):
+            first, changes = solve_chain(normal, gradient, stages, damping)
+            if max(np.abs(first).max(), np.abs(changes).max(initial=0.0)) < FARTHEST:
+                trial = chain.stepped(first, changes)
+                there = trial.course()
+                new = trial.cost(there, weights)
+                if new <= cost * (1.0 + 1e-12):
                     break
             damping = max(damping * 10.0, 1e-9)
         else:
             break
-        gained = sums.cost - new.cost
-        chain, sums, damping = trial, new, max(damping * 0.1, 1e-12)
-        if gained < min(1e-2, 1e-4 * sums.cost) and turn >= 4:
+        gains.append(cost - new)
+        if turn > LOOSE_TURNS and (times := _steps_to_come(gains[-2:])) > 1.0:
+            further = chain.stepped(times * first, times * changes)
+            ahead = further.course()
+            if further.robust_cost(ahead) < trial.robust_cost(there):
+                trial, there, gains = further, ahead, [*gains, 0.0]
+        chain, course, damping = trial, there, max(damping * 0.1, 1e-12)
+        if cost - new < min(1e-2, 1e-4 * cost) and turn > LOOSE_TURNS:
             break
-    return chain.finished(sums, weights)
+    return _Found(chain, course, weights)
+
+
+def _steps_to_come(gains: Sequence[float]) -> float:
+    """How many steps like the last are still to come, where each is shorter than the one before by the same factor: frames
+    on the brink of being taken for wrong are drawn in or let go little by little. 1 where the steps say no such thing."""
+    before, last = gains
+    # The gain of a step goes as its square.
+    rate = float(np.sqrt(last / before)) if 0.0 < last < before else 0.0
+    return 1.0 / (1.0 - rate) if SLOW < rate < SLOWEST else 1.0
+
+
+def _looseness(squares: Array, cuts: NDArray[np.int64]) -> Array:
+    """(n,) by how much wider a frame's bounds are at first: as wide as its group is off, and thrice at the least."""
+    loose = np.full(len(squares), 3.0)
+    for a, b in itertools.pairwise(cuts):
+        if b > a:
+            loose[a:b] = max(3.0, float(np.sqrt(np.median(squares[a:b]))) / MEDIAN_RMS)
+    return loose
+
+
+def _biweights(squares: Array, loose: Array) -> Array:
+    ratio = np.sqrt(squares) / (CUT_SIGMA * loose)
+    return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
+
+
+def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) -> float:
+    """Squared sigmas that the joined link k would cost as that strike, over what it costs free: to the first order, from how
+    far the free motion is off what the strike obeys, and how sure it is there."""
+    before, behind = joined.flights[k].at(joined.links[k].time_s), joined.flights[k + 1].start
+    jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
+    by_end, by_link, miss = np.zeros((1, 4, 12)), np.zeros((1, 4, MOST)), np.zeros((1, 4))
+    kernels.strike_rows(
+        packed(before)[None], jump[None], np.zeros(1, np.int64), strike.point_m[None], np.array([strike.rounding_m]),
+        np.array([strike.mass_over_inertia]), joined.table_m, CONTACT_SIGMA_M,
+        _lever_sigma(jump[None]), by_end, by_link, miss,
+    )  # fmt: skip
+    rows = np.zeros((4, 25))
+    rows[:, :12], rows[:, 18:24], rows[:, 24] = by_end[0], by_link[0, :, 1:7], by_link[0, :, 0]
+    rows[:, 6:12] -= by_link[0, :, 1:7]
+    spread = np.eye(4) + rows @ joined.beside[k] @ rows.T
+    spread[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
+    return float(miss[0] @ np.linalg.solve(spread, miss[0]))
+
+
+def _lever_sigma(jumps: Array) -> Array:
+    """(N,) [rad/s] tolerance of what strikes do to the spin."""
+    return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + LEVER_RAD_S)
 
 
 def _scale(squares: Array, parameters: int) -> float:
@@ -182,14 +277,36 @@ def _scale(squares: Array, parameters: int) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """The whole chain's normal equations, all in sigmas."""
+class _Rules:
+    """What the strikes of a chain obey, each with four rows in sigmas."""
 
-    normal: Array
-    gradient: Array
-    cost: float
-    squares: Array
-    strain: Array
+    by_end: Array
+    """(S, 4, 12) derivative with respect to the state at the end of the flight before."""
+    by_link: Array
+    """(S, 4, MOST)."""
+    miss: Array
+    """(S, 4)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """Where a chain leads, and what it misses there."""
+
+    cuts: NDArray[np.int64]
+    """(flights + 1,) rows of each flight."""
+    states: Array
+    """(flights, 14) packed, at the beginning of each."""
+    ends: Array
+    """(N, 14) at the instants of the links."""
+    passages: Array
+    """(N, 12, 12)."""
+    misses: Array
+    """(n, 6) whitened."""
+    rules: _Rules
+
+    def squares(self, scatter: Scatter) -> Array:
+        """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
+        return np.einsum("ni,ni,i->n", self.misses, self.misses, 1.0 / scatter.variance) / 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +315,22 @@ class _Chain:
     height of the table where anything strikes it."""
 
     seen: Sightings
-    first: State
+    spacing_s: float
+    """Usual time between frames."""
+    first: Array
+    """(14,) packed."""
     links: tuple[Link, ...]
+    times_s: Array
+    """(N,) instants of the links."""
     jumps: Array
     """(N, 6) Δv, Δω at joined links."""
-    free: tuple[State | None, ...]
+    is_open: NDArray[np.bool_]
+    free: Array
+    """(N, 14) packed states behind open links."""
+    which: NDArray[np.int64]
+    """(S,) the links that are strikes."""
+    contacts: tuple[Array, Array, Array]
+    """(S, 3) points, (S,) roundings and (S,) m/J of the strikes."""
     shared: Array
     shared_sigma: Array
     table_m: float
@@ -210,6 +338,10 @@ class _Chain:
     lever_sigma: Array
     """(N,) tolerance [rad/s] of each strike's spin; set by the guess, so that the cost means the same on every step."""
     scatter: Scatter
+    told: tuple[Array, Array]
+    """What the frames say, for the scatter that the chain began with (`flights.informations`)."""
+    told_share: float
+    """The first number's share in that."""
 
     @staticmethod
     def from_guess(
@@ -220,216 +352,170 @@ class _Chain:
         scatter: Scatter,
         table_sigma_m: float,
     ) -> _Chain:
-        jumps = np.zeros((len(links), 6))
-        free: list[State | None] = []
-        for k, link in enumerate(links):
-            before, after = (Flight(start, np.inf).at(link.time_s) for start in starts[k : k + 2])
-            jumps[k] = np.concatenate(
-                [after.velocity_m_s - before.velocity_m_s, after.omega_rad_s - before.omega_rad_s]
-            )
-            free.append(starts[k + 1] if link.is_open else None)
-        lever_sigma = LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + LEVER_RAD_S
-        shared = np.zeros(len(shared_sigma))
+        numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
+        fallen = np.diff(numbers[:, 0])[:, None] * np.array([0.0, 0.0, GRAVITY_M_S2])
+        # Both sides of a link fall alike: what is left is how much longer one has fallen than the other.
+        jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, np.diff(numbers[:, 11:14], axis=0)])
+        spacing_s = float(np.median(np.diff(seen.time_s))) if len(seen) > 1 else 1.0
+        is_open = np.array([link.is_open for link in links], bool)
+        struck = [(k, link.strike) for k, link in enumerate(links) if link.strike is not None]
+        contacts = (
+            np.array([strike.point_m for _, strike in struck]).reshape(-1, 3),
+            np.array([strike.rounding_m for _, strike in struck]),
+            np.array([strike.mass_over_inertia for _, strike in struck]),
+        )
+        share = 1.0 / scatter.slow_variance(spacing_s)
         return _Chain(
-            seen, starts[0], links, jumps, tuple(free), shared, shared_sigma, 0.0, table_sigma_m, lever_sigma, scatter
+            seen, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
+            np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
+            table_sigma_m, _lever_sigma(jumps), scatter, informations(seen, share), float(share[0]),
+        )  # fmt: skip
+
+    @property
+    def has_table(self) -> bool:
+        """Whether anything strikes it."""
+        return len(self.which) > 0
+
+    @property
+    def constants(self) -> int:
+        """How many numbers all flights share."""
+        return len(self.shared) + self.has_table
+
+    @property
+    def numbers(self) -> int:
+        """How many are looked for."""
+        return 12 + sum(link.size for link in self.links) + self.constants
+
+    def course(self) -> _Course:
+        """Where the chain leads as it stands."""
+        states, ends, passages = roll_out(self.first, self.times_s, self.jumps, self.is_open, self.free)
+        inside = np.searchsorted(self.seen.time_s, self.times_s, side="right")
+        cuts = np.concatenate([[0], inside, [len(self.seen)]]).astype(np.int64)
+        misses = chain_misses(self.seen, cuts, states, self.shared)
+        return _Course(cuts, states, ends, passages, misses, self._rules(ends))
+
+    def _rules(self, ends: Array) -> _Rules:
+        """Of each strike: its point on the table, and J Δω = m r × Δv."""
+        count = len(self.which)
+        by_end, by_link, miss = np.zeros((count, 4, 12)), np.zeros((count, 4, MOST)), np.zeros((count, 4))
+        kernels.strike_rows(
+            ends, self.jumps, self.which, *self.contacts, self.table_m, CONTACT_SIGMA_M, self.lever_sigma, by_end, by_link,
+            miss,
+        )  # fmt: skip
+        return _Rules(by_end, by_link, miss)
+
+    @property
+    def _priors(self) -> tuple[Array, Array]:
+        """Of the constants: standard deviations (c,), and where they stand (c,)."""
+        sigma, value = self.shared_sigma, self.shared
+        return (
+            (np.append(sigma, self.table_sigma_m), np.append(value, self.table_m)) if self.has_table else (sigma, value)
         )
 
-    @property
-    def sizes(self) -> tuple[int, int, int]:
-        """Numbers of parameters: of flights and links, of what is shared, of the table."""
-        motion = 12 + sum(link.size for link in self.links)
-        return motion, len(self.shared), int(any(link.strike is not None for link in self.links))
-
-    @property
-    def spacing_s(self) -> float:
-        """Usual time between frames."""
-        return float(np.median(np.diff(self.seen.time_s))) if len(self.seen) > 1 else 1.0
-
-    @property
-    def _pick(self) -> Array:
-        """(m, parameters) that takes what all frames share out of all parameters."""
-        motion, shared, table = self.sizes
-        return np.eye(motion + shared + table)[motion : motion + shared]
-
-    def states_and_maps(self) -> tuple[list[State], list[Array], list[tuple[State, Array]]]:
-        """Start state of each flight and its derivative with respect to all parameters; and the same at each flight's
-        end, at the instant of its link as it stands."""
-        total = sum(self.sizes)
-        S = np.zeros((12, total))
-        S[:, :12] = np.eye(12)
-        states, maps, ends = [self.first], [S], []
-        column = 12
-        for k, link in enumerate(self.links):
-            t = link.time_s
-            end, passage = carried_on(states[-1], t)
-            reached = passage @ maps[-1]
-            ends.append((end, reached))
-            free = self.free[k]
-            if free is not None:
-                S = np.zeros((12, total))
-                S[:, column : column + 12] = np.eye(12)
-                states.append(free)
-            else:
-                S = reached.copy()
-                S[0:3, column] -= self.jumps[k, :3]
-                S[3:6, column] -= self.jumps[k, 3:]
-                S[6:12, column + 1 : column + 7] += np.eye(6)
-                # The velocity at the link changes with its instant only through gravity, which both sides share.
-                states.append(
-                    State(t, end.position_m, end.quaternion, end.velocity_m_s + self.jumps[k, :3],
-                          end.omega_rad_s + self.jumps[k, 3:])
-                )  # fmt: skip
-            maps.append(S)
-            column += link.size
-        return states, maps, ends
-
-    def _parts(self) -> list[slice]:
-        """Rows of each flight."""
-        inside = np.searchsorted(self.seen.time_s, [link.time_s for link in self.links], side="right")
-        cuts = [0, *(int(c) for c in inside), len(self.seen)]
-        return [slice(a, b) for a, b in itertools.pairwise(cuts)]
-
-    def sums(self, weights: Array) -> _Sums:
-        """Normal equations of frames, priors and strikes.
-
-        Frames are weighted as if each erred for itself, with the variance that their slow errors have in a mean: for a
+    def _share(self) -> Array:
+        """Frames are weighted as if each erred for itself, with the variance that their slow errors have in a mean: for a
         smooth motion that loses next to nothing against generalised least squares (Grenander & Rosenblatt, Statistical
-        Analysis of Stationary Time Series, 1957, ch. 7), and it does not lean on the errors' model as that does.
-        """
-        states, maps, ends = self.states_and_maps()
-        motion, shared, table = self.sizes
-        total = motion + shared + table
-        normal, gradient = np.zeros((total, total)), np.zeros(total)
-        cost, squares = 0.0, np.zeros(len(self.seen))
-        share, usual = 1.0 / self.scatter.slow_variance(self.spacing_s), 1.0 / self.scatter.variance
-        for mine, state, S in zip(self._parts(), states, maps, strict=True):
-            if mine.stop <= mine.start:
-                continue
-            part = flight_sums(self.seen.rows(mine), state, self.shared, weights[mine], share, usual)
-            F = np.vstack([S, self._pick])
-            normal += F.T @ part.normal @ F
-            gradient += F.T @ part.gradient
-            cost += part.cost
-            squares[mine] = part.squares
-        strain = np.zeros(len(self.links))
-        for rows, residual, k in self._rules(ends):
-            normal += rows.T @ rows
-            gradient += rows.T @ residual
-            cost += float(residual @ residual)
-            if k >= 0:
-                strain[k] = float(residual @ residual)
-        return _Sums(normal, gradient, cost, squares, strain)
+        Analysis of Stationary Time Series, 1957, ch. 7), and it does not lean on the errors' model as that does."""
+        return 1.0 / self.scatter.slow_variance(self.spacing_s)
 
-    def _rules(self, ends: list[tuple[State, Array]]) -> list[tuple[Array, Array, int]]:
-        """Derivatives, residuals (in sigmas) and links (-1: none) of priors and strikes."""
-        motion, shared, table = self.sizes
-        total = motion + shared + table
-        rules: list[tuple[Array, Array, int]] = []
-        if shared:
-            rows = np.zeros((shared, total))
-            rows[:, motion : motion + shared] = np.diag(1.0 / self.shared_sigma)
-            rules.append((rows, self.shared / self.shared_sigma, -1))
-        if table:
-            rows = np.zeros((1, total))
-            rows[0, -1] = 1.0 / self.table_sigma_m
-            rules.append((rows, np.array([self.table_m / self.table_sigma_m]), -1))
-        column = 12
-        for k, link in enumerate(self.links):
-            if link.strike is not None:
-                rules.append((*self._strike_rows(link.strike, *ends[k], k, column), k))
-            column += link.size
-        return rules
+    def _rest(self, course: _Course) -> float:
+        """Squared sigmas of priors and strikes."""
+        sigma, value = self._priors
+        return float(((value / sigma) ** 2).sum() + (course.rules.miss**2).sum())
 
-    def _strike_rows(self, strike: Strike, end: State, reached: Array, k: int, column: int) -> tuple[Array, Array]:
-        """Four rows of a strike: its point on the table, and J Δω = m r × Δv."""
-        rotation = rotation_matrix(end.quaternion)
-        ball = rotation @ strike.point_m
-        arm, ratio = strike.arm(rotation), strike.mass_over_inertia
-        dv, dw = self.jumps[k, :3], self.jumps[k, 3:]
-        rows, residual = np.zeros((4, reached.shape[1])), np.empty(4)
-        # δ(R p) = δθ × R p, and both p and R move on with the instant.
-        turn = -_cross(ball)
-        moves = turn @ reached[3:6]
-        moves[:, column] += _cross(end.omega_rad_s) @ ball
-        rows[0] = reached[2] + moves[2]
-        rows[0, column] += end.velocity_m_s[2]
-        rows[0, -1] -= 1.0
-        rows[0] /= CONTACT_SIGMA_M
-        residual[0] = (end.position_m[2] + arm[2] - self.table_m) / CONTACT_SIGMA_M
-        rows[1:] = ratio * _cross(dv) @ moves
-        rows[1:, column + 1 : column + 4] -= ratio * _cross(arm)
-        rows[1:, column + 4 : column + 7] += np.eye(3)
-        residual[1:] = dw - ratio * (_cross(arm) @ dv)
-        return np.vstack([rows[:1], rows[1:] / self.lever_sigma[k]]), np.append(
-            residual[:1], residual[1:] / self.lever_sigma[k]
-        )
+    def cost(self, course: _Course, weights: Array) -> float:
+        """Sum of weighted squared sigmas of frames, priors and strikes."""
+        frames = np.einsum("n,ni,ni,i->", weights, course.misses, course.misses, self._share())
+        return float(frames) + self._rest(course)
 
-    def stepped(self, step: Array) -> _Chain:
-        """The chain after a step of all parameters; links keep their order and move by half a frame at the most."""
-        times, jumps, free = [link.time_s for link in self.links], self.jumps.copy(), list(self.free)
-        spacing = self.spacing_s
-        column = 12
-        for k, link in enumerate(self.links):
-            state = self.free[k]
-            if state is not None:
-                free[k] = moved(state, step[column : column + 12])
-            else:
-                times[k] += float(np.clip(step[column], -0.5 * spacing, 0.5 * spacing))
-                jumps[k] += step[column + 1 : column + 7]
-            column += link.size
-        for k in range(1, len(times)):
-            times[k] = max(times[k], times[k - 1] + 1e-6 * spacing)
-        links = tuple(replace(link, time_s=t) for link, t in zip(self.links, times, strict=True))
-        motion, shared, table = self.sizes
+    def robust_cost(self, course: _Course) -> float:
+        """The same with Tukey's loss for frames (`Joined.cost`)."""
+        ratio = np.minimum(np.sqrt(course.squares(self.scatter)) / CUT_SIGMA, 1.0)
+        share = float(np.mean(self.scatter.variance * self._share()))
+        return self._rest(course) + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
+
+    def equations(self, course: _Course, weights: Array) -> tuple[Array, Array, Stages]:
+        """Normal equations of the flights, the priors with those of the first, and the links between."""
+        size = 12 + self.constants
+        normal, gradient = self._sums(course, weights, size)
+        sigma, value = self._priors
+        constants = np.arange(12, size)
+        normal[0, constants, constants] += 1.0 / sigma**2
+        gradient[0, 12:] += value / sigma**2
+        return normal, gradient, self._stages(course, size)
+
+    def _sums(self, course: _Course, weights: Array, size: int) -> tuple[Array, Array]:
+        """Of the frames alone. A scatter that is found on the way is white: all shares change by one factor."""
+        change = float(self._share()[0]) / self.told_share
+        return chain_sums(self.seen, course.cuts, course.states, course.misses, change * weights, self.told, size)
+
+    def _stages(self, course: _Course, size: int) -> Stages:
+        """The links as `chains` wants them."""
+        stages, rules = Stages.empty(len(self.links), size), course.rules
+        stages.sizes[:] = np.where(self.is_open, 12, 7)
+        constants = np.arange(12, size)
+        stages.onward[:, constants, constants] = 1.0
+        stages.onward[:, :12, :12] = np.where(self.is_open[:, None, None], 0.0, course.passages)
+        # The velocity at the link changes with its instant only through gravity, which both sides share.
+        stages.turned[:, 0:6, 0] = -self.jumps
+        stages.turned[:, np.arange(6, 12), np.arange(1, 7)] = 1.0
+        stages.turned[self.is_open] = np.eye(size, MOST)
+        stages.rows[self.which, :, :12] = rules.by_end @ course.passages[self.which]
+        stages.rows[self.which, 0, size - 1] -= 1.0 / CONTACT_SIGMA_M
+        stages.own_rows[self.which], stages.miss[self.which] = rules.by_link, rules.miss
+        return stages
+
+    def stepped(self, first: Array, changes: Array) -> _Chain:
+        """The chain after a step; links keep their order and move by half a frame at the most."""
+        start, times_s, jumps, free = self.first.copy(), self.times_s.copy(), self.jumps.copy(), self.free.copy()
+        kernels.step(start, times_s, jumps, self.is_open, free, first[:12], changes, 0.5 * self.spacing_s)
+        for k in range(1, len(times_s)):
+            times_s[k] = max(times_s[k], times_s[k - 1] + 1e-6 * self.spacing_s)
+        m = len(self.shared)
         return replace(
-            self, first=moved(self.first, step[:12]), links=links, jumps=jumps, free=tuple(free),
-            shared=self.shared + step[motion : motion + shared],
-            table_m=self.table_m + (float(step[-1]) if table else 0.0),
+            self, first=start, times_s=times_s, jumps=jumps, free=free, shared=self.shared + first[12 : 12 + m],
+            table_m=self.table_m + (float(first[-1]) if self.has_table else 0.0),
         )  # fmt: skip
 
-    def _covariance(self, sums: _Sums, weights: Array, states: list[State], maps: list[Array]) -> Array:
-        """A⁻¹ B A⁻¹: A as it was weighted, B as the errors are."""
-        bread = scaled_inverse(sums.normal)
-        share = 1.0 / self.scatter.slow_variance(self.spacing_s)
-        meat = sums.normal.copy()
-        for mine, state, S in zip(self._parts(), states, maps, strict=True):
-            if mine.stop > mine.start:
-                part, F = self.seen.rows(mine), np.vstack([S, self._pick])
-                stated = flight_sums(part, state, self.shared, weights[mine], share, share).normal
-                true = flight_meat(part, state, weights[mine], share, self.scatter)
-                meat += F.T @ (true - stated) @ F
-        return np.asarray(bread @ meat @ bread)
-
-    def finished(self, sums: _Sums, weights: Array) -> Joined:
+    def finished(self, course: _Course, weights: Array) -> Joined:
         """The result, with every flight at its own beginning."""
-        states, maps, ends_of_flights = self.states_and_maps()
-        covariance, scatter = self._covariance(sums, weights, states, maps), self.scatter
-        rest = sum(float(residual @ residual) for _, residual, _ in self._rules(ends_of_flights))
-        ratio = np.minimum(np.sqrt(sums.squares) / CUT_SIGMA, 1.0)
-        share = float(np.mean(scatter.variance / scatter.slow_variance(self.spacing_s)))
-        cost = rest + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
-        sigma, columns, column = [], [], 12
-        for link in self.links:
-            columns.append(-1 if link.is_open else column)
-            sigma.append(np.nan if link.is_open else float(np.sqrt(max(covariance[column, column], 0.0))))
-            column += link.size
-        ends = [*(link.time_s for link in self.links), float(self.seen.time_s[-1])]
+        normal, _, stages = self.equations(course, weights)
+        last, pairs = spread_along(normal, self._noises(course, weights, normal), stages)
+        size, count = len(last), len(self.links)
+        beside, sigma_time_s = np.full((count, 25, 25), np.nan), np.full(count, np.nan)
+        for k in np.flatnonzero(~self.is_open).tolist():
+            passed = np.zeros((25, size + MOST))
+            passed[:12, :12] = course.passages[k]
+            passed[12:24] = np.hstack([stages.onward[k], stages.turned[k]])[:12]
+            passed[24, size] = 1.0
+            beside[k] = passed @ pairs[k] @ passed.T
+            sigma_time_s[k] = np.sqrt(max(beside[k, 24, 24], 0.0))
+        begins = np.append(self.seen.time_s[0], self.times_s)
+        ends = np.append(self.times_s, self.seen.time_s[-1])
         flights = []
-        for k, (state, S) in enumerate(zip(states, maps, strict=True)):
-            if k == 0 or self.links[k - 1].is_open:
-                # A free state is kept at its reference instant; the flight is quoted from where it begins.
-                begin = float(self.seen.time_s[0]) if k == 0 else self.links[k - 1].time_s
-                flight = Flight(state, np.inf)
-                state, S = flight.at(begin), transition(flight, begin) @ S
-            maps[k] = S
-            C = S @ covariance @ S.T
+        for k, numbers in enumerate(course.states):
+            state, C = unpacked(numbers), (pairs[k] if k < count else last)[:12, :12]
+            if state.time_s != begins[k]:
+                # The state that a chain or a free flight starts from is kept at its reference instant; the flight is quoted
+                # from where it begins.
+                motion = Flight(state, np.inf)
+                passage = transition(motion, float(begins[k]))
+                state, C = motion.at(float(begins[k])), passage @ C @ passage.T
             flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
+        squares, strain = course.squares(self.scatter), np.zeros(count)
+        strain[self.which] = (course.rules.miss**2).sum(1)
+        links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
+        shared_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
         return Joined(
-            tuple(flights), self.links, covariance, tuple(maps), np.array(sigma), np.array(columns, np.int64),
-            np.sqrt(sums.squares), weights, scatter, self.shared, sums.strain, self.table_m, cost,
+            tuple(flights), links, sigma_time_s, beside, np.sqrt(squares), weights, self.scatter, self.shared,
+            shared_sigma, strain, self.table_m, self.robust_cost(course),
         )  # fmt: skip
 
-
-def _cross(v: Array) -> Array:
-    """(3, 3) with _cross(v) @ u = v × u."""
-    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    def _noises(self, course: _Course, weights: Array, normal: Array) -> Array:
+        """Covariances of the flights' gradients, as the errors are: `normal` has them as they were weighted."""
+        size = normal.shape[1]
+        stated, _ = self._sums(course, weights, size)
+        if self.scatter.wander.any():
+            parts = (self.seen, course.cuts, course.states, weights)
+            return normal - stated + chain_meats(*parts, self._share(), self.scatter, size)
+        return normal - stated + self._sums(course, weights**2, size)[0]

@@ -20,7 +20,7 @@ from ..model.motion import Flight, State
 from ..model.rotations import rotation_between
 from ..model.solids import Die, inner_vertices
 from .flights import Scatter, Sightings, fit_flight, misfits
-from .joined import Joined, Link, Strike, fit_joined
+from .joined import Joined, Link, Strike, fit_joined, strike_cost
 from .parting import TABLE_REACH
 from .quick import is_crowded, resolved
 from .scatter import estimate_scatter
@@ -38,6 +38,11 @@ GROSS_RAD = 0.2
 STRIKE_STRAIN = 40.0
 """Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
 thousandth of the cases; slow errors of the frames take the rest)."""
+HOPELESS = 1000.0
+"""Squared sigmas, to the first order, beyond which a contact is not tried at all: what that leaves out, how flights curve
+within the uncertainty of the instant, makes some tens."""
+MOST_FRAMES = 0.7
+"""Share of its frames that a flight which is known has."""
 LIKELY_STRAIN = 9.5
 """Squared sigmas that four rules cost by chance in one case of twenty."""
 NEAR_SHARE = 0.1
@@ -46,57 +51,94 @@ CLEAR_SHARE = 0.03
 """A motion that stays this share of an edge above the table has touched nothing."""
 UNKNOWN_TABLE_M = 3e-3
 """Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
+SAME_FRAMES = 1e-3
+"""Contacts nearer in time than this, in frames, are not two: no instant is known as well."""
 FAR_SIGMAS = 5.0
 """A table found this many sigmas from where it should be was not calibrated as well as is taken for granted."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """A flight fitted by itself."""
+
+    rows: NDArray[np.int64]
+    misfit: Array
+    """(n,) distance of its frames, in sigmas."""
+    good: NDArray[np.int64]
+    """Its rows without those far off."""
+    state: State
+    """Of the good ones."""
+
+    @staticmethod
+    def of(seen: Sightings, rows: NDArray[np.int64]) -> _Part:
+        state, _, _ = fit_flight(seen.rows(rows))
+        misfit = misfits(seen.rows(rows), state)
+        good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
+        if not 3 <= len(good) < len(rows):
+            return _Part(rows, misfit, rows, state)
+        return _Part(rows, misfit, good, fit_flight(seen.rows(good))[0])
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """Its first row and its last."""
+        return int(self.rows[0]), int(self.rows[-1])
 
 
 def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> Joined:
     """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
     flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
-    bounces are removed, the weakest first; open ones stay, since one motion through both flights would be neither."""
-    judged: dict[tuple[int, ...], float] = {}
+    bounces are removed, of neighbours the weaker first; open ones stay, since one motion through both flights would be
+    neither."""
+    judged: dict[tuple[tuple[int, int], tuple[int, int]], float] = {}
+    alone = [_Part.of(seen, rows) for rows in parts]
     while True:
         strains = []
-        for a, b in itertools.pairwise(parts):
-            pair = (int(a[0]), int(a[-1]), int(b[0]), int(b[-1]))
+        for a, b in itertools.pairwise(alone):
+            pair = a.span, b.span
             if pair not in judged:
                 judged[pair] = np.inf if _is_gross(seen, a, b, die) else _strain(seen, a, b)
             strains.append(judged[pair])
         opened = [strain > OPEN_STRAIN for strain in strains]
-        joined = _fit_parts(seen, parts, opened)
+        joined = _fit_parts(seen, alone, opened)
         impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
         faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
         if any(faulty):
             # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
             opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
-            joined = _fit_parts(seen, parts, opened)
-        faults = [k for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)]
-        if not faults:
+            joined = _fit_parts(seen, alone, opened)
+        jumps = {k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)}
+        if not jumps:
             return joined
-        k = min(faults, key=lambda j: _jump(joined, j, die))
-        parts = [*parts[:k], np.concatenate([parts[k], parts[k + 1]]), *parts[k + 2 :]]
+        weakest = {k for k, jump in jumps.items() if jump <= min(jumps.get(j, np.inf) for j in (k - 1, k + 1))}
+        merged = [alone[0]]
+        for k, part in enumerate(alone[1:]):
+            if k in weakest:
+                merged[-1] = _Part.of(seen, np.concatenate([merged[-1].rows, part.rows]))
+            else:
+                merged.append(part)
+        alone = merged
 
 
-def _is_gross(seen: Sightings, a: NDArray[np.int64], b: NDArray[np.int64], die: Die) -> bool:
+def _is_gross(seen: Sightings, a: _Part, b: _Part, die: Die) -> bool:
     """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
     track was lost there and taken up under another labelling. Forcing them together would spoil both."""
-    before, after = (Flight(fit_flight(seen.rows(_best_rows(seen, rows)))[0], np.inf) for rows in (a, b))
-    t = _meeting(before.start, after.start, float(seen.time_s[a[-1]]), float(seen.time_s[b[0]]))
+    before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
+    t = _meeting(a.state, b.state, float(seen.time_s[a.rows[-1]]), float(seen.time_s[b.rows[0]]))
     p, q = before.at(t), after.at(t)
     turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
     away = float(np.linalg.norm(p.position_m - q.position_m))
     return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
 
 
-def _strain(seen: Sightings, before: NDArray[np.int64], after: NDArray[np.int64]) -> float:
+def _strain(seen: Sightings, before: _Part, after: _Part) -> float:
     """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
     left out: one frame may straddle the contact in its exposure."""
-    a, b = before[-LONGEST:], after[:LONGEST]
-    alone = np.concatenate([misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0]) for rows in (a, b)])
-    pair = seen.rows(np.concatenate([a, b]))
-    joined = _fit_parts(pair, [np.arange(len(a)), np.arange(len(a), len(a) + len(b))], [False])
-    beside = joined.scatter.scale[0] * joined.residual[max(len(a) - 4, 0) : len(a) + 4]
-    return float(np.mean(np.sort(beside)[:-1])) / max(float(np.median(alone)), 0.5)
+    a = before if len(before.rows) <= LONGEST else _Part.of(seen, before.rows[-LONGEST:])
+    b = after if len(after.rows) <= LONGEST else _Part.of(seen, after.rows[:LONGEST])
+    joined = _fit_parts(seen, [a, b], [False], seen.rows(np.concatenate([a.rows, b.rows])))
+    usual = float(np.median(np.concatenate([a.misfit, b.misfit])))
+    beside = joined.scatter.scale[0] * joined.residual[max(len(a.rows) - 4, 0) : len(a.rows) + 4]
+    return float(np.mean(np.sort(beside)[:-1])) / max(usual, 0.5)
 
 
 def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
@@ -120,26 +162,18 @@ def _jump(joined: Joined, k: int, die: Die) -> float:
     return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
 
 
-def _fit_parts(seen: Sightings, parts: list[NDArray[np.int64]], opened: list[bool]) -> Joined:
-    """The joint fit of the frames of all flights, from each flight's own fit."""
-    good = [_best_rows(seen, rows) for rows in parts]
-    states = [fit_flight(seen.rows(rows))[0] for rows in good]
+def _fit_parts(seen: Sightings, parts: list[_Part], opened: list[bool], fitted: Sightings | None = None) -> Joined:
+    """The joint fit of all frames, or of those given, from each flight's own fit."""
     links = []
-    for k in range(len(parts) - 1):
-        if opened[k]:
+    for before, after, is_open in zip(parts[:-1], parts[1:], opened, strict=True):
+        if is_open:
             # Between the frames that surely lie on either flight; where exactly, no single instant says.
-            links.append(0.5 * float(seen.time_s[good[k][-1]] + seen.time_s[good[k + 1][0]]))
+            t = 0.5 * float(seen.time_s[before.good[-1]] + seen.time_s[after.good[0]])
         else:
-            low, high = float(seen.time_s[parts[k][-1]]), float(seen.time_s[parts[k + 1][0]])
-            links.append(_meeting(states[k], states[k + 1], low, high))
-    return fit_joined(seen, states, [Link(t, is_open) for t, is_open in zip(links, opened, strict=True)])
-
-
-def _best_rows(seen: Sightings, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Rows of a flight without those far off its own motion."""
-    misfit = misfits(seen.rows(rows), fit_flight(seen.rows(rows))[0])
-    good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
-    return good if len(good) >= 3 else rows
+            low, high = float(seen.time_s[before.rows[-1]]), float(seen.time_s[after.rows[0]])
+            t = _meeting(before.state, after.state, low, high)
+        links.append(Link(t, is_open))
+    return fit_joined(seen if fitted is None else fitted, [part.state for part in parts], links)
 
 
 def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
@@ -191,32 +225,70 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
-    return rules.again(seen, found, found.links, _scatter_of(seen, found))
+    return _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+
+
+def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
+    """The chain with contacts that nothing tells apart as one, which stays open: two of which one is open and no frame
+    between, so that nothing is known of the flight between; and two that a fit has drawn to one instant."""
+    while True:
+        edges = np.searchsorted(seen.time_s, joined.links_s, side="right")
+        borne_out = [joined.weights[a:b].any() for a, b in itertools.pairwise(edges)]
+        opened = [a.is_open or b.is_open for a, b in itertools.pairwise(joined.links)]
+        alike = np.diff(joined.links_s) < SAME_FRAMES * _spacing(seen)
+        k = next((k for k, one in enumerate(alike) if one or (opened[k] and not borne_out[k])), None)
+        if k is None:
+            return joined
+        middle_s = 0.5 * (joined.links[k].time_s + joined.links[k + 1].time_s)
+        links = [*joined.links[:k], Link(middle_s, is_open=True), *joined.links[k + 2 :]]
+        starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
+        joined = rules.fit(seen, starts, links, joined.scatter)
 
 
 def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
-    """The chain with its joined links as impacts at the low vertex of least cost. Those that cost more than noise does
-    are left free: two contacts at once, or an edge that struck along its length, push at no one vertex."""
+    """The chain with its joined links as impacts at the low vertex of least cost: those with one likely vertex at once, if
+    that holds, and the others one by one. Those that cost more than noise does are left free: two contacts at once, or an
+    edge that struck along its length, push at no one vertex."""
     strikes = _strikes(die)
-    lowest = [_lowest(joined, k, strikes) for k in range(len(joined.links))]
-    links = [
-        link if link.is_open or not low else replace(link, strike=low[0])
-        for link, low in zip(joined.links, lowest, strict=True)
-    ]
-    trial = rules.again(seen, joined, links, joined.scatter)
-    if trial.cost < joined.cost + LIKELY_STRAIN * len(links) and all(len(low) < 2 for low in lowest):
-        return trial
-    for k, low in enumerate(lowest):
-        if joined.links[k].is_open:
+    likely = [_likely(seen, joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
+    alone = [k for k, found in enumerate(likely) if len(found) == 1]
+    for sure in (alone, [k for k in alone if likely[k][0][0] < LIKELY_STRAIN]):
+        struck = {k: replace(joined.links[k], strike=likely[k][0][1]) for k in sure}
+        links = [struck.get(k, link) for k, link in enumerate(joined.links)]
+        trial = rules.again(seen, joined, links, joined.scatter) if sure else joined
+        if trial.cost < joined.cost + LIKELY_STRAIN * len(sure):
+            joined = trial
+            break
+    for k, found in enumerate(likely):
+        if joined.links[k].strike is not None:
             continue
         trials = []
-        for strike in low:
+        for _, strike in found:
             links = list(joined.links)
             links[k] = replace(links[k], strike=strike)
             trials.append(rules.again(seen, joined, links, joined.scatter))
         best = min(trials, key=lambda trial: trial.cost, default=joined)
         joined = best if best.cost < joined.cost + STRIKE_STRAIN else joined
     return joined
+
+
+def _likely(seen: Sightings, joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[tuple[float, Strike]]:
+    """Of the contacts that link k may be, those that are not out of the question, with what they would cost to the first
+    order."""
+    if joined.links[k].is_open:
+        return []
+    costs = [(strike_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
+    if not _is_borne_out(seen, joined, k):
+        return costs
+    return [(cost, strike) for cost, strike in costs if cost < HOPELESS]
+
+
+def _is_borne_out(seen: Sightings, joined: Joined, k: int) -> bool:
+    """Whether most frames of the flights on either side of a link lie on them. What a flight that others have spoilt makes
+    of a contact says nothing."""
+    cuts = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
+    sides = [joined.weights[a:b] for a, b in (cuts[k : k + 2], cuts[k + 1 : k + 3])]
+    return all(len(side) > 0 and bool((side > 0.0).mean() > MOST_FRAMES) for side in sides)
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:

@@ -8,15 +8,15 @@ binary segmentation of change points).
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ..model.solids import Die
-from .flights import Sightings, fit_flight, misfits
+from .flights import Sightings, chain_misses, fit_flights
 
 Array = NDArray[np.float64]
 
@@ -52,18 +52,19 @@ def sane_rows(seen: Sightings, die: Die) -> NDArray[np.int64]:
     """The rows without those whose pose is plainly wrong amid neighbours that agree on a motion."""
     rows = np.arange(len(seen))
     for _ in range(PASSES):
-        wrong = [k for k in _unsteady(seen, rows, die) if _is_wrong(seen, rows, k) or _is_stray(seen, rows, k, die)]
-        if not wrong:
+        looked = _unsteady(seen, rows, die)
+        wrong = looked[_are_wrong(seen, rows, looked) | _are_stray(seen, rows, looked, die)]
+        if not len(wrong):
             break
         rows = np.delete(rows, wrong)
     return rows
 
 
-def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> list[int]:
+def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> NDArray[np.int64]:
     """Which of the rows are worth a closer look: those off the way from the frame before to the frame behind, those
     beside them, and the ends."""
     if len(rows) < 3:
-        return []
+        return np.zeros(0, np.int64)
     t, p, q = seen.time_s[rows], seen.position_m[rows], seen.quaternion[rows]
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     away = np.linalg.norm(p[:-2] + share * (p[2:] - p[:-2]) - p[1:-1], axis=1)
@@ -72,63 +73,61 @@ def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> list[int]:
     rough = np.concatenate([[True], (away > ROUGH_SHARE * die.solid.edge_m) | (turned > ROUGH_RAD), [True]])
     rough[:-1] |= rough[1:]
     rough[1:] |= rough[:-1]
-    return [int(k) for k in np.flatnonzero(rough)]
+    return np.flatnonzero(rough)
 
 
-def _is_wrong(seen: Sightings, rows: NDArray[np.int64], k: int) -> bool:
-    """Whether row `rows[k]` lies far off the motion of its neighbours."""
-    first = int(np.clip(k - BESIDE // 2, 0, max(len(rows) - BESIDE - 1, 0)))
-    about = rows[first : first + BESIDE + 1]
-    others = about[about != rows[k]]
-    motion = _common_motion(seen, others)
-    if motion is None:
-        return False
-    off = float(misfits(seen.rows(rows[k : k + 1]), motion[0])[0])
-    return off > max(WRONG_SIGMAS, TIMES_WORSE * motion[1])
+def _are_wrong(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(k,) whether each of the rows `rows[looked]` (k,) lies far off the motion of its neighbours."""
+    if len(rows) <= BESIDE:
+        return np.zeros(len(looked), bool)
+    first = np.clip(looked - BESIDE // 2, 0, len(rows) - BESIDE - 1)
+    about = first[:, None] + np.arange(BESIDE + 1)
+    others = about[about != looked[:, None]].reshape(-1, BESIDE)
+    states, usual = _common_motions(seen, rows[others])
+    off = np.sqrt((_misses(seen.rows(rows[looked]), states) ** 2).mean(1))
+    return np.asarray((usual < SANE_SIGMAS) & (off > np.maximum(WRONG_SIGMAS, TIMES_WORSE * usual)))
 
 
-def _is_stray(seen: Sightings, rows: NDArray[np.int64], k: int, die: Die) -> bool:
-    """Whether row `rows[k]` lies so far off the motions before and after (one of them, at an end of the track) that no
-    contact between could have thrown it there: one of a few wrong frames beside each other."""
-    told = []
-    for others in (rows[max(k - BESIDE, 0) : k], rows[k + 1 :][:BESIDE], rows[k + 2 :][:BESIDE]):
-        motion = _common_motion(seen, others)
-        if motion is not None:
-            p, q = Flight(motion[0], np.inf).poses(seen.time_s[rows[k : k + 1]])
-            turned = float(np.linalg.norm(rotation_between(q, seen.quaternion[rows[k : k + 1]])))
-            away = float(np.linalg.norm(p - seen.position_m[rows[k : k + 1]]))
-            told.append((turned > STRAY_RAD or away > STRAY_SHARE * die.solid.edge_m, others[0] > rows[k]))
-    after, before = [off for off, later in told if later], [off for off, later in told if not later]
-    ends = k < BESIDE or k >= len(rows) - BESIDE
-    return all(after) and all(before) and (bool(after and before) or (ends and bool(told)))
+def _are_stray(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int64], die: Die) -> NDArray[np.bool_]:
+    """(k,) whether each of the rows `rows[looked]` lies so far off the motions before and after (one of them, at an end of
+    the track) that no contact between could have thrown it there: one of a few wrong frames beside each other."""
+    begins = looked[:, None] + np.array([-BESIDE, 1, 2])
+    inside = (begins >= 0) & (begins + BESIDE <= len(rows))
+    first, which = np.unique(begins[inside], return_inverse=True)
+    states, usual = _common_motions(seen, rows[first[:, None] + np.arange(BESIDE)])
+    told, off = inside.copy(), np.zeros(inside.shape, bool)
+    told[inside] = usual[which] < SANE_SIGMAS
+    far = seen.rows(rows[np.broadcast_to(looked[:, None], inside.shape)[inside]])
+    e = _misses(replace(far, whitener=np.tile(np.eye(6), (len(far), 1, 1))), states[which])
+    away, turned = np.linalg.norm(e[:, :3], axis=1), np.linalg.norm(e[:, 3:], axis=1)
+    off[inside] = (turned > STRAY_RAD) | (away > STRAY_SHARE * die.solid.edge_m)
+    both = told[:, 0] & told[:, 1:].any(1)
+    ends = (looked < BESIDE) | (looked >= len(rows) - BESIDE)
+    return np.asarray((off | ~told).all(1) & (both | (ends & told.any(1))))
 
 
-def _common_motion(seen: Sightings, rows: NDArray[np.int64]) -> tuple[State, float] | None:
-    """The motion of some frames, with their distance from it; None where they are too few or lie on no one motion."""
-    if len(rows) < BESIDE:
-        return None
-    state, _, _ = fit_flight(seen.rows(rows))
-    usual = float(np.sqrt((misfits(seen.rows(rows), state) ** 2).mean()))
-    return (state, usual) if usual < SANE_SIGMAS else None
+def _common_motions(seen: Sightings, groups: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Packed motions (k, 14) of groups (k, BESIDE) of rows, and the distance (k,) of the frames from them."""
+    states, left = fit_flights(seen, list(groups))
+    return states, np.sqrt(left / (6.0 * BESIDE))
+
+
+def _misses(seen: Sightings, states: Array) -> Array:
+    """(n, 6) whitened distances of frames (n,), each from a motion (n, 14) of its own."""
+    return chain_misses(seen, np.arange(len(seen) + 1), states, np.zeros(0))
 
 
 def part_flights(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
     """Rows of each flight, in order: the track parted wherever a second motion explains it better than one."""
     n = len(seen.time_s)
     window = max(WINDOW, ceil(BRIEFEST_S / float(np.median(np.diff(seen.time_s)))))
-    low = _near_table(seen, die) & (np.arange(n + 1) % (window // WINDOW) == 0)
-    cuts = [0, n]
-    gains = np.full(n + 1, -np.inf)
-    stale = np.ones(n + 1, bool)
-    while True:
-        for s in np.flatnonzero(stale):
-            gains[s] = _gain(seen, cuts, int(s), window) if low[s] else -np.inf
-        stale[:] = False
-        best = int(np.argmax(gains))
-        if not gains[best] > GAIN:
-            break
-        cuts = sorted([*cuts, best])
-        stale[max(0, best - window - 1) : best + window + 2] = True
+    tried = np.flatnonzero(_near_table(seen, die) & (np.arange(n + 1) % (window // WINDOW) == 0))
+    cuts, gains = np.array([0, n]), _gains(seen, np.array([0, n]), tried, window)
+    while len(tried) and gains.max() > GAIN:
+        best = tried[np.argmax(gains)]
+        cuts = np.sort(np.append(cuts, best))
+        stale = np.abs(tried - best) <= window + 1
+        gains[stale] = _gains(seen, cuts, tried[stale], window)
     return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= FEWEST]
 
 
@@ -144,14 +143,19 @@ def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
     return out
 
 
-def _gain(seen: Sightings, cuts: list[int], s: int, window: int) -> float:
-    """Gain of a cut before row s over none, in squared sigmas for each number that it adds."""
-    below = max(c for c in cuts if c <= s)
-    above = min((c for c in cuts if c > s), default=s)
-    a, b = np.arange(max(below, s - window), s), np.arange(s, min(above, s + window))
-    if len(a) < FEWEST or len(b) < FEWEST:
-        return -np.inf
-    both = fit_flight(seen.rows(slice(int(a[0]), int(b[-1]) + 1)))[2]
-    apart = sum(fit_flight(seen.rows(slice(int(r[0]), int(r[-1]) + 1)))[2] for r in (a, b))
-    free = max(6 * (len(a) + len(b)) - 24, 6)
-    return (both - apart) / 12.0 / max(apart / free, 1.0)
+def _gains(seen: Sightings, cuts: NDArray[np.int64], rows: NDArray[np.int64], window: int) -> Array:
+    """(k,) gain of a cut before each of some rows (k,) over none, in squared sigmas for each number that it adds."""
+    gains = np.full(len(rows), -np.inf)
+    after = np.searchsorted(cuts, rows, side="right")
+    begins = np.maximum(cuts[after - 1], rows - window)
+    ends = np.minimum(np.append(cuts, cuts[-1])[after], rows + window)
+    use = (rows - begins >= FEWEST) & (ends - rows >= FEWEST)
+    begins, middles, ends = begins[use], rows[use], ends[use]
+    ranges = zip(
+        np.concatenate([begins, begins, middles]), np.concatenate([ends, middles, ends]), strict=True
+    )  # fmt: skip
+    _, left = fit_flights(seen, [np.arange(a, b) for a, b in ranges])
+    both, before, behind = left.reshape(3, -1)
+    free = np.maximum(6 * (ends - begins) - 24, 6)
+    gains[use] = (both - before - behind) / 12.0 / np.maximum((before + behind) / free, 1.0)
+    return gains

@@ -28,10 +28,10 @@ from .background import estimate_background
 from .bounces import NoFlightError, measure_throw
 from .camera import Camera
 from .clip import Clip, Frame
+from .flights import transition
 from .follow import NoDieError, follow
 from .gravity import Fall, measure_fall
 from .hints import HandStart
-from .joined import transition
 from .pose import View, make_view, outline_box, refine_pose
 from .quality import FAST
 from .segment import background_noise, differing, largest_blob, without_shadow

@@ -88,12 +88,19 @@ def resolved(
     new = slice(before, before + len(story.order))
     spacing = float(np.median(np.diff(seen.time_s)))
     unsure = bool((best.sigma_time_s[new] > INSTANT_FRAMES * spacing).any())
-    rivals = [other.cost for _, other, told, _ in found[1:] if told.order != story.order]
+    # The same story with another impact in it that explains no more is no other one.
+    rivals = [other.cost for _, other, told, _ in found[1:] if not _holds(told.order, story.order)]
     # An open link has more freedom than impacts and may cost less; one that is taken for a single impact has less.
     allowed = joined.cost + (2.0 * CUT_SIGMA**2 if joined.links[k].is_open else -SURE)
     if unsure or (rivals and rivals[0] - best.cost < SURE) or best.cost > allowed:
         return None
     return own, best, before
+
+
+def _holds(order: tuple[int, ...], part: tuple[int, ...]) -> bool:
+    """Whether an order of vertices is another, or that with more in between."""
+    rest = iter(order)
+    return all(vertex in rest for vertex in part)
 
 
 def is_crowded(seen: Sightings, joined: Joined, k: int) -> bool:

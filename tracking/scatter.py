@@ -23,7 +23,7 @@ Kalman Filter, 1989, 3.4), gaps as they are, at a cost linear in the frames.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import exp, log, sqrt
+from math import exp, log
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,7 +70,7 @@ def estimate_scatter(
     longest = max(float(t[-1] - t[0]) for t in times) / 3.0
     memories = MEMORIES[: max(1, int((MEMORIES * spacing < longest).sum()))] * spacing
     likelihood, variance = np.empty((2, 6, len(memories), len(WANDERS)))
-    residuals = np.ascontiguousarray(np.vstack(series).T)
+    residuals = np.vstack(series)
     _fill(np.concatenate(times), residuals, np.array(ends), WANDERS, memories, likelihood, variance)
     pooled = (1.0 - NEIGHBOURS) * likelihood + NEIGHBOURS * likelihood.sum(axis=0)
     odds = np.exp(-0.5 * (pooled - pooled.min(axis=(1, 2), keepdims=True)))
@@ -94,52 +94,67 @@ def _fill(
     time: Array, series: Array, ends: NDArray[np.int64], wanders: Array, memories_s: Array, likelihood: Array,
     variance: Array,
 ) -> None:  # fmt: skip
-    """-2 l and σ² of each series (6, n) at each memory and wander."""
-    for i in range(len(series)):
-        for j in range(len(memories_s)):
-            for k in range(len(wanders)):
-                value, sigma = _likelihood(time, series[i], ends, wanders[k], memories_s[j])
-                likelihood[i, j, k], variance[i, j, k] = value, sigma * sigma
+    """-2 l, but for a constant, and σ² of each of the six series (n, 6) at each memory and wander, of flights that lie one
+    after the other. The filter depends on the times alone, and is the same for all six."""
+    keep, found = np.zeros(len(time)), np.empty((6, 2))
+    for j in range(len(memories_s)):
+        for k in range(1, len(time)):
+            keep[k] = exp(-(time[k] - time[k - 1]) / memories_s[j])
+        for k in range(len(wanders)):
+            _likelihoods(time, series, ends, wanders[k], keep, found)
+            for i in range(6):
+                likelihood[i, j, k], variance[i, j, k] = found[i, 0], found[i, 1]
 
 
 @inner
-def _likelihood(
-    time: Array, series: Array, ends: NDArray[np.int64], wander: float, memory_s: float
-) -> tuple[float, float]:
-    """-2 l but for a constant, and σ, of flights that lie one after the other."""
-    squares, volume = PRIOR_FRAMES, 0.0
-    free = PRIOR_FRAMES
-    row, carried = np.empty(3), np.empty(3)
+def _likelihoods(time: Array, series: Array, ends: NDArray[np.int64], wander: float, keep: Array, found: Array) -> None:
+    volume, free = 0.0, PRIOR_FRAMES
+    squares = np.full(6, PRIOR_FRAMES)
+    row, carried, pulls = np.empty(8), np.empty(8), np.empty((3, 6))
     for flight in range(len(ends) - 1):
         begin, end = ends[flight], ends[flight + 1]
         middle = 0.5 * (time[begin] + time[end - 1])
         half = 0.5 * (time[end - 1] - time[begin])
-        for j in range(3):
+        for j in range(8):
             carried[j] = 0.0
-        spread = wander
-        a11, a12, a22, b1, b2, cost = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for j in range(6):
+            pulls[0, j], pulls[1, j], pulls[2, j] = 0.0, 0.0, 0.0
+        spread, product = wander, 1.0
+        a11, a12, a22 = 0.0, 0.0, 0.0
         for k in range(begin, end):
-            if k > begin and wander > 0.0:
-                keep = exp(-(time[k] - time[k - 1]) / memory_s)
-                spread = keep * keep * spread + (1.0 - keep * keep) * wander
-                for j in range(3):
-                    carried[j] *= keep
-            row[0], row[1], row[2] = 1.0, (time[k] - middle) / half, series[k]
-            variance = spread + 1.0
-            gain = spread / variance
-            for j in range(3):
-                row[j] -= carried[j]
-                carried[j] += gain * row[j]
-            a11 += row[0] * row[0] / variance
-            a12 += row[0] * row[1] / variance
-            a22 += row[1] * row[1] / variance
-            b1 += row[0] * row[2] / variance
-            b2 += row[1] * row[2] / variance
-            cost += row[2] * row[2] / variance
-            volume += log(variance)
+            kept = 1.0
+            if k > begin:
+                kept = keep[k]
+                spread = kept * kept * spread + (1.0 - kept * kept) * wander
+            inverse = 1.0 / (spread + 1.0)
+            gain = spread * inverse
+            row[0], row[1] = 1.0, (time[k] - middle) / half
+            for j in range(6):
+                row[2 + j] = series[k, j]
+            for j in range(8):
+                before = kept * carried[j]
+                row[j] -= before
+                carried[j] = before + gain * row[j]
+            first, second = row[0] * inverse, row[1] * inverse
+            a11 += row[0] * first
+            a12 += row[1] * first
+            a22 += row[1] * second
+            for j in range(6):
+                pulls[0, j] += first * row[2 + j]
+                pulls[1, j] += second * row[2 + j]
+                pulls[2, j] += inverse * row[2 + j] * row[2 + j]
+            # One logarithm for many frames: the variances of the grid stay below 51.
+            product *= spread + 1.0
+            if product > 1e200:
+                volume += log(product)
+                product = 1.0
             spread -= spread * gain
         determinant = max(a11 * a22 - a12 * a12, 1e-300)
-        squares += cost - (a22 * b1 * b1 - 2.0 * a12 * b1 * b2 + a11 * b2 * b2) / determinant
+        for j in range(6):
+            b1, b2, cost = pulls[0, j], pulls[1, j], pulls[2, j]
+            squares[j] += cost - (a22 * b1 * b1 - 2.0 * a12 * b1 * b2 + a11 * b2 * b2) / determinant
         free += end - begin - 2.0
-        volume += log(determinant)
-    return free * log(squares / free) + volume, sqrt(squares / free)
+        volume += log(product) + log(determinant)
+    for j in range(6):
+        found[j, 1] = squares[j] / free
+        found[j, 0] = free * log(found[j, 1]) + volume

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Throw
 from ..model.rotations import continuous_sign
-from .joined import transition
+from .flights import pose_rows
 from .track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -31,24 +31,24 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
         return track
     position, quaternion = track.position_m.copy(), track.quaternion.copy()
     covariance, status = track.covariance.copy(), track.status.copy()
-    flight_of = np.array([throw.flight_at(float(t)) for t in track.time_s])
-    for k in range(int(tracked[0]), int(tracked[-1]) + 1):
-        if status[k] not in (TRACKED, LOST):
+    rows = np.arange(int(tracked[0]), int(tracked[-1]) + 1)
+    flight_of = throw.flights_at(track.time_s[rows])
+    told = np.isin(status[rows], (TRACKED, LOST))
+    for k in np.unique(flight_of):
+        flight, mine = throw.flights[k], rows[told & (flight_of == k)]
+        if flight.covariance is None or not len(mine):
             continue
-        flight = throw.flights[flight_of[k]]
-        if flight.covariance is None:
-            continue
-        M = transition(flight, float(track.time_s[k]))
-        pose = (M @ flight.covariance @ M.T)[:6, :6]
+        M = pose_rows(flight, track.time_s[mine])
+        poses = M @ flight.covariance @ np.swapaxes(M, 1, 2)
         if floor is not None:
-            pose = pose + floor[k]
-        p, q = flight.poses(track.time_s[k : k + 1])
-        if status[k] == LOST:
-            alone = not np.any(track.tracked & (flight_of == flight_of[k]))
-            sigma = np.sqrt(np.diag(pose))
-            if alone or sigma[:3].max() > SURE_POSITION_M or sigma[3:].max() > SURE_ROTATION_RAD:
-                continue
-        position[k], quaternion[k], covariance[k], status[k] = p[0], q[0], (pose + pose.T) / 2.0, TRACKED
+            poses += floor[mine]
+        sigma = np.sqrt(np.diagonal(poses, axis1=1, axis2=2))
+        unsure = (sigma[:, :3].max(1) > SURE_POSITION_M) | (sigma[:, 3:].max(1) > SURE_ROTATION_RAD)
+        seen = status[mine] == TRACKED
+        use = seen | ~unsure if seen.any() else seen
+        put = mine[use]
+        position[put], quaternion[put] = flight.poses(track.time_s[put])
+        covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED
     return replace(
         track, position_m=position, quaternion=continuous_sign(quaternion), covariance=covariance, status=status
     )

@@ -17,10 +17,13 @@ from diethrow.tracking.bounces import calibrated, measure
 from diethrow.tracking.flights import (
     Scatter,
     Sightings,
+    chain_meats,
+    chain_misses,
+    chain_sums,
     fit_flight,
-    flight_meat,
-    flight_sums,
+    informations,
     moved,
+    packed,
     seen_minus_motion,
 )
 from diethrow.tracking.gravity import fall_notices, measure_fall
@@ -96,9 +99,13 @@ def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> Non
     sightings = sightings_of(seen(one_flight(rng), rng))
     state, _, _ = fit_flight(sightings)
     ones, share = np.ones(len(sightings)), np.full(6, 0.25)
-    sums = flight_sums(sightings, state, np.zeros(0), ones, share, share)
+    cuts, states = np.array([0, len(sightings)]), packed(state)[None]
+    misses = chain_misses(sightings, cuts, states, np.zeros(0))
+    normal, _ = chain_sums(sightings, cuts, states, misses, ones, informations(sightings, share), 12)
     # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
-    np.testing.assert_allclose(flight_meat(sightings, state, ones, share, Scatter.white(2.0)), sums.normal, rtol=1e-12)
+    meats = chain_meats(sightings, cuts, states, ones, share, Scatter.white(2.0), 12)
+    unit = 1.0 / np.sqrt(np.diag(normal[0]))
+    np.testing.assert_allclose(meats[0] * np.outer(unit, unit), normal[0] * np.outer(unit, unit), atol=1e-12)
 
 
 def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_makes_it() -> None:
@@ -117,7 +124,8 @@ def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_ma
     for i in range(6):
         V = scatter.scale[i] ** 2 * (np.eye(n) + scatter.wander[i] * np.exp(-apart / scatter.memory_s[i]))
         wanted += X[:, i].T @ V @ X[:, i]
-    found = flight_meat(sightings, state, np.ones(n), np.ones(6), scatter)
+    cuts, states = np.array([0, n]), packed(state)[None]
+    found = chain_meats(sightings, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
     unit = 1.0 / np.sqrt(np.diag(wanted))
     # Central differences of noisy residuals: the derivative is that at the frame seen, off by its residual of 0.1 degrees.
     np.testing.assert_allclose(found * np.outer(unit, unit), wanted * np.outer(unit, unit), atol=0.02)
@@ -177,7 +185,7 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
     camera = studio().camera
     throw, track = leaning(0.08)
     found = measure(track, CUBE, camera)
-    sigma = float(np.sqrt(found.joined.covariance[-2, -2]))
+    sigma = float(found.joined.shared_sigma[0])
     assert sigma < 0.3 * SIZE_PX
     assert found.joined.shared[0] == pytest.approx(0.08, abs=3.0 * sigma + 0.003)
     p, _ = throw.poses(track.time_s)
@@ -210,7 +218,7 @@ def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
 def test_without_a_lean_none_is_found() -> None:
     _, track = leaning(0.0)
     found = measure(track, CUBE, studio().camera)
-    assert abs(found.joined.shared[0]) < 3.5 * float(np.sqrt(found.joined.covariance[-2, -2]))
+    assert abs(found.joined.shared[0]) < 3.5 * float(found.joined.shared_sigma[0])
 
 
 def test_the_lean_is_what_a_larger_outline_does_to_a_pose() -> None:

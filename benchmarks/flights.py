@@ -1,0 +1,132 @@
+"""What comes after the pictures: time from poses to flights and bounces, `PYTHONPATH=tests python benchmarks/flights.py`
+
+A cube is thrown in the model and seen on so many frames, with noise as tracking leaves it; no picture is drawn. First one
+throw of three bounces with more and more frames, then throws with more and more bounces, filmed at 1500 frames a second.
+
+  measure     flights, bounces, scatter and covariances, from the poses of single frames [s]
+  calibrated  the same for the sake of the covariances of the single frames [s]
+  smooth      every frame put on its flight [s]
+  MB          most memory that these took beyond the track itself
+  right       of the impacts, those found within half a frame and with their vertex; then those called by a wrong one
+
+Times are processor time, the least of some runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import tracemalloc
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from footage_of_throws import studio
+from numpy.typing import NDArray
+
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.motion import State, Throw
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply
+from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import make_die
+from diethrow.tracking.bounces import calibrated, measure
+from diethrow.tracking.smooth import smooth
+from diethrow.tracking.track import TRACKED, Track
+
+CUBE = make_die("cube", 0.016, 0.0048)
+RESTITUTION, LIVELY = 0.6, 0.85
+"""Of the throw with three bounces, and of those with many."""
+T = TypeVar("T")
+
+USUAL_FPS, AFTER_S = 1500.0, 0.04
+"""Frames a second of the throws with many bounces; how long the die is seen behind the last."""
+ACROSS_M, ALONG_M, TURN_RAD = 2e-5, 1.5e-4, np.radians(0.1)
+"""Sigmas of a frame: across the line of sight, along it, and of the turn."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a row for each length and each number of bounces."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", nargs="*", type=int, default=[260, 2000, 20000])
+    parser.add_argument("--bounces", nargs="*", type=int, default=[3, 20, 60])
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=8)
+    chosen = parser.parse_args(arguments)
+    print(f"{'frames':>7}{'bounces':>9}{'measure':>9}{'calibrated':>12}{'smooth':>8}{'MB':>7}   right, wrong")
+    for frames in chosen.frames:
+        report(*thrown(3, RESTITUTION, chosen.seed, frames), chosen.runs)
+    for bounces in chosen.bounces:
+        report(*thrown(bounces, LIVELY, chosen.seed), chosen.runs)
+    return 0
+
+
+def thrown(bounces: int, restitution: float, seed: int, frames: int | None = None) -> tuple[Throw, Track]:
+    """A throw and its track, on so many frames or at the usual rate."""
+    rng = np.random.default_rng(seed)
+    turn, spin = rng.normal(size=4), 17.0 * rng.normal(size=3)
+    release = State(0.0, np.array([0.0, 0.0, 0.09]), turn / np.linalg.norm(turn), np.array([0.1, 0.0, -0.8]), spin)
+    whole = throw_die(CUBE, release, SmoothImpact(restitution), until=Until(impacts=bounces)).throw
+    end_s = min(whole.flights[-1].end_s, whole.flights[-1].start.time_s + AFTER_S)
+    throw = Throw((*whole.flights[:-1], replace(whole.flights[-1], end_s=end_s)), whole.impacts)
+    count = frames or int(end_s * USUAL_FPS)
+    return throw, seen(throw, np.linspace(0.0, end_s, count), rng)
+
+
+def seen(throw: Throw, times_s: NDArray[np.float64], rng: np.random.Generator) -> Track:
+    """The throw on some frames, with noise that is as large as stated."""
+    position, quaternion = throw.poses(times_s)
+    sight = studio().camera.rotation[2]
+    across = np.eye(3) - np.outer(sight, sight)
+    covariance = np.zeros((len(times_s), 6, 6))
+    covariance[:, :3, :3] = ACROSS_M**2 * across + ALONG_M**2 * np.outer(sight, sight)
+    covariance[:, 3:, 3:] = TURN_RAD**2 * np.eye(3)
+    errors = rng.normal(size=(len(times_s), 6)) @ np.linalg.cholesky(covariance[0]).T
+    turned = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
+    status = np.full(len(times_s), TRACKED)
+    return Track(np.arange(len(times_s)), times_s, position + errors[:, :3], turned, covariance, status)
+
+
+def report(throw: Throw, track: Track, runs: int) -> None:
+    """One row."""
+    camera = studio().camera
+    found, measuring = timed(lambda: measure(track, CUBE, camera), runs)
+    sure, calibrating = timed(lambda: calibrated(track, CUBE, camera), runs)
+    _, smoothing = timed(lambda: smooth(sure, found.own, found.floor), runs)
+    tracemalloc.start()
+    measure(track, CUBE, camera)
+    smooth(sure, found.own, found.floor)
+    most_mb = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    right, wrong = score(throw, found.throw, float(np.median(np.diff(track.time_s))))
+    print(
+        f"{len(track):7d}{len(throw.impacts):9d}{measuring:9.3f}{calibrating:12.3f}{smoothing:8.3f}{most_mb:7.1f}"
+        f"   {right} of {len(throw.impacts)}, {wrong}",
+        flush=True,
+    )
+
+
+def timed(work: Callable[[], T], runs: int) -> tuple[T, float]:
+    """What some work gives, and the least processor time [s] that it took."""
+    result, least_s = work(), np.inf
+    for _ in range(runs):
+        begin_s = time.process_time()
+        result = work()
+        least_s = min(least_s, time.process_time() - begin_s)
+    return result, least_s
+
+
+def score(true: Throw, found: Throw, spacing_s: float) -> tuple[int, int]:
+    """How many of the true impacts were found with their vertex, and how many found ones have a wrong vertex."""
+    times_s = np.array([impact.time_s for impact in true.impacts])
+    named = [impact for impact in found.impacts if impact.vertices]
+    nearest = [int(np.abs(times_s - impact.time_s).argmin()) for impact in named]
+    good = [
+        abs(times_s[k] - impact.time_s) < 0.5 * spacing_s and true.impacts[k].vertices == impact.vertices
+        for k, impact in zip(nearest, named, strict=True)
+    ]
+    return sum(good), len(good) - sum(good)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

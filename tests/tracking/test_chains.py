@@ -1,0 +1,116 @@
+"""Laws of the recursion along a chain: it finds what one large matrix finds, and is as sure."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from diethrow.tracking.chains import MOST, Stages, solve_chain, spread_along
+
+Array = NDArray[np.float64]
+
+D = 13
+
+
+class Chain:
+    """A random chain of links, some open, some with rules; and the same as one large problem."""
+
+    def __init__(self, seed: int, count: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.count = count
+        rows = rng.normal(size=(count + 1, 30, D))
+        self.normal = np.swapaxes(rows, 1, 2) @ rows
+        self.gradient = rng.normal(size=(count + 1, D))
+        self.stages = Stages.empty(count, D)
+        for k in range(count):
+            size = 12 if k % 3 == 2 else 7
+            self.stages.sizes[k] = size
+            self.stages.onward[k, 12, 12] = 1.0  # what all flights share
+            self.stages.turned[k, :12, :size] = rng.normal(size=(12, size))
+            if size == 7:
+                self.stages.onward[k, :12, :12] = rng.normal(size=(12, 12)) / 3.0
+                self.stages.rows[k] = rng.normal(size=(4, D))
+                self.stages.own_rows[k, :, :7] = rng.normal(size=(4, 7))
+                self.stages.miss[k] = rng.normal(size=4)
+
+    def maps(self) -> tuple[list[Array], list[Array]]:
+        """Of all numbers (first state, then each link's) onto each flight's state, and onto each link's numbers."""
+        total = D + int(self.stages.sizes.sum())
+        state, column = np.eye(D, total), D
+        states, links = [state], []
+        for k, size in enumerate(self.stages.sizes):
+            own = np.zeros((MOST, total))
+            own[np.arange(size), column + np.arange(size)] = 1.0
+            links.append(own)
+            state = self.stages.onward[k] @ state + self.stages.turned[k] @ own
+            states.append(state)
+            column += int(size)
+        return states, links
+
+    def rules(self) -> list[tuple[Array, Array]]:
+        """Rows of each link's rules in all numbers, and what they miss."""
+        states, links = self.maps()
+        s = self.stages
+        return [(s.rows[k] @ states[k] + s.own_rows[k] @ links[k], s.miss[k]) for k in range(self.count)]
+
+    def matrix(self) -> tuple[Array, Array]:
+        """The large normal matrix and gradient."""
+        states, _ = self.maps()
+        A = sum(M.T @ N @ M for M, N in zip(states, self.normal, strict=True))
+        g = sum(M.T @ g for M, g in zip(states, self.gradient, strict=True))
+        A = A + sum(rows.T @ rows for rows, _ in self.rules())
+        return np.asarray(A), np.asarray(g + sum(rows.T @ miss for rows, miss in self.rules()))
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 9])
+def test_the_recursion_takes_the_step_of_the_large_matrix(count: int) -> None:
+    chain = Chain(count, count)
+    A, g = chain.matrix()
+    wanted = -np.linalg.solve(A, g)
+    first, changes = solve_chain(chain.normal, chain.gradient, chain.stages, 1e-14)
+    found = np.concatenate([first, *(change[:size] for change, size in zip(changes, chain.stages.sizes, strict=True))])
+    # `HELD` is 1e-9, and the least eigenvalue of the large matrix of nine links some 1e-3.
+    np.testing.assert_allclose(found, wanted, rtol=0.0, atol=2e-6 * np.abs(wanted).max())
+
+
+@pytest.mark.parametrize("count", [0, 1, 4, 9])
+def test_white_noise_leaves_the_inverse_of_the_large_matrix(count: int) -> None:
+    chain = Chain(20 + count, count)
+    inverse = np.linalg.inv(chain.matrix()[0])
+    states, links = chain.maps()
+    last, beside = spread_along(chain.normal, chain.normal, chain.stages)
+    np.testing.assert_allclose(last, states[-1] @ inverse @ states[-1].T, atol=1e-9)
+    for k in range(count):
+        both = np.vstack([states[k], links[k]])
+        np.testing.assert_allclose(beside[k], both @ inverse @ both.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 4, 9])
+def test_noise_of_another_kind_makes_the_sandwich(count: int) -> None:
+    chain = Chain(40 + count, count)
+    A, _ = chain.matrix()
+    rows = np.random.default_rng(count).normal(size=(count + 1, 8, D))
+    noises = np.swapaxes(rows, 1, 2) @ rows
+    states, links = chain.maps()
+    B = sum(M.T @ N @ M for M, N in zip(states, noises, strict=True))
+    B = B + sum(obeyed.T @ obeyed for obeyed, _ in chain.rules())
+    sandwich = np.linalg.inv(A) @ B @ np.linalg.inv(A)
+    last, beside = spread_along(chain.normal, noises, chain.stages)
+    np.testing.assert_allclose(last, states[-1] @ sandwich @ states[-1].T, atol=1e-9)
+    for k in range(count):
+        both = np.vstack([states[k], links[k]])
+        np.testing.assert_allclose(beside[k], both @ sandwich @ both.T, atol=1e-9)
+
+
+def test_a_number_that_nothing_tells_of_stays_where_it_is() -> None:
+    chain = Chain(3, 2)
+    # The last flight has no frames: what its link does, but for its rules, is open.
+    chain.normal[-1], chain.gradient[-1] = 0.0, 0.0
+    chain.stages.rows[-1], chain.stages.own_rows[-1], chain.stages.miss[-1] = 0.0, 0.0, 0.0
+    first, changes = solve_chain(chain.normal, chain.gradient, chain.stages, 1e-12)
+    np.testing.assert_array_equal(changes[-1], 0.0)
+    assert np.isfinite(first).all()
+    last, beside = spread_along(chain.normal, chain.normal, chain.stages)
+    assert np.isfinite(last).all()
+    assert np.isfinite(beside).all()
