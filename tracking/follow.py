@@ -30,6 +30,16 @@ from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
 from .chase import Seen
 from .clip import Clip
+from .corners import (
+    Corners,
+    Looks,
+    Rounding,
+    by_flights,
+    by_free_poses,
+    contour_sigma_px,
+    look_rounded,
+    looks_in_flight,
+)
 from .edges import settle
 from .flights import transition
 from .hints import HandStart, excluded_rows
@@ -44,6 +54,7 @@ from .pose import (
     covariances,
     labelled_like,
     make_view,
+    rounded,
     share_in_view,
     shares_in_view,
     with_reflections,
@@ -89,6 +100,10 @@ class Followed:
     """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
     offsets: Offsets
     """Of the cameras' clocks; looked for with a second pass alone."""
+    die: Die
+    """With the radius of its corners as it was found, where that was looked for."""
+    corners: Corners | None
+    """That radius with its standard error; None where it was given, or the corners look sharp."""
 
 
 def follow(
@@ -121,6 +136,7 @@ def look_through(
     mirror: bool = False,
     start: HandStart | None = None,
     excluded: Sequence[tuple[int, int]] = (),
+    rounding: Rounding = Rounding.GIVEN,
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> Followed:
@@ -129,7 +145,7 @@ def look_through(
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
     the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
-    used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera,
+    used: they are lost. `rounding` says whether the radius of the die's corners is given. `progress` is called with frames done and frames to do. Raises ValueError where camera,
     background and clip differ in size, and NoDieError where no die was found.
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
@@ -139,11 +155,13 @@ def look_through(
     report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
     unused = np.zeros(len(reel), bool)
     unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
-    view, seen = _first_pass(view, reel, report, start, unused)
+    view, seen, corners = _first_pass_rounded(view, reel, report, start, unused, rounding)
     throw = _measured(view, reel, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
+    if corners is not None and throw is not None:
+        view, corners = _rounded_by_flights(view, reel, seen, throw, corners)
     offsets = Offsets.none(len(clips))
     if quality.second_pass:
         view = with_reflections(view)
@@ -157,7 +175,9 @@ def look_through(
         seen, marks, shared = _third_pass(view, reel, seen, report)
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
-    return Followed(calibrated(track, die, view.camera), marks, offsets)
+    if corners is not None:
+        view, corners, track = _rounded_at_last(view, reel, track, corners)
+    return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -225,6 +245,50 @@ def _first_pass(
             break
     # What was found to stand before the die is known from here on.
     return chase.view, seen
+
+
+def _first_pass_rounded(
+    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask, rounding: Rounding
+) -> tuple[View, Seen, Corners | None]:
+    """The first pass, done again with rounded corners where the die is to be looked at and shows them."""
+    first, seen = _first_pass(view, reel, report, by_hand, unused)
+    if rounding is Rounding.GIVEN:
+        return first, seen, None
+    whole = np.flatnonzero(seen.known & (shares_in_view(first, seen.position_m, seen.rotation) == 1.0))
+    looks = Looks.at(whole, reel.frame, seen.position_m[whole], seen.rotation[whole], seen.motion[whole])
+    if rounding is Rounding.LOOKED_AT and not look_rounded(first, looks):
+        return first, seen, None
+    corners = by_free_poses(first, looks)
+    if corners.radius_m == 0.0:
+        return replace(first, radius_sigma_m=corners.sigma_m), seen, corners
+    # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
+    again = rounded(view, corners.radius_m, corners.sigma_m)
+    return *_first_pass(again, reel, report, by_hand, unused), corners
+
+
+def _rounded_by_flights(view: View, reel: Reel, seen: Seen, throw: Throw, corners: Corners) -> tuple[View, Corners]:
+    """The view with the radius of the corners as the flights show it, where they do."""
+    looks = looks_in_flight(view, reel.frame, _as_track(view, reel, seen), throw)
+    found = by_flights(view, looks, corners.radius_m) or corners
+    return rounded(view, found.radius_m, found.sigma_m), found
+
+
+def _rounded_at_last(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[View, Corners, Track]:
+    """The same with the flights of the finished track, and the track as unsure of its contours as they then are."""
+    try:
+        throw = measure(track, view.die, view.camera).throw
+    except NoFlightError:
+        return view, corners, track
+    looks = looks_in_flight(view, reel.frame, track, throw)
+    found = by_flights(view, looks, corners.radius_m) or corners
+    view = rounded(view, found.radius_m, found.sigma_m)
+    return view, found, replace(track, contour_sigma_px=_contour_sigma_px(view, track))
+
+
+def _contour_sigma_px(view: View, track: Track) -> float:
+    if view.radius_sigma_m == 0.0 or not track.tracked.any():
+        return 0.0
+    return contour_sigma_px(view, track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked]))
 
 
 # --- the second pass --------------------------------------------------------------------------------------------------
@@ -500,7 +564,8 @@ def _as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Tr
     lean = np.full((n, 6), np.nan)
     lean[known] = contour_leans(seen.H[known], view.lens)
     lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
-    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
+    track = Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
+    return replace(track, contour_sigma_px=_contour_sigma_px(view, track))
 
 
 def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
