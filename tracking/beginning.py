@@ -9,8 +9,9 @@ picture is enough the race ends at its first stage.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,11 @@ Mask = NDArray[np.bool_]
 
 START_FRAMES = 14
 """Frames on which a start is looked for, a few frames apart, before the clip is given up."""
+SMALL, SAMPLED = 0.6, 12
+"""Share of the usual size below which a region is no die in view, a clip's die growing by less than that as it comes near, and
+frames from which the usual size is known."""
+FEW_FRAMES = 100
+"""Length of a clip below which no frame is passed over in the search for the first that shows anything."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
 """Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
 that, as with a die of little contrast, the best start above the second is taken."""
@@ -60,18 +66,8 @@ def find_beginning(
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at.
     """
-    tried, k = 0, 0
-    # Three frames fit wrong starts as well: 200 frames a second of a die that turns ten degrees a frame gave poses 45 degrees
-    # off, with sigmas of a tenth of one, on the last three. A clip of fewer frames than are wanted is all there is.
-    last = len(reel) - min(STAGES[1], len(reel))
     spare: tuple[float, int, Runner] | None = None
-    while tried < START_FRAMES and k <= last:
-        reached(k)
-        image = np.asarray(reel.frame(k), np.float32)
-        if unused[k] or not die_blobs(view, image[0]):
-            k += 1
-            continue
-        tried += 1
+    for k, image in islice(_candidates(view, reel, unused, reached), START_FRAMES):
         best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
         if best is not None:
             support = float(best.seen.support[best.seen.known].mean())
@@ -79,9 +75,46 @@ def find_beginning(
                 return _begun(best, reel, k, unused)
             if spare is None or support > spare[0]:
                 spare = support, k, best
-        # Ever wider apart: a shadow alone may fill many frames before the die that casts it comes into view.
-        k += 4 + tried
     return _begun(spare[2], reel, spare[1], unused) if spare is not None and spare[0] > FAIR_SUPPORT else None
+
+
+def _candidates(
+    view: View, reel: Reel, unused: Mask, reached: Callable[[int], None]
+) -> Iterator[tuple[int, NDArray[np.float32]]]:
+    """Frames (row, pictures) that may show the die whole, in order and ever wider apart.
+
+    A shadow comes into view before the die that casts it, and a die bit by bit, on many frames: once the first of them was
+    no beginning, those that show much less than frames of this clip usually do come last.
+    """
+    # Three frames fit wrong starts as well: 200 frames a second of a die that turns ten degrees a frame gave poses 45 degrees
+    # off, with sigmas of a tenth of one, on the last three. A clip of fewer frames than are wanted is all there is.
+    last = len(reel) - min(STAGES[1], len(reel))
+    step = 1 if len(reel) < FEW_FRAMES else 2
+    tried, k, least_px, small = 0, 0, 0.0, []
+    while k <= last:
+        reached(k)
+        image = np.asarray(reel.frame(k), np.float32)
+        blobs = [] if unused[k] else die_blobs(view, image[0])
+        if blobs and blobs[0].area_px >= least_px:
+            tried += 1
+            yield k, image
+            if tried == 1:
+                least_px = SMALL * _usual_area_px(view, reel)
+            k += 4 + tried
+        else:
+            small += [k] if blobs else []
+            k += step
+    for k in small[:: 1 + len(small) // START_FRAMES]:
+        yield k, np.asarray(reel.frame(k), np.float32)
+
+
+def _usual_area_px(view: View, reel: Reel) -> float:
+    """Median size of what differs from the background and is no shadow, over some frames of the clip."""
+    rows = np.unique(np.linspace(0, len(reel) - 1, SAMPLED).astype(int))
+    areas = [
+        blobs[0].area_px for k in rows if (blobs := die_blobs(view, np.asarray(reel.frame(int(k))[0], np.float32)))
+    ]
+    return float(np.median(areas)) if areas else 0.0
 
 
 def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[Chase, Seen]:

@@ -242,7 +242,7 @@ def _windows(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int
     """(n, 4) pixel windows x0, y0, x1, y1 (end exclusive) round the dice as placed; empty where one lies outside."""
     corners = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
     px, camera = view.camera.project(corners), view.camera
-    good = np.isfinite(px).all(axis=(1, 2))
+    good = np.asarray(np.isfinite(px).all(axis=(1, 2)))
     px = np.where(good[:, None, None], px, -1e6)
     size = np.array([camera.width_px, camera.height_px])
     low = np.clip(np.floor(px.min(1) - WINDOW_PX), 0, size)

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 
+NEAR_BORDER_PX = 3
+"""A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed away."""
+
 
 @dataclass(frozen=True, eq=False)
 class Blob:
@@ -61,5 +64,6 @@ def largest_blob(mask: Mask) -> Blob | None:
     x, y, w, h, area = (int(v) for v in stats[k])
     if area < 60:
         return None
-    border = x <= 1 or y <= 1 or x + w >= mask.shape[1] - 1 or y + h >= mask.shape[0] - 1
+    border = min(x, y) <= NEAR_BORDER_PX
+    border = border or x + w >= mask.shape[1] - NEAR_BORDER_PX or y + h >= mask.shape[0] - NEAR_BORDER_PX
     return Blob(np.asarray(centres[k], float), float(area), (x, y, x + w, y + h), border)

@@ -8,7 +8,9 @@ both readings are tried.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from ..model.rotations import matrix_from_quat
 from .coarser import Coarseness
 from .edges import COARSE, new_desk
-from .pose import Pose, View, make_view, picture_scores, refine_pose, seen_by_first, stacked
+from .pose import THREADS, Pose, View, make_view, picture_scores, refine_pose, seen_by_first, stacked
 from .segment import Blob, differing, largest_blob, without_shadow
 
 Array = NDArray[np.float64]
@@ -89,6 +91,9 @@ def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
     if rest is None or whole is None or rest.area_px < LIT_SHARE * whole.area_px:
         # Nothing but a shadow: it often comes into view before the die that casts it.
         return []
+    if rest.touches_border:
+        # The die is coming into view, or leaving; what else there is, is its shadow.
+        return []
     return [b for b in (rest, largest_blob(bright), whole) if b and not b.touches_border]
 
 
@@ -107,7 +112,12 @@ def _search(
     if not places:
         return []
     positions, rotations = np.repeat(places, len(grid), axis=0), np.tile(grid, (len(places), 1, 1))
-    scores, _ = picture_scores(view, image, box, positions, rotations, SEARCH_PIXELS)
+    cuts = [slice(int(a), int(b)) for a, b in pairwise(np.linspace(0, len(positions), THREADS + 1).astype(int))]
+    with ThreadPoolExecutor(THREADS) as pool:
+        parts = pool.map(
+            lambda part: picture_scores(view, image, box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
+        )
+        scores = np.concatenate(list(parts))
     best = np.argsort(scores, kind="stable")[:REFINED]
     poses = _refined(view, images, positions[best], rotations[best])
     poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= 0.3 * solid.inradius]
@@ -131,21 +141,28 @@ def _search(
 def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotations: Array) -> list[Pose]:
     """Poses refined on the first camera's picture, whose size of the die may be off by a fifth of the distance, and then on all:
     a second camera sees that error from the side, too far off for any edge to be found."""
-    desk, loose_m = new_desk(view.shape), 1.5 * view.reach_m
-    poses = [
-        refine_pose(
-            seen_by_first(view), images, position_m, rotation, coarse=len(COARSE), prior_position_m=loose_m,
-            prior_rotation_rad=0.3, desk=desk,
-        )
-        for position_m, rotation in zip(positions_m, rotations, strict=True)
-    ]  # fmt: skip
-    if len(view.cameras) == 1:
-        return poses
-    return [
-        refine_pose(view, images, pose.position_m, pose.rotation, coarse=3, desk=desk)
-        for pose in poses
-        if pose.covariance is not None
-    ]
+    first, loose_m = seen_by_first(view), 1.5 * view.reach_m
+
+    def some(rows: NDArray[np.int64]) -> list[Pose]:
+        desk = new_desk(view.shape)
+        poses = [
+            refine_pose(
+                first, images, positions_m[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
+                prior_rotation_rad=0.3, desk=desk,
+            )
+            for k in rows
+        ]  # fmt: skip
+        if len(view.cameras) == 1:
+            return poses
+        return [
+            refine_pose(view, images, pose.position_m, pose.rotation, coarse=3, desk=desk)
+            for pose in poses
+            if pose.covariance is not None
+        ]
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        parts = pool.map(some, np.array_split(np.arange(len(positions_m)), THREADS))
+        return [pose for part in parts for pose in part]
 
 
 def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pose]]:
