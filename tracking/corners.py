@@ -13,9 +13,9 @@ them. Three questions are asked, each of some frames spread over the clip:
    lies up to 0.4 r further in, which a larger distance imitates; strips of their own shade between the faces, and contours
    that are one or the other from face to face, a distance does not. `look_rounded` says yes where ℓ falls by more
    than any sharp die's and more than chance.
-2. **About how much?** The least ℓ over radii of growing size with poses as free (`by_free_poses`). Glancing light draws the
-   contour in by a tenth of a pixel, the poses go along, and radii come out too small, by up to two thirds: good for a first
-   model, with which the flights become what they are.
+2. **About how much?** ℓ over radii of growing size with poses as free (`by_free_poses`). Glancing light draws the contour in
+   by a tenth of a pixel, the poses go along, and the least ℓ comes out too small, by up to two thirds. Its far shoulder does
+   not, and is good for a first model, with which the flights become what they are.
 3. **How much?** In flight the die falls with g and bounces on z = 0, which tells its distance. The least ℓ with the poses
    where the flights have the die, none free (`by_flights`).
 
@@ -54,11 +54,17 @@ WINSOR = 3.0
 """Sigmas (by the median deviation) beyond which a frame counts as if it lay there."""
 LEAST_PX, RATIO, MOST_SHARE = 0.5, 1.4, 0.6
 """First radius that is tried, each one over the last, and the largest as a share of the inscribed radius."""
-WORSE = 0.1
+WORSE = 0.15
 """By how much ℓ may rise above its least before larger radii are not tried any more."""
+SHOULDER = 0.6
+"""Share of the greatest gain. With poses free ℓ has a broad and skew bottom, whose least lies at 0.3 to 0.9 times the true
+radius: a larger distance makes up for a radius that is too small, and nothing for one that is too large. On rendered clips
+this shoulder lay at 0.9 to 1.25 times."""
+ASTRAY = 0.3
+"""By how much ℓ may be less with the pose of a frame free than on its flight: beyond it the flight is wrong there."""
 NEAR_RATIO, NEAR_STEPS = 1.25, 5
 """Radii about a first one that are tried on flights: up to three times as large, and as small."""
-FREE_SHARE, FREE_PX = 0.4, 0.3
+FREE_SHARE, FREE_PX = 0.25, 0.3
 """One sigma of a radius by free poses: of the radius, and of any."""
 FLIGHT_SHARE, FLIGHT_PX = 0.15, 0.1
 """The same by flights. With the true poses of rendered clips the least lay 0.8 to 1.1 times the true radius: how far down a
@@ -135,13 +141,7 @@ def gain_of_rounding(view: View, looks: Looks) -> tuple[float, float]:
     if radius > MOST_SHARE * view.die.solid.inradius:
         return 0.0, np.inf  # so few pixels that a die this rounded would be a ball
     sharp, round_ = (_misfits(rounded(view, r), looks, _free(view))[0] for r in (0.0, radius))
-    falls = (sharp - round_)[np.isfinite(sharp - round_)]
-    if len(falls) < FEWEST:
-        return 0.0, np.inf
-    middle = np.median(falls)
-    wide = WINSOR * 1.4826 * np.median(np.abs(falls - middle))
-    falls = np.clip(falls, middle - wide, middle + wide)
-    return float(falls.mean()), float(falls.std(ddof=1) / np.sqrt(len(falls)))
+    return _winsorised(sharp - round_)
 
 
 def look_rounded(view: View, looks: Looks) -> bool:
@@ -151,19 +151,21 @@ def look_rounded(view: View, looks: Looks) -> bool:
 
 
 def by_free_poses(view: View, looks: Looks) -> Corners:
-    """The radius of least ℓ with the pose of each frame free; 0 where no radius is better than none."""
+    """The radius at the far shoulder of ℓ with the pose of each frame free: the largest that keeps SHOULDER of what the best
+    gains over none. 0 where none gains."""
     px_per_m = _px_per_m(view, looks)
     most = MOST_SHARE * view.die.solid.inradius
-    radii, levels = [0.0], [_mean(_misfits(rounded(view, 0.0), looks, _free(view))[0])]
-    radius, here = LEAST_PX / px_per_m, looks
-    while radius < most and levels[-1] < min(levels) + WORSE:
+    sharp, here = _misfits(rounded(view, 0.0), looks, _free(view))
+    radii, gains = [0.0], [0.0]
+    radius = LEAST_PX / px_per_m
+    while radius < most and gains[-1] > max(gains) - WORSE:
         # From the poses of the radius before: the die comes nearer as it loses its corners.
         misfit, here = _misfits(rounded(view, radius), here, _free(view))
         radii.append(radius)
-        levels.append(_mean(misfit))
+        gains.append(_winsorised(sharp - misfit)[0])
         radius *= RATIO
-    best = _least(np.array(radii), np.array(levels)[None])
-    return Corners(best, float(np.hypot(FREE_SHARE * best, FREE_PX / px_per_m)))
+    found = _far_shoulder(np.array(radii), np.array(gains))
+    return Corners(found, float(np.hypot(FREE_SHARE * found, FREE_PX / px_per_m)))
 
 
 def by_flights(view: View, looks: Looks, first_m: float) -> Corners | None:
@@ -173,9 +175,10 @@ def by_flights(view: View, looks: Looks, first_m: float) -> Corners | None:
     ratios = NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0)
     radii = np.append(0.0, np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius))
     radii = np.unique(radii)
-    held = view.lens._replace(fine_steps=1, samples=0)
+    held, start = view.lens._replace(fine_steps=1, samples=0), rounded(view, max(first_m, LEAST_PX / px_per_m))
+    apart = _misfits(start, looks, held)[0] - _misfits(start, looks, _free(view))[0]
     levels = np.array([_misfits(rounded(view, r), looks, held)[0] for r in radii]).T
-    levels = levels[np.isfinite(levels).all(1)]
+    levels = levels[np.isfinite(levels).all(1) & (apart < ASTRAY)]
     n = len(levels)
     if n < FEWEST:
         return None
@@ -251,10 +254,27 @@ def _misfits(view: View, looks: Looks, lens: Lens) -> tuple[Array, Looks]:
     return np.array(misfit), replace(looks, position_m=np.array(position), rotation=np.array(rotation))
 
 
-def _mean(misfit: Array) -> float:
-    """Of the frames that tell; infinite where none does."""
-    known = np.isfinite(misfit)
-    return float(misfit[known].mean()) if known.any() else np.inf
+def _winsorised(values: Array) -> tuple[float, float]:
+    """Mean of what is finite, with what lies far off brought nearer, and its standard error; (0, infinite) of too little."""
+    values = values[np.isfinite(values)]
+    if len(values) < FEWEST:
+        return 0.0, np.inf
+    middle = np.median(values)
+    wide = WINSOR * 1.4826 * np.median(np.abs(values - middle))
+    values = np.clip(values, middle - wide, middle + wide)
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))
+
+
+def _far_shoulder(radii: Array, gains: Array) -> float:
+    """The largest radius at which a gain, straight between the radii, is SHOULDER of its greatest; 0 where that is the first."""
+    wanted = SHOULDER * gains.max()
+    if not wanted > 0.0:
+        return 0.0
+    last = int(np.flatnonzero(gains >= wanted)[-1])
+    if last == len(radii) - 1:
+        return float(radii[last])
+    share = (gains[last] - wanted) / (gains[last] - gains[last + 1])
+    return float(radii[last] + share * (radii[last + 1] - radii[last]))
 
 
 def _least(radii: Array, levels: Array) -> float:

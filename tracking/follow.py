@@ -145,8 +145,9 @@ def look_through(
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
     the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
-    used: they are lost. `rounding` says whether the radius of the die's corners is given. `progress` is called with frames done and frames to do. Raises ValueError where camera,
-    background and clip differ in size, and NoDieError where no die was found.
+    used: they are lost. `rounding` says whether the radius of the die's corners is given. `progress` is called with frames
+    done and frames to do. Raises ValueError where camera, background and clip differ in size, and NoDieError where no die was
+    found.
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
