@@ -56,10 +56,10 @@ LEAST_PX, RATIO, MOST_SHARE = 0.5, 1.4, 0.6
 """First radius that is tried, each one over the last, and the largest as a share of the inscribed radius."""
 WORSE = 0.15
 """By how much ℓ may rise above its least before larger radii are not tried any more."""
-SHOULDER = 0.6
+SHOULDER = 0.9
 """Share of the greatest gain. With poses free ℓ has a broad and skew bottom, whose least lies at 0.3 to 0.9 times the true
 radius: a larger distance makes up for a radius that is too small, and nothing for one that is too large. On rendered clips
-this shoulder lay at 0.9 to 1.25 times."""
+this shoulder lies at SHOULDER_TIMES."""
 ASTRAY = 0.3
 """By how much ℓ may be less with the pose of a frame free than on its flight: beyond it the flight is wrong there."""
 NEAR_RATIO, NEAR_STEPS = 1.25, 5

@@ -74,6 +74,8 @@ FIRST_BLUR_PX = 0.7
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
 BLUR_FRAMES = 16
 """Frames over which the lens blur is estimated."""
+ROUNDINGS, SAME_RADIUS = 2, 0.1
+"""Most first passes with a radius of the corners that is being found, and the change, as a share, that needs no other."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
@@ -161,8 +163,6 @@ def look_through(
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
-    if corners is not None and throw is not None:
-        view, corners = _rounded_by_flights(view, reel, seen, throw, corners)
     offsets = Offsets.none(len(clips))
     if quality.second_pass:
         view = with_reflections(view)
@@ -177,7 +177,9 @@ def look_through(
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
     if corners is not None:
-        view, corners, track = _rounded_at_last(view, reel, track, corners)
+        corners = _corners_at_last(view, reel, track, corners)
+        view = rounded(view, corners.radius_m, corners.sigma_m)
+        track = replace(track, contour_sigma_px=_contour_sigma_px(view, track))
     return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
 
 
@@ -251,39 +253,48 @@ def _first_pass(
 def _first_pass_rounded(
     view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask, rounding: Rounding
 ) -> tuple[View, Seen, Corners | None]:
-    """The first pass, done again with rounded corners where the die is to be looked at and shows them."""
+    """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
+    show the radius that it was done with."""
     first, seen = _first_pass(view, reel, report, by_hand, unused)
+    corners = _corners_at_sight(first, reel, seen, rounding)
+    if corners is None or corners.radius_m == 0.0:
+        return first, seen, corners
+    for _ in range(ROUNDINGS):
+        # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
+        first, seen = _first_pass(rounded(view, corners.radius_m, corners.sigma_m), reel, report, by_hand, unused)
+        throw = _measured(first, reel, seen)
+        before, corners = corners, _corners_in_flight(first, reel, _as_track(first, reel, seen), throw, corners)
+        if abs(corners.radius_m - before.radius_m) < SAME_RADIUS * before.radius_m:
+            break
+    first = rounded(first, corners.radius_m, corners.sigma_m)
+    return first, seen, None if corners.radius_m == 0.0 and rounding is Rounding.LOOKED_AT else corners
+
+
+def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
+    """How rounded the die of a first pass with sharp corners looks; None where nobody asks, or it looks sharp."""
     if rounding is Rounding.GIVEN:
-        return first, seen, None
-    whole = np.flatnonzero(seen.known & (shares_in_view(first, seen.position_m, seen.rotation) == 1.0))
+        return None
+    whole = np.flatnonzero(seen.known & (shares_in_view(view, seen.position_m, seen.rotation) == 1.0))
     looks = Looks.at(whole, reel.frame, seen.position_m[whole], seen.rotation[whole], seen.motion[whole])
-    if rounding is Rounding.LOOKED_AT and not look_rounded(first, looks):
-        return first, seen, None
-    corners = by_free_poses(first, looks)
-    if corners.radius_m == 0.0:
-        return replace(first, radius_sigma_m=corners.sigma_m), seen, corners
-    # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
-    again = rounded(view, corners.radius_m, corners.sigma_m)
-    return *_first_pass(again, reel, report, by_hand, unused), corners
+    if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
+        return None
+    return by_free_poses(view, looks)
 
 
-def _rounded_by_flights(view: View, reel: Reel, seen: Seen, throw: Throw, corners: Corners) -> tuple[View, Corners]:
-    """The view with the radius of the corners as the flights show it, where they do."""
-    looks = looks_in_flight(view, reel.frame, _as_track(view, reel, seen), throw)
-    found = by_flights(view, looks, corners.radius_m) or corners
-    return rounded(view, found.radius_m, found.sigma_m), found
+def _corners_in_flight(view: View, reel: Reel, track: Track, throw: Throw | None, corners: Corners) -> Corners:
+    """The same as the flights of a track show it; what it was where they do not."""
+    if throw is None:
+        return corners
+    return by_flights(view, looks_in_flight(view, reel.frame, track, throw), corners.radius_m) or corners
 
 
-def _rounded_at_last(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[View, Corners, Track]:
-    """The same with the flights of the finished track, and the track as unsure of its contours as they then are."""
+def _corners_at_last(view: View, reel: Reel, track: Track, corners: Corners) -> Corners:
+    """The radius as the flights of the finished track show it."""
     try:
         throw = measure(track, view.die, view.camera).throw
     except NoFlightError:
-        return view, corners, track
-    looks = looks_in_flight(view, reel.frame, track, throw)
-    found = by_flights(view, looks, corners.radius_m) or corners
-    view = rounded(view, found.radius_m, found.sigma_m)
-    return view, found, replace(track, contour_sigma_px=_contour_sigma_px(view, track))
+        return corners
+    return _corners_in_flight(view, reel, track, throw, corners)
 
 
 def _contour_sigma_px(view: View, track: Track) -> float:
