@@ -28,7 +28,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from enum import Enum
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +77,7 @@ STEPS, ENOUGH = 6, 0.01
 """Most steps of a free pose, and the gain [squared sigmas] of the last one."""
 
 
-class Rounding(Enum):
+class Rounding(StrEnum):
     """What is to be done about the radius of the corners."""
 
     GIVEN = "given"
