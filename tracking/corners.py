@@ -45,8 +45,9 @@ Picture = Callable[[int], NDArray[np.generic]]
 
 FRAMES = 24
 """Frames that are asked: their mean is five times as sure as what one says."""
-NOTICED_PX = 1.0
-"""Radius that is tried against none: what a blur of 0.6 px still shows, and what is not yet too broad for 0.3 mm."""
+NOTICED_PX, PLAIN_PX, PLAIN_FRAMES = 1.0, 4.0, 8
+"""Radii that are tried against none: what a blur of 0.6 px still shows, and what a die shows, already on fewer frames, that is
+so round that one pixel changes nothing."""
 GAIN, SURE = 0.02, 2.0
 """Least fall of ℓ for a die to be taken for rounded, and the least number of its standard errors. `docs/tracking.md` has the
 table of what sharp and rounded dice show."""
@@ -127,6 +128,12 @@ class Looks:
         pictures = tuple(np.ascontiguousarray(picture(int(rows[k])), np.float32) for k in chosen)
         return Looks(pictures, position_m[chosen], rotation[chosen], motion[chosen])
 
+    def some(self, count: int) -> Looks:
+        """So many of them at the most, spread evenly."""
+        chosen = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
+        pictures = tuple(self.pictures[k] for k in chosen)
+        return Looks(pictures, self.position_m[chosen], self.rotation[chosen], self.motion[chosen])
+
     def __len__(self) -> int:
         return len(self.pictures)
 
@@ -134,10 +141,10 @@ class Looks:
 # --- the questions ----------------------------------------------------------------------------------------------------
 
 
-def gain_of_rounding(view: View, looks: Looks) -> tuple[float, float]:
-    """By how much corners of NOTICED_PX explain the pictures of a view with sharp ones better: mean fall of ℓ over the
+def gain_of_rounding(view: View, looks: Looks, radius_px: float = NOTICED_PX) -> tuple[float, float]:
+    """By how much corners of this radius explain the pictures of a view with sharp ones better: mean fall of ℓ over the
     frames, what lies far off brought nearer, and its standard error."""
-    radius = NOTICED_PX / _px_per_m(view, looks)
+    radius = radius_px / scale_px_per_m(view, looks)
     if radius > MOST_SHARE * view.die.solid.inradius:
         return 0.0, np.inf  # so few pixels that a die this rounded would be a ball
     sharp, round_ = (_misfits(rounded(view, r), looks, _free(view))[0] for r in (0.0, radius))
@@ -146,14 +153,17 @@ def gain_of_rounding(view: View, looks: Looks) -> tuple[float, float]:
 
 def look_rounded(view: View, looks: Looks) -> bool:
     """Whether the die of a view with sharp corners is plainly rounded."""
-    gain, sigma = gain_of_rounding(view, looks)
-    return gain > GAIN and gain > SURE * sigma
+    some = looks.some(PLAIN_FRAMES)
+    return any(
+        gain > max(GAIN, SURE * sigma)
+        for gain, sigma in (gain_of_rounding(view, looks), gain_of_rounding(view, some, PLAIN_PX))
+    )
 
 
 def by_free_poses(view: View, looks: Looks) -> Corners:
     """The radius at the far shoulder of ℓ with the pose of each frame free: the largest that keeps SHOULDER of what the best
     gains over none. 0 where none gains."""
-    px_per_m = _px_per_m(view, looks)
+    px_per_m = scale_px_per_m(view, looks)
     most = MOST_SHARE * view.die.solid.inradius
     sharp, here = _misfits(rounded(view, 0.0), looks, _free(view))
     radii, gains = [0.0], [0.0]
@@ -171,7 +181,7 @@ def by_free_poses(view: View, looks: Looks) -> Corners:
 def by_flights(view: View, looks: Looks, first_m: float) -> Corners | None:
     """The radius of least ℓ about a first one, with the poses of the looks as they are; 0 where no radius is better than
     none, None where fewer than FEWEST frames tell."""
-    px_per_m = _px_per_m(view, looks)
+    px_per_m = scale_px_per_m(view, looks)
     ratios = NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0)
     radii = np.append(0.0, np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius))
     radii = np.unique(radii)
@@ -289,7 +299,7 @@ def _least(radii: Array, levels: Array) -> float:
     return float(np.clip(-b / (2.0 * a) * x[1], x[0], x[2])) if a > 0.0 else float(x[1])
 
 
-def _px_per_m(view: View, looks: Looks) -> float:
+def scale_px_per_m(view: View, looks: Looks) -> float:
     """Pixels a metre at the die, in the median frame."""
     distance = np.linalg.norm(looks.position_m - view.camera.centre_m, axis=1)
     return float(view.camera.matrix[0, 0] / np.median(distance))
