@@ -70,6 +70,8 @@ FREE_SHARE, FREE_PX = 0.25, 0.3
 FLIGHT_SHARE, FLIGHT_PX = 0.15, 0.1
 """The same by flights. With the true poses of rendered clips the least lay 0.8 to 1.1 times the true radius: how far down a
 bevel an edge looks like one is the light's affair."""
+INSET_SHARE = 0.02
+"""Least inset of an outline by a radius: a die seen from in front of a face all the time has none."""
 NEAR_BOUNCE = 1.5
 """Frames from an impact within which no flight is trusted."""
 FEWEST = 6
@@ -144,6 +146,8 @@ class Looks:
 def gain_of_rounding(view: View, looks: Looks, radius_px: float = NOTICED_PX) -> tuple[float, float]:
     """By how much corners of this radius explain the pictures of a view with sharp ones better: mean fall of ℓ over the
     frames, what lies far off brought nearer, and its standard error."""
+    if len(looks) < FEWEST:
+        return 0.0, np.inf
     radius = radius_px / scale_px_per_m(view, looks)
     if radius > MOST_SHARE * view.die.solid.inradius:
         return 0.0, np.inf  # so few pixels that a die this rounded would be a ball
@@ -160,9 +164,11 @@ def look_rounded(view: View, looks: Looks) -> bool:
     )
 
 
-def by_free_poses(view: View, looks: Looks) -> Corners:
+def by_free_poses(view: View, looks: Looks) -> Corners | None:
     """The radius at the far shoulder of ℓ with the pose of each frame free: the largest that keeps SHOULDER of what the best
-    gains over none. 0 where none gains."""
+    gains over none. 0 where none gains, None where fewer than FEWEST frames tell."""
+    if len(looks) < FEWEST:
+        return None
     px_per_m = scale_px_per_m(view, looks)
     most = MOST_SHARE * view.die.solid.inradius
     sharp, here = _misfits(rounded(view, 0.0), looks, _free(view))
@@ -178,9 +184,12 @@ def by_free_poses(view: View, looks: Looks) -> Corners:
     return Corners(found, float(np.hypot(FREE_SHARE * found, FREE_PX / px_per_m)))
 
 
-def by_flights(view: View, looks: Looks, first_m: float) -> Corners | None:
+def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0) -> Corners | None:
     """The radius of least ℓ about a first one, with the poses of the looks as they are; 0 where no radius is better than
-    none, None where fewer than FEWEST frames tell."""
+    none, None where fewer than FEWEST frames tell. `contour_px` is the standard error of the contour that the flights leave:
+    of their distance, in pixels of the outline."""
+    if len(looks) < FEWEST:
+        return None
     px_per_m = scale_px_per_m(view, looks)
     ratios = NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0)
     radii = np.append(0.0, np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius))
@@ -196,7 +205,9 @@ def by_flights(view: View, looks: Looks, first_m: float) -> Corners | None:
     # The jackknife: what the radius would be without each of the frames.
     without = np.array([_least(radii, np.delete(levels, k, 0)) for k in range(n)])
     scatter = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    return Corners(best, float(np.sqrt(scatter**2 + (FLIGHT_SHARE * best) ** 2 + (FLIGHT_PX / px_per_m) ** 2)))
+    inset = contour_sigma_px(rounded(view, best, 1.0), looks.position_m, looks.rotation)
+    errors = (scatter, FLIGHT_SHARE * best, FLIGHT_PX / px_per_m, contour_px / max(inset, INSET_SHARE * px_per_m))
+    return Corners(best, float(np.linalg.norm(errors)))
 
 
 def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) -> Looks:

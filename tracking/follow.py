@@ -76,6 +76,8 @@ BLUR_FRAMES = 16
 """Frames over which the lens blur is estimated."""
 ROUNDINGS, SAME_RADIUS = 2, 0.1
 """Most first passes with a radius of the corners that is being found, and the change, as a share, that needs no other."""
+ROUND_SHARE = 0.25
+"""Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
@@ -177,7 +179,7 @@ def look_through(
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
     if corners is not None:
-        corners = _corners_at_last(view, reel, track, corners)
+        corners = _corners_in_flight(view, reel, track, corners)
         view = rounded(view, corners.radius_m, corners.sigma_m)
         track = replace(track, contour_sigma_px=_contour_sigma_px(view, track))
     return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
@@ -255,15 +257,26 @@ def _first_pass_rounded(
 ) -> tuple[View, Seen, Corners | None]:
     """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
     show the radius that it was done with."""
-    first, seen = _first_pass(view, reel, report, by_hand, unused)
+    if rounding is Rounding.GIVEN:
+        return *_first_pass(view, reel, report, by_hand, unused), None
+    try:
+        first, seen = _first_pass(view, reel, report, by_hand, unused)
+    except NoDieError:
+        # A die that is round all over is none with sharp corners.
+        ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
+        first, seen = _first_pass(ball, reel, report, by_hand, unused)
     corners = _corners_at_sight(first, reel, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, seen, corners
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
-        first, seen = _first_pass(rounded(view, corners.radius_m, corners.sigma_m), reel, report, by_hand, unused)
-        throw = _measured(first, reel, seen)
-        before, corners = corners, _corners_in_flight(first, reel, _as_track(first, reel, seen), throw, corners)
+        again = rounded(view, corners.radius_m, corners.sigma_m)
+        try:
+            first, seen = _first_pass(again, reel, report, by_hand, unused)
+        except NoDieError:
+            break  # so round that nothing starts with it; what was followed before still is a start
+        whole = shares_in_view(first, seen.position_m, seen.rotation) == 1.0
+        before, corners = corners, _corners_in_flight(first, reel, _as_track(first, reel, seen, whole), corners)
         if abs(corners.radius_m - before.radius_m) < SAME_RADIUS * before.radius_m:
             break
     first = rounded(first, corners.radius_m, corners.sigma_m)
@@ -271,9 +284,7 @@ def _first_pass_rounded(
 
 
 def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
-    """How rounded the die of a first pass with sharp corners looks; None where nobody asks, or it looks sharp."""
-    if rounding is Rounding.GIVEN:
-        return None
+    """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
     whole = np.flatnonzero(seen.known & (shares_in_view(view, seen.position_m, seen.rotation) == 1.0))
     looks = Looks.at(whole, reel.frame, seen.position_m[whole], seen.rotation[whole], seen.motion[whole])
     if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
@@ -281,20 +292,15 @@ def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) ->
     return by_free_poses(view, looks)
 
 
-def _corners_in_flight(view: View, reel: Reel, track: Track, throw: Throw | None, corners: Corners) -> Corners:
-    """The same as the flights of a track show it; what it was where they do not."""
-    if throw is None:
-        return corners
-    return by_flights(view, looks_in_flight(view, reel.frame, track, throw), corners.radius_m) or corners
-
-
-def _corners_at_last(view: View, reel: Reel, track: Track, corners: Corners) -> Corners:
-    """The radius as the flights of the finished track show it."""
+def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> Corners:
+    """The same as the flights of a track show it; what it was where they do not show it any better."""
     try:
-        throw = measure(track, view.die, view.camera).throw
+        found = measure(track, view.die, view.camera)
     except NoFlightError:
         return corners
-    return _corners_in_flight(view, reel, track, throw, corners)
+    looks = looks_in_flight(view, reel.frame, track, found.throw)
+    again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
+    return corners if again is None or again.sigma_m > corners.sigma_m else again
 
 
 def _contour_sigma_px(view: View, track: Track) -> float:
