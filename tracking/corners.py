@@ -103,10 +103,10 @@ class Corners:
     def notice(self) -> str:
         """One sentence for who reads the result."""
         if self.radius_m == 0.0:
-            return f"the corners look sharp: no radius was found, ± {1e3 * self.sigma_m:.2g} mm."
+            return f"the corners look sharp: no radius was found, ± {1e3 * self.sigma_m:.2f} mm."
         return (
-            f"the corners look rounded, with a radius of {1e3 * self.radius_m:.2g} ± {1e3 * self.sigma_m:.1g} mm, which the "
-            f"poses take into account; if it is known better, write it as die.corner_radius_m."
+            f"the corners look rounded, with a radius of {1e3 * self.radius_m:.2f} ± {1e3 * self.sigma_m:.2f} mm, which the "
+            "poses take into account; if it is known better, write it as die.corner_radius_m."
         )
 
 

@@ -242,7 +242,7 @@ def _corners(sight: Sight) -> Finding:
     if found is None or found.radius_m == 0.0:
         return Finding("corners", Verdict.GOOD, "The corners look sharp, or nearly so.", "", {"corner_radius_m": 0.0})
     radius, sigma = found.radius_m, found.sigma_m
-    told = f"The corners look rounded, with a radius of {1e3 * radius:.2g} ± {1e3 * sigma:.1g} mm (standard error)."
+    told = f"The corners look rounded, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
     advice = (
         f"measure it and write it as die.corner_radius_m, or write {radius:.2g}; left out, tracking estimates it again"
     )

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from diethrow.cli import app
 from diethrow.scene import SceneError, read_scene
+from diethrow.tracking.corners import Rounding
 
 SCENE = """\
 [clip]
@@ -119,8 +120,16 @@ MISTAKES = {
     "pips on a tetrahedron": ('shape = "cube"', 'shape = "tetrahedron"', ["die.marks", "pips", "tetrahedron"]),
     "unknown marks": ('"pips"', '"dots"', ["die.marks", "dots", "numbers"]),
     "corner beyond the die": ("edge_m =", "corner_radius_m = 0.6\nedge_m =", ["corner_radius_m = 0.6", "0.0006?"]),
-    "corners below zero": ("edge_m =", "corner_radius_m = -1e-3\nedge_m =", ["die.corner_radius_m = -0.001", "0 or more"]),
-    "corners by another word": ("edge_m =", 'corner_radius_m = "soft"\nedge_m =', ["corner_radius_m", "soft", "estimate"]),
+    "corners below zero": (
+        "edge_m =",
+        "corner_radius_m = -1e-3\nedge_m =",
+        ["die.corner_radius_m = -0.001", "0 or more"],
+    ),
+    "corners by another word": (
+        "edge_m =",
+        'corner_radius_m = "soft"\nedge_m =',
+        ["corner_radius_m", "soft", "estimate"],
+    ),
     "corners that are true": ("edge_m =", "corner_radius_m = true\nedge_m =", ["corner_radius_m = true", "estimate"]),
     "corners in a list": ("edge_m =", "corner_radius_m = [1]\nedge_m =", ["corner_radius_m = [1]", "estimate"]),
     "mass outside the die": ("edge_m =", "inertia_kg_m2 = 2e-3\nedge_m =", ["inertia_kg_m2 = 0.002", "at the corners"]),
