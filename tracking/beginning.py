@@ -36,8 +36,11 @@ frames from which the usual size is known."""
 FEW_FRAMES = 100
 """Length of a clip below which no frame is passed over in the search for the first that shows anything."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
-"""Share of the contour that must show a clear step over a trial for a start to be taken at once; where no frame offers
-that, as with a die of little contrast, the best start above the second is taken."""
+"""Share of the contour that must show a clear step over a trial, with no frame missed, for a start to be taken at once; where
+none offers that, as with a die of little contrast, the best start above the second is taken."""
+EVEN, OPINIONS = 0.5, 3
+"""Unevenness below which a start is taken at once; above it, as of small dice and of wrong starts that are followed for a while,
+the most even of the starts on so many frames is taken."""
 STAGES = (4, 8, 16, 32, 64)
 """Frames over which the starts race each other; a start must be followed over the second to be believed."""
 BEHIND = 0.3
@@ -58,6 +61,11 @@ class Runner:
     """What the pictures leave over on the mean, and how unevenly the die would move, in units of what none does."""
     unevenness: float
 
+    @property
+    def support(self) -> float:
+        """Share of the contour with a clear step, over the race."""
+        return float(self.seen.support[self.seen.known].mean())
+
 
 def find_beginning(
     view: View, reel: Reel, unused: Mask, reached: Callable[[int], None] = lambda frame: None
@@ -66,16 +74,23 @@ def find_beginning(
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at.
     """
-    spare: tuple[float, int, Runner] | None = None
+    fair: list[tuple[int, Runner]] = []
+    good: list[tuple[int, Runner]] = []
     for k, image in islice(_candidates(view, reel, unused, reached), START_FRAMES):
         best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
-        if best is not None:
-            support = float(best.seen.support[best.seen.known].mean())
-            if support > SURE_SUPPORT:
-                return _begun(best, reel, k, unused)
-            if spare is None or support > spare[0]:
-                spare = support, k, best
-    return _begun(spare[2], reel, spare[1], unused) if spare is not None and spare[0] > FAIR_SUPPORT else None
+        if best is None:
+            continue
+        if best.support <= SURE_SUPPORT or not best.seen.known[: STAGES[1]].all():
+            fair.append((k, best))
+            continue
+        good.append((k, best))
+        if best.unevenness < EVEN or len(good) == OPINIONS:
+            break
+    if good:
+        k, chosen = min(good, key=lambda pair: pair[1].unevenness)
+        return _begun(chosen, reel, k, unused)
+    k, chosen = max(fair, key=lambda pair: pair[1].support, default=(0, None))
+    return _begun(chosen, reel, k, unused) if chosen is not None and chosen.support > FAIR_SUPPORT else None
 
 
 def _candidates(

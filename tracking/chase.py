@@ -103,7 +103,7 @@ class Chase:
         self.misses = 0
         self.next_frame = 0
         self.backwards = False
-        self._desk: Desk = new_desk(view.shape)
+        self._desk: Desk = new_desk(view.shape, view.eyes)
 
     @staticmethod
     def from_start(view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_]) -> Chase:

@@ -74,10 +74,11 @@ the clip."""
 SHORT_FLIGHT = 10
 """Frames of a flight below which all are looked at."""
 CUTS = (8.0 * TUKEY, 3.0 * TUKEY, 1.5 * TUKEY, TUKEY, TUKEY, TUKEY, TUKEY)
-"""Cut of the robust weights [sigmas] in each round of adjusting and learning again; the last ones are left out when nothing
-moves any more. A narrow cut from the start would take what the first poses misplaced for something that hides the die."""
-SETTLED_SIGMAS = 0.3
-"""A round that moves no flight by more than this many of its sigmas is the last."""
+"""Cut of the robust weights [sigmas] in each round of adjusting and learning again. A narrow cut from the start would take what
+the first poses misplaced for something that hides the die. The rounds with wide cuts see half of the looks."""
+SETTLED_SIGMAS = 0.5
+"""A round that moves no flight by more than this many of its sigmas is the last of its kind, with a wide cut or the last one: the
+next would move it by a third of that."""
 WILD_SIGMAS = 6.0
 """A flight that moves by more, once the cut is narrow, is no flight: a die that rolls or slides does not fall, and pulls at its
 neighbours from round to round. Flights that are some move by two or three sigmas there at the most."""
@@ -128,18 +129,23 @@ def learn_marks(
     links = links_between(looks, throw)
     few = _thinned(looks)
     marks = with_learned_textures(view, few, throw.flights, blank_marks(view, grid, saturation_grey, throw), CUTS[0])
+    settled = False
     for cut in CUTS:
+        wide = cut > TUKEY
+        if wide and settled:
+            continue
         if not len(marks.marked_faces):
             return None
-        chosen = looks if cut == TUKEY else few
+        chosen = few if wide else looks
         marks, moved_sigmas = adjusted(view, chosen, links, marks, cut)
-        if cut == TUKEY and (moved_sigmas > WILD_SIGMAS).any():
+        if not wide and (moved_sigmas > WILD_SIGMAS).any():
             marks, looks, links = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
             chosen = looks
             if len(looks) < 2 * FEWEST_LOOKS:
                 return None
         marks = with_learned_textures(view, chosen, marks.flights, marks, cut)
-        if cut == TUKEY and moved_sigmas.max() < SETTLED_SIGMAS:
+        settled = bool(moved_sigmas.max() < SETTLED_SIGMAS)
+        if settled and not wide:
             break
     return marks if len(marks.marked_faces) else None
 

@@ -242,10 +242,14 @@ def with_learned_textures(
 
 
 def _knots(coefficients: Array) -> Array:
-    """(6, n, n) value and derivatives by x, y, xx, xy, yy of a cubic B-spline surface where its coefficients (n, n) sit."""
-    value, slope, bend = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5]), np.array([1.0, -2.0, 1.0])
-    pairs = (value, value), (slope, value), (value, slope), (bend, value), (slope, slope), (value, bend)
-    return np.stack([cv2.sepFilter2D(coefficients, cv2.CV_64F, x, y) for x, y in pairs])
+    """(6, n, n) of a cubic B-spline surface where its coefficients (n, n) sit: value, slopes x and y [1/texel], and differences
+    xx, xy, yy of the second order from texel to texel."""
+    level, slope = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5])
+    same, bend = np.array([0.0, 1.0, 0.0]), np.array([1.0, -2.0, 1.0])
+    values = cv2.sepFilter2D(coefficients, cv2.CV_64F, level, level)
+    slopes = [cv2.sepFilter2D(coefficients, cv2.CV_64F, x, y) for x, y in ((slope, level), (level, slope))]
+    bends = [cv2.sepFilter2D(values, cv2.CV_64F, x, y) for x, y in ((bend, same), (slope, slope), (same, bend))]
+    return np.stack([values, *slopes, *bends])
 
 
 def _facings(view: View, grid: FaceGrid, poses: Poses) -> Array:

@@ -289,7 +289,7 @@ def refine_pose(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
         zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
-        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape), H, g, stats,
+        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape, view.eyes), H, g, stats,
     )  # fmt: skip
     return pose_from(p, Q, H, stats, cost, lens)
 
@@ -319,7 +319,7 @@ def blur_step(
     lens = view.lens._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
     look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, position_m, rotation, velocity_m_s,
-        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape), H, g, stats,
+        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape, view.eyes), H, g, stats,
     )  # fmt: skip
     A = H[:6, :6] + _loose(lens)
     reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))

@@ -17,8 +17,8 @@ class Quality:
     chase_stride: int
     """One pixel line in so many is walked while the die is only followed."""
     enough: float
-    """Squared sigmas: a step that gains less is the last one. 0.2 moves a pose by half its sigma, and the next step would
-    move it by a small part of that."""
+    """Squared sigmas: a step that gains less is the last one. 0.3 moves a pose by half its sigma, and the next step would
+    move it by a tenth of a sigma."""
     settled_px: float
     """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
     it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
@@ -40,11 +40,11 @@ class Quality:
 
 
 FAST = Quality(
-    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.2, settled_px=0.1, band_px=3.5, judging_pixels=400,
+    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.3, settled_px=0.1, band_px=3.5, judging_pixels=400,
     starts=24, rivals=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.05, settled_px=0.1, band_px=3.5, judging_pixels=800,
+    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.3, settled_px=0.1, band_px=3.5, judging_pixels=800,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(

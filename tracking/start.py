@@ -144,7 +144,7 @@ def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotati
     first, loose_m = seen_by_first(view), 1.5 * view.reach_m
 
     def some(rows: NDArray[np.int64]) -> list[Pose]:
-        desk = new_desk(view.shape)
+        desk = new_desk(view.shape, view.eyes)
         poses = [
             refine_pose(
                 first, images, positions_m[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
