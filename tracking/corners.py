@@ -43,14 +43,16 @@ from .track import Track
 Array = NDArray[np.float64]
 Picture = Callable[[int], NDArray[np.generic]]
 
-FRAMES = 24
-"""Frames that are asked: their mean is five times as sure as what one says."""
+FRAMES, MORE_FRAMES = 24, 72
+"""Frames that are asked: their mean is five times as sure as what one says; and where that leaves the first question open."""
+SHARP_PX = 0.02
+"""Radius of a die drawn sharp by the very equations of a rounded one, on the same pixels: strips of this width show nothing."""
 NOTICED_PX, PLAIN_PX, PLAIN_FRAMES = 1.0, 4.0, 8
 """Radii that are tried against none: what a blur of 0.6 px still shows, and what a die shows, already on fewer frames, that is
 so round that one pixel changes nothing."""
-GAIN, SURE = 0.02, 2.0
-"""Least fall of ℓ for a die to be taken for rounded, and the least number of its standard errors. `docs/tracking.md` has the
-table of what sharp and rounded dice show."""
+GAIN, SURE = 0.012, 2.0
+"""Least fall of ℓ for a die to be taken for rounded, and the standard errors by which a fall lies clearly above or below, and
+above none. `docs/tracking.md` has the table of what sharp and rounded dice show."""
 WINSOR = 3.0
 """Sigmas (by the median deviation) beyond which a frame counts as if it lay there."""
 LEAST_PX, RATIO, MOST_SHARE = 0.5, 1.4, 0.6
@@ -124,9 +126,16 @@ class Looks:
     """(n, 6) velocity and spin, for the blur."""
 
     @staticmethod
-    def at(rows: NDArray[np.int64], picture: Picture, position_m: Array, rotation: Array, motion: Array) -> Looks:
-        """FRAMES of these rows at the most, spread evenly; the poses (k, 3), (k, 3, 3), (k, 6) are those of the rows."""
-        chosen = np.unique(np.linspace(0, len(rows) - 1, min(FRAMES, len(rows))).astype(int))
+    def at(
+        rows: NDArray[np.int64],
+        picture: Picture,
+        position_m: Array,
+        rotation: Array,
+        motion: Array,
+        count: int = FRAMES,
+    ) -> Looks:
+        """So many of these rows at the most, spread evenly; the poses (k, 3), (k, 3, 3), (k, 6) are those of the rows."""
+        chosen = np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))
         pictures = tuple(np.ascontiguousarray(picture(int(rows[k])), np.float32) for k in chosen)
         return Looks(pictures, position_m[chosen], rotation[chosen], motion[chosen])
 
@@ -148,20 +157,24 @@ def gain_of_rounding(view: View, looks: Looks, radius_px: float = NOTICED_PX) ->
     frames, what lies far off brought nearer, and its standard error."""
     if len(looks) < FEWEST:
         return 0.0, np.inf
-    radius = radius_px / scale_px_per_m(view, looks)
+    px_per_m = scale_px_per_m(view, looks)
+    radius = radius_px / px_per_m
     if radius > MOST_SHARE * view.die.solid.inradius:
         return 0.0, np.inf  # so few pixels that a die this rounded would be a ball
-    sharp, round_ = (_misfits(rounded(view, r), looks, _free(view))[0] for r in (0.0, radius))
+    sharp, round_ = (_misfits(rounded(view, r), looks, _free(view))[0] for r in (SHARP_PX / px_per_m, radius))
     return _winsorised(sharp - round_)
 
 
-def look_rounded(view: View, looks: Looks) -> bool:
-    """Whether the die of a view with sharp corners is plainly rounded."""
-    some = looks.some(PLAIN_FRAMES)
-    return any(
-        gain > max(GAIN, SURE * sigma)
-        for gain, sigma in (gain_of_rounding(view, looks), gain_of_rounding(view, some, PLAIN_PX))
-    )
+def look_rounded(view: View, looks: Callable[[int], Looks]) -> bool:
+    """Whether the die of a view with sharp corners is plainly rounded; `looks(count)` are so many frames at the most."""
+    seen = looks(FRAMES)
+    gain, sigma = gain_of_rounding(view, seen.some(PLAIN_FRAMES), PLAIN_PX)
+    if gain > max(GAIN, SURE * sigma):
+        return True
+    gain, sigma = gain_of_rounding(view, seen)
+    if abs(gain - GAIN) < SURE * sigma < np.inf:
+        gain, sigma = gain_of_rounding(view, looks(MORE_FRAMES))
+    return gain > max(GAIN, SURE * sigma)
 
 
 def by_free_poses(view: View, looks: Looks) -> Corners | None:
@@ -171,7 +184,7 @@ def by_free_poses(view: View, looks: Looks) -> Corners | None:
         return None
     px_per_m = scale_px_per_m(view, looks)
     most = MOST_SHARE * view.die.solid.inradius
-    sharp, here = _misfits(rounded(view, 0.0), looks, _free(view))
+    sharp, here = _misfits(rounded(view, SHARP_PX / px_per_m), looks, _free(view))
     radii, gains = [0.0], [0.0]
     radius = LEAST_PX / px_per_m
     while radius < most and gains[-1] > max(gains) - WORSE:
@@ -192,7 +205,10 @@ def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0
         return None
     px_per_m = scale_px_per_m(view, looks)
     ratios = NEAR_RATIO ** np.arange(-NEAR_STEPS, NEAR_STEPS + 1.0)
-    radii = np.append(0.0, np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius))
+    radii = np.append(
+        SHARP_PX / px_per_m,
+        np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius),
+    )
     radii = np.unique(radii)
     held, start = view.lens._replace(fine_steps=1, samples=0), rounded(view, max(first_m, LEAST_PX / px_per_m))
     apart = _misfits(start, looks, held)[0] - _misfits(start, looks, _free(view))[0]
@@ -256,14 +272,14 @@ def _misfits(view: View, looks: Looks, lens: Lens) -> tuple[Array, Looks]:
     """
     direct = (np.arange(len(view.eyes.weight)) < len(view.cameras)).astype(float)
     eyes = view.eyes._replace(weight=np.where(view.eyes.weight > 0.0, direct, 0.0))
-    intensities = 0.0 if view.die.corner_radius_m == 0.0 else 2.0
+    intensities = 2.0 if view.die.corner_radius_m * scale_px_per_m(view, looks) > 2.0 * SHARP_PX else 0.0
 
     def one(k: int) -> tuple[float, Array, Array]:
         H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
         p, R, _ = look(
             whole_sight(view, looks.pictures[k]), view.backgrounds, eyes, view.shape, lens, looks.position_m[k],
             looks.rotation[k], looks.motion[k, :3], looks.motion[k, 3:], lens.loose_m, lens.loose_rad, 0,
-            new_desk(view.shape), H, g, stats,
+            new_desk(view.shape, view.eyes), H, g, stats,
         )  # fmt: skip
         cost, pixels, stretches, log_noise = stats[0], stats[2], stats[5], stats[6]
         if not (pixels > 0.0 and H[0, 0] > 0.0):
@@ -300,10 +316,12 @@ def _far_shoulder(radii: Array, gains: Array) -> float:
 
 def _least(radii: Array, levels: Array) -> float:
     """The radius of the least mean of levels (n, radii), the vertex of the parabola through the lowest and its neighbours;
-    0 where the first, of radius 0, is lowest."""
+    0 where the first, of a sharp die, is lowest."""
     mean = levels.mean(0)
     best = int(np.argmin(mean))
-    if best in (0, len(radii) - 1):
+    if best == 0:
+        return 0.0
+    if best == len(radii) - 1:
         return float(radii[best])
     x, y = radii[best - 1 : best + 2], mean[best - 1 : best + 2]
     a, b, _ = np.polyfit(x / x[1], y, 2)

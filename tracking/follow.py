@@ -31,6 +31,7 @@ from .camera import Camera
 from .chase import Seen
 from .clip import Clip
 from .corners import (
+    FRAMES,
     Corners,
     Looks,
     Rounding,
@@ -286,10 +287,14 @@ def _first_pass_rounded(
 def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
     whole = np.flatnonzero(seen.known & (shares_in_view(view, seen.position_m, seen.rotation) == 1.0))
-    looks = Looks.at(whole, reel.frame, seen.position_m[whole], seen.rotation[whole], seen.motion[whole])
+
+    def looks(count: int) -> Looks:
+        poses = seen.position_m[whole], seen.rotation[whole], seen.motion[whole]
+        return Looks.at(whole, reel.frame, *poses, count)
+
     if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
         return None
-    return by_free_poses(view, looks)
+    return by_free_poses(view, looks(FRAMES))
 
 
 def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> Corners:

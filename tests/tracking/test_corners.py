@@ -74,7 +74,7 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
     seen = looks(lambda state, rng: photograph(ROOM, die, state, rng), MANY, off=1.0)
     gain, sigma = gain_of_rounding(ROOM.view(die), seen)
     assert gain < -3.0 * sigma  # what the two more intensities of a rounded edge cost, and a little more
-    assert not look_rounded(ROOM.view(die), seen)
+    assert not look_rounded(ROOM.view(die), seen.some)
     free = by_free_poses(ROOM.view(die), seen)
     assert free is not None
     assert free.radius_m == 0.0
@@ -85,7 +85,7 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
 def test_a_rounded_die_is_seen_to_be_one_and_its_radius_is_found_within_its_error(radius_m: float) -> None:
     seen, view = round_looks(radius_m), ROOM.view(CUBE)
     # Half a pixel is told from none by more frames than these.
-    assert look_rounded(view, seen) or radius_m < 0.5 / PX_PER_M + 0.1e-3
+    assert look_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
     free = by_free_poses(view, seen)
     assert free is not None
     assert abs(free.radius_m - radius_m) < 2.0 * free.sigma_m
