@@ -221,7 +221,7 @@ def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0
     # The jackknife: what the radius would be without each of the frames.
     without = np.array([_least(radii, np.delete(levels, k, 0)) for k in range(n)])
     scatter = np.sqrt((n - 1) / n * ((without - without.mean()) ** 2).sum())
-    inset = contour_sigma_px(rounded(view, best, 1.0), looks.position_m, looks.rotation)
+    inset = contour_sigma_px(view, 1.0, looks.position_m, looks.rotation)
     errors = (scatter, FLIGHT_SHARE * best, FLIGHT_PX / px_per_m, contour_px / max(inset, INSET_SHARE * px_per_m))
     return Corners(best, float(np.linalg.norm(errors)))
 
@@ -241,8 +241,8 @@ def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) ->
     return Looks.at(rows[whole], picture, position[whole], rotation[whole], motion[whole])
 
 
-def contour_sigma_px(view: View, position_m: Array, rotation: Array) -> float:
-    """One sigma [px] of the contour error that the view's radius leaves on all frames alike, at poses (n, 3), (n, 3, 3).
+def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotation: Array) -> float:
+    """One sigma [px] of the contour error that a radius of such a sigma leaves on all frames alike, at poses (n, 3), (n, 3, 3).
 
     Of a silhouette of area A and perimeter P about an inscribed radius ρ, corners of radius r take r (2 A/ρ - P) off, so that
     its outline lies r (2 A/(P ρ) - 1) further in on the average.
@@ -254,7 +254,7 @@ def contour_sigma_px(view: View, position_m: Array, rotation: Array) -> float:
     distance = np.linalg.norm(position_m[known] - view.camera.centre_m, axis=1)
     px_per_m = view.camera.matrix[0, 0] / distance
     inset = 1.0 / (growth[known] * view.die.solid.inradius * px_per_m) - 1.0
-    return float(np.median(inset * px_per_m) * view.radius_sigma_m)
+    return float(np.median(inset * px_per_m) * radius_sigma_m)
 
 
 # --- the misfit of a radius -------------------------------------------------------------------------------------------

@@ -75,8 +75,9 @@ FIRST_BLUR_PX = 0.7
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
 BLUR_FRAMES = 16
 """Frames over which the lens blur is estimated."""
-ROUNDINGS, SAME_RADIUS = 2, 0.1
-"""Most first passes with a radius of the corners that is being found, and the change, as a share, that needs no other."""
+ROUNDINGS, SAME_RADIUS, LESS = 3, 0.1, 0.9
+"""Most first passes with a radius of the corners that is being found, the change, as a share, that needs no other, and the
+factor on a radius whose flights do not bear it out: a bounce is lost or not by a little, and rather with too large a one."""
 ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
@@ -180,9 +181,8 @@ def look_through(
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
     if corners is not None:
-        corners = _corners_in_flight(view, reel, track, corners)
-        view = rounded(view, corners.radius_m, corners.sigma_m)
-        track = replace(track, contour_sigma_px=_contour_sigma_px(view, track))
+        corners, sigma_px = _corners_in_flight(view, reel, track, corners)
+        view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
 
 
@@ -268,20 +268,21 @@ def _first_pass_rounded(
         first, seen = _first_pass(ball, reel, report, by_hand, unused)
     corners = _corners_at_sight(first, reel, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
-        return first, seen, corners
+        return first, seen, corners if rounding is Rounding.ESTIMATED else None
+    radius_m = corners.radius_m
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
-        again = rounded(view, corners.radius_m, corners.sigma_m)
         try:
-            first, seen = _first_pass(again, reel, report, by_hand, unused)
+            first, seen = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
         whole = shares_in_view(first, seen.position_m, seen.rotation) == 1.0
-        before, corners = corners, _corners_in_flight(first, reel, _as_track(first, reel, seen, whole), corners)
-        if abs(corners.radius_m - before.radius_m) < SAME_RADIUS * before.radius_m:
+        found, _ = _corners_in_flight(first, reel, _as_track(first, reel, seen, whole), corners)
+        before, borne_out, corners = radius_m, found is not corners, found
+        radius_m = corners.radius_m if borne_out else LESS * radius_m
+        if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
             break
-    first = rounded(first, corners.radius_m, corners.sigma_m)
-    return first, seen, None if corners.radius_m == 0.0 and rounding is Rounding.LOOKED_AT else corners
+    return rounded(first, corners.radius_m), seen, corners
 
 
 def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
@@ -297,21 +298,27 @@ def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) ->
     return by_free_poses(view, looks(FRAMES))
 
 
-def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> Corners:
-    """The same as the flights of a track show it; what it was where they do not show it any better."""
+def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[Corners, float]:
+    """The same as the flights of a track show it, and the contour error [px] that their sigmas are to know of then; what it
+    was, and none, where the flights do not show it any better.
+
+    The flights are free to correct their distance. That leaves more ways to join them, and where they come out wrong for it
+    the pictures deny them, or they deny the radius: then the poses do better without that freedom.
+    """
+    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
+    if not len(p):
+        return corners, 0.0
     try:
-        found = measure(track, view.die, view.camera)
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
     except NoFlightError:
-        return corners
+        return corners, 0.0
     looks = looks_in_flight(view, reel.frame, track, found.throw)
     again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
-    return corners if again is None or again.sigma_m > corners.sigma_m else again
-
-
-def _contour_sigma_px(view: View, track: Track) -> float:
-    if view.radius_sigma_m == 0.0 or not track.tracked.any():
-        return 0.0
-    return contour_sigma_px(view, track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked]))
+    if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
+        return corners, 0.0
+    return again, contour_sigma_px(view, again.sigma_m, p, R)
 
 
 # --- the second pass --------------------------------------------------------------------------------------------------
@@ -587,8 +594,7 @@ def _as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Tr
     lean = np.full((n, 6), np.nan)
     lean[known] = contour_leans(seen.H[known], view.lens)
     lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
-    track = Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
-    return replace(track, contour_sigma_px=_contour_sigma_px(view, track))
+    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
 def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:

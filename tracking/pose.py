@@ -49,8 +49,6 @@ class View:
     shape: Shape
     eyes: Eyes
     """The cameras, and behind them the cameras as the table mirrors them where it does."""
-    radius_sigma_m: float = 0.0
-    """Standard error of the radius of the die's corners; 0 where it was given."""
 
     @property
     def camera(self) -> Camera:
@@ -201,11 +199,10 @@ def make_view(
     )  # fmt: skip
 
 
-def rounded(view: View, radius_m: float, sigma_m: float = 0.0) -> View:
-    """The view of the same die with corners of another radius [m], known as well as its standard error says. Raises
-    ValueError for a radius that leaves no flat face."""
+def rounded(view: View, radius_m: float) -> View:
+    """The view of the same die with corners of another radius [m]. Raises ValueError for one that leaves no flat face."""
     die = replace(view.die, corner_radius_m=radius_m)
-    return replace(view, die=die, shape=_shape_of(die), radius_sigma_m=sigma_m)
+    return replace(view, die=die, shape=_shape_of(die))
 
 
 def _shape_of(die: Die) -> Shape:
