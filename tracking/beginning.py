@@ -33,8 +33,6 @@ START_FRAMES = 14
 SMALL, SAMPLED = 0.6, 12
 """Share of the usual size below which a region is no die in view, a clip's die growing by less than that as it comes near, and
 frames from which the usual size is known."""
-FEW_FRAMES = 100
-"""Length of a clip below which no frame is passed over in the search for the first that shows anything."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
 """Share of the contour that must show a clear step over a trial, with no frame missed, for a start to be taken at once; where
 none offers that, as with a die of little contrast, the best start above the second is taken."""
@@ -104,7 +102,6 @@ def _candidates(
     # Three frames fit wrong starts as well: 200 frames a second of a die that turns ten degrees a frame gave poses 45 degrees
     # off, with sigmas of a tenth of one, on the last three. A clip of fewer frames than are wanted is all there is.
     last = len(reel) - min(STAGES[1], len(reel))
-    step = 1 if len(reel) < FEW_FRAMES else 2
     tried, k, least_px, small = 0, 0, 0.0, []
     while k <= last:
         reached(k)
@@ -118,7 +115,7 @@ def _candidates(
             k += 4 + tried
         else:
             small += [k] if blobs else []
-            k += step
+            k += 1
     for k in small[:: 1 + len(small) // START_FRAMES]:
         yield k, np.asarray(reel.frame(k), np.float32)
 
