@@ -14,13 +14,14 @@ them. Three questions are asked, each of some frames spread over the clip:
    that are one or the other from face to face, a distance does not. `look_rounded` says yes where ℓ falls by more
    than any sharp die's and more than chance.
 2. **About how much?** ℓ over radii of growing size with poses as free (`by_free_poses`). Glancing light draws the contour in
-   by a tenth of a pixel, the poses go along, and the least ℓ comes out too small, by up to two thirds. Its far shoulder does
-   not, and is good for a first model, with which the flights become what they are.
+   by a tenth of a pixel, the poses go along, and the least ℓ lies at a radius too small, by up to two thirds. Its far shoulder
+   is nearer to the truth, and good for a first model, with which the flights become what they are.
 3. **How much?** In flight the die falls with g and bounces on z = 0, which tells its distance. The least ℓ with the poses
    where the flights have the die, none free (`by_flights`).
 
 A radius that is off leaves a contour error that is alike on all frames, and the flights can correct for it where its prior
-is wide enough: `contour_sigma_px`, which goes with the track. Sharp dice pay for the first question alone.
+is wide enough: `contour_sigma_px`, which goes with the track. Sharp dice pay for the first question alone. Sharp and rounded are
+compared by one and the same equations, on the same ends of the edges: sharp is a radius of SHARP_PX.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ WORSE = 0.15
 SHOULDER = 0.9
 """Share of the greatest gain. With poses free ℓ has a broad and skew bottom, whose least lies at 0.3 to 0.9 times the true
 radius: a larger distance makes up for a radius that is too small, and nothing for one that is too large. On rendered clips
-this shoulder lies at SHOULDER_TIMES."""
+this shoulder lies at 0.7 to 1.1 times."""
 ASTRAY = 0.3
 """By how much ℓ may be less with the pose of a frame free than on its flight: beyond it the flight is wrong there."""
 NEAR_RATIO, NEAR_STEPS = 1.25, 5

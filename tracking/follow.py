@@ -266,6 +266,8 @@ def _first_pass_rounded(
         # A die that is round all over is none with sharp corners.
         ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
         first, seen = _first_pass(ball, reel, report, by_hand, unused)
+        if _corners_at_sight(first, reel, seen, rounding) is None:
+            raise
     corners = _corners_at_sight(first, reel, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, seen, corners if rounding is Rounding.ESTIMATED else None
