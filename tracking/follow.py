@@ -30,6 +30,17 @@ from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
 from .chase import Seen
 from .clip import Clip
+from .corners import (
+    FRAMES,
+    Corners,
+    Looks,
+    Rounding,
+    by_flights,
+    by_free_poses,
+    contour_sigma_px,
+    look_rounded,
+    looks_in_flight,
+)
 from .edges import settle
 from .flights import transition
 from .hints import HandStart, excluded_rows
@@ -44,6 +55,7 @@ from .pose import (
     covariances,
     labelled_like,
     make_view,
+    rounded,
     share_in_view,
     shares_in_view,
     with_reflections,
@@ -63,6 +75,11 @@ FIRST_BLUR_PX = 0.7
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
 BLUR_FRAMES = 16
 """Frames over which the lens blur is estimated."""
+ROUNDINGS, SAME_RADIUS, LESS = 3, 0.1, 0.9
+"""Most first passes with a radius of the corners that is being found, the change, as a share, that needs no other, and the
+factor on a radius whose flights do not bear it out: a bounce is lost or not by a little, and rather with too large a one."""
+ROUND_SHARE = 0.25
+"""Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
@@ -89,6 +106,10 @@ class Followed:
     """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
     offsets: Offsets
     """Of the cameras' clocks; looked for with a second pass alone."""
+    die: Die
+    """With the radius of its corners as it was found, where that was looked for."""
+    corners: Corners | None
+    """That radius with its standard error; None where it was given, or the corners look sharp."""
 
 
 def follow(
@@ -121,6 +142,7 @@ def look_through(
     mirror: bool = False,
     start: HandStart | None = None,
     excluded: Sequence[tuple[int, int]] = (),
+    rounding: Rounding = Rounding.GIVEN,
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> Followed:
@@ -129,8 +151,9 @@ def look_through(
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
     frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
     the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
-    used: they are lost. `progress` is called with frames done and frames to do. Raises ValueError where camera,
-    background and clip differ in size, and NoDieError where no die was found.
+    used: they are lost. `rounding` says whether the radius of the die's corners is given. `progress` is called with frames
+    done and frames to do. Raises ValueError where camera, background and clip differ in size, and NoDieError where no die was
+    found.
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
@@ -139,7 +162,7 @@ def look_through(
     report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
     unused = np.zeros(len(reel), bool)
     unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
-    view, seen = _first_pass(view, reel, report, start, unused)
+    view, seen, corners = _first_pass_rounded(view, reel, report, start, unused, rounding)
     throw = _measured(view, reel, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = _labelled_across(view, seen, throw, reel.times_s)
@@ -157,7 +180,10 @@ def look_through(
         seen, marks, shared = _third_pass(view, reel, seen, report)
         report.at_least(3 * len(reel))
     track = replace(_track(reel, view, seen, throw), shared=shared)
-    return Followed(calibrated(track, die, view.camera), marks, offsets)
+    if corners is not None:
+        corners, sigma_px = _corners_in_flight(view, reel, track, corners)
+        view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
+    return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -225,6 +251,76 @@ def _first_pass(
             break
     # What was found to stand before the die is known from here on.
     return chase.view, seen
+
+
+def _first_pass_rounded(
+    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask, rounding: Rounding
+) -> tuple[View, Seen, Corners | None]:
+    """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
+    show the radius that it was done with."""
+    if rounding is Rounding.GIVEN:
+        return *_first_pass(view, reel, report, by_hand, unused), None
+    try:
+        first, seen = _first_pass(view, reel, report, by_hand, unused)
+    except NoDieError:
+        # A die that is round all over is none with sharp corners.
+        ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
+        first, seen = _first_pass(ball, reel, report, by_hand, unused)
+        if _corners_at_sight(first, reel, seen, rounding) is None:
+            raise
+    corners = _corners_at_sight(first, reel, seen, rounding)
+    if corners is None or corners.radius_m == 0.0:
+        return first, seen, corners if rounding is Rounding.ESTIMATED else None
+    radius_m = corners.radius_m
+    for _ in range(ROUNDINGS):
+        # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
+        try:
+            first, seen = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
+        except NoDieError:
+            break  # so round that nothing starts with it; what was followed before still is a start
+        whole = shares_in_view(first, seen.position_m, seen.rotation) == 1.0
+        found, _ = _corners_in_flight(first, reel, _as_track(first, reel, seen, whole), corners)
+        before, borne_out, corners = radius_m, found is not corners, found
+        radius_m = corners.radius_m if borne_out else LESS * radius_m
+        if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
+            break
+    return rounded(first, corners.radius_m), seen, corners
+
+
+def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
+    """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
+    whole = np.flatnonzero(seen.known & (shares_in_view(view, seen.position_m, seen.rotation) == 1.0))
+
+    def looks(count: int) -> Looks:
+        poses = seen.position_m[whole], seen.rotation[whole], seen.motion[whole]
+        return Looks.at(whole, reel.frame, *poses, count)
+
+    if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
+        return None
+    return by_free_poses(view, looks(FRAMES))
+
+
+def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[Corners, float]:
+    """The same as the flights of a track show it, and the contour error [px] that their sigmas are to know of then; what it
+    was, and none, where the flights do not show it any better.
+
+    The flights are free to correct their distance. That leaves more ways to join them, and where they come out wrong for it
+    the pictures deny them, or they deny the radius: then the poses do better without that freedom.
+    """
+    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
+    if not len(p):
+        return corners, 0.0
+    try:
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
+    except NoFlightError:
+        return corners, 0.0
+    looks = looks_in_flight(view, reel.frame, track, found.throw)
+    again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
+    if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
+        return corners, 0.0
+    return again, contour_sigma_px(view, again.sigma_m, p, R)
 
 
 # --- the second pass --------------------------------------------------------------------------------------------------

@@ -132,6 +132,15 @@ class Joined:
     Tukey's loss, by which a frame costs 2 CUT_SIGMA² at the most, and all frames for as much as they count."""
 
     @property
+    def contour_sigma_px(self) -> float:
+        """Standard error [px] of the first of the shared errors, the contour's; infinite where none was looked for."""
+        if not len(self.shared):
+            return np.inf
+        # Last come the shared errors, and behind them the table's height where a strike measures it.
+        first = len(self.covariance) - len(self.shared) - int(any(link.strike is not None for link in self.links))
+        return float(np.sqrt(max(float(self.covariance[first, first]), 0.0)))
+
+    @property
     def links_s(self) -> Array:
         """(N,) instants."""
         return np.array([link.time_s for link in self.links])

@@ -53,7 +53,7 @@ def shared_lean(track: Track, camera: Camera, die: Die) -> Array:
     seen = track.tracked
     sight = track.position_m[seen] - camera.centre_m
     depth = sight @ camera.rotation[2]
-    growth = _growth(camera, die, track.position_m[seen], matrix_from_quat(track.quaternion[seen]))
+    growth = outline_growth(camera, die, track.position_m[seen], matrix_from_quat(track.quaternion[seen]))
     new = np.zeros((len(sight), 6, SHARED))
     new[:, :3, 0] = -sight * growth[:, None]
     new[:, :3, 1] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
@@ -70,7 +70,8 @@ def shared_sigma(track: Track, camera: Camera, die: Die) -> Array:
     """(SHARED,) prior standard deviations [px] of the shared errors."""
     sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
     radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
-    size, aside = np.hypot(SIZE_PX, SIZE_SHARE * radius_px), np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
+    size = np.sqrt(SIZE_PX**2 + (SIZE_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
+    aside = np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
     return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
 
 
@@ -83,7 +84,7 @@ def without_lean(track: Track, lean: Array, shared: Array) -> Track:
     return replace(track, position_m=track.position_m - change[:, :3], quaternion=quaternion)
 
 
-def _growth(camera: Camera, die: Die, position_m: Array, rotation: Array) -> Array:
+def outline_growth(camera: Camera, die: Die, position_m: Array, rotation: Array) -> Array:
     """(n,) P/(2 A) [1/px] of the die's outline at each of n poses; 0 where it is behind the camera, where nothing is seen
     to lean."""
     solid = die.solid

@@ -9,7 +9,7 @@ import numpy as np
 from numba import config as numba_config
 from numpy.typing import NDArray
 
-from ..model.solids import Die, symmetry_rotations
+from ..model.solids import Die, inner_vertices, symmetry_rotations
 from .camera import Camera
 from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
 from .quality import STANDARD, Quality
@@ -193,16 +193,25 @@ def make_view(
     it hides, and counts as a view of its own after `with_reflections`."""
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
+    return View(
+        cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
+        symmetry_rotations(die.solid), _shape_of(die), _eyes(cameras, mirror),
+    )  # fmt: skip
+
+
+def rounded(view: View, radius_m: float) -> View:
+    """The view of the same die with corners of another radius [m]. Raises ValueError for one that leaves no flat face."""
+    die = replace(view.die, corner_radius_m=radius_m)
+    return replace(view, die=die, shape=_shape_of(die))
+
+
+def _shape_of(die: Die) -> Shape:
+    """The die as the kernels want it."""
     solid = die.solid
-    shrink = 1.0 - die.corner_radius_m / solid.inradius
-    shape = Shape(
-        np.ascontiguousarray(solid.vertices * shrink), np.ascontiguousarray(solid.vertices),
+    return Shape(
+        np.ascontiguousarray(inner_vertices(solid, die.corner_radius_m)), np.ascontiguousarray(solid.vertices),
         np.ascontiguousarray(solid.normals), np.asarray(solid.offsets - die.corner_radius_m), solid.edges,
         solid.edge_faces, _face_edges(die), float(die.corner_radius_m),
-    )  # fmt: skip
-    return View(
-        cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality, symmetry_rotations(solid),
-        shape, _eyes(cameras, mirror),
     )  # fmt: skip
 
 

@@ -28,8 +28,9 @@ from .background import estimate_background
 from .bounces import NoFlightError, measure_throw
 from .camera import Camera
 from .clip import Clip, Frame
+from .corners import Corners, Rounding
 from .flights import transition
-from .follow import NoDieError, follow
+from .follow import NoDieError, look_through
 from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .pose import View, make_view, outline_box, refine_pose
@@ -111,6 +112,8 @@ class Sight:
     """(k,) heights of the contacts at resolved bounces."""
     contact_sigma_m: Array
     """(k,)"""
+    corners: Corners | None = None
+    """How rounded the die looks; None where the scene says it, or the corners look sharp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,10 +138,12 @@ def preflight(
     exposure_s: float | None = None,
     start: HandStart | None = None,
     excluded: Sequence[tuple[int, int]] = (),
+    rounding: Rounding = Rounding.GIVEN,
 ) -> Preflight:
     """Measure what the clip offers. `open_part` opens frames first to stop (numbers in the file) of the same clip.
 
-    `background` (height, width) is a frame without the die; `exposure_s`, `start` and `excluded` as for `follow`.
+    `background` (height, width) is a frame without the die; `exposure_s`, `start`, `excluded` and `rounding` as for
+    `look_through`.
     Raises ValueError where the clip cannot be read.
     """
     estimated = background is None
@@ -155,10 +160,12 @@ def preflight(
         stop = min(first + PIECE_FRAMES, len(clip))
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
-            track = follow(
-                part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded, quality=FAST
+            seen = look_through(
+                part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded,
+                rounding=rounding, quality=FAST,
             )  # fmt: skip
-            sight = _sight(part, track, make_view(camera, die, empty, noise, exposure_s, 0.7))
+            view = make_view(camera, seen.die, empty, noise, exposure_s, 0.7)
+            sight = _sight(part, seen.track, view, seen.corners)
         except NoDieError as error:
             trouble = str(error)
         notices = (*notices, *(told for told in part.notices if told not in notices))
@@ -223,7 +230,7 @@ def _first_sight(clip: Clip, view: View, start: HandStart | None) -> int | None:
     return None if seen is None else max(seen - step - LEAD_FRAMES, 0)
 
 
-def _sight(clip: Clip, track: Track, view: View) -> Sight | None:
+def _sight(clip: Clip, track: Track, view: View, corners: Corners | None) -> Sight | None:
     rows = np.flatnonzero(track.tracked)
     throw: Throw | None = None
     with suppress(NoFlightError):  # a few poses still tell the size of the die and the blur
@@ -245,6 +252,7 @@ def _sight(clip: Clip, track: Track, view: View) -> Sight | None:
         fall_of(track, throw) if throw else None,
         heights,
         sigmas,
+        corners,
     )
 
 

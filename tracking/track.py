@@ -35,6 +35,9 @@ class Track:
     shared: Array | None = None
     """(n, 6, 6) covariance of what all frames err alike because the marks on the faces lie where they were learned; part of
     no frame's own. None where no marks were used."""
+    contour_sigma_px: float = 0.0
+    """One sigma of what the contour may lie too far out on all frames besides: of a radius of the corners that is not known
+    but estimated from the pictures."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

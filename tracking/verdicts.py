@@ -6,6 +6,7 @@ The limits, and what they rest on:
   size; at 50 px a cube's single pose is good to some tenths of a degree, at 25 px to a degree;
 - motion blur: the edge model includes it; above 1 px the step of an edge is flatter than the lens makes it, above 6 px
   (a full-frame exposure at 2 mm a frame) neighbouring edges run into each other;
+- corners: an estimate of their radius is off by a sixth of it, which a caliper is not;
 - lens blur: below 0.3 px edges alias, above 1.5 px a focus was missed;
 - gravity and direction: calibrated cameras and measured edges come to a per cent and half a degree; a doubtful value is one
   that the measurement cannot tell from a good one either;
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2
 from ..model.solids import Die
+from .corners import Rounding
 from .gravity import Fall, fall_notices
 from .preflight import Backdrop, Preflight, Sight, Timing
 
@@ -75,14 +77,18 @@ UNEVEN_STEPS = 0.02
 """Deviation of a step between frames from the usual one."""
 
 
-def judge(seen: Preflight, die: Die, exposure_s: float | None) -> tuple[Finding, ...]:
-    """Every finding about a clip; `exposure_s` is the scene's."""
+def judge(
+    seen: Preflight, die: Die, exposure_s: float | None, rounding: Rounding = Rounding.GIVEN
+) -> tuple[Finding, ...]:
+    """Every finding about a clip; `exposure_s` is the scene's, and `rounding` whether it gives the corners' radius."""
     findings = [_timing(seen.timing, exposure_s), _background(seen.backdrop), _light(seen.backdrop, seen.sight)]
     sight = seen.sight
     if sight is None:
         advice = "look at the clip, the background and [die]; a [start] by hand may help"
         return (*findings, Finding("die", Verdict.BAD, f"No die could be followed: {seen.trouble}.", advice))
     findings += [_followed(sight), _size(sight), _motion_blur(sight), _lens_blur(sight)]
+    if rounding is not Rounding.GIVEN:
+        findings.append(_corners(sight))
     findings += [_scale(sight.fall, die), _vertical(sight.fall), _table(sight.contact_m, sight.contact_sigma_m)]
     return tuple(findings)
 
@@ -229,6 +235,19 @@ def _lens_blur(sight: Sight) -> Finding:
         advice = "edges alias at this; a trace of defocus makes them more exact"
         return Finding("sharpness", Verdict.DOUBTFUL, told, advice, values)
     return Finding("sharpness", Verdict.GOOD, told, "", values)
+
+
+def _corners(sight: Sight) -> Finding:
+    found = sight.corners
+    if found is None or found.radius_m == 0.0:
+        return Finding("corners", Verdict.GOOD, "The corners look sharp, or nearly so.", "", {"corner_radius_m": 0.0})
+    radius, sigma = found.radius_m, found.sigma_m
+    told = f"The corners look rounded, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
+    advice = (
+        f"measure it and write it as die.corner_radius_m, or write {radius:.2g}; left out, tracking estimates it again"
+    )
+    values: dict[str, float | None] = {"corner_radius_m": radius, "sigma_corner_radius_m": sigma}
+    return Finding("corners", Verdict.DOUBTFUL, told, advice, values)
 
 
 NO_FALL = "No flight was long enough to measure the fall."

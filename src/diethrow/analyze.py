@@ -48,6 +48,7 @@ from .tracking.bounces import NoFlightError, measure
 from .tracking.camera import Camera
 from .tracking.clip import Clip, clip_files, open_clip
 from .tracking.coarser import WHOLE, Coarseness
+from .tracking.corners import Corners
 from .tracking.faces import FaceNumbers, read_faces, with_numbers
 from .tracking.follow import Followed, look_through
 from .tracking.gravity import fall_notices, measure_fall
@@ -98,6 +99,8 @@ class Tracking:
     """The same frames, with the exact motion of the flights where it holds."""
     offsets: Offsets
     """Of the clocks of several cameras."""
+    corners: Corners | None
+    """How rounded the die looks; None where the scene says it, or the corners look sharp. `die` has that radius."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -111,6 +114,7 @@ class Tracking:
         return (
             *(n for clip in self.clips for n in clip.notices),
             *self.offsets.notices(1.0 / _rate_hz(self.frames)),
+            *((self.corners.notice,) if self.corners is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *fall_notices(measure_fall(self.frames, self.measured)),
         )
@@ -177,7 +181,7 @@ def analyze(
         )
         _write_recording(folder, record, progress, watch)
         command = command or _same_command("analyze", scene, out, quality, coarseness, intervals)
-        _write_origin(folder, scene, command, inputs, watch)
+        _write_origin(folder, scene, command, inputs, watch, tracking.corners)
         account = account_of(scene, tracking, read_json(folder / "provenance.json"))
         _write_pages(folder, record, account, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
@@ -201,7 +205,7 @@ def track_only(
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
         write_tracking(folder, scene, tracking)
         command = command or _same_command("track", scene, out, quality, coarseness)
-        _write_origin(folder, scene, command, inputs, watch)
+        _write_origin(folder, scene, command, inputs, watch, tracking.corners)
     return tracking
 
 
@@ -217,24 +221,24 @@ def fit_track(
 ) -> Analysis:
     """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
     watch = Stopwatch()
-    table = scene.table.in_model
+    table, die = scene.table.in_model, scene.given_die()
     frames = read_track(track_path)
     paths = (scene.path, track_path, *_if_there(covariance_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
-        frames, measured, smoothed = _bounces(frames, track_path, scene.die, None, progress, watch)
-        fit = _fit(frames, measured, scene.die, progress, watch, intervals, table)
-        write_vertices(folder / "vertices.csv", scene.die.solid)
+        frames, measured, smoothed = _bounces(frames, track_path, die, None, progress, watch)
+        fit = _fit(frames, measured, die, progress, watch, intervals, table)
+        write_vertices(folder / "vertices.csv", die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = _write_model(folder, fit, frames)
         record = Record(
             title=track_path.stem,
-            die=scene.die,
+            die=die,
             track=smoothed,
             measured=measured,
             fps=_rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=_growing(frames, measured, scene.die, fit, progress, watch, table),
+            estimates=_growing(frames, measured, die, fit, progress, watch, table),
             notices=smoothed_notices(track_path),
         )
         _write_recording(folder, record, progress, watch)
@@ -286,8 +290,8 @@ def track_scene(
         with watch.stage("track"):
             progress("Following the die", 0, len(clips[0]))
             followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
-        faces = read_faces(scene.die, followed.marks)
-        die = with_numbers(scene.die, faces)
+        faces = read_faces(followed.die, followed.marks)
+        die = with_numbers(followed.die, faces)
         frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
         straight, measured, smoothed = _bounces(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
@@ -295,7 +299,9 @@ def track_scene(
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
-    return Tracking(tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets)
+    return Tracking(
+        tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets, followed.corners
+    )
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -377,6 +383,7 @@ def _follow(
             mirror=scene.table.surface == "mirror",
             start=scene.start,
             excluded=scene.clip.excluded,
+            rounding=scene.rounding,
             quality=quality,
             progress=lambda done, total: progress("Following the die", done, total),
         )
@@ -498,10 +505,21 @@ def _same_command(
 
 
 def _write_origin(
-    folder: Path, scene: Scene, command: tuple[str, ...], inputs: tuple[InputFile, ...], watch: Stopwatch
+    folder: Path,
+    scene: Scene,
+    command: tuple[str, ...],
+    inputs: tuple[InputFile, ...],
+    watch: Stopwatch,
+    corners: Corners | None = None,
 ) -> None:
+    found = {} if corners is None else {"corner_radius_m": corners.radius_m, "sigma_corner_radius_m": corners.sigma_m}
     write_provenance(
-        folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
+        folder / "provenance.json",
+        command=command,
+        understood=scene,
+        inputs=inputs,
+        seconds=watch.seconds,
+        found=found,
     )
 
 

@@ -75,7 +75,7 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
         with watch.stage("check"):
             # A start by hand was clicked in the first camera's picture.
             measured.append(_measured(scene, view, clips[-1], scene.start if k == 0 else None))
-        told = judge(measured[-1], scene.die, scene.clip.exposure_s)
+        told = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding)
         findings += told if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in told]
     return Check(tuple(findings), tuple(measured)), clips
 
@@ -98,6 +98,7 @@ def _measured(scene: Scene, view: View, clip: Clip, start: HandStart | None) -> 
             exposure_s=scene.clip.exposure_s or clip.metadata().get("exposure_s"),
             start=start,
             excluded=scene.clip.excluded,
+            rounding=scene.rounding,
         )
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error

@@ -52,10 +52,11 @@ def fit_tracks(
     """
     watch = Stopwatch()
     scene.still_table()
+    die = scene.given_die()
     inputs = (scene.path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         with watch.stage("read"):
-            entries, left_out = _read(track_paths, scene.die, progress)
+            entries, left_out = _read(track_paths, die, progress)
         if len(entries) < 2:
             error = RunError(
                 f"{len(entries)} of {len(track_paths)} tracks can be fitted; wanted at least two for a joint fit"
@@ -67,14 +68,14 @@ def fit_tracks(
             if executor is None:
                 fit = fit_jointly(
                     entries,
-                    scene.die,
+                    die,
                     threads=threads,
                     progress=lambda done, total: progress("Fitting all throws", done, total),
                 )
             else:
                 progress("Fitting all throws", 0, 0)
-                fit = executor.submit(fit_jointly, entries, scene.die, threads=threads).result()
-        write_vertices(folder / "vertices.csv", scene.die.solid)
+                fit = executor.submit(fit_jointly, entries, die, threads=threads).result()
+        write_vertices(folder / "vertices.csv", die.solid)
         write_json(folder / "fit.json", joint_tables(fit, left_out))
         write_provenance(
             folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds

@@ -20,7 +20,7 @@ from .model.rotations import matrix_from_quat, quat_from_euler
 from .model.simulate import checked_release
 from .model.solids import Die
 from .model.tables import Table as ModelTable
-from .scene import DieTable, NotNegative, Positive, PositiveInt, Table, TableTable, die_from, table_from
+from .scene import ESTIMATE, DieTable, NotNegative, Positive, PositiveInt, Table, TableTable, die_from, table_from
 from .settings import TomlTable, Vector3, Vector4, read_toml, refuse, validate
 
 Array = NDArray[np.float64]
@@ -67,6 +67,8 @@ def read_plan(path: Path) -> Plan:
     data, text = read_toml(path)
     checked = validate(_PlanFile, data, path)
     table = table_from(checked.table) if checked.table else Table("")
+    if checked.die.corner_radius_m == ESTIMATE:
+        raise refuse(path, "die.corner_radius_m", ESTIMATE, "a throw that is simulated has no pictures, wanted metres")
     die = die_from(checked.die, path)
     release = _release(checked.initial, die, path)
     until = checked.until

@@ -143,7 +143,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
 def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Parameter]]:
     """Die, table and law of a fit. Raises ValueError for a parameter that means nothing here."""
     parameters, restitution = read_parameters(fit_path)
-    physics = Physics(scene.die, Table(), {"chi": 0.0}, restitution=restitution)
+    physics = Physics(scene.given_die(), Table(), {"chi": 0.0}, restitution=restitution)
     values = {}
     for name, parameter in parameters.items():
         try:

@@ -131,9 +131,10 @@ def write_provenance(
     inputs: tuple[Path, ...] | tuple[InputFile, ...],
     seconds: dict[str, float],
     seeds: dict[str, int] | None = None,
+    found: dict[str, float] | None = None,
 ) -> None:
-    """`provenance.json`: version, command line and where it was given, what was understood, SHA-256 of every input, seeds,
-    packages, timings.
+    """`provenance.json`: version, command line and where it was given, what was understood, what was `found` in the place of
+    what nobody gave, SHA-256 of every input, seeds, packages, timings.
 
     `understood` is any frozen value (a Scene, a Plan); inputs as for `files_read`, or what that gave.
     """
@@ -146,6 +147,7 @@ def write_provenance(
             "command": list(command),
             "folder": os.getcwd(),
             "understood": as_tables(understood),
+            **({"found": found} if found else {}),
             "inputs": [{"path": file.path, "bytes": file.bytes, "sha256": file.sha256} for file in read],
             "seeds": seeds or {},
             "python": platform.python_version(),

@@ -20,6 +20,7 @@ from .model.solids import ROUNDEST, SHAPES, Die, make_die
 from .model.tables import Table as ModelTable
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 from .tracking.camera import Camera
+from .tracking.corners import Rounding
 from .tracking.footage import MOST_PIXELS
 from .tracking.hints import FEWEST_CLICKS, Click, HandStart
 
@@ -32,6 +33,8 @@ DENSITIES_KG_M3 = (5.0, 25000.0)
 """From a die of foam to one of osmium; beyond them a length or a mass is in another unit."""
 FARTHEST_M = 100.0
 """From the world's origin to a camera; beyond it the translation is in another unit."""
+ESTIMATE = "estimate"
+"""In the place of a number: the pictures tell it."""
 ROTATION_TOLERANCE = 1e-4
 """Entries written with four decimals pass; they are then brought onto the nearest rotation."""
 
@@ -104,6 +107,8 @@ class Scene:
     table: Table
     start: HandStart | None = None
     """The first pose by hand; None where it is found."""
+    rounding: Rounding = Rounding.GIVEN
+    """Whether the file gives the radius of the die's corners, which is 0 in `die` where it does not."""
 
     def views(self) -> tuple[View, ...]:
         """The cameras with their footage; in the picture of the first a start is looked for, and the replay shows it. Raises
@@ -115,6 +120,15 @@ class Scene:
                 key = "clip.path" if len(self.cameras) == 1 else f"camera[{k + 1}].path"
                 raise SceneError(f"{self.path}: {key} is missing; wanted {PATH_WANTED}")
         return self.cameras
+
+    def given_die(self) -> Die:
+        """The die, for what knows no pictures. Raises SceneError where they are to tell the radius of its corners."""
+        if self.rounding is Rounding.ESTIMATED:
+            wanted = (
+                "a track does not show the corners, wanted their radius in metres, as the tracking told it or measured"
+            )
+            raise refuse(self.path, "die.corner_radius_m", ESTIMATE, wanted)
+        return self.die
 
     def still_table(self) -> Table:
         """The table, at rest. Raises SceneError for one that moves: tracking and joint fits know only one at rest."""
@@ -142,7 +156,7 @@ def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
     )
     die = die_from(checked.die, path)
     start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
-    return Scene(path, text, clip, views, die, table_from(checked.table), start)
+    return Scene(path, text, clip, views, die, table_from(checked.table), start, _rounding(checked.die))
 
 
 # --- the file, as TOML tables ---
@@ -166,6 +180,14 @@ def _a_shape(value: str) -> str:
     if value not in SHAPES:
         raise ValueError("unknown shape")
     return value
+
+
+def _a_radius(value: float | str) -> float | str:
+    if isinstance(value, str):
+        if value != ESTIMATE:
+            raise ValueError("no such word")
+        return value
+    return _not_negative(value)
 
 
 def _a_mark(value: str) -> str:
@@ -200,6 +222,7 @@ def _not_empty(value: str) -> str:
 
 Positive = Annotated[float, AfterValidator(_positive)]
 NotNegative = Annotated[float, AfterValidator(_not_negative)]
+Radius = Annotated[float | str, AfterValidator(_a_radius)]
 PositiveInt = Annotated[int, AfterValidator(_positive)]
 NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
 UnitQuaternion = Annotated[Vector4, AfterValidator(_unit)]
@@ -253,7 +276,9 @@ class DieTable(TomlTable):
     shape: Annotated[str, AfterValidator(_a_shape)] = Field(description=f"one of {', '.join(SHAPES)}")
     edge_m: Positive = Field(description="the edge of the sharp polyhedron in metres, above 0")
     mass_kg: Positive = Field(description="the mass in kilograms, above 0")
-    corner_radius_m: NotNegative = Field(0.0, description="the radius of the rounded corners in metres, 0 or more")
+    corner_radius_m: Radius | None = Field(
+        None, description='the radius of the rounded corners in metres, 0 or more, or "estimate"'
+    )
     inertia_kg_m2: Positive | None = Field(None, description="the moment of inertia in kg m², above 0")
     marks: Annotated[str, AfterValidator(_a_mark)] | None = Field(
         None, description='"pips", "numbers", or no such key for plain faces'
@@ -443,25 +468,35 @@ def _sees_table(camera: Camera) -> bool:
 
 
 def die_from(table: DieTable, path: Path) -> Die:
-    """The die of a `[die]` table. Raises SceneError for one that cannot be: too large, too dense."""
+    """The die of a `[die]` table, sharp where that gives no radius. Raises SceneError for one that cannot be: too large, too
+    dense."""
     _check_density(table, path)
     if table.marks == "pips" and table.shape != "cube":
         raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
     die = make_die(table.shape, table.edge_m, table.mass_kg, marks=table.marks)
     largest = ROUNDEST * die.solid.inradius
-    if table.corner_radius_m > largest:
-        guess = _unit_guess(table.corner_radius_m, (1e-3, 1e-6), lambda radius: radius <= largest)
+    given = table.corner_radius_m
+    radius = given if isinstance(given, float) else 0.0
+    if radius > largest:
+        guess = _unit_guess(radius, (1e-3, 1e-6), lambda radius: radius <= largest)
         wanted = f"wanted metres, at most {ROUNDEST:g} of the inscribed radius, {largest:.4g}{guess}"
-        raise refuse(path, "die.corner_radius_m", table.corner_radius_m, wanted)
+        raise refuse(path, "die.corner_radius_m", radius, wanted)
     _check_inertia(table, die, path)
     return make_die(
         table.shape,
         table.edge_m,
         table.mass_kg,
         inertia_kg_m2=table.inertia_kg_m2,
-        corner_radius_m=table.corner_radius_m,
+        corner_radius_m=radius,
         marks=table.marks,
     )
+
+
+def _rounding(table: DieTable) -> Rounding:
+    """What a `[die]` table wants done about the radius of the corners."""
+    if table.corner_radius_m is None:
+        return Rounding.LOOKED_AT
+    return Rounding.ESTIMATED if table.corner_radius_m == ESTIMATE else Rounding.GIVEN
 
 
 def table_from(table: TableTable) -> Table:

@@ -53,7 +53,10 @@ def test_a_sound_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_
     out = tmp_path / "check"
     status, said, _ = invoke(scene, "--out", out)
     assert status == 0
-    names = ("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "scale", "vertical", "table")
+    names = (
+        *("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "corners"),
+        *("scale", "vertical", "table"),
+    )
     assert all(name in said for name in names)
     assert {file.name for file in out.iterdir()} == {"check.json", "check.html", "provenance.json"}
     record = json.loads((out / "check.json").read_text())

@@ -51,6 +51,11 @@ MISTAKES = {
     "two orientations": ("[0.1, 1.2, -0.4]", "[0, 0, 0]\nquaternion_wxyz = [1, 0, 0, 0]", ["both", "one of the two"]),
     "long quaternion": ("euler_rad = [0.1, 1.2, -0.4]", "quaternion_wxyz = [1, 1, 0, 0]", ["unit", "length 1.41421"]),
     "no spin": ("omega_body_rad_s = [0.0, 60.0, 0.0]\n", "", ["initial.omega_rad_s", "neither"]),
+    "corners of pictures": (
+        "edge_m =",
+        'corner_radius_m = "estimate"\nedge_m =',
+        ["die.corner_radius_m", "no pictures"],
+    ),
     "no impacts": ("impacts = 8", "impacts = 0", ["until.impacts = 0", "above 0"]),
     "unknown key": ("impacts = 8", "impact = 8", ["until.impact", "did you mean impacts?"]),
 }

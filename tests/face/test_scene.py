@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from diethrow.cli import app
 from diethrow.scene import SceneError, read_scene
+from diethrow.tracking.corners import Rounding
 
 SCENE = """\
 [clip]
@@ -119,6 +120,18 @@ MISTAKES = {
     "pips on a tetrahedron": ('shape = "cube"', 'shape = "tetrahedron"', ["die.marks", "pips", "tetrahedron"]),
     "unknown marks": ('"pips"', '"dots"', ["die.marks", "dots", "numbers"]),
     "corner beyond the die": ("edge_m =", "corner_radius_m = 0.6\nedge_m =", ["corner_radius_m = 0.6", "0.0006?"]),
+    "corners below zero": (
+        "edge_m =",
+        "corner_radius_m = -1e-3\nedge_m =",
+        ["die.corner_radius_m = -0.001", "0 or more"],
+    ),
+    "corners by another word": (
+        "edge_m =",
+        'corner_radius_m = "soft"\nedge_m =',
+        ["corner_radius_m", "soft", "estimate"],
+    ),
+    "corners that are true": ("edge_m =", "corner_radius_m = true\nedge_m =", ["corner_radius_m = true", "estimate"]),
+    "corners in a list": ("edge_m =", "corner_radius_m = [1]\nedge_m =", ["corner_radius_m = [1]", "estimate"]),
     "mass outside the die": ("edge_m =", "inertia_kg_m2 = 2e-3\nedge_m =", ["inertia_kg_m2 = 0.002", "at the corners"]),
     "value for a table": ('[table]\nsurface = "wood"', "", ["table is missing"]),
     "table that swings without a rate": (
@@ -142,6 +155,26 @@ def scene_file(folder: Path, text: str = SCENE) -> Path:
     path = folder / "scene.toml"
     path.write_text(text, encoding="utf-8")
     return path
+
+
+@pytest.mark.parametrize(
+    ("line", "radius_m", "rounding"),
+    [
+        ("", 0.0, Rounding.LOOKED_AT),
+        ("corner_radius_m = 0", 0.0, Rounding.GIVEN),
+        ("corner_radius_m = 0.0005", 0.0005, Rounding.GIVEN),
+        ('corner_radius_m = "estimate"', 0.0, Rounding.ESTIMATED),
+    ],
+)
+def test_a_radius_is_given_or_looked_for(folder: Path, line: str, radius_m: float, rounding: Rounding) -> None:
+    scene = read_scene(scene_file(folder, SCENE + line + "\n"))
+    assert scene.die.corner_radius_m == radius_m
+    assert scene.rounding is rounding
+    if rounding is Rounding.ESTIMATED:
+        with pytest.raises(SceneError, match="a track does not show the corners"):
+            scene.given_die()
+    else:
+        assert scene.given_die() is scene.die
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

@@ -1,0 +1,203 @@
+"""Laws of the radius of the corners that the pictures tell: a rounded die's is found, and a sharp die stays sharp."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, FPS, Image, photograph, studio
+from random_throws import random_quaternion
+from replay_records import ArrayClip
+from rounded_dice import photograph_rounded
+
+from diethrow.model.impacts import SmoothImpact
+from diethrow.model.motion import State, Throw
+from diethrow.model.simulate import Until, throw_die
+from diethrow.model.solids import SHAPES
+from diethrow.tracking.corners import (
+    Corners,
+    Looks,
+    Rounding,
+    by_flights,
+    by_free_poses,
+    contour_sigma_px,
+    gain_of_rounding,
+    look_rounded,
+)
+from diethrow.tracking.follow import Followed, look_through
+from diethrow.tracking.quality import FAST
+
+ROOM = replace(studio(), noise_grey=2.0)
+CUBE = DICE["cube"]
+FEW, MANY = 12, 24
+PX_PER_M = 3750.0
+"""In the middle of the studio's picture."""
+
+
+def states(count: int) -> list[State]:
+    """Any orientations, in the middle of the picture."""
+    made = []
+    for k in range(count):
+        rng = np.random.default_rng([5, k])
+        position = np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018])
+        made.append(State(0.0, position, random_quaternion(rng), np.zeros(3), np.zeros(3)))
+    return made
+
+
+def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, off: float = 0.0) -> Looks:
+    """Pictures of a die at rest in those orientations, with poses that are `off` by so much of 0.1 mm and 0.6 degrees."""
+    rng = np.random.default_rng(1)
+    at = states(count)
+    wrong = off * rng.standard_normal((count, 3)) * 1e-4
+    return Looks(
+        tuple(drawn(state, rng)[None] for state in at),
+        np.array([state.position_m for state in at]) + wrong,
+        np.array([state.rotation for state in at]),
+        np.zeros((count, 6)),
+    )
+
+
+@cache
+def round_looks(radius_m: float, count: int = FEW) -> Looks:
+    """Of a rounded cube, at its true poses."""
+    die = replace(CUBE, corner_radius_m=radius_m)
+    return looks(lambda state, rng: photograph_rounded(ROOM, die, state, rng), count)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_sharp_die_stays_sharp(shape: str) -> None:
+    die = DICE[shape]
+    seen = looks(lambda state, rng: photograph(ROOM, die, state, rng), MANY, off=1.0)
+    gain, sigma = gain_of_rounding(ROOM.view(die), seen)
+    assert gain < -3.0 * sigma  # what the two more intensities of a rounded edge cost, and a little more
+    assert not look_rounded(ROOM.view(die), seen.some)
+    free = by_free_poses(ROOM.view(die), seen)
+    assert free is not None
+    assert free.radius_m == 0.0
+
+
+# From half a pixel, a little less than the lens's blur, to a die that is round all over: 0.6 to 9 pixels.
+@pytest.mark.parametrize("radius_m", [0.15e-3, 0.6e-3, 2.5e-3])
+def test_a_rounded_die_is_seen_to_be_one_and_its_radius_is_found_within_its_error(radius_m: float) -> None:
+    seen, view = round_looks(radius_m), ROOM.view(CUBE)
+    # Half a pixel is told from none by more frames than these.
+    assert look_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
+    free = by_free_poses(view, seen)
+    assert free is not None
+    assert abs(free.radius_m - radius_m) < 2.0 * free.sigma_m
+    found = by_flights(view, seen, free.radius_m)
+    assert found is not None
+    assert abs(found.radius_m - radius_m) < 2.0 * found.sigma_m
+    assert found.sigma_m < free.sigma_m  # known poses say more than free ones
+
+
+def test_flights_that_the_pictures_contradict_say_nothing() -> None:
+    seen = round_looks(0.6e-3)
+    astray = replace(seen, position_m=seen.position_m + np.array([1e-3, 0.0, 0.0]))
+    assert by_flights(ROOM.view(CUBE), astray, 0.6e-3) is None
+    none = replace(
+        seen, pictures=(), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)), motion=np.zeros((0, 6))
+    )
+    assert by_flights(ROOM.view(CUBE), none, 0.6e-3) is None
+    assert by_free_poses(ROOM.view(CUBE), none) is None
+    assert gain_of_rounding(ROOM.view(CUBE), none) == (0.0, np.inf)
+
+
+def test_the_contour_error_is_that_of_the_outline() -> None:
+    """A cube seen from in front of a face keeps its outline when it is rounded; seen from a corner it loses 0.41 radii all
+    round, which is a distance that the flights must be free to correct."""
+    view = ROOM.view(CUBE)
+    ahead = ROOM.camera.rotation[2]
+    position = ROOM.camera.centre_m + 0.4 * ahead
+    face = np.column_stack([ROOM.camera.rotation[0], ROOM.camera.rotation[1], ahead])
+    corner_axis = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
+    across = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
+    body = np.column_stack([across, np.cross(corner_axis, across), corner_axis])
+    errors = [contour_sigma_px(view, 0.1e-3, position[None], R[None]) for R in (face, face @ body.T)]
+    assert errors[0] == pytest.approx(0.0, abs=0.03 * 0.1e-3 * PX_PER_M)  # the sides are seen a little, from so near
+    assert errors[1] == pytest.approx(0.414 * 0.1e-3 * PX_PER_M, rel=0.05)
+    assert contour_sigma_px(view, 0.0, position[None], face[None]) == 0.0
+
+
+# --- a whole clip ---
+
+RADIUS_M = 0.8e-3
+FRAMES = 28
+ROUND = replace(CUBE, corner_radius_m=RADIUS_M)
+
+
+@cache
+def clip() -> tuple[ArrayClip, Throw]:
+    """A rounded cube that falls and bounces once, half-way."""
+    start, down = np.array([-0.001, 0.0, 0.022]), np.array([0.05, 0.05, -0.7])
+    release = State(0.0, start, random_quaternion(np.random.default_rng(3)), down, np.array([12.0, -25.0, 9.0]))
+    throw = throw_die(ROUND, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
+    times, rng = np.arange(FRAMES) / FPS, np.random.default_rng(2)
+    frames = [np.clip(np.rint(photograph_rounded(ROOM, ROUND, throw.at(float(t)), rng)), 0, 255) for t in times]
+    return ArrayClip(np.array(frames).astype(np.uint8), times, 8), throw
+
+
+@cache
+def followed(rounding: Rounding, radius_m: float) -> Followed:
+    """The clip, tracked with a radius that is given, or in the place of one."""
+    die = replace(CUBE, corner_radius_m=radius_m)
+    return look_through(clip()[0], ROOM.camera, die, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
+
+
+def depth_errors_m(result: Followed) -> np.ndarray:
+    """(n,) along the line of sight."""
+    track, (_, throw) = result.track, clip()
+    use = track.tracked
+    off = throw.poses(track.time_s[use])[0] - track.position_m[use]
+    return np.asarray(off @ ROOM.camera.rotation[2])
+
+
+@pytest.mark.parametrize("rounding", [Rounding.LOOKED_AT, Rounding.ESTIMATED])
+def test_a_die_is_tracked_with_the_radius_that_it_shows(rounding: Rounding) -> None:
+    result = followed(rounding, 0.0)
+    assert isinstance(result.corners, Corners)
+    assert abs(result.corners.radius_m - RADIUS_M) < 2.0 * result.corners.sigma_m
+    assert result.die.corner_radius_m == result.corners.radius_m
+    assert "look rounded" in result.corners.notice
+
+
+def test_a_rounded_die_taken_for_a_sharp_one_is_seen_too_far_away() -> None:
+    """The reason for it all: contours that lie further in look like a greater distance."""
+    sharp, found, given = (
+        float(np.median(depth_errors_m(each)))
+        for each in (
+            followed(Rounding.GIVEN, 0.0),
+            followed(Rounding.LOOKED_AT, 0.0),
+            followed(Rounding.GIVEN, RADIUS_M),
+        )
+    )
+    # Single frames, to which no flight has told their distance yet: what the model of a bevel leaves is a third of it.
+    assert abs(found) < 0.5 * abs(sharp)
+    assert abs(given) < 0.5 * abs(sharp)
+
+
+def test_a_radius_that_is_given_is_believed() -> None:
+    result = followed(Rounding.GIVEN, RADIUS_M)
+    assert result.corners is None
+    assert result.die.corner_radius_m == RADIUS_M
+    assert result.track.contour_sigma_px == 0.0
+
+
+def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:
+    """Not one bit of the poses differs."""
+    throw = throw_die(CUBE, clip()[1].flights[0].start, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
+    rng = np.random.default_rng(2)
+    times = np.arange(FRAMES) / FPS
+    frames = np.array([np.clip(np.rint(photograph(ROOM, CUBE, throw.at(float(t)), rng)), 0, 255) for t in times])
+    film = ArrayClip(frames.astype(np.uint8), times, 8)
+    asked, given = (
+        look_through(film, ROOM.camera, CUBE, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
+        for rounding in (Rounding.LOOKED_AT, Rounding.GIVEN)
+    )
+    assert asked.corners is None
+    assert asked.die is CUBE
+    assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
+    assert np.array_equal(asked.track.covariance, given.track.covariance, equal_nan=True)
