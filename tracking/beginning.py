@@ -87,8 +87,10 @@ def find_beginning(
     if good:
         k, chosen = min(good, key=lambda pair: pair[1].unevenness)
         return _begun(chosen, reel, k, unused)
-    k, chosen = max(fair, key=lambda pair: pair[1].support, default=(0, None))
-    return _begun(chosen, reel, k, unused) if chosen is not None and chosen.support > FAIR_SUPPORT else None
+    if not fair:
+        return None
+    k, chosen = max(fair, key=lambda pair: pair[1].support)
+    return _begun(chosen, reel, k, unused) if chosen.support > FAIR_SUPPORT else None
 
 
 def _candidates(
