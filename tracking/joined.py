@@ -134,11 +134,7 @@ class Joined:
     @property
     def contour_sigma_px(self) -> float:
         """Standard error [px] of the first of the shared errors, the contour's; infinite where none was looked for."""
-        if not len(self.shared):
-            return np.inf
-        # Last come the shared errors, and behind them the table's height where a strike measures it.
-        first = len(self.covariance) - len(self.shared) - int(any(link.strike is not None for link in self.links))
-        return float(np.sqrt(max(float(self.covariance[first, first]), 0.0)))
+        return float(self.shared_sigma[0]) if len(self.shared) else np.inf
 
     @property
     def links_s(self) -> Array:
