@@ -17,8 +17,8 @@ class Quality:
     chase_stride: int
     """One pixel line in so many is walked while the die is only followed."""
     enough: float
-    """Squared sigmas: a step that gains less is the last one. 0.3 moves a pose by half its sigma, and the next step would
-    move it by a tenth of a sigma."""
+    """Squared sigmas: a step that gains less is the last one. 0.1 moves a pose by a third of its sigma, and the next step would
+    move it by less than a tenth of a sigma."""
     settled_px: float
     """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
     it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
@@ -44,7 +44,7 @@ FAST = Quality(
     starts=24, rivals=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.3, settled_px=0.1, band_px=3.5, judging_pixels=800,
+    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.1, settled_px=0.1, band_px=3.5, judging_pixels=800,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
