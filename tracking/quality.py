@@ -25,7 +25,7 @@ class Quality:
     band_px: float
     """Least half-width of the band of pixels about an edge. The two greys beside an edge are not known: of what the pixels
     tell of its place 35 % are lost to them in a band of 3.5 pixels, 15 % in one of 8, where stretches are not alike. On faces of
-    one grey poses then err by 5 % less; on wood, cork and paint they do not, whose grain is no noise."""
+    one grey poses then err by 5 % less; on wood, cork and paint they err more, whose grain is no noise."""
     judging_pixels: int
     """Pixels that judge a pose as a whole, faces and surroundings."""
     starts: int
@@ -48,7 +48,7 @@ STANDARD = Quality(
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
-    "fine", fine_steps=8, chase_steps=4, chase_stride=1, enough=1e-3, settled_px=0.0, band_px=8.0, judging_pixels=2500,
+    "fine", fine_steps=8, chase_steps=4, chase_stride=1, enough=1e-3, settled_px=0.0, band_px=3.5, judging_pixels=2500,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}
