@@ -48,7 +48,6 @@ class Reel:
         self._shape = (len(clips), height, width)
         self._dtype = np.uint8 if all(c.bit_depth <= 8 for c in clips) else np.uint16
         self._recent: OrderedDict[int, Frames] = OrderedDict()
-        self._running: tuple[int, list[Iterator[Frames]]] | None = None
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
         self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
         self._keep = max(4, RECENT_BYTES // frame_bytes)
@@ -94,18 +93,12 @@ class Reel:
             stop = start
 
     def frame(self, k: int) -> Frames:
-        """One frame (cameras, height, width), cheap where frames are asked for in order or again soon."""
+        """One frame (cameras, height, width), cheap where it is asked for again soon."""
         if self._whole is not None and self._there[k]:
             return np.asarray(self._whole[k])
         if k in self._recent:
             return self._recent[k]
-        if self._running is None or not 0 <= k - self._running[0] < MOST_FRAMES:
-            self._running = k, [clip.frames(k) for clip in self.clips]
-        at, frames = self._running
-        while at <= k:
-            self._remember(at, self._stack([next(f) for f in frames]))
-            at += 1
-        self._running = at, frames
+        self._remember(k, self._stack([clip.frame(k) for clip in self.clips]))
         return self._recent[k]
 
     def _remember(self, k: int, stack: Frames) -> None:
