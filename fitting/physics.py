@@ -37,7 +37,7 @@ from ..model.impacts import (
     RestitutionBySpeed,
     SmoothImpact,
 )
-from ..model.motion import GRAVITY_M_S2, State, Throw
+from ..model.motion import State, Throw
 from ..model.simulate import ThrowResult, Until, checked_release, throw_die
 from ..model.solids import Die
 from ..model.tables import Table
@@ -379,22 +379,10 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
             -by_name["chi_fade_s_per_m"] / max(physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M) ** 2
         )
     if "clock_scale" in physics.free:
-        by_name["clock_scale"] = times_s[:, None] * _rates(way.throw, clock * times_s)
+        by_name["clock_scale"] = times_s[:, None] * way.throw.rates(clock * times_s)
     if "length_scale" in physics.free:
         by_name["length_scale"] = np.hstack([way.positions_m / length, np.zeros((len(times_s), 3))])
     jacobian = np.stack([*columns, *(by_name[name] for name in physics.free)], axis=2)
     if length != 1.0:
         jacobian[:, :3] *= length
     return Course(length * way.positions_m, way.quaternions, jacobian, way)
-
-
-def _rates(throw: Throw, times_s: Array) -> Array:
-    """Velocity and angular velocity (n, 6) along a throw."""
-    rates = np.empty((len(times_s), 6))
-    which = np.searchsorted([impact.time_s for impact in throw.impacts], times_s, side="right")
-    for k in np.unique(which):
-        mine, start = which == k, throw.flights[k].start
-        rates[mine, :3] = start.velocity_m_s
-        rates[mine, 2] -= GRAVITY_M_S2 * (times_s[mine] - start.time_s)
-        rates[mine, 3:] = start.omega_rad_s
-    return rates

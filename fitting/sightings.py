@@ -81,7 +81,7 @@ def sight(track: Track, measured: Throw) -> Sightings:
         frames = UNRESOLVED_FRAMES if impact.contact == "unresolved" else 0.5
         usable &= np.abs(track.time_s - impact.time_s) >= frames * interval
     times = track.time_s[usable]
-    flights = np.searchsorted([impact.time_s for impact in measured.impacts], times, side="right")
+    flights = measured.flights_at(times)
     weights = whiteners(track.covariance[usable])
     seen = Sightings(times, track.position_m[usable], track.quaternion[usable], weights, flights, interval)
     return seen.where(np.argsort(times, kind="stable"))

@@ -66,6 +66,13 @@ class Flight:
         turns = quat_from_rotvec(np.outer(dt, self.start.omega_rad_s))
         return positions, quat_multiply(turns, self.start.quaternion)
 
+    def rates(self, times_s: ArrayLike) -> Array:
+        """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]."""
+        dt = np.asarray(times_s, float) - self.start.time_s
+        rates = np.tile(np.concatenate([self.start.velocity_m_s, self.start.omega_rad_s]), (len(dt), 1))
+        rates[:, 2] -= GRAVITY_M_S2 * dt
+        return rates
+
 
 @dataclass(frozen=True, eq=False)
 class Impact:
@@ -138,6 +145,15 @@ class Throw:
             mine = which == k
             positions[mine], quaternions[mine] = self.flights[k].poses(times[mine])
         return positions, quaternions
+
+    def rates(self, times_s: ArrayLike) -> Array:
+        """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]."""
+        times = np.asarray(times_s, float)
+        which, rates = self.flights_at(times), np.empty((len(times), 6))
+        for k in np.unique(which):
+            mine = which == k
+            rates[mine] = self.flights[k].rates(times[mine])
+        return rates
 
 
 def energy_J(die: Die, state: State) -> float:

@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Throw
+from ..model.rotations import matrix_from_quat
 from .edges import COLUMNS, TUKEY, Lens, look, new_desk
 from .lean import outline_growth
 from .pose import THREADS, View, rounded, shares_in_view, whole_sight
@@ -234,10 +235,8 @@ def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) ->
     bounces = np.array([impact.time_s for impact in throw.impacts])
     near = np.abs(track.time_s[:, None] - bounces).min(1, initial=np.inf) < NEAR_BOUNCE * spacing_s
     rows = np.flatnonzero(track.tracked & ~near & (track.time_s <= throw.flights[-1].end_s))
-    states = [throw.at(float(t)) for t in track.time_s[rows]]
-    position = np.array([s.position_m for s in states]).reshape(-1, 3)
-    rotation = np.array([s.rotation for s in states]).reshape(-1, 3, 3)
-    motion = np.array([np.concatenate([s.velocity_m_s, s.omega_rad_s]) for s in states]).reshape(-1, 6)
+    position, quaternion = throw.poses(track.time_s[rows])
+    rotation, motion = matrix_from_quat(quaternion), throw.rates(track.time_s[rows])
     whole = shares_in_view(view, position, rotation) == 1.0
     return Looks.at(rows[whole], picture, position[whole], rotation[whole], motion[whole])
 

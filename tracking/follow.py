@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Flight, Throw
+from ..model.motion import Flight, Throw
 from ..model.rotations import (
     continuous_sign,
     matrix_from_quat,
@@ -467,12 +467,7 @@ def _motions(throw: Throw, times_s: Array) -> Seen:
     out = Seen.empty(len(times_s))
     position, quaternion = throw.poses(times_s)
     out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)
-    which = throw.flights_at(times_s)
-    starts = [flight.start for flight in throw.flights]
-    tau = times_s - np.array([s.time_s for s in starts])[which]
-    out.motion[:, :3] = np.array([s.velocity_m_s for s in starts])[which]
-    out.motion[:, 2] -= GRAVITY_M_S2 * tau
-    out.motion[:, 3:] = np.array([s.omega_rad_s for s in starts])[which]
+    out.motion[:] = throw.rates(times_s)
     out.known[:] = True
     return out
 

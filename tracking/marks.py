@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Throw
+from ..model.motion import Throw
 from ..model.rotations import matrix_from_quat
 from .flights import transitions
 from .marks_adjustment import adjusted, contour_covariance, links_between, turn_between
@@ -189,13 +189,10 @@ def refine_by_marks(
     seen, the edges' pose stays, its covariance widened by their systematic errors.
     """
     which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
-    velocity, omega = np.empty((len(times_s), 3)), np.empty((len(times_s), 3))
     for k in np.unique(which):
-        mine, start = which == k, throw.flights[k].start
-        shared[mine] = shared_covariances(view, marks, int(k), times_s[mine])
-        fall = GRAVITY_M_S2 * (times_s[mine] - start.time_s)
-        velocity[mine], omega[mine] = start.velocity_m_s - np.outer(fall, [0.0, 0.0, 1.0]), start.omega_rad_s
+        shared[which == k] = shared_covariances(view, marks, int(k), times_s[which == k])
     over = times_s > throw.flights[-1].end_s
+    velocity, omega = (np.ascontiguousarray(half) for half in np.split(throw.rates(times_s), 2, axis=1))
     velocity[over], omega[over] = 0.0, 0.0
     position, quaternion = throw.poses(times_s)
     by_flight = ~over & np.isfinite(shared[:, 0, 0])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..model.motion import GRAVITY_M_S2, Flight, Throw
+from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat
 from ..model.solids import Solid
 from .camera import Camera
@@ -138,9 +138,7 @@ def poses_of(looks: list[Look], flights: tuple[Flight, ...]) -> Poses:
         mine, flight = of == k, flights[k]
         out.position_m[mine], q = flight.poses(times[mine])
         out.rotation[mine] = matrix_from_quat(q)
-        fall = GRAVITY_M_S2 * (times[mine] - flight.start.time_s)
-        out.velocity_m_s[mine] = flight.start.velocity_m_s - np.outer(fall, [0.0, 0.0, 1.0])
-        out.omega_rad_s[mine] = flight.start.omega_rad_s
+        out.velocity_m_s[mine], out.omega_rad_s[mine] = np.split(flight.rates(times[mine]), 2, axis=1)
         out.by_start[mine] = transitions(flight, times[mine])[:, :6]
     return out
 

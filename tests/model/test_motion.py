@@ -48,7 +48,10 @@ def test_a_throw_is_continuous_in_pose_across_its_impacts():
         assert throw.flight_at(impact.time_s) == k + 1
     times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, 30)
     positions, quaternions = throw.poses(times)
+    rates = throw.rates(times)
     for k, time in enumerate(times):
+        state = throw.at(time)
+        np.testing.assert_allclose(rates[k], np.concatenate([state.velocity_m_s, state.omega_rad_s]), atol=1e-13)
         np.testing.assert_allclose(throw.at(time).position_m, positions[k], atol=1e-14)
         np.testing.assert_allclose(rotation_between(throw.at(time).quaternion, quaternions[k]), 0, atol=1e-12)
 
