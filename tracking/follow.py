@@ -58,6 +58,7 @@ from .pose import (
     rounded,
     share_in_view,
     shares_in_view,
+    sight_boxes,
     with_reflections,
 )
 from .quality import STANDARD, Quality
@@ -381,7 +382,7 @@ def _second_pass(
     seen = Seen.empty(len(reel))
     flown = _motions(throw, reel.times_s) if throw is not None else None
     with ThreadPoolExecutor(THREADS) as pool:
-        for start, frames in reel.blocks():
+        for start, frames in reel.blocks(boxes=_looked_at(view, first, flown if flown is not None else first)):
             rows = slice(start, start + len(frames))
             if flown is None:
                 _settle_block(view, pool, frames, first, rows, seen, first.known[rows], offsets)
@@ -398,6 +399,14 @@ def _second_pass(
     for k in np.flatnonzero(seen.known):
         seen.rotation[k] = labelled_like(view, seen.rotation[k], wanted.rotation[k])
     return seen
+
+
+def _looked_at(view: View, first: Seen, flown: Seen) -> NDArray[np.int64]:
+    """(n, cameras, 4) pixels that a further pass may look at, from either start."""
+    boxes, others = (sight_boxes(view, seen.position_m, seen.rotation) for seen in (first, flown))
+    both = np.concatenate([np.minimum(boxes, others)[..., :2], np.maximum(boxes, others)[..., 2:]], axis=-1)
+    empty, blank = (~boxes.any(-1))[..., None], (~others.any(-1))[..., None]
+    return np.asarray(np.where(empty, others, np.where(blank, boxes, both)))
 
 
 def _settle_block(
@@ -506,8 +515,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
     by_edges, adjusted = _poses_by_edges(view, edges, seen), Throw(marks.flights, throw.impacts)
+    boxes = _looked_at(view, seen, _motions(adjusted, reel.times_s))
     with ThreadPoolExecutor(THREADS) as pool:
-        for first, frames in reel.blocks():
+        for first, frames in reel.blocks(boxes=boxes):
             # Where no edges were seen there is no frame to refine.
             known = np.flatnonzero(edges.tracked[first : first + len(frames)])
             rows = first + known

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip
+from .clip import Clip, Filling
 
 Frames = NDArray[Any]
 
@@ -58,8 +58,14 @@ class Reel:
     def __len__(self) -> int:
         return len(self.times_s)
 
-    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
-        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
+    def blocks(
+        self, start: int = 0, stop: int | None = None, boxes: NDArray[np.int64] | None = None
+    ) -> Iterator[tuple[int, Frames]]:
+        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread.
+
+        With `boxes` (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), whoever asks looks at no others:
+        they may hold zeros.
+        """
         stop = len(self) if stop is None else stop
         if self._whole is not None and self._there[start:stop].all():
             for first in range(start, stop, self._block):
@@ -67,7 +73,7 @@ class Reel:
             return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()
-        reader = threading.Thread(target=self._read, args=(start, stop, queue, closed), daemon=True)
+        reader = threading.Thread(target=self._read, args=(start, stop, boxes, queue, closed), daemon=True)
         reader.start()
         try:
             while True:
@@ -121,23 +127,48 @@ class Reel:
             out[c, : frame.shape[0], : frame.shape[1]] = frame
         return out
 
-    def _read(self, start: int, stop: int, queue: Queue[Any], closed: threading.Event) -> None:
+    def _read(
+        self, start: int, stop: int, boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
+    ) -> None:
         """Fill the queue; what goes wrong is handed on to whoever waits."""
         last: Any = None
         try:
-            runs = [clip.frames(start, stop) for clip in self.clips]
+            runs = [_Run(clip, start, stop) for clip in self.clips]
+            boxes = None if self._whole is not None else boxes  # what is kept is kept whole
             for first in range(start, stop, self._block):
                 count = min(self._block, stop - first)
-                block = np.empty((count, *self._shape), self._dtype)
-                for k in range(count):
-                    if closed.is_set():
+                # Memory that is zero from the start costs nothing where nobody writes to it.
+                block = np.zeros((count, *self._shape), self._dtype)
+                for c, run in enumerate(runs):
+                    wanted = None if boxes is None else boxes[first : first + count, c]
+                    if not run.put(first, block[:, c], wanted, closed):
                         return
-                    block[k] = self._stack([next(run) for run in runs])
                 self._keep_whole(first, block)
                 _put(queue, (first, block), closed)
         except BaseException as error:  # raised again by the thread that reads the blocks
             last = error
         _put(queue, last, closed)
+
+
+class _Run:
+    """Frames of one clip in order, as quickly as it hands them out."""
+
+    def __init__(self, clip: Clip, start: int, stop: int) -> None:
+        self._size = clip.height_px, clip.width_px
+        self._filling = clip if isinstance(clip, Filling) else None
+        self._frames = iter(()) if self._filling else clip.frames(start, stop)
+
+    def put(self, first: int, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
+        """Write the frames from `first` on into `out` (n, height, width); whether they were all written before it was closed."""
+        out = out[:, : self._size[0], : self._size[1]]
+        for k in range(len(out)):
+            if closed.is_set():
+                return False
+            if self._filling:
+                self._filling.fill(first + k, out[k : k + 1], None if boxes is None else boxes[k : k + 1])
+            else:
+                out[k] = next(self._frames)
+        return True
 
 
 def _put(queue: Queue[Any], item: Any, closed: threading.Event) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from footage_files import noisy_frames, write_photron
 from replay_records import ArrayClip
 
+from diethrow.tracking.clip import open_clip
 from diethrow.tracking.footage import Frame
 from diethrow.tracking.reel import Reel
 
@@ -88,6 +91,18 @@ def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
     assert frames.shape[1:] == (2, 12, 16)
     np.testing.assert_array_equal(frames[7, 1, :8, :10], small.frame(7))
     assert not frames[7, 1, 8:].any()
+
+
+def test_boxes_hold_what_the_frames_have_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    levels = noisy_frames(COUNT, bits=12)
+    clip = open_clip(write_photron(tmp_path / "x.cihx", levels, stored_bits=12))
+    corner = np.random.default_rng(1).integers(0, 6, (COUNT, 1, 2))
+    boxes = np.concatenate([corner, corner + 7], axis=-1)
+    for first, frames in Reel([clip]).blocks(20, boxes=boxes):
+        for k, frame in enumerate(frames[:, 0], first):
+            x0, y0, x1, y1 = boxes[k, 0]
+            np.testing.assert_array_equal(frame[y0:y1, x0:x1], levels[k, y0:y1, x0:x1])
 
 
 def test_clips_of_different_lengths_are_refused() -> None:
