@@ -151,7 +151,7 @@ class Footage(ABC):
         """Frame `number` of the file, as a new array."""
 
     def _put(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
-        """At least the pixels of a box of frame `number` into `out` (height, width); a reader that can leave the others out does."""
+        """At least a box of frame `number` into `out` (height, width); a reader that can leave other pixels out does."""
         out[:] = self._read(number)
 
 

@@ -133,7 +133,6 @@ class PhotronClip(Footage):
         levels = raw.view("<u2").astype(np.uint16).reshape(shape)
         return levels >> np.uint16(16 - header.bit_depth) if header.high_side else levels
 
-
     def _put(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
         """No more than the lines of the box are read, and of packed ones no more than the box is unpacked."""
         header, (x0, y0, x1, y1) = self.header, box
@@ -154,7 +153,6 @@ class PhotronClip(Footage):
         # Pixels are packed in pairs.
         first, last = x0 // 2, (x1 + 1) // 2
         _unpack_lines(raw[:, 3 * first : 3 * last], out[y0:y1, 2 * first : 2 * last])
-
 
     def _room(self) -> NDArray[np.uint8]:
         """Room for the bytes of one frame, the same one for all that a thread reads: new memory costs as much as reading."""
