@@ -282,11 +282,13 @@ def refine_pose(
     H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
     exact = view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
     zero, lens = np.zeros(3), view.chase_lens if roughly else exact
+    desk = new_desk(view.shape, view.eyes) if desk is None else desk
+    desk.usual[:] = 0.0
     p, Q, cost = look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
         zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
-        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape, view.eyes), H, g, stats,
+        prior_rotation_rad or lens.loose_rad, coarse, desk, H, g, stats,
     )  # fmt: skip
     return pose_from(p, Q, H, stats, cost, lens)
 
