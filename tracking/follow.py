@@ -85,6 +85,10 @@ LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
+PLENTY = 1500
+"""Frames of a throw that place its flights well enough to look for better poses along them."""
+SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
+"""Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
@@ -184,7 +188,8 @@ def look_through(
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, reel, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
-    return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
+    sure = calibrated(track, view.die, view.camera, every=_spared(view, track))
+    return Followed(sure, marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -330,10 +335,24 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
+    track = _as_track(view, reel, seen, whole)
     try:
-        return measure_throw(_as_track(view, reel, seen, whole), view.die, view.camera)
+        return measure_throw(track, view.die, view.camera, every=_spared(view, track))
     except NoFlightError:
         return None
+
+
+def _spared(view: View, track: Track) -> int:
+    """Of how many frames one will do for flights that only lead to better ones: 1 but on a film that shows more than PLENTY of
+    a motion so slow, for its rate, that frames left out hide nothing."""
+    known = np.flatnonzero(track.tracked)
+    if len(known) < 2 * PLENTY:
+        return 1
+    p, q = track.position_m[known], track.quaternion[known]
+    moves = np.linalg.norm(np.diff(p, axis=0), axis=1) / (SMALL_MOVE_REACH * view.reach_m)
+    turns = np.linalg.norm(rotation_between(q[:-1], q[1:]), axis=1) / SMALL_TURN_RAD
+    usual = float(np.median(np.maximum(moves, turns)))
+    return int(max(1.0, min(1.0 / max(usual, 1e-9), len(known) // PLENTY)))
 
 
 def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
@@ -494,7 +513,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        found = measure(track, view.die, view.camera)
+        found = measure(track, view.die, view.camera, every=_spared(view, track))
     except NoFlightError:
         return seen, None, None
     edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
