@@ -328,9 +328,10 @@ def blur_step(
 
 
 def labelled_like(view: View, rotation: Array, wanted: Array) -> Array:
-    """Of the orientations (3, 3) that draw the same die as `rotation`, the one nearest to `wanted`."""
-    alike = rotation @ view.symmetries
-    return np.asarray(alike[int(np.argmax(np.einsum("nij,ij->n", alike, wanted)))])
+    """Of the orientations (..., 3, 3) that draw the same die as `rotation`, the one nearest to `wanted`, of one or of many."""
+    alike = rotation[..., None, :, :] @ view.symmetries
+    nearest = np.einsum("...nij,...ij->...n", alike, wanted).argmax(-1)
+    return np.asarray(np.take_along_axis(alike, nearest[..., None, None, None], axis=-3)[..., 0, :, :])
 
 
 def visible_faces(view: View, position_m: Array, rotation: Array) -> NDArray[np.int64]:
