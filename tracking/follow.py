@@ -41,7 +41,7 @@ from .corners import (
     look_rounded,
     looks_in_flight,
 )
-from .edges import Eyes, settle
+from .edges import Eyes, Lens, settle
 from .flights import transition
 from .hints import HandStart, excluded_rows
 from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
@@ -400,11 +400,11 @@ def _second_pass(
     view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter, offsets: Offsets
 ) -> Seen:
     """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
-    wanted, tries = first, [_Settling(view, first, first.known, offsets)]
+    wanted, tries = first, [_Settling(view, first, first.known, offsets, np.zeros(len(reel), bool))]
     if throw is not None:
         wanted = _motions(throw, reel.times_s)
         apart = first.known & _apart(view, wanted, first)
-        tries = [_Settling(view, wanted, ~unused, offsets), _Settling(view, first, apart, offsets)]
+        tries = [_Settling(view, wanted, ~unused, offsets, apart), _Settling(view, first, apart, offsets, apart)]
     with ThreadPoolExecutor(THREADS) as pool:
         for start, frames in reel.blocks(boxes=_looked_at(view, tries, len(reel))):
             for one in tries:
@@ -434,11 +434,13 @@ class _Settling:
     """Some frames on their way from a start each to the pose that their pixels bear out: what there is to know without the
     pictures is worked out for all of them at once."""
 
-    def __init__(self, view: View, start: Seen, use: Mask, offsets: Offsets) -> None:
+    def __init__(self, view: View, start: Seen, use: Mask, offsets: Offsets, judged: Mask) -> None:
+        """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
+        where there is another start to compare with."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
-        self._view, self._start, self._offsets = view, start, offsets
+        self._view, self._start, self._offsets, self._judged = view, start, offsets, judged
         self.position_m, self.rotation = start.position_m[self.rows], start.rotation[self.rows]
         self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
         self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
@@ -447,26 +449,26 @@ class _Settling:
         """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`."""
         a, b = (int(k) for k in np.searchsorted(self.rows, (first, first + len(frames))))
         some = frames if b - a == len(frames) else frames[self.rows[a:b] - first]
-        cuts = np.linspace(a, b, THREADS + 1).astype(int)
-        jobs = [
-            pool.submit(self._settle, some[i - a : j - a], slice(i, j)) for i, j in pairwise(cuts.tolist()) if j > i
-        ]
+        judged = self._judged[first : first + len(frames)].any()
+        lens = self._view.lens if judged else self._view.lens._replace(samples=0)
+        cuts = np.linspace(a, b, THREADS + 1).astype(int).tolist()
+        jobs = [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
         for job in jobs:
             job.result()
 
-    def _settle(self, frames: Frames, mine: slice) -> None:
+    def _settle(self, frames: Frames, mine: slice, lens: Lens) -> None:
         if not self._offsets.any:
-            self._settle_with(frames, mine, self._view.eyes)
+            self._settle_with(frames, mine, lens, self._view.eyes)
             return
         for k, frame in enumerate(range(mine.start, mine.stop)):
             # Late cameras stand elsewhere for every frame.
             eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[frame], self._motion[frame])
-            self._settle_with(frames[k : k + 1], slice(frame, frame + 1), eyes)
+            self._settle_with(frames[k : k + 1], slice(frame, frame + 1), lens, eyes)
 
-    def _settle_with(self, frames: Frames, mine: slice, eyes: Eyes) -> None:
+    def _settle_with(self, frames: Frames, mine: slice, lens: Lens, eyes: Eyes) -> None:
         view = self._view
         settle(
-            frames, view.backgrounds, eyes, view.shape, view.lens, self.position_m[mine], self.rotation[mine],
+            frames, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
             self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
         )  # fmt: skip
 
