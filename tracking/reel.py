@@ -7,6 +7,7 @@ clip are decoded once and kept; of a long one never more than a few blocks are i
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -28,6 +29,9 @@ RECENT_BYTES = 2**26
 KEPT_BYTES = 2**27
 """Pixels of a clip that is kept whole: 512 frames of 512 × 512 and 8 bit. What takes longest to decode is filmed for seconds,
 not minutes; a clip that is larger comes from a format that costs little to read again."""
+
+_UNHELD = 3
+"""References to a block in a list that is gone through: the list's, the loop's, and that of the call which counts them."""
 
 
 class Reel:
@@ -51,6 +55,8 @@ class Reel:
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
         self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
         self._keep = max(4, RECENT_BYTES // frame_bytes)
+        self._rooms: list[Frames] = []
+        self._taking = threading.Lock()
         self._whole: Frames | None = None
         if len(self) * frame_bytes <= KEPT_BYTES:
             self._whole, self._there = np.empty((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
@@ -64,7 +70,7 @@ class Reel:
         """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread.
 
         With `boxes` (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), whoever asks looks at no others:
-        they may hold zeros.
+        they may be those of other frames.
         """
         stop = len(self) if stop is None else stop
         if self._whole is not None and self._there[start:stop].all():
@@ -127,6 +133,17 @@ class Reel:
             out[c, : frame.shape[0], : frame.shape[1]] = frame
         return out
 
+    def _room(self) -> Frames:
+        """A block to write frames to: one that nobody holds any more, no view of it either, or a new one. New memory costs as
+        much as the pixels in it. A block that is used again holds older frames where nothing is written."""
+        with self._taking:
+            for room in self._rooms:
+                if sys.getrefcount(room) == _UNHELD:
+                    return room
+            room = np.zeros((self._block, *self._shape), self._dtype)
+            self._rooms.append(room)
+            return room
+
     def _read(
         self, start: int, stop: int, boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
     ) -> None:
@@ -137,8 +154,7 @@ class Reel:
             boxes = None if self._whole is not None else boxes  # what is kept is kept whole
             for first in range(start, stop, self._block):
                 count = min(self._block, stop - first)
-                # Memory that is zero from the start costs nothing where nobody writes to it.
-                block = np.zeros((count, *self._shape), self._dtype)
+                block = self._room()[:count]
                 for c, run in enumerate(runs):
                     wanted = None if boxes is None else boxes[first : first + count, c]
                     if not run.put(first, block[:, c], wanted, closed):

@@ -56,6 +56,17 @@ def test_blocks_hold_every_frame_once_and_in_order() -> None:
     np.testing.assert_array_equal(np.concatenate([f for _, f in blocks])[:, 0], np.array(list(clip.frames())))
 
 
+def test_a_block_that_is_held_is_not_written_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    clip = clip_of(11, 1000)
+    reel, plain = Reel([clip]), np.array(list(clip.frames()))
+    held = [(first, frames[3:5, 0]) for first, frames in reel.blocks()]
+    for first, frames in reel.blocks(37):
+        np.testing.assert_array_equal(frames[:, 0], plain[first : first + len(frames)])
+    for first, frames in held:
+        np.testing.assert_array_equal(frames, plain[first + 3 : first + 5])
+
+
 def test_backwards_the_last_block_comes_first() -> None:
     reel = Reel([clip_of(2)])
     back = list(reel.blocks_backwards(100))
