@@ -64,6 +64,11 @@ class Runner:
         """Share of the contour with a clear step, over the race."""
         return float(self.seen.support[self.seen.known].mean())
 
+    @property
+    def sure(self) -> bool:
+        """Whether nothing speaks against it, and no other frame need be asked."""
+        return self.support > SURE_SUPPORT and bool(self.seen.known[: STAGES[1]].all()) and self.unevenness < EVEN
+
 
 def find_beginning(
     view: View, reel: Reel, unused: Mask, reached: Callable[[int], None] = lambda frame: None
@@ -74,8 +79,8 @@ def find_beginning(
     """
     fair: list[tuple[int, Runner]] = []
     good: list[tuple[int, Runner]] = []
-    for k, image in islice(_candidates(view, reel, unused, reached), START_FRAMES):
-        best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
+    for k, _ in islice(_candidates(view, reel, unused, reached), START_FRAMES):
+        best = best_start(view, reel, k, unused)
         if best is None:
             continue
         if best.support <= SURE_SUPPORT or not best.seen.known[: STAGES[1]].all():
@@ -154,10 +159,11 @@ def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, See
     return chase, seen
 
 
-def _race(view: View, reel: Reel, k: int, starts: list[Pose], unused: Mask) -> Runner | None:
+def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
     """The start on frame k that the frames after it bear out best; None where they bear out none."""
     left = min(STAGES[-1], len(reel) - k)
-    runners = [_at_the_line(view, reel, k, pose, unused) for pose in starts]
+    starts = find_start(view, np.asarray(reel.frame(k), np.float32))
+    runners = [_at_the_line(view, reel, k, pose, unused) for _, pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         followed = [r for r in runners if _followed(r, view, reel, k, stage)]
         # Past an impact nobody moves evenly any more: of those still on the die, who led before it has won.
