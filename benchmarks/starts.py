@@ -85,9 +85,24 @@ def measured(folder: Path, count: int, everything: bool) -> list[str]:
         told.update([verdict, outcome])
         if everything or "wrong" in verdict + outcome:
             print(f"{folder.name}, frame {reel.first_frame + k}: {verdict}, {outcome}", flush=True)
-    names = ("sure right", "sure wrong", "unsure right", "unsure wrong", "none", "begun right", "begun wrong", "begun none")
+    names = (
+        "sure right",
+        "sure wrong",
+        "unsure right",
+        "unsure wrong",
+        "none",
+        "begun right",
+        "begun wrong",
+        "begun none",
+    )
     cells = [str(told[name]) for name in names]
-    return [folder.resolve().name, str(len(alone_ms)), *cells, f"{np.median(alone_ms):.0f}", f"{np.median(begun_ms):.0f}"]
+    return [
+        folder.resolve().name,
+        str(len(alone_ms)),
+        *cells,
+        f"{np.median(alone_ms):.0f}",
+        f"{np.median(begun_ms):.0f}",
+    ]
 
 
 def prepared(scene: Scene) -> tuple[View, Reel, Mask]:

@@ -20,6 +20,8 @@ Box = tuple[int, int, int, int]
 
 SUBPIXEL_BITS = 4
 """Binary digits behind the point of the outlines that are filled."""
+FAR_PX = 1e4
+"""Further away than this a corner is out of every picture."""
 
 
 def reflects(view: View) -> bool:
@@ -38,14 +40,17 @@ def shadowless_scores(
     difference = np.nan_to_num(image[rows, columns] - view.background[rows, columns])
     squared = np.where(difference < 0.0, (difference / view.noise_grey) ** 2, 0.0)
     lacking = np.asarray(np.minimum(squared, FACE_CUT) - np.minimum(squared, SHADOW_CUT), np.float32)
-    covered, scores = np.empty(lacking.shape, np.uint8), np.empty(len(positions_m))
-    both = (_outlines(view, positions_m, rotations, box, stride), _reflections(view, positions_m, rotations, box, stride))
+    both = (
+        _outlines(view, positions_m, rotations, box, stride),
+        _reflections(view, positions_m, rotations, box, stride),
+    )
+    covered, scores = np.empty(lacking.shape, np.float32), np.empty(len(positions_m))
     for k, outlines in enumerate(zip(*both, strict=True)):
-        covered[:] = 0
+        covered[:] = 0.0
         for outline in outlines:
-            _fill(covered, outline)
-        scores[k] = lacking[covered == 0].sum()
-    return scores / lacking.size
+            cv2.fillConvexPoly(covered, cv2.convexHull(outline), 1.0, cv2.LINE_8, SUBPIXEL_BITS)
+        scores[k] = lacking.ravel() @ covered.ravel()
+    return np.asarray((lacking.sum() - scores) / lacking.size, np.float64)
 
 
 def uncovered(differs: NDArray[np.bool_], view: View, position_m: Array, rotation: Array) -> float:
@@ -53,25 +58,21 @@ def uncovered(differs: NDArray[np.bool_], view: View, position_m: Array, rotatio
     reflection, over the die's own."""
     box = (0, 0, view.camera.width_px, view.camera.height_px)
     die = np.zeros(differs.shape, np.uint8)
-    _fill(die, _outlines(view, position_m[None], rotation[None], box, 1)[0])
-    both = die.copy()
-    _fill(both, _reflections(view, position_m[None], rotation[None], box, 1)[0])
+    outline, reflection = (
+        cv2.convexHull(of(view, position_m[None], rotation[None], box, 1)[0]) for of in (_outlines, _reflections)
+    )
+    cv2.fillConvexPoly(die, outline, 1, cv2.LINE_8, SUBPIXEL_BITS)
+    both = cv2.fillConvexPoly(die.copy(), reflection, 1, cv2.LINE_8, SUBPIXEL_BITS)
     return float((differs & (both == 0)).sum() / max(int(die.sum()), 1))
 
 
-def _outlines(view: View, positions_m: Array, rotations: Array, box: Box, stride: int) -> NDArray[np.float32]:
-    """(n, vertices, 2) the die's corners in units of `stride` pixels of the box."""
+def _outlines(view: View, positions_m: Array, rotations: Array, box: Box, stride: int) -> NDArray[np.int32]:
+    """(n, vertices, 2) the die's corners in units of `stride` pixels of the box, with SUBPIXEL_BITS behind the point."""
     corners = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
-    px = np.nan_to_num(view.camera.project(corners), nan=-1e6)
-    return np.asarray((px - np.array(box[:2])) / stride, np.float32)
+    px = (view.camera.project(corners) - np.array(box[:2])) / stride
+    return np.rint(np.clip(np.nan_to_num(px, nan=-FAR_PX), -FAR_PX, FAR_PX) * 2**SUBPIXEL_BITS).astype(np.int32)
 
 
-def _reflections(view: View, positions_m: Array, rotations: Array, box: Box, stride: int) -> NDArray[np.float32]:
+def _reflections(view: View, positions_m: Array, rotations: Array, box: Box, stride: int) -> NDArray[np.int32]:
     """The same of the die in the mirror."""
     return _outlines(view, positions_m @ MIRRORED, MIRRORED @ rotations, box, stride)
-
-
-def _fill(mask: NDArray[np.uint8], corners: NDArray[np.float32]) -> None:
-    """Set the convex hull of the corners (n, 2) in a mask to 1."""
-    hull = cv2.convexHull(np.clip(corners, -1e4, 1e4))
-    cv2.fillConvexPoly(mask, np.rint(hull * 2**SUBPIXEL_BITS).astype(np.int32), 1, cv2.LINE_8, SUBPIXEL_BITS)

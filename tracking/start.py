@@ -38,6 +38,8 @@ FEW_KEPT, WORSE = 6, 0.3
 any case; never more than the view's quality says."""
 SEARCH_PIXELS = 1500
 """Pixels that judge a trial pose."""
+PLAIN_SUPPORT = 0.8
+"""Share of the contour with a clear step of a start that ends the search: less of it, where the region was that of some faces."""
 LARGEST_PX, SEARCHED_PX = 800, 400
 """A die larger than the first is looked for in a smaller picture, where it is about as large as the second: neighbours of
 the grid lie some ten degrees apart, and no edge is looked for further away than some ten pixels."""
@@ -55,8 +57,8 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
         return []
     found: list[tuple[float, Pose]] = []
     for blobs in _readings(view, images[0]):
-        found = _found_about(view, images, blobs)
-        if found:
+        found = sorted([*found, *_found_about(view, images, blobs)], key=lambda pair: pair[0])
+        if any(pose.support > PLAIN_SUPPORT for _, pose in found):
             break
     return found
 
@@ -78,7 +80,8 @@ def _found_about(view: View, images: NDArray[np.float32], blobs: list[Blob]) -> 
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
     apart = _apart(view, found)[: view.quality.starts]
-    return apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
+    kept = apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
+    return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in kept]
 
 
 def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> list[tuple[float, Pose]]:
@@ -200,7 +203,7 @@ def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotati
         poses = [
             refine_pose(
                 first, images, positions_m[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
-                prior_rotation_rad=0.3, desk=desk,
+                prior_rotation_rad=0.3, roughly=True, desk=desk,
             )
             for k in rows
         ]  # fmt: skip
