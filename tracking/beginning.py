@@ -48,6 +48,23 @@ UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
 and so does the pose drawn into a shadow."""
 
 
+@dataclass(frozen=True)
+class Rating:
+    """How well pictures and motion bear a runner out."""
+
+    cost: float
+    """What the pictures leave over on the mean."""
+    unevenness: float = 0.0
+    """How unevenly the die would move, in units of what none does."""
+    since: int = 0
+    """Row of the race from which on these are."""
+
+    @property
+    def badness(self) -> float:
+        """What the runners are ordered by."""
+        return self.cost + self.unevenness
+
+
 @dataclass(eq=False)
 class Runner:
     """A start and how far it has been followed."""
@@ -55,9 +72,10 @@ class Runner:
     chase: Chase
     seen: Seen
     """The frames of the race alone, the first of them the frame of the start."""
-    badness: float
-    """What the pictures leave over on the mean, and how unevenly the die would move, in units of what none does."""
-    unevenness: float
+    rating: Rating
+    """At the last stage of the race at which somebody moved as a die does."""
+    rivals: int = 0
+    """Other poses that are as good when the race ends."""
 
     @property
     def support(self) -> float:
@@ -67,7 +85,9 @@ class Runner:
     @property
     def sure(self) -> bool:
         """Whether nothing speaks against it, and no other frame need be asked."""
-        return self.support > SURE_SUPPORT and bool(self.seen.known[: STAGES[1]].all()) and self.unevenness < EVEN
+        known = np.flatnonzero(self.seen.known)
+        whole = len(known) == known[-1] - known[0] + 1
+        return self.rivals == 0 and self.support > SURE_SUPPORT and whole and self.rating.unevenness < EVEN
 
 
 def find_beginning(
@@ -83,14 +103,13 @@ def find_beginning(
         best = best_start(view, reel, k, unused)
         if best is None:
             continue
-        if best.support <= SURE_SUPPORT or not best.seen.known[: STAGES[1]].all():
-            fair.append((k, best))
-            continue
-        good.append((k, best))
-        if best.unevenness < EVEN or len(good) == OPINIONS:
+        if best.sure:
+            return _begun(best, reel, k, unused)
+        (good if best.support > SURE_SUPPORT else fair).append((k, best))
+        if len(good) == OPINIONS:
             break
     if good:
-        k, chosen = min(good, key=lambda pair: pair[1].unevenness)
+        k, chosen = min(good, key=lambda pair: (pair[1].rivals, pair[1].rating.unevenness))
         return _begun(chosen, reel, k, unused)
     fair = [(k, runner) for k, runner in fair if runner.support > FAIR_SUPPORT]
     if not fair:
@@ -165,16 +184,29 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
     starts = find_start(view, np.asarray(reel.frame(k), np.float32))
     runners = [_at_the_line(view, reel, k, pose, unused) for _, pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
-        followed = [r for r in runners if _followed(r, view, reel, k, stage)]
+        rated = [(r, rating) for r in runners if (rating := _followed(r, view, reel, k, stage)) is not None]
         # Past an impact nobody moves evenly any more: of those still on the die, who led before it has won.
-        even = [r for r in followed if r.unevenness < 1.0] if stage >= min(STAGES[1], left) else followed
+        even = [(r, rating) for r, rating in rated if rating.unevenness < 1.0 or stage < min(STAGES[2], left)]
         if not even:
-            return next((r for r in runners if r in followed), runners[0]) if stage > STAGES[1] else None
-        best = min(r.badness for r in even)
-        runners = _apart(view, sorted((r for r in even if r.badness < best + BEHIND), key=lambda r: r.badness))
-        if len(runners) == 1 and stage >= STAGES[1]:
+            followed = [r for r, _ in rated]
+            return _winner([r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+        least = min(rating.cost for _, rating in even)
+        for runner, rating in even:
+            runner.rating = rating
+        near = [r for r, rating in even if rating.cost < least + BEHIND]
+        runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
+        if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
-    return runners[0] if runners else None
+    return _winner(runners)
+
+
+def _winner(runners: list[Runner]) -> Runner | None:
+    """The first of the runners, with what it saw since it moved evenly, and with the number of its rivals."""
+    if not runners:
+        return None
+    runners[0].seen.known[: runners[0].rating.since] = False
+    runners[0].rivals = len(runners) - 1
+    return runners[0]
 
 
 def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
@@ -182,27 +214,29 @@ def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Ru
     seen = Seen.empty(min(STAGES[-1], len(reel) - k))
     seen.put(0, pose, np.zeros(6))
     chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
-    return Runner(chase, seen, pose.cost, 0.0)
+    return Runner(chase, seen, Rating(pose.cost))
 
 
-def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> bool:
-    """Follow a start up to so many frames; whether the die was not lost on the way."""
+def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rating | None:
+    """Follow a start up to so many frames; None where the die was lost on the way."""
     chase, seen, times_s = runner.chase, runner.seen, reel.times_s[k:]
     for j in range(chase.next_frame, stage):
         chase.over(reel.frame(k + j)[None], times_s, j, seen)
         if chase.misses > 1:
-            return False
-    known = seen.known[:stage]
-    if known.sum() < stage - 1:
-        return False
-    runner.unevenness = _unevenness(view, seen, times_s)
-    runner.badness = float(seen.cost[seen.known].mean()) + runner.unevenness
-    return True
+            return None
+    if seen.known[:stage].sum() < stage - 1:
+        return None
+    # A start that was a little off takes some frames to settle, and one that was wrong may turn right when the die shows
+    # another face: what counts is how it runs now.
+    since = stage // 2 if stage > STAGES[1] else 0
+    unevenness = _unevenness(view, seen, times_s, since)
+    cost = float(seen.cost[since:][seen.known[since:]].mean())
+    return Rating(cost, unevenness, 0 if _unevenness(view, seen, times_s, 0) < EVEN else since)
 
 
-def _unevenness(view: View, seen: Seen, times_s: Array) -> float:
-    """How far the poses depart from a parabola and an even turn; 1 where no die in flight does."""
-    known = np.flatnonzero(seen.known)
+def _unevenness(view: View, seen: Seen, times_s: Array, since: int) -> float:
+    """How far the poses from row `since` on depart from a parabola and an even turn; 1 where no die in flight does."""
+    known = since + np.flatnonzero(seen.known[since:])
     if len(known) < 3:
         return 0.0
     middle = int(known[len(known) // 2])
