@@ -53,19 +53,6 @@ def shadowless_scores(
     return np.asarray((lacking.sum() - scores) / lacking.size, np.float64)
 
 
-def uncovered(differs: NDArray[np.bool_], view: View, position_m: Array, rotation: Array) -> float:
-    """Area of what differs from the background about a die (height, width) and is neither covered by it nor by its
-    reflection, over the die's own."""
-    box = (0, 0, view.camera.width_px, view.camera.height_px)
-    die = np.zeros(differs.shape, np.uint8)
-    outline, reflection = (
-        cv2.convexHull(of(view, position_m[None], rotation[None], box, 1)[0]) for of in (_outlines, _reflections)
-    )
-    cv2.fillConvexPoly(die, outline, 1, cv2.LINE_8, SUBPIXEL_BITS)
-    both = cv2.fillConvexPoly(die.copy(), reflection, 1, cv2.LINE_8, SUBPIXEL_BITS)
-    return float((differs & (both == 0)).sum() / max(int(die.sum()), 1))
-
-
 def _outlines(view: View, positions_m: Array, rotations: Array, box: Box, stride: int) -> NDArray[np.int32]:
     """(n, vertices, 2) the die's corners in units of `stride` pixels of the box, with SUBPIXEL_BITS behind the point."""
     corners = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
