@@ -22,7 +22,7 @@ from .chase import Chase, Seen
 from .hints import HandStart
 from .pose import Pose, View
 from .reel import Reel
-from .start import die_blobs, find_start, same_picture
+from .start import ALIKE, die_blobs, find_start, same_picture
 from .start_by_hand import start_by_hand
 
 Array = NDArray[np.float64]
@@ -43,6 +43,8 @@ STAGES = (4, 8, 16, 32, 64)
 """Frames over which the starts race each other; a start must be followed over the second to be believed."""
 BEHIND = 0.3
 """By how much a start may be worse than the best and still stay in the race, in `Runner.badness`."""
+MET = 0.2
+"""Distance of corners, in edges, within which starts from different frames have met: the distance of a small die scatters."""
 UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
 """Departure (rms) from a parabola, in edges, and from an even turn that no die in flight shows. A wrong start jumps about,
 and so does the pose drawn into a shadow."""
@@ -57,7 +59,8 @@ class Rating:
     unevenness: float = 0.0
     """How unevenly the die would move, in units of what none does."""
     since: int = 0
-    """Row of the race from which on these are."""
+    """Row of the race from which on these are, and up to which."""
+    until: int = 1
 
     @property
     def badness(self) -> float:
@@ -97,25 +100,47 @@ def find_beginning(
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at.
     """
-    fair: list[tuple[int, Runner]] = []
-    good: list[tuple[int, Runner]] = []
+    unsure: list[tuple[int, Runner]] = []
     for k, _ in islice(_candidates(view, reel, unused, reached), START_FRAMES):
         best = best_start(view, reel, k, unused)
-        if best is None:
+        if best is None or best.support < FAIR_SUPPORT:
             continue
         if best.sure:
             return _begun(best, reel, k, unused)
-        (good if best.support > SURE_SUPPORT else fair).append((k, best))
-        if len(good) == OPINIONS:
-            break
-    if good:
-        k, chosen = min(good, key=lambda pair: (pair[1].rivals, pair[1].rating.unevenness))
-        return _begun(chosen, reel, k, unused)
-    fair = [(k, runner) for k, runner in fair if runner.support > FAIR_SUPPORT]
-    if not fair:
+        unsure.append((k, best))
+        agreed = _most_agreed(view, reel, unsure)
+        if agreed is not None and len(unsure) >= OPINIONS:
+            return _begun(agreed[1], reel, agreed[0], unused)
+    if not unsure:
         return None
-    k, chosen = max(fair, key=lambda pair: pair[1].support)
+    k, chosen = _most_agreed(view, reel, unsure) or min(unsure, key=lambda pair: (pair[1].rivals, -pair[1].support))
     return _begun(chosen, reel, k, unused)
+
+
+def _most_agreed(view: View, reel: Reel, starts: list[tuple[int, Runner]]) -> tuple[int, Runner] | None:
+    """Of starts on different frames (row, runner) the one that most others meet when they are followed to one frame, the more
+    even one of equals; None where no two meet. Wrong starts go astray each in its own way, but for those with rivals: what is
+    open in one picture is so in the next."""
+    starts = [(k, runner) for k, runner in starts if runner.rivals == 0]
+    votes = [sum(_meet(view, reel, one, other) for other in starts if other is not one) for one in starts]
+    if not any(votes):
+        return None
+    best = max(range(len(starts)), key=lambda i: (votes[i], -starts[i][1].rating.unevenness))
+    return starts[best]
+
+
+def _meet(view: View, reel: Reel, one: tuple[int, Runner], other: tuple[int, Runner]) -> bool:
+    """Whether two starts draw the same die on the last frame that the later one was followed to."""
+    (k, early), (j, late) = sorted((one, other), key=lambda pair: pair[0])
+    row = int(np.flatnonzero(late.seen.known)[-1])
+    there = j - k + row
+    if there >= len(early.seen.known):
+        return False
+    for i in range(early.chase.next_frame, there + 1):
+        if early.chase.misses > 1:
+            break
+        early.chase.over(reel.frame(k + i)[None], reel.times_s[k:], i, early.seen)
+    return bool(early.seen.known[there]) and _same(view, early, there, late, row, MET)
 
 
 def _candidates(
@@ -170,9 +195,12 @@ def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> t
 
 
 def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
-    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k."""
+    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of one that is not
+    sure only the end is kept: it is where it met others, or the die had shown most of itself, and what came before is looked at
+    again from there."""
     seen, chase = Seen.empty(len(reel)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
+    rows = rows if runner.sure else rows[-STAGES[1] :]
     seen.take(k + rows, runner.seen, rows)
     chase.next_frame, chase.unused = k + chase.next_frame, unused
     return chase, seen
@@ -189,7 +217,7 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
         even = [(r, rating) for r, rating in rated if rating.unevenness < 1.0 or stage < min(STAGES[2], left)]
         if not even:
             followed = [r for r, _ in rated]
-            return _winner([r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+            return _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
         least = min(rating.cost for _, rating in even)
         for runner, rating in even:
             runner.rating = rating
@@ -197,16 +225,23 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
         runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
         if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
-    return _winner(runners)
+    return _winner(view, reel, k, runners)
 
 
-def _winner(runners: list[Runner]) -> Runner | None:
-    """The first of the runners, with what it saw since it moved evenly, and with the number of its rivals."""
+def _winner(view: View, reel: Reel, k: int, runners: list[Runner]) -> Runner | None:
+    """The first of the runners, with the number of its rivals. One that settled on the way runs back to the start, which must
+    look as even."""
     if not runners:
         return None
-    runners[0].seen.known[: runners[0].rating.since] = False
-    runners[0].rivals = len(runners) - 1
-    return runners[0]
+    best = runners[0]
+    best.rivals = len(runners) - 1
+    last = int(np.flatnonzero(best.seen.known)[-1])
+    if best.rating.since and last < best.rating.until:
+        back = best.chase.turned_back(best.seen, last)
+        best.seen.known[:last] = False
+        back.over(np.stack([reel.frame(k + row) for row in range(last)]), reel.times_s[k:], 0, best.seen)
+        best.rating = _rating(view, best.seen, reel.times_s[k:], 0, last + 1)
+    return best
 
 
 def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
@@ -229,14 +264,20 @@ def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rat
     # A start that was a little off takes some frames to settle, and one that was wrong may turn right when the die shows
     # another face: what counts is how it runs now.
     since = stage // 2 if stage > STAGES[1] else 0
-    unevenness = _unevenness(view, seen, times_s, since)
-    cost = float(seen.cost[since:][seen.known[since:]].mean())
-    return Rating(cost, unevenness, 0 if _unevenness(view, seen, times_s, 0) < EVEN else since)
+    whole = _rating(view, seen, times_s, 0, stage)
+    return whole if whole.unevenness < EVEN else _rating(view, seen, times_s, since, stage)
 
 
-def _unevenness(view: View, seen: Seen, times_s: Array, since: int) -> float:
-    """How far the poses from row `since` on depart from a parabola and an even turn; 1 where no die in flight does."""
-    known = since + np.flatnonzero(seen.known[since:])
+def _rating(view: View, seen: Seen, times_s: Array, since: int, until: int) -> Rating:
+    """The rating of a run from row `since` to before `until`."""
+    cost = float(seen.cost[since:until][seen.known[since:until]].mean())
+    return Rating(cost, _unevenness(view, seen, times_s, since, until), since, until)
+
+
+def _unevenness(view: View, seen: Seen, times_s: Array, since: int, until: int) -> float:
+    """How far the poses from row `since` to before `until` depart from a parabola and an even turn; 1 where no die in flight
+    does."""
+    known = since + np.flatnonzero(seen.known[since:until])
     if len(known) < 3:
         return 0.0
     middle = int(known[len(known) // 2])
@@ -257,14 +298,12 @@ def _apart(view: View, runners: list[Runner]) -> list[Runner]:
     kept: list[Runner] = []
     for runner in runners:
         last = int(np.flatnonzero(runner.seen.known)[-1])
-        if not any(
-            other.seen.known[last]
-            and same_picture(
-                view,
-                (runner.seen.position_m[last], runner.seen.rotation[last]),
-                (other.seen.position_m[last], other.seen.rotation[last]),
-            )
-            for other in kept
-        ):
+        if not any(other.seen.known[last] and _same(view, runner, last, other, last) for other in kept):
             kept.append(runner)
     return kept
+
+
+def _same(view: View, one: Runner, row: int, other: Runner, other_row: int, within: float = ALIKE) -> bool:
+    """Whether two runners draw the same die, each on its own row."""
+    here, there = ((r.seen.position_m[k], r.seen.rotation[k]) for r, k in ((one, row), (other, other_row)))
+    return same_picture(view, here, there, within)

@@ -45,6 +45,8 @@ LARGEST_PX, SEARCHED_PX = 800, 400
 the grid lie some ten degrees apart, and no edge is looked for further away than some ten pixels."""
 SHARPEST_PX = 0.3
 """Lens blur of a picture made smaller, at the least: the mean over a pixel."""
+ALIKE = 0.05
+"""Distance of corners, in edges, below which two poses are one."""
 LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
 
@@ -230,13 +232,15 @@ def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pos
     return kept
 
 
-def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array]) -> bool:
-    """Whether two poses (position [m], rotation) draw the same die: every corner of the one within a twentieth of an edge
-    of some corner of the other, which the die's symmetry makes likely."""
+def same_picture(
+    view: View, here: tuple[Array, Array], there: tuple[Array, Array], within: float = ALIKE
+) -> bool:
+    """Whether two poses (position [m], rotation) draw the same die: every corner of the one `within` so many edges of some
+    corner of the other, which the die's symmetry makes likely."""
     vertices = view.die.solid.vertices
     corners, others = (vertices @ rotation.T + position_m for position_m, rotation in (here, there))
     apart = np.linalg.norm(corners[:, None] - others[None], axis=2).min(1).max()
-    return bool(apart < 0.05 * view.die.solid.edge_m)
+    return bool(apart < within * view.die.solid.edge_m)
 
 
 def _ray(matrix: Array, pixel: Array) -> Array:
