@@ -3,7 +3,8 @@
 A clip folder is as for `benchmarks/tracker.py`: its truth lies beside it or in `tests/data`. On frames spread over those that
 show the whole die, a start is made twice: on that frame and no other, and on the clip as if it began there. A start is right
 where the first and the last pose of the race that it won are within 5 degrees, 1 mm across the line of sight and an edge
-along it of the truth; anything else is another pose of the die that draws much the same picture. Steps within that are the refinement's.
+along it of the truth; what is further off is another pose of the die that draws much the same picture, and what is nearer is
+left to the refinement.
 
   sure       starts on one frame that are believed at once: right ones, and WRONG ones, of which there should be none
   unsure     the same of starts that are held, and other frames asked as well
@@ -19,6 +20,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -33,6 +35,7 @@ from diethrow.scene import Scene, read_scene
 from diethrow.tracking import follow
 from diethrow.tracking.beginning import best_start, find_beginning
 from diethrow.tracking.chase import Seen
+from diethrow.tracking.follow import NoDieError
 from diethrow.tracking.pose import View
 from diethrow.tracking.reel import Reel
 
@@ -41,10 +44,6 @@ Mask = NDArray[np.bool_]
 
 LEAST_LEFT = 8
 """Frames after a start, without which nothing can be said of it."""
-
-
-class Scenery(Exception):
-    """Carries what a scene's beginning is looked for with out of the tracking that prepared it."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -106,18 +105,18 @@ def measured(folder: Path, count: int, everything: bool) -> list[str]:
 
 
 def prepared(scene: Scene) -> tuple[View, Reel, Mask]:
-    """What the beginning of a scene's throw is looked for with."""
+    """What the beginning of a scene's throw is looked for with. Raises ValueError where a person gives it."""
+    kept: list[tuple[View, Reel, Mask]] = []
 
-    def stop(*arguments: Any) -> None:
-        raise Scenery(*arguments[:3])
+    def keep(view: View, reel: Reel, unused: Mask, *_: Any) -> None:
+        kept.append((view, reel, unused))
 
-    with patch.object(follow, "find_beginning", stop):
-        try:
-            track_scene(scene)
-        except Scenery as found:
-            view, reel, unused = found.args
-            return view, reel, unused
-    raise ValueError("the scene gives its first pose by hand: take [start] out")
+    # Tracking prepares it, and gives up where no beginning is found.
+    with patch.object(follow, "find_beginning", keep), suppress(NoDieError):
+        track_scene(scene)
+    if not kept:
+        raise ValueError("the scene gives its first pose by hand: take [start] out")
+    return kept[0]
 
 
 def timed(call: Any, *arguments: Any) -> tuple[Any, float]:

@@ -3,8 +3,13 @@
 One picture often leaves several poses open. A plain tetrahedron that turns one face to the camera is a triangle, and up to
 four poses draw the same triangle (the three-point problem: Haralick et al., Int. J. Comput. Vis. 13, 331, 1994). What
 tells them apart is the motion: only the true pose falls with g and turns evenly, and the others sooner or later do not fit
-the picture either. So all starts race each other over ever more frames, and whoever falls behind clearly is out. Where one
-picture is enough the race ends at its first stage.
+the picture either. So all starts race each other over ever more frames, and whoever explains the pictures clearly worse is out.
+Where one picture is enough the race ends at its second stage.
+
+A wrong start that is followed often turns right as soon as the die shows another face. What counts is therefore how a runner
+moves now, and one that settled on the way runs back to the frame of its start, over which it must move as evenly. A start is
+sure where no other pose is left, and it moves as a die does. Where none is sure, starts on several frames are followed to one:
+those that meet there are believed, for wrong ones go astray each in its own way.
 """
 
 from __future__ import annotations
@@ -34,15 +39,17 @@ SMALL, SAMPLED = 0.6, 12
 """Share of the usual size below which a region is no die in view, a clip's die growing by less than that as it comes near, and
 frames from which the usual size is known."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
-"""Share of the contour that must show a clear step over a trial, with no frame missed, for a start to be taken at once; where
-none offers that, as with a die of little contrast, the best start above the second is taken."""
+"""Share of the contour that must show a clear step over a race, with no frame missed, for a start to be taken at once; one with
+less than the second is none."""
 EVEN, OPINIONS = 0.5, 3
-"""Unevenness below which a start is taken at once; above it, as of small dice and of wrong starts that are followed for a while,
-the most even of the starts on so many frames is taken."""
+"""Unevenness below which a start is taken at once; above it, as of small dice, and where it has rivals, starts on so many
+frames are asked at least."""
 STAGES = (4, 8, 16, 32, 64)
-"""Frames over which the starts race each other; a start must be followed over the second to be believed."""
+"""Frames over which the starts race each other; a start must be followed over the second to be believed. From the third on only
+the second half of the frames counts."""
 BEHIND = 0.3
-"""By how much a start may be worse than the best and still stay in the race, in `Runner.badness`."""
+"""By how much the pictures may cost a start more than the best and leave it in the race. How evenly it moves does not count
+before the third stage: right starts take some frames to settle."""
 MET = 0.2
 """Distance of corners, in edges, within which starts from different frames have met: the distance of a small die scatters."""
 UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
@@ -195,9 +202,9 @@ def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> t
 
 
 def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
-    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of one that is not
-    sure only the end is kept: it is where it met others, or the die had shown most of itself, and what came before is looked at
-    again from there."""
+    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
+    that is not sure only the end is kept, where it met others or the die had shown most of itself: what came before is
+    looked at again from there."""
     seen, chase = Seen.empty(len(reel)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
     rows = rows if runner.sure else rows[-STAGES[1] :]
@@ -217,7 +224,9 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
         even = [(r, rating) for r, rating in rated if rating.unevenness < 1.0 or stage < min(STAGES[2], left)]
         if not even:
             followed = [r for r, _ in rated]
-            return _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+            return (
+                _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+            )
         least = min(rating.cost for _, rating in even)
         for runner, rating in even:
             runner.rating = rating

@@ -232,9 +232,7 @@ def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pos
     return kept
 
 
-def same_picture(
-    view: View, here: tuple[Array, Array], there: tuple[Array, Array], within: float = ALIKE
-) -> bool:
+def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array], within: float = ALIKE) -> bool:
     """Whether two poses (position [m], rotation) draw the same die: every corner of the one `within` so many edges of some
     corner of the other, which the die's symmetry makes likely."""
     vertices = view.die.solid.vertices
