@@ -30,12 +30,11 @@ from accuracy import WRONG_DEG, WRONG_M, Truth, angles_rad, read_truth, rotation
 from numpy.typing import NDArray
 from tracker import print_rows
 
-from diethrow.analyze import track_scene
+from diethrow.analyze import RunError, track_scene
 from diethrow.scene import Scene, read_scene
 from diethrow.tracking import follow
 from diethrow.tracking.beginning import best_start, find_beginning
 from diethrow.tracking.chase import Seen
-from diethrow.tracking.follow import NoDieError
 from diethrow.tracking.pose import View
 from diethrow.tracking.reel import Reel
 
@@ -112,7 +111,7 @@ def prepared(scene: Scene) -> tuple[View, Reel, Mask]:
         kept.append((view, reel, unused))
 
     # Tracking prepares it, and gives up where no beginning is found.
-    with patch.object(follow, "find_beginning", keep), suppress(NoDieError):
+    with patch.object(follow, "find_beginning", keep), suppress(RunError):
         track_scene(scene)
     if not kept:
         raise ValueError("the scene gives its first pose by hand: take [start] out")
