@@ -12,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
+from ..model.motion import Flight, Impact, State, Throw, energy_J
 from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
 from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
-from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
+from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
 from .rest import Carried, carried_from, resting_vertices
@@ -262,21 +262,9 @@ def _contact(link: Link, die: Die, state: State) -> tuple[tuple[int, ...], Array
 def _chi_interval(beside: Array, before: State, after: State, arm: Array) -> tuple[float, float]:
     """95 % interval of the apparent restitution, by drawing both velocities from their joint covariance: that of the states
     on both sides and of the instant (25, 25)."""
-    rows = np.zeros((2, 25))
-    for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
-        w = state.omega_rad_s
-        row[first + 3 : first + 6] = _turn_derivative(w, arm)
-        row[first + 8] = 1.0
-        row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
-        # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
-        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+    rows = normal_velocity_rows(before, after, arm)
     values, vectors = np.linalg.eigh(rows @ beside @ rows.T)
     draws = np.random.default_rng(SEED).standard_normal((SAMPLES, 2)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     v_before, v_after = (np.array([normal_velocity(state, arm) for state in (before, after)]) + draws).T
     low, high = np.percentile(-v_after / v_before, [2.5, 97.5])
     return float(low), float(high)
-
-
-def _turn_derivative(omega: Array, arm: Array) -> Array:
-    """Derivative (3,) of (ω × r)_z with respect to a rotation of r: ẑ·(ω × (δθ × r)) = δθ·(r × (ẑ × ω))."""
-    return np.asarray(np.cross(arm, np.cross([0.0, 0.0, 1.0], omega)))
