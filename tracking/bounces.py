@@ -79,7 +79,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
         )
     lean = np.zeros((len(track), 6, 0))
     loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
-    flying = carried_from(loose, die)
+    flying = carried_from(seen, die)
     prior, floor = np.zeros(0), np.zeros((len(track), 6, 6))
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)

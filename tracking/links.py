@@ -113,7 +113,9 @@ def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> J
             # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
             opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
             joined = _fit_parts(seen, alone, opened)
-        jumps = {k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(seen, joined, k, die)}
+        jumps = {
+            k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(seen, joined, k, die)
+        }
         if not jumps:
             return joined
         weakest = {k for k, jump in jumps.items() if jump <= min(jumps.get(j, np.inf) for j in (k - 1, k + 1))}
