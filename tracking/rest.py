@@ -37,8 +37,9 @@ LEFT = 3
 LEVEL_SHARE = 0.01
 """How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
 part of coming to rest."""
-LOW_SHARE = 0.06
-"""The same where the frames tell a flight from a die that is carried: a hop of a millimetre lasts for 28 ms."""
+LOW_SHARE = 0.15
+"""The same where the frames tell a flight from a die that is carried: hops of two millimetres last for 40 ms, and edges alone
+err by as much in the distance."""
 SMOOTHED = 5
 """Frames whose median height is looked at, against the depth error of single frames."""
 HOPS = 1.5
