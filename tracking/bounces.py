@@ -21,7 +21,7 @@ from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
-from .rest import Carried, carried_from, resting_vertices
+from .rest import Carried, carried_from, low_from, resting_vertices
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -92,10 +92,18 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
     floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
-    ahead = slice(0, flying)
-    rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
-    joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-    flights, impacts = joined.flights, _impacts(joined, die, float(np.median(np.diff(seen.time_s))))
+    spacing_s = float(np.median(np.diff(seen.time_s)))
+    low = low_from(seen, die) if flying < len(use) else len(use)
+    while True:
+        ahead = slice(0, flying)
+        rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
+        joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
+        flights, impacts = joined.flights, _impacts(joined, die, spacing_s)
+        # What comes behind a contact that cannot be told any more is part of coming to rest.
+        last = int(np.searchsorted(seen.time_s, impacts[-1].time_s)) if impacts else 0
+        if not impacts or impacts[-1].contact != "unresolved" or not max(low, FEWEST) <= last < flying:
+            break
+        flying = last
     if flying < len(use):
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)

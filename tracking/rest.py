@@ -89,32 +89,41 @@ class Carried(Flight):
         return positions, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
+def low_from(seen: Sightings, die: Die) -> int:
+    """The first of the last rows over which the die stays near the table, LOW_SHARE; the number of rows where it does not."""
+    off = _off_level(seen, die)
+    return len(seen) if off is None else _last_rows(off < LOW_SHARE * die.solid.edge_m)
+
+
 def carried_from(seen: Sightings, die: Die) -> int:
     """The first of the last rows over which the table carries the die; the number of rows where it flies to the end."""
-    n = len(seen)
-    if n < FEWEST:
+    n, off = len(seen), _off_level(seen, die)
+    if off is None:
         return n
+    first = _flown_on(seen, _last_rows(off < LOW_SHARE * die.solid.edge_m), die)
+    if first is None:
+        information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
+        sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
+        # The efficiency of a median is 0.64.
+        stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma / np.sqrt(0.64 * SMOOTHED)
+        first = _last_rows(off <= stray)
+        hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2) if first < n else 0.0
+        if first == n or seen.time_s[-1] - seen.time_s[first] < HOPS * hop or not _is_carried(seen, slice(first, n)):
+            return n
+    # The last bounce may lie a frame behind the first that is level: the frames that show it are left to it.
+    return min(first + LEFT, n)
+
+
+def _off_level(seen: Sightings, die: Die) -> Array | None:
+    """(n,) [m] how far the lowest point is, smoothed, from where it stays at the end; None where that is not the table."""
+    if len(seen) < FEWEST:
+        return None
     corners = matrix_from_quat(seen.quaternion) @ inner_vertices(die.solid, die.corner_radius_m).T
     heights = corners[:, 2].min(1) + seen.position_m[:, 2] - die.corner_radius_m
     level = float(np.median(heights[-FEWEST:]))
     if abs(level) > TABLE_REACH * die.solid.edge_m:
-        return n
-    information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
-    sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
-    stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma / np.sqrt(0.64 * SMOOTHED)
-    # The efficiency of a median is 0.64.
-    away = np.abs(median_filter(heights, SMOOTHED, mode="nearest") - level)
-    low = _last_rows(away < LOW_SHARE * die.solid.edge_m)
-    first = _flown_on(seen, low, die)
-    if first is None:
-        first = _last_rows(away <= stray)
-    if first >= n:
-        return n
-    hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2)
-    if seen.time_s[-1] - seen.time_s[first] < HOPS * hop or not _is_carried(seen, slice(first, n)):
-        return n
-    # The last bounce may lie a frame behind the first that is level: the frames that show it are left to it.
-    return min(first + LEFT, n)
+        return None
+    return np.asarray(np.abs(median_filter(heights, SMOOTHED, mode="nearest") - level))
 
 
 def _last_rows(holds: NDArray[np.bool_]) -> int:
@@ -124,8 +133,8 @@ def _last_rows(holds: NDArray[np.bool_]) -> int:
 
 
 def _flown_on(seen: Sightings, first: int, die: Die) -> int | None:
-    """The row behind the flights that go on from row `first`, itself if the die does not fly there; None where the frames do
-    not tell.
+    """The row behind the flights that go on from row `first`, itself if the die does not fly there; None where the frames, or
+    too few behind, do not tell.
 
     Over as many frames as tell: FEWEST_FALLING, or twice, four times as many. Shorter ones between two flights are passed
     over. A die that is no spherical top does not keep its spin in flight, and is not asked.
@@ -138,7 +147,7 @@ def _flown_on(seen: Sightings, first: int, die: Die) -> int | None:
             for k in begins[(tells > TOLD) & (strays < np.minimum(FALLING, 0.25 * tells))].tolist():
                 if k <= reach + PASSED_OVER * span:
                     reach = k + span
-            return first + reach
+            return first + reach if n - reach > PASSED_OVER * span else None
         span *= 2
     return None
 
@@ -167,7 +176,7 @@ def _strays(seen: Sightings, span: int, die: Die) -> tuple[NDArray[np.int64], Ar
     inverse = np.linalg.inv(np.einsum("wip,wiq->wpq", A, A))
     found = np.einsum("wpq,wiq,wi->wp", inverse, A, y)
     left = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
-    C = inverse[:, 12:, 12:] * np.maximum(left, 1.0)[:, None, None]
+    C = inverse[:, 12:, 12:] * left[:, None, None]
     off = found[:, 12:] - np.array([GRAVITY_M_S2, 0.0, 0.0, 0.0])
     strays = np.einsum("wi,wi->w", off, np.linalg.solve(C, off[..., None])[..., 0])
     return begins, strays, _told(C, die)
