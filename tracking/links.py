@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2, Flight, State
-from ..model.rotations import rotation_between
+from ..model.rotations import matrix_from_quat, rotation_between
 from ..model.solids import Die, inner_vertices
 from .flights import Scatter, Sightings, fit_flight, misfits
 from .joined import Joined, Link, Strike, fit_joined, strike_cost
@@ -56,6 +56,8 @@ NEAR_SHARE = 0.1
 """Vertices no higher than this above the lowest, as a share of an edge, may be the one that strikes."""
 CLEAR_SHARE = 0.03
 """A motion that stays this share of an edge above the table has touched nothing."""
+TOUCH_STEPS = 200
+"""Instants at which a motion is asked whether it has come down to the table: some twenty frames at the most lie between."""
 UNKNOWN_TABLE_M = 3e-3
 """Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
 SAME_FRAMES = 1e-3
@@ -257,7 +259,8 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
-    return _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+    found = _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+    return _at_first_touches(seen, found, die, rules)
 
 
 def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
@@ -275,6 +278,27 @@ def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
         links = [*joined.links[:k], Link(middle_s, is_open=True), *joined.links[k + 2 :]]
         starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
         joined = rules.fit(seen, starts, links, joined.scatter)
+
+
+def _at_first_touches(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+    """The chain with each open link where the first of its contacts must be: the motion before, followed on from its last
+    sure frame, comes down to the table. Where it does not before the next flight is sure, the link stays where it is."""
+    inner = inner_vertices(die.solid, die.corner_radius_m)
+    edges = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
+    links = list(joined.links)
+    for k, link in enumerate(joined.links):
+        sure = np.flatnonzero(joined.weights > 0.5)
+        before, behind = sure[(sure >= edges[k]) & (sure < edges[k + 1])], sure[sure >= edges[k + 1]]
+        if not link.is_open or not len(before) or not len(behind):
+            continue
+        times = np.linspace(float(seen.time_s[before[-1]]), float(seen.time_s[behind[0]]), TOUCH_STEPS)
+        p, q = Flight(joined.flights[k].start, np.inf).poses(times)
+        heights = (matrix_from_quat(q) @ inner.T)[:, 2].min(1) + p[:, 2] - die.corner_radius_m - joined.table_m
+        below = np.flatnonzero(heights < 0.0)
+        if len(below):
+            links[k] = replace(link, time_s=float(times[below[0]]))
+    moved = any(a.time_s != b.time_s for a, b in zip(links, joined.links, strict=True))
+    return rules.again(seen, joined, links, joined.scatter) if moved else joined
 
 
 def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
