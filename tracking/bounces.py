@@ -55,6 +55,17 @@ class Measured:
     own: Throw
     """The throw as sure as if there were no such errors."""
 
+    @property
+    def alone(self) -> NDArray[np.bool_]:
+        """(track rows,) the frames at contacts that could not be told apart which lie on neither flight."""
+        out, sure = np.zeros(len(self.frames), bool), np.flatnonzero(self.joined.weights > 0.0)
+        time_s = self.frames.time_s[self.rows]
+        for link in self.joined.links:
+            at = np.searchsorted(time_s[sure], link.time_s)
+            if link.is_open and 0 < at < len(sure):
+                out[self.rows[sure[at - 1] + 1 : sure[at]]] = True
+        return out
+
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw:
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
