@@ -110,9 +110,14 @@ def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, die, spacing_s)
-        # What comes behind a contact that cannot be told any more is part of coming to rest.
+        # What comes behind a contact that is not surely a rebound, and one with a loss, is part of coming to rest: a die
+        # that tips over seems to hop on and on.
         last = int(np.searchsorted(seen.time_s, impacts[-1].time_s)) if impacts else 0
-        if not impacts or impacts[-1].contact != "unresolved" or not max(low, FEWEST) <= last < flying:
+        if (
+            not impacts
+            or 0.0 < impacts[-1].chi_low <= impacts[-1].chi_high < 1.0
+            or not max(low, FEWEST) <= last < flying
+        ):
             break
         flying = last
     if flying < len(use):

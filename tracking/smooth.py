@@ -18,9 +18,7 @@ SURE_POSITION_M, SURE_ROTATION_RAD = 5e-4, 0.035
 """A frame without a pose of its own, inside a flight, counts as tracked where the flight knows it this well (one sigma)."""
 
 
-def smooth(
-    track: Track, throw: Throw, floor: Array | None = None, alone: NDArray[np.bool_] | None = None
-) -> Track:
+def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArray[np.bool_] | None = None) -> Track:
     """The track with every pose replaced by that of its flight, with the flight's covariance and, on top of it, that of
     what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.Measured.own`). Frames that stand
     `alone` (n,), because no flight goes through them (`bounces.Measured.alone`), keep their own poses.
