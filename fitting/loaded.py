@@ -7,6 +7,9 @@ mass from the centroid, in the body,
 
 s is the same in all flights, each of which has twelve numbers of its own: a linear least squares, which no law of impact
 enters. A die that turns by less than a radian in any flight leaves s open, and shows so by its covariance.
+
+A flight whose poses are wrong, or that hides a weak impact, departs from a fall as well, and three numbers bend far enough to
+follow it. But what bends one flight is then no part of the others: `Load.agreed` tells how far they bear each other out.
 """
 
 from __future__ import annotations
@@ -27,6 +30,9 @@ Array = NDArray[np.float64]
 _SHIFT = 3
 """Numbers of a shift."""
 
+_OPEN = 1e-6
+"""Direction of a shift that a flight says nothing of, as a share of the one that it shows best."""
+
 
 @dataclass(frozen=True, eq=False)
 class Load:
@@ -38,6 +44,8 @@ class Load:
     """(3, 3), with the scatter of the frames and the frames over which they are alike."""
     gain: float
     """Fall of half the cost, in units of what is left over: units of log-likelihood."""
+    agreed: float
+    """The same fall as a share of what it would be with a load of its own in every flight: near 1 for a die that has one."""
 
     @property
     def values(self) -> dict[str, float]:
@@ -74,4 +82,17 @@ def load_in_flight(free: FreeFlights) -> Load | None:
     variance, tau = variance_inflation(left, freedom, which)
     scale = variance * tau
     fall = float((r**2).sum() - (left**2).sum())
-    return Load(centre, np.linalg.inv(information).astype(np.float64) * scale, 0.5 * fall / scale)
+    covariance = np.linalg.inv(information).astype(np.float64) * scale
+    return Load(centre, covariance, 0.5 * fall / scale, fall / max(_fall_apart(r, c, which), fall))
+
+
+def _fall_apart(residuals: Array, columns: Array, flight: NDArray[np.int64]) -> float:
+    """By how much the sum of squares falls with a shift of its own in every flight. Directions that a flight leaves open gain
+    it nothing."""
+    fall = 0.0
+    for k in np.unique(flight):
+        r = residuals[flight == k].ravel()
+        c = columns.reshape(len(residuals), 6, _SHIFT)[flight == k].reshape(-1, _SHIFT)
+        shift = np.linalg.lstsq(c, r, rcond=_OPEN)[0]
+        fall += float(r @ c @ shift)
+    return fall

@@ -52,6 +52,8 @@ _FIXED = 1e-3
 _HOPEFUL = 0.3
 """Part of the price at which an effect is fitted: a gain foretold by derivatives may be short of the real one."""
 
+_AGREED = 0.5
+"""Least part of what a load of its own in every flight would gain that one load in all of them has to."""
 
 HELD_AT_FIRST = frozenset({"table_frequency_hz", "table_phase_rad"})
 """Of a motion that the bounces show, what a fit to the first of them leaves alone."""
@@ -198,9 +200,10 @@ def _try(shot: Shot, effect: str, measured: Throw, free: FreeFlights) -> Trial:
 
 
 def _hopeful_load(shot: Shot, free: FreeFlights) -> tuple[Load | None, float]:
-    """The centre of mass that the flights show, None where it is not worth a fit; and what it gains there."""
+    """The centre of mass that the flights show, None where it is not worth a fit; and what it gains there. One that is another
+    from flight to flight is none: a single flight that was tracked wrongly gains much by it."""
     load = load_in_flight(free)
-    gain = 0.0 if load is None else load.gain
+    gain = 0.0 if load is None or load.agreed < _AGREED else load.gain
     return (load if gain >= _HOPEFUL * _price(shot, "loaded die") else None), gain
 
 

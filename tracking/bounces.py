@@ -67,19 +67,19 @@ class Measured:
         return out
 
 
-def measure_throw(track: Track, die: Die, camera: Camera | None = None) -> Throw:
+def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
 
     With the camera that saw them, the errors that all poses share are looked for. What comes after the last flight, where
-    the die rolls or rests, is an impact `held` and a flight without covariance (`rest.Carried`). Raises NoFlightError
-    where fewer than three frames in a row are tracked.
+    the die rolls or rests, is an impact `held` and a flight without covariance (`rest.Carried`). The flights are fitted to
+    one in `every` tracked frames. Raises NoFlightError where fewer than three of those in a row are tracked.
     """
-    return measure(track, die, camera).throw
+    return measure(track, die, camera, every=every).throw
 
 
-def measure(track: Track, die: Die, camera: Camera | None = None) -> Measured:
-    """As `measure_throw`, with what was learnt of the frames."""
-    use = np.flatnonzero(track.tracked)
+def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Measured:
+    """As `measure_throw`, with what was learnt of the frames, of all of them."""
+    use = np.flatnonzero(track.tracked)[::every]
     if len(use) < FEWEST:
         raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
     tracked, use = len(use), use[sane_rows(_sightings(track, use), die)]
@@ -133,11 +133,11 @@ def _frames(count: int) -> str:
     return "1 frame is" if count == 1 else f"{count} frames are"
 
 
-def calibrated(track: Track, die: Die, camera: Camera | None = None) -> Track:
+def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
     """The track with its covariances scaled to how the poses scatter about their own flights, slow errors included, and
     with what all poses err alike added. The poses stay as they are; without a flight, all does."""
     try:
-        found = measure(track, die, camera)
+        found = measure(track, die, camera, every=every)
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)

@@ -153,8 +153,9 @@ class Chase:
         n = len(order)
         position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
         stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
-        # Contiguous either way, so that there is one compiled chase and not two.
-        ordered = np.ascontiguousarray(frames[order])
+        # Contiguous either way, so that there is one compiled chase and not two; frames one after the other need no copy.
+        in_a_row = n > 0 and order[-1] - order[0] == n - 1
+        ordered = np.ascontiguousarray(frames[order[0] : order[-1] + 1] if in_a_row else frames[order])
         done = chase(
             ordered, times_s[first + order], self.view.backgrounds, self._screen, self.view.eyes, self.view.shape,
             self.view.chase_lens, self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,

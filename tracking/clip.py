@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,15 @@ class Clip(Protocol):
 
     def metadata(self) -> dict[str, Any]:
         """What the file says of itself; `record_rate_hz` and `exposure_s` are None where it does not say."""
+        ...
+
+
+@runtime_checkable
+class Filling(Protocol):
+    """A clip that writes frames where they are wanted, and no more of them than is wanted: see `Footage.fill`."""
+
+    def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
+        """Frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
         ...
 
 

@@ -1277,6 +1277,9 @@ def look(
     The prior is isotropic about the start: `sigma_m` and `sigma_rad` are its standard deviations. H (8, 8), g (8,) and
     `stats` (8,) are those of the pixels alone before the last step, see `_view_equations`; the last of `stats` is the
     share of the die that shows nothing but the background. H is zero where the pixels and the prior leave no solution.
+
+    The intensities that stretches share are those of the step before, and of the first step what the desk holds: those of the
+    frame before where its user knows one, which takes two steps less, or nothing.
     """
     p, Q = pos.copy(), R.copy()
     away, step = np.zeros(6), np.zeros(6)
@@ -1284,7 +1287,6 @@ def look(
     wp, wr = 1.0 / sigma_m**2, 1.0 / sigma_rad**2
     reach, six = _reach(shape), np.int64(6)
     desk.greys[:] = 0.0
-    desk.usual[:] = 0.0
     for it in range(coarse + lens.fine_steps):
         fine = it >= coarse
         sigma, band = (lens.blur, max(lens.band, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
@@ -1651,6 +1653,8 @@ def settle(
             continue
         start, R = positions[k].copy(), rotations[k].copy()
         for again in range(2):
+            if again:
+                desk.usual[:] = 0.0
             sight = sight_of(frames[k], eyes, shape, start, R, WINDOW_PX if again else NARROW_PX, desk)
             if sight.pixels.shape[1] == 0:
                 break

@@ -41,10 +41,10 @@ from .corners import (
     look_rounded,
     looks_in_flight,
 )
-from .edges import settle
+from .edges import Eyes, Lens, settle
 from .flights import transition
 from .hints import HandStart, excluded_rows
-from .marks import FramePoses, frames_to_learn_from, learn_marks, refine_by_marks
+from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
 from .marks_textures import Marks
 from .offsets import Offsets, eyes_at, find_offsets
 from .pose import (
@@ -58,6 +58,7 @@ from .pose import (
     rounded,
     share_in_view,
     shares_in_view,
+    sight_boxes,
     with_reflections,
 )
 from .quality import STANDARD, Quality
@@ -82,8 +83,14 @@ ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
 """Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
+LEAST_IN_VIEW = 0.3
+"""Share of the corners that must lie in view for a frame to be refined from its flight."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
+PLENTY = 1500
+"""Frames of a throw that place its flights well enough to look for better poses along them."""
+SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
+"""Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
@@ -183,7 +190,8 @@ def look_through(
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, reel, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
-    return Followed(calibrated(track, view.die, view.camera), marks, offsets, view.die, corners)
+    sure = calibrated(track, view.die, view.camera, every=_spared(view, track))
+    return Followed(sure, marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -329,10 +337,24 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
+    track = _as_track(view, reel, seen, whole)
     try:
-        return measure_throw(_as_track(view, reel, seen, whole), view.die, view.camera)
+        return measure_throw(track, view.die, view.camera, every=_spared(view, track))
     except NoFlightError:
         return None
+
+
+def _spared(view: View, track: Track) -> int:
+    """Of how many frames one will do for flights that only lead to better ones: 1 but on a film that shows more than PLENTY of
+    a motion so slow, for its rate, that frames left out hide nothing."""
+    known = np.flatnonzero(track.tracked)
+    if len(known) < 2 * PLENTY:
+        return 1
+    p, q = track.position_m[known], track.quaternion[known]
+    moves = np.linalg.norm(np.diff(p, axis=0), axis=1) / (SMALL_MOVE_REACH * view.reach_m)
+    turns = np.linalg.norm(rotation_between(q[:-1], q[1:]), axis=1) / SMALL_TURN_RAD
+    usual = float(np.median(np.maximum(moves, turns)))
+    return int(max(1.0, min(1.0 / max(usual, 1e-9), len(known) // PLENTY)))
 
 
 def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
@@ -378,82 +400,107 @@ def _second_pass(
     view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter, offsets: Offsets
 ) -> Seen:
     """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
-    seen = Seen.empty(len(reel))
-    flown = _motions(throw, reel.times_s) if throw is not None else None
+    wanted, tries = first, [_Settling(view, first, first.known, offsets, np.zeros(len(reel), bool))]
+    if throw is not None:
+        wanted = _motions(throw, reel.times_s)
+        apart = first.known & _apart(view, wanted, first)
+        tries = [_Settling(view, wanted, ~unused, offsets, apart), _Settling(view, first, apart, offsets, apart)]
     with ThreadPoolExecutor(THREADS) as pool:
-        for start, frames in reel.blocks():
-            rows = slice(start, start + len(frames))
-            if flown is None:
-                _settle_block(view, pool, frames, first, rows, seen, first.known[rows], offsets)
-            else:
-                _settle_block(view, pool, frames, flown, rows, seen, ~unused[rows], offsets)
-                apart = first.known[rows] & _apart(view, flown, first, rows)
-                if apart.any():
-                    other = Seen.empty(len(reel))
-                    _settle_block(view, pool, frames, first, rows, other, apart, offsets)
-                    better = other.known & (~seen.known | (other.cost < seen.cost))
-                    seen.take(np.flatnonzero(better), other)
+        for start, frames in reel.blocks(boxes=_looked_at(view, tries, len(reel))):
+            for one in tries:
+                one.see(frames, start, pool)
             report.at_least(len(reel) + start + len(frames))
-    wanted = flown if flown is not None else first
-    for k in np.flatnonzero(seen.known):
-        seen.rotation[k] = labelled_like(view, seen.rotation[k], wanted.rotation[k])
+    seen = tries[0].seen(len(reel))
+    for one in tries[1:]:
+        other = one.seen(len(reel))
+        seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
+    seen.rotation[seen.known] = labelled_like(view, seen.rotation[seen.known], wanted.rotation[seen.known])
     return seen
 
 
-def _settle_block(
-    view: View,
-    pool: ThreadPoolExecutor,
-    frames: Frames,
-    start: Seen,
-    rows: slice,
-    out: Seen,
-    use: Mask,
-    offsets: Offsets,
-) -> None:
-    """Refine the frames of one block in threads, and keep what the pixels bear out."""
-    position = np.where(use[:, None], start.position_m[rows], np.nan)
-    rotation, motion = start.rotation[rows].copy(), start.motion[rows]
-    H, stats, cost = np.zeros((len(frames), 8, 8)), np.zeros((len(frames), 8)), np.full(len(frames), np.inf)
-    position[shares_in_view(view, position, rotation) < 0.3] = np.nan
-    cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
-    lens = view.lens
-
-    def part(a: int, b: int) -> None:
-        # Late cameras stand elsewhere for every frame.
-        for i, j in pairwise(range(a, b + 1)) if offsets.any else ((a, b),):
-            eyes = eyes_at(view.eyes, offsets.seconds, position[i], motion[i]) if offsets.any else view.eyes
-            settle(
-                frames[i:j], view.backgrounds, eyes, view.shape, lens, position[i:j], rotation[i:j], motion[i:j],
-                H[i:j], stats[i:j], cost[i:j],
-            )  # fmt: skip
-
-    for job in [pool.submit(part, int(a), int(b)) for a, b in pairwise(cuts) if b > a]:
-        job.result()
-    good = _borne_out(view, start, rows, position, rotation, H, stats)
-    index = np.arange(rows.start, rows.start + len(frames))[good]
-    out.known[index] = True
-    for ours, theirs in ((out.position_m, position), (out.rotation, rotation), (out.motion, motion), (out.H, H)):
-        ours[index] = theirs[good]
-    out.stats[index], out.cost[index] = stats[good], cost[good]
+def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np.int64]:
+    """(count, cameras, 4) pixels that hold all that a pass looks at."""
+    boxes = np.zeros((count, len(view.cameras), 4), np.int64)
+    for one in tries:
+        mine = sight_boxes(view, one.position_m, one.rotation)
+        there = boxes[one.rows]
+        both = np.concatenate([np.minimum(there, mine)[..., :2], np.maximum(there, mine)[..., 2:]], axis=-1)
+        lone, blank = ~there.any(-1)[..., None], ~mine.any(-1)[..., None]
+        boxes[one.rows] = np.where(lone, mine, np.where(blank, there, both))
+    return boxes
 
 
-def _borne_out(view: View, start: Seen, rows: slice, position: Array, rotation: Array, H: Array, stats: Array) -> Mask:
-    """(n,) where the pixels bear a refined pose out."""
-    gone = np.linalg.norm(position - start.position_m[rows], axis=1)
-    turned = _angles(rotation, start.rotation[rows])
-    support = stats[:, 4] / np.maximum(stats[:, 3], 1e-9)
-    least = np.where(shares_in_view(view, position, rotation) == 1.0, LOST_SUPPORT, CUT_SUPPORT)
-    open_rad = np.sqrt(np.trace(covariances(H[:, :6, :6])[:, 3:, 3:], axis1=1, axis2=2))
-    near = (gone < 0.5 * view.reach_m) & (turned < OPEN_RAD)
-    return np.asarray(near & (stats[:, 3] >= 20.0) & (support >= least) & (open_rad < OPEN_RAD))
+class _Settling:
+    """Some frames on their way from a start each to the pose that their pixels bear out: what there is to know without the
+    pictures is worked out for all of them at once."""
+
+    def __init__(self, view: View, start: Seen, use: Mask, offsets: Offsets, judged: Mask) -> None:
+        """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
+        where there is another start to compare with."""
+        in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
+        self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
+        n = len(self.rows)
+        self._view, self._start, self._offsets, self._judged = view, start, offsets, judged
+        self.position_m, self.rotation = start.position_m[self.rows], start.rotation[self.rows]
+        self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
+        self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
+
+    def see(self, frames: Frames, first: int, pool: ThreadPoolExecutor) -> None:
+        """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`."""
+        a, b = (int(k) for k in np.searchsorted(self.rows, (first, first + len(frames))))
+        some = frames if b - a == len(frames) else frames[self.rows[a:b] - first]
+        judged = self._judged[first : first + len(frames)].any()
+        lens = self._view.lens if judged else self._view.lens._replace(samples=0)
+        cuts = np.linspace(a, b, THREADS + 1).astype(int).tolist()
+        jobs = [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
+        for job in jobs:
+            job.result()
+
+    def _settle(self, frames: Frames, mine: slice, lens: Lens) -> None:
+        if not self._offsets.any:
+            self._settle_with(frames, mine, lens, self._view.eyes)
+            return
+        for k, frame in enumerate(range(mine.start, mine.stop)):
+            # Late cameras stand elsewhere for every frame.
+            eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[frame], self._motion[frame])
+            self._settle_with(frames[k : k + 1], slice(frame, frame + 1), lens, eyes)
+
+    def _settle_with(self, frames: Frames, mine: slice, lens: Lens, eyes: Eyes) -> None:
+        view = self._view
+        settle(
+            frames, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
+            self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
+        )  # fmt: skip
+
+    def seen(self, count: int) -> Seen:
+        """What the pixels bear out of it, as rows of a clip of so many frames."""
+        seen, good = Seen.empty(count), self._borne_out()
+        rows = self.rows[good]
+        seen.known[rows] = True
+        seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = (
+            self.position_m[good],
+            self.rotation[good],
+            self._motion[good],
+        )
+        seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
+        return seen
+
+    def _borne_out(self) -> Mask:
+        """(n,) where the pixels bear a refined pose out."""
+        gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
+        turned = _angles(self.rotation, self._start.rotation[self.rows])
+        support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
+        whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
+        open_rad = np.sqrt(np.trace(covariances(self._H[:, :6, :6])[:, 3:, 3:], axis1=1, axis2=2))
+        near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
+        plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
+        return np.asarray(near & plain & (open_rad < OPEN_RAD))
 
 
-def _apart(view: View, flown: Seen, first: Seen, rows: slice) -> Mask:
+def _apart(view: View, flown: Seen, first: Seen) -> Mask:
     """(n,) where the first pass lies further from the flight than a refinement is sure to cover."""
-    moved = np.linalg.norm(flown.position_m[rows] - first.position_m[rows], axis=1)
-    return np.asarray(
-        (_angles(flown.rotation[rows], first.rotation[rows]) > np.radians(1.5)) | (moved > 0.1 * view.reach_m)
-    )
+    moved = np.linalg.norm(flown.position_m - first.position_m, axis=1)
+    return np.asarray((_angles(flown.rotation, first.rotation) > np.radians(1.5)) | (moved > 0.1 * view.reach_m))
 
 
 def _angles(a: Array, b: Array) -> Array:
@@ -485,7 +532,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        found = measure(track, view.die, view.camera)
+        found = measure(track, view.die, view.camera, every=_spared(view, track))
     except NoFlightError:
         return seen, None, None
     edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
@@ -503,32 +550,31 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     ]
     if _contradiction(both) > CONTRADICTED or _gain(both) < WORTHWHILE:
         return seen, marks, None
-    out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
-    out.take(np.arange(len(reel)), seen)
-    by_edges, adjusted = _poses_by_edges(view, edges, seen), Throw(marks.flights, throw.impacts)
+    # Where no edges were seen there is no frame to refine.
+    known = np.flatnonzero(edges.tracked)
+    adjusted = Throw(marks.flights, throw.impacts)
+    refining = Refining(view, marks, _poses_by_edges(view, edges, seen, known), adjusted, edges.time_s[known])
+    boxes = np.zeros((len(reel), 1, 4), np.int64)
+    boxes[known, 0] = refining.boxes
     with ThreadPoolExecutor(THREADS) as pool:
-        for first, frames in reel.blocks():
-            # Where no edges were seen there is no frame to refine.
-            known = np.flatnonzero(edges.tracked[first : first + len(frames)])
-            rows = first + known
-            some = frames if len(known) == len(frames) else frames[known]
-            poses, shared[rows] = refine_by_marks(
-                view, marks, some, by_edges.part(rows), adjusted, edges.time_s[rows], pool
-            )
-            out.position_m[rows], out.rotation[rows] = poses.position_m, poses.rotation
-            out.lean[rows], out.H[rows, :6, :6] = poses.contour_lean, poses.information
+        for first, frames in reel.blocks(boxes=boxes):
+            a, b = np.searchsorted(known, (first, first + len(frames)))
+            some = frames if b - a == len(frames) else frames[known[a:b] - first]
+            refining.see(some, slice(int(a), int(b)), pool)
             report.at_least(2 * len(reel) + first + len(frames))
+    out, shared, poses = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan), refining.poses()
+    out.take(np.arange(len(reel)), seen)
+    out.position_m[known], out.rotation[known], shared[known] = poses.position_m, poses.rotation, refining.shared
+    out.lean[known], out.H[known, :6, :6] = poses.contour_lean, poses.information
     return out, marks, shared
 
 
-def _poses_by_edges(view: View, edges: Track, seen: Seen) -> FramePoses:
-    """What the edges of each frame say, with the covariances of `edges`; rows that it lacks hold NaN."""
-    n, known = len(edges), edges.tracked
-    rotation, information, lean = np.full((n, 3, 3), np.nan), np.full((n, 6, 6), np.nan), np.full((n, 6), np.nan)
-    rotation[known] = matrix_from_quat(edges.quaternion[known])
-    information[known] = np.linalg.inv(edges.covariance[known])
-    lean[known] = contour_leans(seen.H[known], view.lens)
-    return FramePoses(edges.position_m, rotation, information, lean)
+def _poses_by_edges(view: View, edges: Track, seen: Seen, rows: NDArray[np.int64]) -> FramePoses:
+    """What the edges of some tracked frames say, with the covariances of `edges`."""
+    return FramePoses(
+        edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]), np.linalg.inv(edges.covariance[rows]),
+        contour_leans(seen.H[rows], view.lens),
+    )  # fmt: skip
 
 
 def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:

@@ -131,9 +131,28 @@ class Footage(ABC):
         for index in range(start, len(self) if stop is None else stop):
             yield self.frame(index)
 
+    def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
+        """Put the frames from `start` on into `out` (n, height, width), which nobody may write to from then on.
+
+        With `boxes` (n, 4), pixels x0, y0, x1, y1 (end exclusive), no more than that part of a frame needs to be there: of a raw
+        format the rest is not unpacked, and is left as it was. Raises as `frame` does.
+        """
+        for index, picture in enumerate(out, start):
+            if boxes is not None:
+                x0, y0, x1, y1 = (int(edge) for edge in boxes[index - start])
+                if x1 > x0 and y1 > y0:
+                    self._put(self.first_frame + index, picture, (x0, y0, x1, y1))
+                continue
+            self._put(self.first_frame + index, picture, (0, 0, self.width_px, self.height_px))
+            self._watch.see(index, picture)
+
     @abstractmethod
     def _read(self, number: int) -> Frame:
         """Frame `number` of the file, as a new array."""
+
+    def _put(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
+        """At least a box of frame `number` into `out` (height, width); a reader that can leave other pixels out does."""
+        out[:] = self._read(number)
 
 
 def times_from_rate(

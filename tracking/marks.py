@@ -173,53 +173,63 @@ class FramePoses:
     contour_lean: Array
     """(n, 6) [m/px, rad/px] by how much each is off for every pixel that the contour is taken too far out."""
 
-    def part(self, rows: slice | NDArray[np.int64]) -> FramePoses:
-        """Some rows."""
-        return FramePoses(self.position_m[rows], self.rotation[rows], self.information[rows], self.contour_lean[rows])
 
+class Refining:
+    """Frames on their way from the poses that edges bear out to those that marks and edges bear out together.
 
-def refine_by_marks(
-    view: View, marks: Marks, frames: NDArray[Any], edges: FramePoses, throw: Throw, times_s: Array, pool: Executor
-) -> tuple[FramePoses, Array]:
-    """The poses that marks and edges of each frame bear out together, and the covariance (n, 6, 6) that each shares with all
-    others (`shared_covariances`).
-
-    `frames` (n, cameras, height, width) at `times_s` (n,) belong to the poses `edges`; the steps begin where `throw`, the
-    adjusted flights with their impacts, leads, or at the edges' pose where that is over or no flight. Where no marked face is
-    seen, the edges' pose stays, its covariance widened by their systematic errors.
+    What there is to know before the pictures is worked out for all frames at once; the pictures then come block by block.
     """
-    which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
-    for k in np.unique(which):
-        shared[which == k] = shared_covariances(view, marks, int(k), times_s[which == k])
-    over = times_s > throw.flights[-1].end_s
-    velocity, omega = (np.ascontiguousarray(half) for half in np.split(throw.rates(times_s), 2, axis=1))
-    velocity[over], omega[over] = 0.0, 0.0
-    position, quaternion = throw.poses(times_s)
-    by_flight = ~over & np.isfinite(shared[:, 0, 0])
-    position = np.where(by_flight[:, None], position, edges.position_m)
-    rotation = np.where(by_flight[:, None, None], matrix_from_quat(quaternion), edges.rotation)
-    boxes = _windows(view, position, rotation)
-    sure = edge_information(view, marks, edges)
-    away = np.concatenate([edges.position_m - position, turn_between(rotation, edges.rotation)], axis=1)
-    pull, H = np.einsum("nij,nj->ni", sure, away), np.zeros((len(times_s), 6, 6))
-    optics, faces = optics_of(view, marks), faces_of(view, marks, TUKEY)
 
-    def some(rows: slice) -> None:
-        refine_on_marks(
-            frames[rows], boxes[rows], optics, faces, position[rows], rotation[rows], velocity[rows], omega[rows],
-            marks.factor, sure[rows], pull[rows], STEPS, H[rows],
-        )  # fmt: skip
+    def __init__(self, view: View, marks: Marks, edges: FramePoses, throw: Throw, times_s: Array) -> None:
+        """The frames at `times_s` (n,) belong to the poses `edges`. The steps begin where `throw`, the adjusted flights with
+        their impacts, leads, or at the edges' pose where that is over or no flight."""
+        which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
+        for k in np.unique(which):
+            shared[which == k] = shared_covariances(view, marks, int(k), times_s[which == k])
+        over = times_s > throw.flights[-1].end_s
+        velocity, omega = (np.ascontiguousarray(half) for half in np.split(throw.rates(times_s), 2, axis=1))
+        velocity[over], omega[over] = 0.0, 0.0
+        position, quaternion = throw.poses(times_s)
+        by_flight = ~over & np.isfinite(shared[:, 0, 0])
+        self._position = np.where(by_flight[:, None], position, edges.position_m)
+        self._rotation = np.where(by_flight[:, None, None], matrix_from_quat(quaternion), edges.rotation)
+        self._sure = edge_information(view, marks, edges)
+        away = np.concatenate([edges.position_m - self._position, turn_between(self._rotation, edges.rotation)], axis=1)
+        self._pull, self._H = np.einsum("nij,nj->ni", self._sure, away), np.zeros((len(times_s), 6, 6))
+        self._rates = velocity, omega
+        self._view, self._edges, self._factor = view, edges, marks.factor
+        self._optics, self._faces = optics_of(view, marks), faces_of(view, marks, TUKEY)
+        self.boxes = _windows(view, self._position, self._rotation)
+        """(n, 4) pixels x0, y0, x1, y1 (end exclusive) of the first camera that are looked at."""
+        self.shared = shared
+        """(n, 6, 6) covariance that each pose shares with all others (`shared_covariances`)."""
 
-    cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
-    for job in [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts)]:
-        job.result()
-    unseen = ~H.any(axis=(1, 2))
-    position[unseen], rotation[unseen] = edges.position_m[unseen], edges.rotation[unseen]
-    information = H + sure
-    # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
-    part = np.einsum("nij,nj->ni", sure, edges.contour_lean)
-    lean = np.linalg.solve(information + weak_prior(view), part[..., None])[..., 0]
-    return FramePoses(position, rotation, information, lean), shared
+    def see(self, frames: NDArray[Any], rows: slice, pool: Executor) -> None:
+        """Refine some of the frames, given as pictures (n, cameras, height, width), in the threads of a pool."""
+
+        def some(part: slice) -> None:
+            mine = slice(rows.start + part.start, rows.start + part.stop)
+            velocity, omega = self._rates
+            refine_on_marks(
+                frames[part], self.boxes[mine], self._optics, self._faces, self._position[mine], self._rotation[mine],
+                velocity[mine], omega[mine], self._factor, self._sure[mine], self._pull[mine], STEPS, self._H[mine],
+            )  # fmt: skip
+
+        cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
+        for job in [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts)]:
+            job.result()
+
+    def poses(self) -> FramePoses:
+        """Where they are now. Where no marked face was seen, the edges' pose stays, its covariance widened by their systematic
+        errors."""
+        unseen = ~self._H.any(axis=(1, 2))
+        position = np.where(unseen[:, None], self._edges.position_m, self._position)
+        rotation = np.where(unseen[:, None, None], self._edges.rotation, self._rotation)
+        information = self._H + self._sure
+        # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
+        part = np.einsum("nij,nj->ni", self._sure, self._edges.contour_lean)
+        lean = np.linalg.solve(information + weak_prior(self._view), part[..., None])[..., 0]
+        return FramePoses(position, rotation, information, lean)
 
 
 def edge_information(view: View, marks: Marks, edges: FramePoses) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, inner_vertices, symmetry_rotations
 from .camera import Camera
-from .edges import BLUR, COLUMNS, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
+from .edges import BLUR, COLUMNS, WINDOW_PX, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -282,11 +282,13 @@ def refine_pose(
     H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
     exact = view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
     zero, lens = np.zeros(3), view.chase_lens if roughly else exact
+    desk = new_desk(view.shape, view.eyes) if desk is None else desk
+    desk.usual[:] = 0.0
     p, Q, cost = look(
         whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
         zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
-        prior_rotation_rad or lens.loose_rad, coarse, desk or new_desk(view.shape, view.eyes), H, g, stats,
+        prior_rotation_rad or lens.loose_rad, coarse, desk, H, g, stats,
     )  # fmt: skip
     return pose_from(p, Q, H, stats, cost, lens)
 
@@ -326,9 +328,10 @@ def blur_step(
 
 
 def labelled_like(view: View, rotation: Array, wanted: Array) -> Array:
-    """Of the orientations (3, 3) that draw the same die as `rotation`, the one nearest to `wanted`."""
-    alike = rotation @ view.symmetries
-    return np.asarray(alike[int(np.argmax(np.einsum("nij,ij->n", alike, wanted)))])
+    """Of the orientations (..., 3, 3) that draw the same die as `rotation`, the one nearest to `wanted`, of one or of many."""
+    alike = rotation[..., None, :, :] @ view.symmetries
+    nearest = np.einsum("...nij,...ij->...n", alike, wanted).argmax(-1)
+    return np.asarray(np.take_along_axis(alike, nearest[..., None, None, None], axis=-3)[..., 0, :, :])
 
 
 def visible_faces(view: View, position_m: Array, rotation: Array) -> NDArray[np.int64]:
@@ -348,6 +351,25 @@ def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float
     x0, y0 = max(x0, 0), max(y0, 0)
     x1, y1 = min(x1, view.camera.width_px), min(y1, view.camera.height_px)
     return (int(x0), int(y0), int(x1), int(y1)) if x1 - x0 > 4 and y1 - y0 > 4 else None
+
+
+def sight_boxes(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:
+    """(n, cameras, 4) pixels x0, y0, x1, y1 (end exclusive) that hold all that a refinement from each start (n, 3), (n, 3, 3)
+    looks at (`edges.sight_of`, `marks`): the die and its reflection in a mirror; empty where a start is NaN or out of view."""
+    boxes = np.zeros((len(positions_m), len(view.cameras), 4), np.int64)
+    points = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
+    for c, camera in enumerate(view.cameras):
+        size = np.array([camera.width_px, camera.height_px])
+        low, high = np.full((len(points), 2), np.inf), np.full((len(points), 2), -np.inf)
+        for v in np.flatnonzero(view.eyes.camera == c):
+            seen = camera.project(points if v < len(view.cameras) else points @ MIRRORED)
+            good = np.isfinite(seen).all(axis=(1, 2))
+            low[good] = np.minimum(low[good], seen[good].min(1))
+            high[good] = np.maximum(high[good], seen[good].max(1))
+        boxes[:, c, :2] = np.clip(np.floor(low - WINDOW_PX), 0, size)
+        boxes[:, c, 2:] = np.clip(np.ceil(high + WINDOW_PX) + 1, 0, size)
+        boxes[~(boxes[:, c, 2:] > boxes[:, c, :2]).all(1), c] = 0
+    return boxes
 
 
 def share_in_view(view: View, position_m: Array, rotation: Array) -> float:

@@ -40,11 +40,11 @@ class Quality:
 
 
 FAST = Quality(
-    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.3, settled_px=0.1, band_px=3.5, judging_pixels=400,
+    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=400,
     starts=24, rivals=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.1, settled_px=0.1, band_px=3.5, judging_pixels=800,
+    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=800,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(

@@ -7,6 +7,7 @@ clip are decoded once and kept; of a long one never more than a few blocks are i
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip
+from .clip import Clip, Filling
 
 Frames = NDArray[Any]
 
@@ -28,6 +29,9 @@ RECENT_BYTES = 2**26
 KEPT_BYTES = 2**27
 """Pixels of a clip that is kept whole: 512 frames of 512 × 512 and 8 bit. What takes longest to decode is filmed for seconds,
 not minutes; a clip that is larger comes from a format that costs little to read again."""
+
+_UNHELD = 3
+"""References to a block in a list that is gone through: the list's, the loop's, and that of the call which counts them."""
 
 
 class Reel:
@@ -51,6 +55,8 @@ class Reel:
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
         self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
         self._keep = max(4, RECENT_BYTES // frame_bytes)
+        self._rooms: list[Frames] = []
+        self._taking = threading.Lock()
         self._whole: Frames | None = None
         if len(self) * frame_bytes <= KEPT_BYTES:
             self._whole, self._there = np.empty((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
@@ -58,8 +64,14 @@ class Reel:
     def __len__(self) -> int:
         return len(self.times_s)
 
-    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
-        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
+    def blocks(
+        self, start: int = 0, stop: int | None = None, boxes: NDArray[np.int64] | None = None
+    ) -> Iterator[tuple[int, Frames]]:
+        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread.
+
+        With `boxes` (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), whoever asks looks at no others:
+        they may be those of other frames.
+        """
         stop = len(self) if stop is None else stop
         if self._whole is not None and self._there[start:stop].all():
             for first in range(start, stop, self._block):
@@ -67,7 +79,7 @@ class Reel:
             return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()
-        reader = threading.Thread(target=self._read, args=(start, stop, queue, closed), daemon=True)
+        reader = threading.Thread(target=self._read, args=(start, stop, boxes, queue, closed), daemon=True)
         reader.start()
         try:
             while True:
@@ -121,23 +133,58 @@ class Reel:
             out[c, : frame.shape[0], : frame.shape[1]] = frame
         return out
 
-    def _read(self, start: int, stop: int, queue: Queue[Any], closed: threading.Event) -> None:
+    def _room(self) -> Frames:
+        """A block to write frames to: one that nobody holds any more, no view of it either, or a new one. New memory costs as
+        much as the pixels in it. A block that is used again holds older frames where nothing is written."""
+        with self._taking:
+            for room in self._rooms:
+                if sys.getrefcount(room) == _UNHELD:
+                    return room
+            room = np.zeros((self._block, *self._shape), self._dtype)
+            self._rooms.append(room)
+            return room
+
+    def _read(
+        self, start: int, stop: int, boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
+    ) -> None:
         """Fill the queue; what goes wrong is handed on to whoever waits."""
         last: Any = None
         try:
-            runs = [clip.frames(start, stop) for clip in self.clips]
+            runs = [_Run(clip, start, stop) for clip in self.clips]
+            boxes = None if self._whole is not None else boxes  # what is kept is kept whole
             for first in range(start, stop, self._block):
                 count = min(self._block, stop - first)
-                block = np.empty((count, *self._shape), self._dtype)
-                for k in range(count):
-                    if closed.is_set():
+                block = self._room()[:count]
+                for c, run in enumerate(runs):
+                    wanted = None if boxes is None else boxes[first : first + count, c]
+                    if not run.put(first, block[:, c], wanted, closed):
                         return
-                    block[k] = self._stack([next(run) for run in runs])
                 self._keep_whole(first, block)
                 _put(queue, (first, block), closed)
         except BaseException as error:  # raised again by the thread that reads the blocks
             last = error
         _put(queue, last, closed)
+
+
+class _Run:
+    """Frames of one clip in order, as quickly as it hands them out."""
+
+    def __init__(self, clip: Clip, start: int, stop: int) -> None:
+        self._size = clip.height_px, clip.width_px
+        self._filling = clip if isinstance(clip, Filling) else None
+        self._frames = iter(()) if self._filling else clip.frames(start, stop)
+
+    def put(self, first: int, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
+        """Write the frames from `first` on into `out` (n, height, width); whether they were all written before it was closed."""
+        out = out[:, : self._size[0], : self._size[1]]
+        for k in range(len(out)):
+            if closed.is_set():
+                return False
+            if self._filling:
+                self._filling.fill(first + k, out[k : k + 1], None if boxes is None else boxes[k : k + 1])
+            else:
+                out[k] = next(self._frames)
+        return True
 
 
 def _put(queue: Queue[Any], item: Any, closed: threading.Event) -> None:

@@ -17,6 +17,7 @@ from diethrow.fitting.sightings import sight
 from diethrow.fitting.whole_throw import fit_throw
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
 from diethrow.model.motion import State, Throw
+from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, make_die
 from diethrow.model.tables import LEVEL, Table
@@ -146,6 +147,19 @@ def test_free_flights_alone_tell_a_centre_of_mass() -> None:
     error = load.centre_of_mass_m - centre
     # Three numbers: chi-square exceeds 21 in one of ten thousand cases.
     assert error @ np.linalg.solve(load.covariance_m2, error) < 21.0
+    # Of what a load of its own would gain in each flight, one in all of them lacks half a chi-square of three a flight.
+    assert load.agreed > 0.9
+
+
+def test_a_flight_tracked_wrongly_is_not_taken_for_a_load() -> None:
+    fair, measured = thrown(SmoothImpact(0.5), 3)
+    shift = matrix_from_quat(fair.quaternion) @ np.array([2e-4, -1e-4, 3e-4])
+    second = measured.flights_at(fair.time_s) == 1
+    bent = replace(fair, position_m=fair.position_m - np.where(second[:, None], shift, 0.0))
+    load = load_in_flight(fit_flights(sight(bent, measured), measured))
+    assert load is not None
+    assert load.agreed < 0.5
+    assert "loaded die" not in fit_throw(bent, measured, CUBE).chosen
 
 
 def test_flights_too_short_to_turn_leave_a_load_open() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_photron
 
-from diethrow.tracking.clip import open_clip
+from diethrow.tracking.clip import Filling, open_clip
 from diethrow.tracking.footage_photron import unpack_12bit
 
 FRAMES = noisy_frames(9, bits=12)
@@ -120,3 +120,30 @@ def test_header_and_pixels_must_stand_together(tmp_path: Path) -> None:
         open_clip(path)
     with pytest.raises(FileNotFoundError, match=r"no y\.cihx or \.cih beside it"):
         open_clip(tmp_path / "y.mraw")
+
+
+@pytest.mark.parametrize("stored_bits", [8, 12, 16])
+@pytest.mark.parametrize("width_px", [16, 15])
+def test_a_part_of_a_frame_is_what_the_whole_frame_has_there(stored_bits: int, width_px: int, tmp_path: Path) -> None:
+    # Two pixels share three bytes: with an odd width every other line begins in the middle of a byte.
+    levels = np.random.default_rng(stored_bits).integers(0, 2 ** min(stored_bits, 12), (5, 14, width_px))
+    frames = levels.astype(np.uint8 if stored_bits == 8 else np.uint16)
+    clip = open_clip(write_photron(tmp_path / "x.cihx", frames, stored_bits=stored_bits))
+    assert isinstance(clip, Filling)
+    whole, part = np.zeros_like(frames), np.zeros_like(frames)
+    clip.fill(0, whole)
+    np.testing.assert_array_equal(whole, frames)
+    boxes = np.array([[0, 0, 1, 1], [3, 2, 8, 9], [5, 13, width_px, 14], [4, 4, 4, 4], [0, 0, width_px, 14]])
+    clip.fill(0, part, boxes)
+    for frame, wanted, (x0, y0, x1, y1) in zip(part, frames, boxes, strict=True):
+        np.testing.assert_array_equal(frame[y0:y1, x0:x1], wanted[y0:y1, x0:x1])
+
+
+def test_a_file_cut_off_while_it_is_read_is_said_to_be(tmp_path: Path) -> None:
+    path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
+    clip = open_clip(path)
+    assert isinstance(clip, Filling)
+    pixels = path.with_suffix(".mraw")
+    pixels.write_bytes(pixels.read_bytes()[:-10])
+    with pytest.raises(ValueError, match="it was cut off while it was read"):
+        clip.fill(0, np.zeros_like(FRAMES))

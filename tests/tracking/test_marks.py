@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
-from diethrow.tracking.marks import FramePoses, frames_to_learn_from, refine_by_marks
+from diethrow.tracking.marks import FramePoses, Refining, frames_to_learn_from
 from diethrow.tracking.marks_textures import Marks, undistorted_rays
 
 Array = NDArray[np.float64]
@@ -27,8 +27,10 @@ def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePo
         np.zeros((len(rows), 6)),
     )  # fmt: skip
     frames = np.array([film[k] for k in which])[:, None]
+    refining = Refining(VIEW, marks, edges, Throw(marks.flights, ()), rows / FPS)
     with ThreadPoolExecutor(2) as pool:
-        return edges, *refine_by_marks(VIEW, marks, frames, edges, Throw(marks.flights, ()), rows / FPS, pool)
+        refining.see(frames, slice(0, len(rows)), pool)
+    return edges, refining.poses(), refining.shared
 
 
 def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from footage_files import noisy_frames, write_photron
 from replay_records import ArrayClip
 
+from diethrow.tracking.clip import open_clip
 from diethrow.tracking.footage import Frame
 from diethrow.tracking.reel import Reel
 
@@ -53,6 +56,17 @@ def test_blocks_hold_every_frame_once_and_in_order() -> None:
     np.testing.assert_array_equal(np.concatenate([f for _, f in blocks])[:, 0], np.array(list(clip.frames())))
 
 
+def test_a_block_that_is_held_is_not_written_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    clip = clip_of(11, 1000)
+    reel, plain = Reel([clip]), np.array(list(clip.frames()))
+    held = [(first, frames[3:5, 0]) for first, frames in reel.blocks()]
+    for first, frames in reel.blocks(37):
+        np.testing.assert_array_equal(frames[:, 0], plain[first : first + len(frames)])
+    for first, frames in held:
+        np.testing.assert_array_equal(frames, plain[first + 3 : first + 5])
+
+
 def test_backwards_the_last_block_comes_first() -> None:
     reel = Reel([clip_of(2)])
     back = list(reel.blocks_backwards(100))
@@ -88,6 +102,18 @@ def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
     assert frames.shape[1:] == (2, 12, 16)
     np.testing.assert_array_equal(frames[7, 1, :8, :10], small.frame(7))
     assert not frames[7, 1, 8:].any()
+
+
+def test_boxes_hold_what_the_frames_have_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    levels = noisy_frames(COUNT, bits=12)
+    clip = open_clip(write_photron(tmp_path / "x.cihx", levels, stored_bits=12))
+    corner = np.random.default_rng(1).integers(0, 6, (COUNT, 1, 2))
+    boxes = np.concatenate([corner, corner + 7], axis=-1)
+    for first, frames in Reel([clip]).blocks(20, boxes=boxes):
+        for k, frame in enumerate(frames[:, 0], first):
+            x0, y0, x1, y1 = boxes[k, 0]
+            np.testing.assert_array_equal(frame[y0:y1, x0:x1], levels[k, y0:y1, x0:x1])
 
 
 def test_clips_of_different_lengths_are_refused() -> None:
