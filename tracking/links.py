@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ..model.motion import GRAVITY_M_S2, Flight, State
 from ..model.rotations import matrix_from_quat, rotation_between
 from ..model.solids import Die, inner_vertices
-from .flights import Scatter, Sightings, fit_flight, misfits
+from .flights import Scatter, Sightings, fit_flight, misfits, scaled_inverse
 from .joined import Joined, Link, Strike, fit_joined, strike_cost
 from .parting import TABLE_REACH
 from .quick import INSTANT_FRAMES, is_crowded, resolved
@@ -44,8 +44,8 @@ within the uncertainty of the instant, makes some tens."""
 SLIGHT = 25.0
 """Squared sigmas that a link must explain. It has seven numbers, of which the rules leave three free; chance gives those more
 than that once in 70 000 cases, and there are not as many places for a link in a clip."""
-PLAIN_SIGMAS = 30.0
-"""A jump of the vertical velocity by so many of its standard errors needs no such question."""
+PLAIN = 4.0
+"""A link that explains so many times as much to the first order needs no trial."""
 MOST_FRAMES = 0.7
 """Share of its frames that a flight which is known has."""
 LIKELY_STRAIN = 9.5
@@ -382,7 +382,7 @@ def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joine
     while True:
         trials = []
         for k, link in _numbered(joined):
-            if link.is_open or _jumps_sigmas(joined, k) > PLAIN_SIGMAS:
+            if link.is_open or _gained(joined, k) > PLAIN * SLIGHT:
                 continue
             trial = _merged(seen, joined, k, rules)
             if trial.cost < joined.cost + SLIGHT:
@@ -392,13 +392,13 @@ def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joine
         joined = min(trials, key=lambda trial: trial.cost)
 
 
-def _jumps_sigmas(joined: Joined, k: int) -> float:
-    """By how many standard errors the vertical velocity changes at a joined link."""
+def _gained(joined: Joined, k: int) -> float:
+    """Squared sigmas that a joined link explains, to the first order: how surely the motion jumps there."""
     t = float(joined.links_s[k])
-    jump = joined.flights[k + 1].at(t).velocity_m_s[2] - joined.flights[k].at(t).velocity_m_s[2]
-    C = joined.beside[k]
-    variance = float(C[8, 8] + C[20, 20] - 2.0 * C[8, 20])
-    return float(jump / np.sqrt(max(variance, 1e-300)))
+    a, b, C = joined.flights[k].at(t), joined.flights[k + 1].at(t), joined.beside[k]
+    jump = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
+    spread = C[6:12, 6:12] + C[18:24, 18:24] - C[6:12, 18:24] - C[18:24, 6:12]
+    return float(jump @ scaled_inverse(spread) @ jump)
 
 
 def _merged(seen: Sightings, joined: Joined, k: int, rules: Rules) -> Joined:
