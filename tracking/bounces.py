@@ -110,16 +110,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, die, spacing_s)
-        # What comes behind a contact that is not surely a rebound, and one with a loss, is part of coming to rest: a die
-        # that tips over seems to hop on and on.
-        last = int(np.searchsorted(seen.time_s, impacts[-1].time_s)) if impacts else 0
-        if (
-            not impacts
-            or 0.0 < impacts[-1].chi_low <= impacts[-1].chi_high < 1.0
-            or not max(low, FEWEST) <= last < flying
-        ):
+        told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
+        if told == len(impacts):
             break
-        flying = last
+        flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
     if flying < len(use):
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
@@ -127,6 +121,20 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
     return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)
+
+
+def _last_told(impacts: tuple[Impact, ...], low_s: float) -> int:
+    """How many impacts there are until those at the end, behind `low_s`, of which none is surely a rebound, one that loses
+    something or as much as the others do: a die that tips over seems to hop on and on. What comes behind is part of coming to
+    rest."""
+    usual = float(np.nanmedian([impact.chi for impact in impacts])) if any(i.chi_low > 0.0 for i in impacts) else np.nan
+    count = len(impacts)
+    while count and impacts[count - 1].time_s >= low_s:
+        last = impacts[count - 1]
+        if last.chi_low > 0.0 and (last.chi_high < 1.0 or last.chi_low < usual < last.chi_high):
+            break
+        count -= 1
+    return count
 
 
 def _frames(count: int) -> str:
