@@ -8,8 +8,9 @@ process of its own.
   decoded    frames a second that the reader hands out, from a file that the system has in memory
   tracked    frames a second from the file to the tables on disk, as `diethrow track` writes them
   CPU        processor time of the latter [ms a frame]
+  from mem.  frames a second from decoded frames in memory, of clips that fit into it (MOST_HELD)
   MB         most memory that the process ever held, and what of that it held before it began: code and libraries
-  tracked    share of the frames with a pose
+  poses      share of the frames that have one
 
 Rates hold for a machine that does nothing else: CPU does not mind what else runs.
 """
@@ -32,8 +33,9 @@ import numpy as np
 from footage_files import pack, write_photron
 from footage_of_throws import DICE, Studio, photograph, pips, studio
 from numpy.typing import NDArray
+from replay_records import ArrayClip
 
-from diethrow.analyze import open_footage, track_only
+from diethrow.analyze import open_footage, track_only, track_scene
 from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import State, Throw
 from diethrow.model.simulate import Until, throw_die
@@ -49,6 +51,8 @@ NOISES = 16
 """Pictures of noise that the frames take turns with, each time moved by another random step."""
 FILMED_S = 0.19
 """Three bounces, and no fourth one: the frames cover the same time, whatever their number."""
+MOST_HELD = 4000
+"""Frames that are decoded into memory: 2 GB."""
 SAMPLED = 400
 """Frames over which unpacking and decoding are timed."""
 
@@ -60,7 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--qualities", nargs="+", choices=QUALITIES, default=["standard"])
     parser.add_argument("--folder", type=Path, help="where the clips are kept for another time; else they are deleted")
     chosen = parser.parse_args(arguments)
-    print(ROW.format("frames", "quality", "unpacked", "decoded", "tracked", "CPU", "MB", "before", "tracked"))
+    print(
+        ROW.format("frames", "quality", "unpacked", "decoded", "tracked", "CPU", "MB", "before", "from mem.", "poses")
+    )
     with tempfile.TemporaryDirectory() as scratch:
         for count in chosen.frames:
             folder = (chosen.folder or Path(scratch)) / f"{count}_frames"
@@ -72,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-ROW = "{:>6}  {:8}  {:>8}  {:>7}  {:>7}  {:>6}  {:>5}  {:>6}  {:>7}"
+ROW = "{:>6}  {:8}  {:>8}  {:>7}  {:>7}  {:>6}  {:>5}  {:>6}  {:>9}  {:>7}"
 
 
 def print_row(quality: str, row: dict[str, float]) -> None:
@@ -81,7 +87,7 @@ def print_row(quality: str, row: dict[str, float]) -> None:
     print(
         ROW.format(
             f"{row['frames']:.0f}", quality, *rates, f"{row['cpu_ms']:.3f}", f"{row['MB']:.0f}", f"{row['before']:.0f}",
-            f"{100 * row['tracked']:.1f} %",
+            f"{row['held']:.0f}" if row["held"] else "-", f"{100 * row['tracked']:.1f} %",
         ),
         flush=True,
     )  # fmt: skip
@@ -101,16 +107,33 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as scratch:
         tracking = track_only(scene, Path(scratch) / "out", quality=QUALITIES[quality])
     taken_s, used_s = time.perf_counter() - began, time.process_time() - used
+    most_MB, held = peak_MB(), 0.0
+    if len(clip) <= MOST_HELD:
+        memory = Held(np.stack(list(clip.frames())), clip.times_s, clip.bit_depth)
+        held = len(clip) / seconds(lambda: track_scene(scene, quality=QUALITIES[quality], clips=[memory]))
     return {
         "frames": len(clip),
         "unpacked": few / unpacked_s,
         "decoded": few / decoded_s,
         "rate": len(clip) / taken_s,
         "cpu_ms": 1e3 * used_s / len(clip),
-        "MB": peak_MB(),
+        "MB": most_MB,
+        "held": held,
         "before": before,
         "tracked": float(tracking.frames.tracked.mean()),
     }
+
+
+class Held(ArrayClip):
+    """A clip decoded into memory; of further passes no more is copied than is looked at."""
+
+    def fill(self, start: int, out: NDArray[Any], boxes: NDArray[np.int64] | None = None) -> None:
+        """As `Footage.fill`."""
+        if boxes is None:
+            out[:] = self.array[start : start + len(out)]
+            return
+        for picture, there, (x0, y0, x1, y1) in zip(out, self.array[start:], boxes.tolist(), strict=False):
+            picture[y0:y1, x0:x1] = there[y0:y1, x0:x1]
 
 
 def seconds(work: Any) -> float:

@@ -67,6 +67,9 @@ BIWEIGHT_VARIANCE = 0.8281
 """Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
 ROBUST_TURNS = 3
 """Times that the intensities of a stretch are solved with weights from the last residuals."""
+MEDIAN_TO, MOST_HALVINGS = 0.02, 16
+"""Part of itself to which a median is found, and steps in which it is where most values are not nought; of 200 Gaussian residuals
+it is known to a fifteenth."""
 OVERSTEP = 1.4
 """Factor on the steps at the lens blur. With the weights of the last residuals kept, as here, the normal equations are steeper
 than the robust cost, by 1.2 for Gaussian residuals and by 1.6 on grain: a plain step left 38 % of the way on wood. Up to twice
@@ -123,9 +126,11 @@ def _strip_weights() -> Any:
 
 _STRIP = np.ascontiguousarray(_strip_weights())
 _inner = inner(nogil=True)
-_inner_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
-"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler: four times the
-speed and no other figure."""
+_free = inner(nogil=True, _nrt=False)
+_free_sums = inner(nogil=True, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
+"""For kernels that only others call. The free ones take no memory and count no references to arrays: counting took a quarter of
+the time, and threads waited for each other's counts. Of the last, plain sums over pixels, the order is left to the compiler: four
+times the speed and no other figure."""
 
 
 class Shape(NamedTuple):
@@ -246,6 +251,7 @@ class Desk(NamedTuple):
     left: Any
     size: Any
     rise: Any
+    beside: Any
     begin: Any
     rows: Any
     A: Any
@@ -269,13 +275,13 @@ def new_desk(shape: Shape, eyes: Eyes) -> Desk:
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(CELLS + 1), np.zeros((ne, 3)), np.zeros((4, BUFFER)), np.zeros((4, BUFFER)),
         np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
-        np.zeros(BUFFER), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
+        np.zeros(BUFFER), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
         np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
         np.zeros(4), np.zeros(4), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
     )  # fmt: skip
 
 
-@_inner
+@_free
 def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[float, float]:
     """Pixel of a camera point and, in J (2, 3), its derivative."""
     iz = 1.0 / z
@@ -296,7 +302,7 @@ def _project(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@_inner
+@_free
 def _factor(A: Any, K: int, L: Any, least: float) -> bool:
     """Cholesky factor of the leading K × K of A, in L; False where a pivot keeps no more than the part `least` of its
     diagonal."""
@@ -314,7 +320,7 @@ def _factor(A: Any, K: int, L: Any, least: float) -> bool:
     return True
 
 
-@_inner
+@_free
 def _back(L: Any, K: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(K):
@@ -329,33 +335,29 @@ def _back(L: Any, K: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@_inner
+@_free_sums
 def _median(values: Any, n: int) -> float:
-    """Median of the first n values, which are left in another order: Hoare's selection, no memory taken."""
-    k = n // 2
-    low, high = 0, n - 1
-    while low < high:
-        pivot = values[(low + high) // 2]
-        i, j = low, high
-        while i <= j:
-            while values[i] < pivot:
-                i += 1
-            while values[j] > pivot:
-                j -= 1
-            if i <= j:
-                values[i], values[j] = values[j], values[i]
-                i += 1
-                j -= 1
-        if k <= j:
-            high = j
-        elif k >= i:
-            low = i
-        else:
+    """Median of the first n of some sizes, to MEDIAN_TO of it: by halving an interval, whose counts are done eight at a time,
+    where sorting waits at every comparison."""
+    total = 0.0
+    for i in range(n):
+        total += values[i]
+    # Half of them at the least lie below twice their mean.
+    low, high = 0.0, 2.0 * total / n
+    for _ in range(MOST_HALVINGS):
+        if high - low <= MEDIAN_TO * high:
             break
-    return float(values[k])
+        middle, below = 0.5 * (low + high), 0.0
+        for i in range(n):
+            below += 1.0 if values[i] < middle else 0.0
+        if 2.0 * below < n:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
 
 
-@_inner_sums
+@_free_sums
 def _two_sums(
     n: int, icut: float, near: Any, far: Any, grey: Any, res: Any, w: Any
 ) -> tuple[float, float, float, float, float]:
@@ -376,7 +378,7 @@ def _two_sums(
     return a00, a10, a11, y0, y1
 
 
-@_inner
+@_free
 def _two_left(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: Any, size: Any) -> None:
     """What two intensities leave of the grey levels, and its size."""
     for i in range(n):
@@ -384,7 +386,7 @@ def _two_left(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res:
         size[i] = abs(res[i])
 
 
-@_inner_sums
+@_free_sums
 def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
     """The same for the four intensities of a rounded edge, as normal matrix A (lower half) and right side y."""
     p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
@@ -415,7 +417,7 @@ def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: An
     y[0], y[1], y[2], y[3] = y0, y1, y2, y3
 
 
-@_inner_sums
+@_free_sums
 def _four_left(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
     """What four intensities leave of the grey levels, and its size."""
     c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
@@ -425,7 +427,7 @@ def _four_left(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None
         size[i] = abs(res[i])
 
 
-@_inner_sums
+@_free_sums
 def _scale_left(n: int, icut: float, res: Any) -> float:
     """Scale of residuals, given the inverse cut of the biweight about an earlier one: one step of an M-estimate, three
     times as efficient as the median that it starts from."""
@@ -439,7 +441,7 @@ def _scale_left(n: int, icut: float, res: Any) -> float:
     return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
 
 
-@_inner_sums
+@_free_sums
 def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any, w: Any) -> tuple[float, float]:
     """Derivative of the grey levels by d; robust cost and sum of the weights."""
     c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
@@ -459,7 +461,7 @@ def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any,
     return cost, used
 
 
-@_inner
+@_free
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
     weight: float, full: bool, greys: Any, usual: Any, near: int, far: int, H: Any, g: Any, stats: Any,
@@ -507,14 +509,7 @@ def _stretch(
         else:
             _four_left(n, c, phi, grey, res, size)
         if turn_number < ROBUST_TURNS - 1:
-            # On the way a third of the pixels tells the scale well enough; steps of 2 and 4 in turn do not fall in with
-            # the rows' own length.
-            count, i = 0, turn_number
-            while i < n:
-                size[count] = size[i]
-                i += 2 + 2 * (count & 1)
-                count += 1
-            scale = max(floor_grey, 1.4826 * _median(size, count))
+            scale = max(floor_grey, 1.4826 * _median(size, n))
         else:
             scale = max(floor_grey, _scale_left(n, icut, res))
         icut = 1.0 / (TUKEY * scale)
@@ -547,6 +542,8 @@ def _stretch(
                 g[BLUR] += iv * ws * res[i]
                 for a in range(K):
                     C[BLUR, a] += iv * ws * phi[a, i]
+        j0, j1, j2, j3 = rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3]
+        j4, j5, j6, j7 = rows[k, 4], rows[k, 5], rows[k, 6], rows[k, 7]
         for a in range(BLUR):
             ja = iv * rows[k, a]
             g[a] += ja * re
@@ -554,9 +551,17 @@ def _stretch(
             C[a, 1] += ja * r1
             C[a, 2] += ja * r2
             C[a, 3] += ja * r3
-            # The whole row, though the lower half would do: a loop of fixed length is one instruction or two.
-            for b in range(COLUMNS):
-                H[a, b] += ja * rr * rows[k, b]
+            # The whole row, though the lower half would do: eight sums at once, and none that the compiler must take for an
+            # overlap of H and `rows`.
+            jr, h = ja * rr, H[a]
+            h[0] += jr * j0
+            h[1] += jr * j1
+            h[2] += jr * j2
+            h[3] += jr * j3
+            h[4] += jr * j4
+            h[5] += jr * j5
+            h[6] += jr * j6
+            h[7] += jr * j7
             H[BLUR, a] += ja * rs
     # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S their own normal matrix, A / scale².
     top = COLUMNS if full else BLUR
@@ -575,7 +580,7 @@ def _stretch(
         stats[4] += walked
 
 
-@_inner
+@_free
 def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
     """Add the two intensities that a stretch alone shows, with their information, to the sums of either side."""
     det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
@@ -596,7 +601,7 @@ def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
     far[4] += p1 * c1 * c1
 
 
-@_inner
+@_free
 def _share_greys(greys: Any, usual: Any) -> None:
     """What the stretches beside a face let expect of each: their mean, and how far they differ beyond their own noise
     (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986). A face of one grey helps every edge of it; light, shadow and
@@ -621,7 +626,7 @@ def _share_greys(greys: Any, usual: Any) -> None:
                 greys[view, f, a] = 0.0
 
 
-@_inner
+@_free
 def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines: Any) -> None:
     """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
     whose normals divide the turn from n0 to n1, or to the contour, into equal parts. `aw` is the derivative of d by a
@@ -644,7 +649,7 @@ def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines
         lines[j] = max(lines[j], lines[j - 1])
 
 
-@_inner
+@_free
 def _place(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
     """Put the die before one view: vertices in camera axes and in pixels, which faces look at it. False where a vertex
     lies behind the camera."""
@@ -678,7 +683,7 @@ def _place(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) ->
     return True
 
 
-@_inner
+@_free
 def _hull(shape: Shape, desk: Desk) -> int:
     """Lines (a, b, c) of the outline of the die as placed, a x + b y + c > 0 inside; their number. The ball's radius is
     left to APART_PX and to the caller's margin."""
@@ -702,7 +707,7 @@ def _hull(shape: Shape, desk: Desk) -> int:
     return count
 
 
-@_inner
+@_free
 def _within(hull: Any, count: int, x: float, y: float, margin: float) -> bool:
     """Whether a pixel lies inside the outline widened by a margin [px]."""
     for k in range(count):
@@ -711,7 +716,7 @@ def _within(hull: Any, count: int, x: float, y: float, margin: float) -> bool:
     return count > 0
 
 
-@_inner
+@_free
 def _neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -> int:
     """The other edges of a face (its edges padded with -1) as functions of the pixel line that crosses them: first and
     last line, where the first vertex's line is, position there, and step a line. How many there are."""
@@ -734,7 +739,7 @@ def _neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -
     return count
 
 
-@_inner
+@_free
 def _room_beside(others: Any, count: int, line: int, at: float) -> float:
     """Distance along a pixel line from an edge's point to the nearest other edge of its face that the line crosses."""
     nearest = 1e9
@@ -744,7 +749,7 @@ def _room_beside(others: Any, count: int, line: int, at: float) -> float:
     return nearest
 
 
-@_inner
+@_free
 def _rounded_basis(
     d: float, ib: float, shade: float, interior: bool, lines: Any, full: bool, phi: Any, slope: Any, spread: Any, n: int
 ) -> None:
@@ -774,7 +779,24 @@ def _rounded_basis(
         spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1 * shade, b2, b3
 
 
-@_inner
+@_free_sums
+def _sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any) -> None:
+    """Basis functions of the two intensities of n pixels beside sharp edges, and their derivatives by the distance, in place
+    of that distance in blurs (`near`), what shades the far side (`far`), and one over the blur (`near_slope`).
+
+    As `_step`, without branches: several pixels at once.
+    """
+    for i in range(n):
+        x = (min(max(near[i], -_FAR), _FAR) + _FAR) * _FINE
+        k = int(x)
+        x -= k
+        a = _PHI[k] + x * (_PHI[k + 1] - _PHI[k])
+        p = (_BELL[k] + x * (_BELL[k + 1] - _BELL[k])) * near_slope[i]
+        near_slope[i], far_slope[i] = -p, p * far[i]
+        near[i], far[i] = 1.0 - a, a * far[i]
+
+
+@_free
 def _step(t: float) -> tuple[float, float]:
     """Φ(t) and its derivative."""
     if t >= _FAR:
@@ -787,7 +809,7 @@ def _step(t: float) -> tuple[float, float]:
     return _PHI[k] + x * (_PHI[k + 1] - _PHI[k]), _BELL[k] + x * (_BELL[k + 1] - _BELL[k])
 
 
-@_inner
+@_free
 def _view_equations(
     view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
     exposure: float, sigma: float, band: float, stride: int, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any,
@@ -815,7 +837,7 @@ def _view_equations(
     radius, sharp = shape.radius, shape.radius == 0.0
     px, cam, arm, J, aw, edges = desk.px, desk.cam, desk.arm, desk.J, desk.across, shape.edges
     phi, slope, spread, grey, lines = desk.phi, desk.slope, desk.spread, desk.grey, desk.lines
-    near_edges, far_edges = np.empty((shape.face_edges.shape[1], 5)), np.empty((shape.face_edges.shape[1], 5))
+    near_edges, far_edges = desk.beside[0], desk.beside[1]
     hull, normal, rows, starts = desk.hull, desk.normal, desk.rows, desk.begin
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
     curved = speed2 * exposure * exposure / 24.0 * _reach(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
@@ -866,6 +888,11 @@ def _view_equations(
         Qx, Qy, Qz = arm[iB, 0] - Px, arm[iB, 1] - Py, arm[iB, 2] - Pz
         for line in range(first, last + 1 + stride, stride):
             if m > 0 and (walked >= SEGMENT_PX or line > last):
+                if sharp:
+                    _sharp_basis(n, phi[0], phi[1], slope[0], slope[1])
+                    if full:
+                        for i in range(n):
+                            spread[0, i], spread[1, i] = -slope[0, i] * spread[0, i], -slope[1, i] * spread[0, i]
                 _stretch(
                     desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, desk.greys[view],
                     desk.usual[view], f0, f1 if interior else len(desk.facing), H, g, stats,
@@ -933,13 +960,10 @@ def _view_equations(
                 under_row += under
                 shade = 1.0 if interior else float(under)
                 if sharp:
-                    t = d * ib
-                    a, p = _step(t)
-                    p *= ib
-                    phi[0, i], phi[1, i] = 1.0 - a, a * shade
-                    slope[0, i], slope[1, i] = -p, p * shade
+                    phi[0, i], phi[1, i], slope[0, i] = d * ib, shade, ib
                     if full:
-                        spread[0, i], spread[1, i] = t * p, -t * p * shade
+                        # The row's blur grows with the lens blur by σ / blur.
+                        spread[0, i] = d * ib * sigma * ib
                 else:
                     _rounded_basis(d, ib, shade, interior, lines, full, phi, slope, spread, i)
                 grey[i] = value
@@ -947,8 +971,7 @@ def _view_equations(
                 i += 1
             if isnan(under_row):
                 continue
-            if full:
-                # The row's blur grows with the lens blur by σ / blur.
+            if full and not sharp:
                 for a in range(4):
                     for j in range(n, i):
                         spread[a, j] *= sigma * ib
@@ -964,7 +987,7 @@ def _view_equations(
             walked += row_length
 
 
-@_inner
+@_free
 def _bend(
     J: Any, Rcw: Any, nx: float, ny: float, rx: float, ry: float, rz: float, Qx: float, Qy: float, Qz: float, vel: Any,
     omega: Any,
@@ -992,7 +1015,7 @@ def _bend(
     return 2.0 * turning / length * along - falling
 
 
-@_inner
+@_free
 def _reach(shape: Shape) -> float:
     """Farthest point of the die from its centre [m]."""
     reach = 0.0
@@ -1062,7 +1085,7 @@ def _exp(w: Any) -> Any:
     return E
 
 
-@_inner
+@_free
 def _log(R: Any, out: Any) -> None:
     """Rotation vector of a rotation by less than about 3 rad."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
@@ -1114,7 +1137,7 @@ def picture_cost(
     return score / number, differs / max(inside, 1.0)
 
 
-@_inner
+@_free
 def _draw_outer(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
     """Put the vertices of the flat faces' sharp polyhedron, not those of the inner body, in pixels on the desk."""
     for i in range(shape.outer.shape[0]):
@@ -1224,7 +1247,7 @@ def _box_score(
     return score / max(judged, 1.0), inside, differs
 
 
-@_inner
+@_free
 def _face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
     """Half-planes a x + b y + c >= 0 of a face as placed."""
     mx, my, count = 0.0, 0.0, 0
@@ -1248,7 +1271,7 @@ def _face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
 # --- many frames ------------------------------------------------------------------------------------------------------
 
 
-@_inner
+@_free
 def _moved_px(eyes: Eyes, pos: Any, step: Any, turned: float, reach: float) -> float:
     """How far in the picture a step (3,) [m] of the centre and a turn by `turned` [m] at the die's `reach` move its farthest
     points, in the view that shows most of it: a step along the line of sight moves them little."""
@@ -1480,7 +1503,7 @@ def correct(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, lens: Lens) -> Any:
     return turn(R, change[3:6])
 
 
-@_inner
+@_free
 def note_screen(
     sight: Sight, backgrounds: Any, screen: Screen, eyes: Eyes, shape: Shape, lens: Lens, pos: Any, R: Any, desk: Desk
 ) -> None:
@@ -1538,7 +1561,7 @@ def note_screen(
                             backgrounds[c, a, b] = np.nan
 
 
-@_inner
+@_free
 def _write(
     k: int, p: Any, Q: Any, h: Any, row: Any, cost: float, positions: Any, rotations: Any, H: Any, stats: Any,
     costs: Any,
@@ -1621,7 +1644,7 @@ def chase(
     return frames.shape[0]
 
 
-@_inner
+@_free
 def scale_px(eyes: Eyes, pos: Any) -> float:
     """Pixels a metre at a point, in the nearest view."""
     best = 0.0

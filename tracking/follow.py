@@ -87,7 +87,7 @@ LEAST_IN_VIEW = 0.3
 """Share of the corners that must lie in view for a frame to be refined from its flight."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
-PLENTY = 1500
+PLENTY = 800
 """Frames of a throw that place its flights well enough to look for better poses along them."""
 SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
 """Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
@@ -532,7 +532,8 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        found = measure(track, view.die, view.camera, every=_spared(view, track))
+        every = _spared(view, track)
+        found = measure(track, view.die, view.camera, every=every)
     except NoFlightError:
         return seen, None, None
     edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
@@ -548,7 +549,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
         for pair, shared in zip(zip(throw.flights, marks.flights, strict=True), marks.shared, strict=True)
         if np.isfinite(shared).all()
     ]
-    if _contradiction(both) > CONTRADICTED or _gain(both) < WORTHWHILE:
+    if _contradiction(both) > CONTRADICTED or _gain(both, every) < WORTHWHILE:
         return seen, marks, None
     # Where no edges were seen there is no frame to refine.
     known = np.flatnonzero(edges.tracked)
@@ -596,16 +597,16 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
     return float(np.median(squared)) if squared else 0.0
 
 
-def _gain(both: Sequence[tuple[Flight, Flight]]) -> float:
+def _gain(both: Sequence[tuple[Flight, Flight]], every: int) -> float:
     """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
-    the determinants of the covariances."""
+    the determinants of the covariances, those of the edges as if from all frames, of which one in `every` was used."""
     gains = []
     for ours, theirs in both:
         if ours.covariance is not None and theirs.covariance is not None and np.isfinite(ours.end_s):
             t = 0.5 * (ours.start.time_s + ours.end_s)
             M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
             edges, marks = M @ ours.covariance @ M.T, N @ theirs.covariance @ N.T
-            gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))
+            gains.append(float(np.linalg.slogdet(edges / every)[1] - np.linalg.slogdet(marks)[1]))
     return float(np.median(gains)) if gains else -np.inf
 
 

@@ -79,7 +79,10 @@ _NO_PLACES, _KNOWN, _MOST = truth(False), truth(True), int64(BUFFER)
 """Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
 _inner = inner(nogil=True)
 _inner_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
-"""For kernels that only others call; the second for plain sums over pixels, whose order is left to the compiler."""
+_free = inner(nogil=True, _nrt=False)
+_free_sums = inner(nogil=True, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
+"""For kernels that only others call; free ones take no memory and count no references to arrays; of plain sums over pixels the
+order is left to the compiler."""
 
 
 class Optics(NamedTuple):
@@ -153,6 +156,8 @@ class Bench(NamedTuple):
     """(2, most) derivatives of the texture by its own variance [1/texel²] and by the lens blur [1/px]."""
     bent: Any
     """(10,) a spline and its derivatives at one place."""
+    line: Any
+    """(2, most) where the pixels of one line lie on the face [texel]."""
 
 
 @compiled(nogil=True)
@@ -161,11 +166,11 @@ def new_bench(most: int) -> Bench:
     return Bench(
         np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
         np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty((2, most)),
-        np.empty(10),
+        np.empty(10), np.empty((2, most)),
     )  # fmt: skip
 
 
-@_inner
+@_free
 def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, float]:
     """Pixel of a camera point, lens distortion included."""
     a, b = x / z, y / z
@@ -176,7 +181,7 @@ def _pixel_of(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, f
     return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
-@_inner
+@_free
 def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     """Solve the leading n × n of a symmetric positive definite system in place of its lower triangle; False where it is not."""
     for i in range(n):
@@ -194,7 +199,7 @@ def _solve(A: Any, n: int, y: Any, out: Any) -> bool:
     return True
 
 
-@_inner
+@_free
 def _back(L: Any, n: int, y: Any, out: Any) -> None:
     """Solve L Lᵀ out = y."""
     for i in range(n):
@@ -209,7 +214,7 @@ def _back(L: Any, n: int, y: Any, out: Any) -> None:
         out[i] = s / L[i, i]
 
 
-@_inner
+@_free
 def _face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: float, E: Any, origin: Any) -> float:
     """Axes E (3, 3, rows a, b, normal) and origin (3,) of a face in the camera; returns the cosine of the view."""
     for k in range(3):
@@ -254,7 +259,7 @@ def _smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
         origin[i] = centre[i] + offset * E[2, i]
 
 
-@_inner
+@_free
 def _outline(
     K: Any, dist: Any, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
@@ -284,7 +289,7 @@ def _outline(
     return True
 
 
-@_inner
+@_free
 def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
     """Value and derivatives by x and y (in texels) of a cubic B-spline surface; x runs along columns."""
     j, i = floor(x), floor(y)
@@ -316,7 +321,7 @@ def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
     return v, gx, gy
 
 
-@_inner
+@_free
 def _bent_spline(coef: Any, x: float, y: float, out: Any) -> None:
     """The same with all higher derivatives, in out (10,): value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy."""
     j, i = floor(x), floor(y)
@@ -388,13 +393,13 @@ def _blur_on_face(
         motion[0], motion[1], motion[2] = ma * ma / 12.0, ma * mb / 12.0, mb * mb / 12.0
 
 
-@_inner
+@_free
 def _reach_px(K: Any, depth: float, motion: Any) -> float:
     """Pixels by which motion during the exposure carries a face's border to either side."""
     return 0.5 * sqrt(12.0 * (motion[0] + motion[2])) * sqrt(K[0, 0] * K[1, 1]) / depth
 
 
-@_inner
+@_free
 def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, more: Any) -> float:
     """By how much more a face is blurred on a frame than its texture, as variances xx, xy, yy in `more` (3,) [texel²]; returns
     the size of the largest. `base` (2, 3) is the blur of the texture, of the lens for one pixel and of motion."""
@@ -405,7 +410,7 @@ def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float,
     return abs(0.5 * (more[0] + more[2])) + sqrt(0.25 * (more[0] - more[2]) ** 2 + more[1] * more[1])
 
 
-@_inner
+@_free
 def _directions(more: Any, spread: Any) -> int:
     """Principal directions [texel] of variances `more` (3,), √3 standard deviations long, and the sign, -1 for less blur, in
     `spread` (2, 3); how many of them matter."""
@@ -427,7 +432,7 @@ def _directions(more: Any, spread: Any) -> int:
     return number
 
 
-@_inner
+@_free
 def _blurred(coef: Any, x: float, y: float, spread: Any, number: int) -> tuple[float, float, float]:
     """The spline blurred along `number` directions, with its slopes, by three-point Gauss-Hermite quadrature along each:
     exact for quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
@@ -448,7 +453,30 @@ def _blurred(coef: Any, x: float, y: float, spread: Any, number: int) -> tuple[f
     return value, by_x, by_y
 
 
-@_inner
+@_free_sums
+def _line_on_face(
+    rays: Any, first: int, count: int, wide: Any, E: Any, origin: Any, gap: float, texel: float, half: float, xs: Any,
+    ys: Any,
+) -> None:  # fmt: skip
+    """Where the pixels of one line, from the `first` on, lie on a face [texel]. With λ D = c + S r on the ray D through a pixel
+    (see `_shrink`), r = λ D/S - c/S; `wide` is 1/S, `origin` that of the face after it, and `gap` its distance."""
+    w00, w01, w02 = wide[0, 0], wide[0, 1], wide[0, 2]
+    w10, w11, w12 = wide[1, 0], wide[1, 1], wide[1, 2]
+    w20, w21, w22 = wide[2, 0], wide[2, 1], wide[2, 2]
+    ax, ay, az = E[0, 0] / texel, E[0, 1] / texel, E[0, 2] / texel
+    bx, by, bz = E[1, 0] / texel, E[1, 1] / texel, E[1, 2] / texel
+    nx, ny, nz = E[2, 0], E[2, 1], E[2, 2]
+    x0 = half - ax * origin[0] - ay * origin[1] - az * origin[2]
+    y0 = half - bx * origin[0] - by * origin[1] - bz * origin[2]
+    for i in range(count):
+        dx, dy = float(rays[first + i, 0]), float(rays[first + i, 1])
+        X, Y, Z = w00 * dx + w01 * dy + w02, w10 * dx + w11 * dy + w12, w20 * dx + w21 * dy + w22
+        depth = gap / (nx * X + ny * Y + nz * Z)
+        xs[i] = depth * (ax * X + ay * Y + az * Z) + x0
+        ys[i] = depth * (bx * X + by * Y + bz * Z) + y0
+
+
+@_free
 def _relative(steep: Any, n: int) -> None:
     """Slopes as shares of the largest; where there is none, all pixels count alike."""
     most = 0.0
@@ -722,7 +750,7 @@ def mark_equations(
     px, planes = np.zeros((most, 2)), np.zeros((most, 3))
     more, spread, further, own = np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
     grey, texture, steep, bent = bench.grey, bench.texture, bench.steep, bench.bent
-    slope, ray, softer = bench.slope, bench.ray, bench.softer
+    slope, ray, softer, line = bench.slope, bench.ray, bench.softer, bench.line
     c, A = np.zeros(GAINS), np.zeros((GAINS, GAINS))
     HH, gg, C = np.zeros((N, N)), np.zeros(N), np.zeros((N, GAINS))
     elim = np.zeros(GAINS)
@@ -760,7 +788,7 @@ def mark_equations(
         little = NO_BLUR <= largest < LITTLE_BLUR
         number = 0 if little else _directions(more, spread)
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
-        # With λ D = c + S r on the ray D through a pixel, r = λ D/S - c/S: rays and centre are bent rather than the die.
+        # Rays and centre are bent rather than the die, see `_line_on_face`.
         for i in range(3):
             origin[i] = middle[i] + offsets[f] * E[2, i]
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
@@ -775,19 +803,12 @@ def mark_equations(
                     high = min(high, -rest / planes[k, 0])
                 elif rest < 0.0:
                     high = low - 1.0
-            for u in range(ceil(low), floor(high) + 1):
-                value = image[v - y0, u - x0]
+            begin, end = ceil(low), floor(high) + 1
+            _line_on_face(optics.rays[v], begin, end - begin, wide, E, origin, gap, texel, half, line[0], line[1])
+            for u in range(begin, end):
+                value, x, y = image[v - y0, u - x0], line[0, u - begin], line[1, u - begin]
                 if value >= faces.saturation:
                     continue
-                dx, dy = optics.rays[v, u, 0], optics.rays[v, u, 1]
-                bx = wide[0, 0] * dx + wide[0, 1] * dy + wide[0, 2]
-                by = wide[1, 0] * dx + wide[1, 1] * dy + wide[1, 2]
-                bz = wide[2, 0] * dx + wide[2, 1] * dy + wide[2, 2]
-                depth = gap / (E[2, 0] * bx + E[2, 1] * by + E[2, 2] * bz)
-                X, Y, Z = depth * bx - origin[0], depth * by - origin[1], depth * bz - origin[2]
-                a = E[0, 0] * X + E[0, 1] * Y + E[0, 2] * Z
-                b = E[1, 0] * X + E[1, 1] * Y + E[1, 2] * Z
-                x, y = a / texel + half, b / texel + half
                 if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0):
                     continue
                 kind = use[int(y + 0.5), int(x + 0.5)]
@@ -811,7 +832,7 @@ def mark_equations(
                     softer[0, m] = 0.5 * (bent[3] + bent[5])
                     blurrier, _, _ = _blurred(coef, x, y, further, wider)
                     softer[1, m] = (blurrier - level) / ((BLUR_STEP - 1.0) * optics.blur)
-                ray[0, m], ray[1, m] = dx, dy
+                ray[0, m], ray[1, m] = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 m += 1
         stats[f, 0] = m
         if m < 40:
@@ -1058,7 +1079,7 @@ def refine_on_marks(
                     rotations[k, i, j] = Q[i, j]
 
 
-@_inner
+@_free
 def _moved_px(K: Any, Rcw: Any, tcw: Any, pos: Any, step: Any, reach: float) -> float:
     """How far in the picture a step (6,) of a die that reaches so far [m] moves its farthest points at the most."""
     x, y, z, depth = 0.0, 0.0, 0.0, tcw[2]

@@ -25,7 +25,7 @@ MIRRORED = np.diag([1.0, 1.0, -1.0])
 """Reflection in the table."""
 CONTOUR = 6
 """Column of the contour error in the normal equations."""
-EXACT_STEPS, EXACTLY = 8, 1e-4
+EXACT_STEPS, EXACTLY = 12, 1e-4
 """Steps and gain [squared sigmas] of a refinement that leaves no more than a hundredth of a sigma."""
 
 

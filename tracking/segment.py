@@ -28,8 +28,10 @@ class Blob:
 
 def background_noise(images: list[NDArray[np.float32]], background: NDArray[np.float32]) -> float:
     """Standard deviation [grey] of a still pixel about the background: the smallest over the frames of the median
-    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to integers leaves."""
-    spreads = [1.4826 * float(np.median(np.abs(image - background))) for image in images]
+    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to integers leaves. One
+    pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
+    some = slice(None, None, 2)
+    spreads = [1.4826 * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
     return max(min(spreads), 0.3)
 
 

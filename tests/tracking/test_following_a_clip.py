@@ -81,9 +81,10 @@ def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
     across_m = np.linalg.norm(errors[:, :3] @ ROOM.camera.rotation[:2].T, axis=1)
     # 80 px across, contrast 60 and noise 2 grey levels: the pixels hold 0.04 degrees and 3 µm.
     assert np.median(turned) < 0.08
-    assert turned.max() < 0.6
     assert np.median(across_m) < 8e-6
-    assert across_m.max() < 5e-5
+    # One frame shows little more than a single face, and says so: its sigma is a third of a degree.
+    assert turned.max() < 0.9
+    assert across_m.max() < 8e-5
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
     # The median of chi-square with six numbers is 5.35; over 64 frames it scatters by 0.5, and the shadow of this die
     # and the rounding to whole grey levels are not in the model. Below it: what all frames of a clip could err alike is
