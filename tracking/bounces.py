@@ -12,16 +12,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import GRAVITY_M_S2, Flight, Impact, State, Throw, energy_J
+from ..model.motion import Flight, Impact, State, Throw, energy_J
 from ..model.solids import Die, inner_vertices, lowest_face
 from .camera import Camera
 from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
-from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, settle
+from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
-from .rest import Carried, carried_from, resting_vertices
+from .rest import Carried, carried_from, low_from, resting_vertices
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -55,6 +55,17 @@ class Measured:
     own: Throw
     """The throw as sure as if there were no such errors."""
 
+    @property
+    def alone(self) -> NDArray[np.bool_]:
+        """(track rows,) the frames at contacts that could not be told apart which lie on neither flight."""
+        out, sure = np.zeros(len(self.frames), bool), np.flatnonzero(self.joined.weights > 0.0)
+        time_s = self.frames.time_s[self.rows]
+        for link in self.joined.links:
+            at = np.searchsorted(time_s[sure], link.time_s)
+            if link.is_open and 0 < at < len(sure):
+                out[self.rows[sure[at - 1] + 1 : sure[at]]] = True
+        return out
+
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
@@ -79,7 +90,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         )
     lean = np.zeros((len(track), 6, 0))
     loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
-    flying = carried_from(loose, die)
+    flying = carried_from(seen, die)
     prior, floor = np.zeros(0), np.zeros((len(track), 6, 6))
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
@@ -92,10 +103,17 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
-    ahead = slice(0, flying)
-    rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
-    joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-    flights, impacts = joined.flights, _impacts(joined, die, float(np.median(np.diff(seen.time_s))))
+    spacing_s = float(np.median(np.diff(seen.time_s)))
+    low = low_from(seen, die) if flying < len(use) else len(use)
+    while True:
+        ahead = slice(0, flying)
+        rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
+        joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
+        flights, impacts = joined.flights, _impacts(joined, die, spacing_s)
+        told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
+        if told == len(impacts):
+            break
+        flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
     if flying < len(use):
         last_s = float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
@@ -103,6 +121,20 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
     return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)
+
+
+def _last_told(impacts: tuple[Impact, ...], low_s: float) -> int:
+    """How many impacts there are until those at the end, behind `low_s`, of which none is surely a rebound, one that loses
+    something or as much as the others do: a die that tips over seems to hop on and on. What comes behind is part of coming to
+    rest."""
+    usual = float(np.nanmedian([impact.chi for impact in impacts])) if any(i.chi_low > 0.0 for i in impacts) else np.nan
+    count = len(impacts)
+    while count and impacts[count - 1].time_s >= low_s:
+        last = impacts[count - 1]
+        if last.chi_low > 0.0 and (last.chi_high < 1.0 or last.chi_low < usual < last.chi_high):
+            break
+        count -= 1
+    return count
 
 
 def _frames(count: int) -> str:
@@ -262,21 +294,9 @@ def _contact(link: Link, die: Die, state: State) -> tuple[tuple[int, ...], Array
 def _chi_interval(beside: Array, before: State, after: State, arm: Array) -> tuple[float, float]:
     """95 % interval of the apparent restitution, by drawing both velocities from their joint covariance: that of the states
     on both sides and of the instant (25, 25)."""
-    rows = np.zeros((2, 25))
-    for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
-        w = state.omega_rad_s
-        row[first + 3 : first + 6] = _turn_derivative(w, arm)
-        row[first + 8] = 1.0
-        row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
-        # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
-        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+    rows = normal_velocity_rows(before, after, arm)
     values, vectors = np.linalg.eigh(rows @ beside @ rows.T)
     draws = np.random.default_rng(SEED).standard_normal((SAMPLES, 2)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
     v_before, v_after = (np.array([normal_velocity(state, arm) for state in (before, after)]) + draws).T
     low, high = np.percentile(-v_after / v_before, [2.5, 97.5])
     return float(low), float(high)
-
-
-def _turn_derivative(omega: Array, arm: Array) -> Array:
-    """Derivative (3,) of (ω × r)_z with respect to a rotation of r: ẑ·(ω × (δθ × r)) = δθ·(r × (ẑ × ω))."""
-    return np.asarray(np.cross(arm, np.cross([0.0, 0.0, 1.0], omega)))

@@ -264,7 +264,8 @@ def scaled_inverse(matrix: Array) -> Array:
     The pseudo-inverse wants eigenvalues, which take a hundred times as long as Cholesky's factor: it is kept for where
     that finds a pivot too small.
     """
-    unit = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    known = np.diag(matrix) > 0.0
+    unit = np.where(known, 1.0 / np.sqrt(np.where(known, np.diag(matrix), 1.0)), 0.0)
     scaled = matrix * np.outer(unit, unit)
     if _is_settled(scaled):
         inverse = np.linalg.inv(scaled)

@@ -265,7 +265,9 @@ def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) ->
     rows[:, 6:12] -= by_link[0, :, 1:7]
     spread = np.eye(4) + rows @ joined.beside[k] @ rows.T
     spread[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
-    return float(miss[0] @ np.linalg.solve(spread, miss[0]))
+    # By eigenvalues, none of which is below one: a flight that no frame bears out may make some of them overflow a factor.
+    values, vectors = np.linalg.eigh(spread)
+    return float(((vectors.T @ miss[0]) ** 2 / np.maximum(values, 1.0)).sum())
 
 
 def _lever_sigma(jumps: Array) -> Array:

@@ -16,13 +16,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, State
-from ..model.rotations import rotation_between
+from ..model.motion import GRAVITY_M_S2, Flight, State
+from ..model.rotations import matrix_from_quat, rotation_between
 from ..model.solids import Die, inner_vertices
-from .flights import Scatter, Sightings, fit_flight, misfits
+from .flights import Scatter, Sightings, fit_flight, misfits, scaled_inverse
 from .joined import Joined, Link, Strike, fit_joined, strike_cost
 from .parting import TABLE_REACH
-from .quick import is_crowded, resolved
+from .quick import INSTANT_FRAMES, is_crowded, resolved
 from .scatter import estimate_scatter
 
 Array = NDArray[np.float64]
@@ -41,14 +41,23 @@ thousandth of the cases; slow errors of the frames take the rest)."""
 HOPELESS = 1000.0
 """Squared sigmas, to the first order, beyond which a contact is not tried at all: what that leaves out, how flights curve
 within the uncertainty of the instant, makes some tens."""
+SLIGHT = 25.0
+"""Squared sigmas that a link must explain. It has seven numbers, of which the rules leave three free; chance gives those more
+than that once in 70 000 cases, and there are not as many places for a link in a clip."""
+PLAIN = 4.0
+"""A link that explains so many times as much to the first order needs no trial."""
 MOST_FRAMES = 0.7
 """Share of its frames that a flight which is known has."""
 LIKELY_STRAIN = 9.5
 """Squared sigmas that four rules cost by chance in one case of twenty."""
+REBOUND_SIGMAS = 2.0
+"""Normal velocities of the wrong sign by more than so many of their standard errors are no rebound's."""
 NEAR_SHARE = 0.1
 """Vertices no higher than this above the lowest, as a share of an edge, may be the one that strikes."""
 CLEAR_SHARE = 0.03
 """A motion that stays this share of an edge above the table has touched nothing."""
+TOUCH_STEPS = 200
+"""Instants at which a motion is asked whether it has come down to the table: some twenty frames at the most lie between."""
 UNKNOWN_TABLE_M = 3e-3
 """Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
 SAME_FRAMES = 1e-3
@@ -100,13 +109,15 @@ def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> J
             strains.append(judged[pair])
         opened = [strain > OPEN_STRAIN for strain in strains]
         joined = _fit_parts(seen, alone, opened)
-        impossible = [not o and not _can_be_bounce(joined, k, die) for k, o in enumerate(opened)]
+        impossible = [not o and not _can_be_bounce(seen, joined, k, die) for k, o in enumerate(opened)]
         faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
         if any(faulty):
             # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
             opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
             joined = _fit_parts(seen, alone, opened)
-        jumps = {k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(joined, k, die)}
+        jumps = {
+            k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(seen, joined, k, die)
+        }
         if not jumps:
             return joined
         weakest = {k for k, jump in jumps.items() if jump <= min(jumps.get(j, np.inf) for j in (k - 1, k + 1))}
@@ -141,9 +152,14 @@ def _strain(seen: Sightings, before: _Part, after: _Part) -> float:
     return float(np.mean(np.sort(beside)[:-1])) / max(usual, 0.5)
 
 
-def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
+def _can_be_bounce(seen: Sightings, joined: Joined, k: int, die: Die) -> bool:
     """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before
-    and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this."""
+    and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
+
+    A weak bounce may do it within its errors alone: the corner of a fast die turns by 1500 m/s², and changes its speed by
+    as much as a weak impact does within the uncertainty of the instant. Then what it does to motion and spin together
+    must be that of an impact at one corner, which no drift is by chance.
+    """
     t = float(joined.links_s[k])
     a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
     arms = die.solid.vertices @ a.rotation.T
@@ -151,7 +167,24 @@ def _can_be_bounce(joined: Joined, k: int, die: Die) -> bool:
     edge = die.solid.edge_m
     if abs(arms[low, 2] + a.position_m[2]) > TABLE_REACH * edge or b.velocity_m_s[2] <= a.velocity_m_s[2]:
         return False
-    return normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low])
+    if normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low]):
+        return True
+    if joined.sigma_time_s[k] > INSTANT_FRAMES * _spacing(seen):
+        return False
+    return any(
+        strike_cost(joined, k, strike, UNKNOWN_TABLE_M) < STRIKE_STRAIN and _may_rebound(joined, k, strike)
+        for strike in _lowest(joined, k, _strikes(die))
+    )
+
+
+def _may_rebound(joined: Joined, k: int, strike: Strike) -> bool:
+    """Whether the contact came down before and goes up after, within two sigmas."""
+    t = float(joined.links_s[k])
+    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    arm = strike.arm(a.rotation)
+    rows = normal_velocity_rows(a, b, arm)
+    sigma = np.sqrt(np.maximum(np.diag(rows @ joined.beside[k] @ rows.T), 0.0))
+    return normal_velocity(a, arm) < REBOUND_SIGMAS * sigma[0] and normal_velocity(b, arm) > -REBOUND_SIGMAS * sigma[1]
 
 
 def _jump(joined: Joined, k: int, die: Die) -> float:
@@ -220,12 +253,14 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
         found = rules.again(seen, joined, joined.links, None)
     found = rules.again(seen, found, found.links, _scatter_of(seen, found))
     found = _struck(seen, found, die, rules)
+    found = _without_slight_ones(seen, found, rules)
     found = _without_ghosts(seen, found, die, rules)
     seen, found = _with_quick_ones(seen, found, die, rules)
     if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
-    return _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+    found = _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
+    return _at_first_touches(seen, found, die, rules)
 
 
 def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
@@ -243,6 +278,27 @@ def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
         links = [*joined.links[:k], Link(middle_s, is_open=True), *joined.links[k + 2 :]]
         starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
         joined = rules.fit(seen, starts, links, joined.scatter)
+
+
+def _at_first_touches(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+    """The chain with each open link where the first of its contacts must be: the motion before, followed on from its last
+    sure frame, comes down to the table. Where it does not before the next flight is sure, the link stays where it is."""
+    inner = inner_vertices(die.solid, die.corner_radius_m)
+    edges = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
+    links = list(joined.links)
+    for k, link in enumerate(joined.links):
+        sure = np.flatnonzero(joined.weights > 0.5)
+        before, behind = sure[(sure >= edges[k]) & (sure < edges[k + 1])], sure[sure >= edges[k + 1]]
+        if not link.is_open or not len(before) or not len(behind):
+            continue
+        times = np.linspace(float(seen.time_s[before[-1]]), float(seen.time_s[behind[0]]), TOUCH_STEPS)
+        p, q = Flight(joined.flights[k].start, np.inf).poses(times)
+        heights = (matrix_from_quat(q) @ inner.T)[:, 2].min(1) + p[:, 2] - die.corner_radius_m - joined.table_m
+        below = np.flatnonzero(heights < 0.0)
+        if len(below):
+            links[k] = replace(link, time_s=float(times[below[0]]))
+    moved = any(a.time_s != b.time_s for a, b in zip(links, joined.links, strict=True))
+    return rules.again(seen, joined, links, joined.scatter) if moved else joined
 
 
 def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
@@ -320,6 +376,40 @@ def _scatter_of(seen: Sightings, joined: Joined) -> Scatter:
     return estimate_scatter(seen, parts, [flight.start for flight in joined.flights], joined.shared, joined.weights)
 
 
+def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
+    """The chain without joined links that explain no more than chance does, now that it is known how errors go together:
+    the slightest first."""
+    while True:
+        trials = []
+        for k, link in _numbered(joined):
+            if link.is_open or _gained(joined, k) > PLAIN * SLIGHT:
+                continue
+            trial = _merged(seen, joined, k, rules)
+            if trial.cost < joined.cost + SLIGHT:
+                trials.append(trial)
+        if not trials:
+            return joined
+        joined = min(trials, key=lambda trial: trial.cost)
+
+
+def _gained(joined: Joined, k: int) -> float:
+    """Squared sigmas that a joined link explains, to the first order: how surely the motion jumps there."""
+    t = float(joined.links_s[k])
+    a, b, C = joined.flights[k].at(t), joined.flights[k + 1].at(t), joined.beside[k]
+    jump = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
+    spread = C[6:12, 6:12] + C[18:24, 18:24] - C[6:12, 18:24] - C[18:24, 6:12]
+    return float(jump @ scaled_inverse(spread) @ jump)
+
+
+def _merged(seen: Sightings, joined: Joined, k: int, rules: Rules) -> Joined:
+    """The chain with the flights before and behind link k as one, begun from the longer."""
+    lasts = [flight.end_s - flight.start.time_s for flight in joined.flights[k : k + 2]]
+    dropped = k if lasts[0] < lasts[1] else k + 1
+    starts = [flight.start for j, flight in enumerate(joined.flights) if j != dropped]
+    links = [link for j, link in enumerate(joined.links) if j != k]
+    return rules.fit(seen, starts, links, joined.scatter)
+
+
 def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     """The chain without open links at which nothing can have struck: the motion before, followed on to where the next
     flight is sure, stays clear of the table."""
@@ -369,3 +459,18 @@ def _height(state: State, strikes: list[Strike]) -> float:
 def normal_velocity(state: State, arm: Array) -> float:
     """Vertical velocity [m/s] of a point of the die at `arm` from its centre."""
     return float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
+
+
+def normal_velocity_rows(before: State, after: State, arm: Array) -> Array:
+    """Derivatives (2, 25) of the normal velocity of a point of the die before and after an impact with respect to the states
+    on both sides and the instant, as `Joined.beside` has them."""
+    rows = np.zeros((2, 25))
+    for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
+        w = state.omega_rad_s
+        # ẑ·(ω × (δθ × r)) = δθ·(r × (ẑ × ω)).
+        row[first + 3 : first + 6] = np.cross(arm, np.cross([0.0, 0.0, 1.0], w))
+        row[first + 8] = 1.0
+        row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
+        # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
+        row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
+    return rows

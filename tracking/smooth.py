@@ -18,9 +18,10 @@ SURE_POSITION_M, SURE_ROTATION_RAD = 5e-4, 0.035
 """A frame without a pose of its own, inside a flight, counts as tracked where the flight knows it this well (one sigma)."""
 
 
-def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
+def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArray[np.bool_] | None = None) -> Track:
     """The track with every pose replaced by that of its flight, with the flight's covariance and, on top of it, that of
-    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.Measured.own`).
+    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.Measured.own`). Frames that stand
+    `alone` (n,), because no flight goes through them (`bounces.Measured.alone`), keep their own poses.
 
     Lost frames between tracked frames of one flight become tracked where the flight knows the pose well; frames before
     the first and after the last tracked one, and frames that were absent, stay as they are. Errors of neighbouring
@@ -34,6 +35,8 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None) -> Track:
     rows = np.arange(int(tracked[0]), int(tracked[-1]) + 1)
     flight_of = throw.flights_at(track.time_s[rows])
     told = np.isin(status[rows], (TRACKED, LOST))
+    if alone is not None:
+        told &= ~alone[rows]
     for k in np.unique(flight_of):
         flight, mine = throw.flights[k], rows[told & (flight_of == k)]
         if flight.covariance is None or not len(mine):

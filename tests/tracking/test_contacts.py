@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from throws import FPS, initial_errors, random_release, seen, true_throw
+from throws import FPS, frame_covariance, initial_errors, random_release, seen, true_throw
 
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
@@ -19,7 +19,7 @@ from diethrow.tracking.bounces import measure, measure_throw
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
 from diethrow.tracking.joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, strike_cost
 from diethrow.tracking.links import Rules, settle
-from diethrow.tracking.rest import Carried, carried_from, flown, frames_in_flight
+from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
 
@@ -215,6 +215,72 @@ def test_frames_at_rest_keep_their_own_poses_and_are_left_out_of_fits() -> None:
     np.testing.assert_allclose(rotation_between(q, track.quaternion[still]), 0.0, atol=1e-9)
 
 
+def test_a_die_that_nearly_rests_flies_from_bounce_to_bounce() -> None:
+    # Hops of a tenth of a millimetre last for some frames, and poses that rest on marks tell them.
+    told, wanted = 0, 0
+    for seed in range(4):
+        throw, _ = to_rest(CUBE, SmoothImpact(0.3), seed)
+        track = seen(throw, np.random.default_rng(seed), noise=0.2)
+        true = np.array([impact.time_s for impact in throw.bounces])
+        found = np.array([impact.time_s for impact in flown(measure_throw(track, CUBE)).impacts])
+        assert all(np.abs(true - t).min() * FPS < 1.5 for t in found)
+        alone = true[[np.sort(np.abs(true - t))[1] * FPS > 8.0 for t in true]]
+        told, wanted = told + sum(np.abs(found - t).min() * FPS < 0.5 for t in alone), wanted + len(alone)
+    # The others come after the die has first been carried over an edge.
+    assert told >= 0.7 * wanted
+
+
+def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
+    # The centre of a cube on an edge turns about it with α = m g d/(J + m d²) at the distance d beside it, and falls with α d.
+    edge, start = CUBE.solid.edge_m, np.radians(20.0)
+    t = np.arange(80) / FPS
+    beside, up = 0.5 * np.sqrt(2.0) * edge * np.array([np.sin(start), np.cos(start)])
+    moment = CUBE.inertia_kg_m2 + CUBE.mass_kg * (beside**2 + up**2)
+    turn = 0.5 * CUBE.mass_kg * 9.81 * beside / moment * t**2
+    angle = start + turn
+    position = 0.5 * np.sqrt(2.0) * edge * np.stack([np.sin(angle), 0.0 * t, np.cos(angle)], axis=1)
+    quaternion = quat_from_rotvec((np.radians(45.0) + angle)[:, None] * np.array([0.0, 1.0, 0.0]))
+    rng = np.random.default_rng(0)
+    covariance = frame_covariance(rng, len(t), 0.2)
+    errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(t), 6)))
+    poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
+    assert carried_from(Sightings.from_poses(t, *poses, covariance, slack=0.0), CUBE) == LEFT
+
+
+def test_frames_that_no_flight_goes_through_keep_their_own_poses() -> None:
+    whole, _ = bounced(CUBE, LAWS["smooth"], 3, 40)
+    t = whole.impacts[0].time_s
+    aside = np.array([0.004, 0.0, 0.001, 0.3, 0.2, 0.0, 0.2, 0.0, 0.1, 5.0, 0.0, -9.0])
+    behind = Flight(moved(whole.flights[1].at(t), aside), whole.flights[1].end_s)
+    track = seen(Throw((whole.flights[0], behind), whole.impacts), np.random.default_rng(3))
+    between = np.flatnonzero(track.time_s > t)[:5]
+    position = track.position_m.copy()
+    position[between] -= 0.002 * np.arange(6.0, 1.0, -1.0)[:, None] * np.array([1.0, 0.0, 0.0])
+    track = replace(track, position_m=position)
+    found = measure(track, CUBE)
+    assert [impact.contact for impact in found.throw.impacts] == ["unresolved"]
+    assert set(np.flatnonzero(found.alone)) <= set(between)
+    assert found.alone[between].sum() > 2
+    smoothed = smooth(track, found.own, found.floor, found.alone)
+    np.testing.assert_array_equal(smoothed.position_m[found.alone], position[found.alone])
+    assert (np.abs(smoothed.position_m - position)[~found.alone] > 0.0).any(1).all()
+
+
+def test_a_weak_bounce_of_a_fast_die_is_found_though_its_errors_hide_its_signs() -> None:
+    # At 340 rad/s the corner changes its speed by 0.2 m/s within the uncertainty of the instant, more than the bounces of
+    # 0.12 and 0.29 m/s do.
+    die = make_die("cube", 0.016, 0.0048, corner_radius_m=0.0005)
+    q = np.array([0.2824187342771245, -0.6880700646279545, 0.21730166282100863, -0.6321227982183639])
+    spin, velocity = np.array([8.23, -17.395, -14.84]), np.array([0.011, -0.05, -3.0411])
+    release = State(0.0, np.array([0.00341, -0.0155, 0.12862949999999995]), q, velocity, spin)
+    whole = throw_die(die, release, SmoothImpact(0.45), until=Until(impacts=3)).throw
+    last = whole.flights[-1]
+    throw = Throw((*whole.flights[:-1], replace(last, end_s=last.start.time_s + 80 / FPS)), whole.impacts)
+    for seed in range(4):
+        found = measure_throw(seen(throw, np.random.default_rng(seed), noise=0.5), die)
+        assert [impact.vertices for impact in found.impacts] == [impact.vertices for impact in throw.impacts]
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_a_die_in_flight_is_not_at_rest_even_where_it_passes_low(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -273,7 +339,8 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
     chain = fit_joined(poses, [throw.flights[0].start, behind.start, behind.start], links)
     settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M))
     assert [link.is_open for link in settled.links] == [True]
-    assert abs(settled.links[0].time_s - t) < 2.0 / FPS
+    # It is told of where the motion before comes down to the table, which its many frames know to a tenth of a frame.
+    assert abs(settled.links[0].time_s - t) < 0.3 / FPS
     for fitted, true in zip(settled.flights, throw.flights, strict=True):
         errors = initial_errors(fitted.at(t), true.at(t))
         sigma = np.sqrt(np.diag(transition(fitted, t) @ fitted.covariance @ transition(fitted, t).T))
