@@ -3,8 +3,13 @@
 One picture often leaves several poses open. A plain tetrahedron that turns one face to the camera is a triangle, and up to
 four poses draw the same triangle (the three-point problem: Haralick et al., Int. J. Comput. Vis. 13, 331, 1994). What
 tells them apart is the motion: only the true pose falls with g and turns evenly, and the others sooner or later do not fit
-the picture either. So all starts race each other over ever more frames, and whoever falls behind clearly is out. Where one
-picture is enough the race ends at its first stage.
+the picture either. So all starts race each other over ever more frames, and whoever explains the pictures clearly worse is out.
+Where one picture is enough the race ends at its second stage.
+
+A wrong start that is followed often turns right as soon as the die shows another face. What counts is therefore how a runner
+moves now, and one that settled on the way runs back to the frame of its start, over which it must move as evenly. A start is
+sure where no other pose is left, and it moves as a die does. Where none is sure, starts on several frames are followed to one:
+those that meet there are believed, for wrong ones go astray each in its own way.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ from .chase import Chase, Seen
 from .hints import HandStart
 from .pose import Pose, View
 from .reel import Reel
-from .start import die_blobs, find_start, same_picture
+from .start import ALIKE, die_blobs, find_start, same_picture
 from .start_by_hand import start_by_hand
 
 Array = NDArray[np.float64]
@@ -34,18 +39,40 @@ SMALL, SAMPLED = 0.6, 12
 """Share of the usual size below which a region is no die in view, a clip's die growing by less than that as it comes near, and
 frames from which the usual size is known."""
 SURE_SUPPORT, FAIR_SUPPORT = 0.85, 0.6
-"""Share of the contour that must show a clear step over a trial, with no frame missed, for a start to be taken at once; where
-none offers that, as with a die of little contrast, the best start above the second is taken."""
+"""Share of the contour that must show a clear step over a race, with no frame missed, for a start to be taken at once; one with
+less than the second is none."""
 EVEN, OPINIONS = 0.5, 3
-"""Unevenness below which a start is taken at once; above it, as of small dice and of wrong starts that are followed for a while,
-the most even of the starts on so many frames is taken."""
+"""Unevenness below which a start is taken at once; above it, as of small dice, and where it has rivals, starts on so many
+frames are asked at least."""
 STAGES = (4, 8, 16, 32, 64)
-"""Frames over which the starts race each other; a start must be followed over the second to be believed."""
+"""Frames over which the starts race each other; a start must be followed over the second to be believed. From the third on only
+the second half of the frames counts."""
 BEHIND = 0.3
-"""By how much a start may be worse than the best and still stay in the race, in `Runner.badness`."""
+"""By how much the pictures may cost a start more than the best and leave it in the race. How evenly it moves does not count
+before the third stage: right starts take some frames to settle."""
+MET = 0.2
+"""Distance of corners, in edges, within which starts from different frames have met: the distance of a small die scatters."""
 UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
 """Departure (rms) from a parabola, in edges, and from an even turn that no die in flight shows. A wrong start jumps about,
 and so does the pose drawn into a shadow."""
+
+
+@dataclass(frozen=True)
+class Rating:
+    """How well pictures and motion bear a runner out."""
+
+    cost: float
+    """What the pictures leave over on the mean."""
+    unevenness: float = 0.0
+    """How unevenly the die would move, in units of what none does."""
+    since: int = 0
+    """Row of the race from which on these are, and up to which."""
+    until: int = 1
+
+    @property
+    def badness(self) -> float:
+        """What the runners are ordered by."""
+        return self.cost + self.unevenness
 
 
 @dataclass(eq=False)
@@ -55,14 +82,22 @@ class Runner:
     chase: Chase
     seen: Seen
     """The frames of the race alone, the first of them the frame of the start."""
-    badness: float
-    """What the pictures leave over on the mean, and how unevenly the die would move, in units of what none does."""
-    unevenness: float
+    rating: Rating
+    """At the last stage of the race at which somebody moved as a die does."""
+    rivals: int = 0
+    """Other poses that are as good when the race ends."""
 
     @property
     def support(self) -> float:
         """Share of the contour with a clear step, over the race."""
         return float(self.seen.support[self.seen.known].mean())
+
+    @property
+    def sure(self) -> bool:
+        """Whether nothing speaks against it, and no other frame need be asked."""
+        known = np.flatnonzero(self.seen.known)
+        whole = len(known) == known[-1] - known[0] + 1
+        return self.rivals == 0 and self.support > SURE_SUPPORT and whole and self.rating.unevenness < EVEN
 
 
 def find_beginning(
@@ -72,26 +107,47 @@ def find_beginning(
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at.
     """
-    fair: list[tuple[int, Runner]] = []
-    good: list[tuple[int, Runner]] = []
-    for k, image in islice(_candidates(view, reel, unused, reached), START_FRAMES):
-        best = _race(view, reel, k, [pose for _, pose in find_start(view, image)], unused)
-        if best is None:
+    unsure: list[tuple[int, Runner]] = []
+    for k, _ in islice(_candidates(view, reel, unused, reached), START_FRAMES):
+        best = best_start(view, reel, k, unused)
+        if best is None or best.support < FAIR_SUPPORT:
             continue
-        if best.support <= SURE_SUPPORT or not best.seen.known[: STAGES[1]].all():
-            fair.append((k, best))
-            continue
-        good.append((k, best))
-        if best.unevenness < EVEN or len(good) == OPINIONS:
-            break
-    if good:
-        k, chosen = min(good, key=lambda pair: pair[1].unevenness)
-        return _begun(chosen, reel, k, unused)
-    fair = [(k, runner) for k, runner in fair if runner.support > FAIR_SUPPORT]
-    if not fair:
+        if best.sure:
+            return _begun(best, reel, k, unused)
+        unsure.append((k, best))
+        agreed = _most_agreed(view, reel, unsure)
+        if agreed is not None and len(unsure) >= OPINIONS:
+            return _begun(agreed[1], reel, agreed[0], unused)
+    if not unsure:
         return None
-    k, chosen = max(fair, key=lambda pair: pair[1].support)
+    k, chosen = _most_agreed(view, reel, unsure) or min(unsure, key=lambda pair: (pair[1].rivals, -pair[1].support))
     return _begun(chosen, reel, k, unused)
+
+
+def _most_agreed(view: View, reel: Reel, starts: list[tuple[int, Runner]]) -> tuple[int, Runner] | None:
+    """Of starts on different frames (row, runner) the one that most others meet when they are followed to one frame, the more
+    even one of equals; None where no two meet. Wrong starts go astray each in its own way, but for those with rivals: what is
+    open in one picture is so in the next."""
+    starts = [(k, runner) for k, runner in starts if runner.rivals == 0]
+    votes = [sum(_meet(view, reel, one, other) for other in starts if other is not one) for one in starts]
+    if not any(votes):
+        return None
+    best = max(range(len(starts)), key=lambda i: (votes[i], -starts[i][1].rating.unevenness))
+    return starts[best]
+
+
+def _meet(view: View, reel: Reel, one: tuple[int, Runner], other: tuple[int, Runner]) -> bool:
+    """Whether two starts draw the same die on the last frame that the later one was followed to."""
+    (k, early), (j, late) = sorted((one, other), key=lambda pair: pair[0])
+    row = int(np.flatnonzero(late.seen.known)[-1])
+    there = j - k + row
+    if there >= len(early.seen.known):
+        return False
+    for i in range(early.chase.next_frame, there + 1):
+        if early.chase.misses > 1:
+            break
+        early.chase.over(reel.frame(k + i)[None], reel.times_s[k:], i, early.seen)
+    return bool(early.seen.known[there]) and _same(view, early, there, late, row, MET)
 
 
 def _candidates(
@@ -146,29 +202,55 @@ def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> t
 
 
 def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
-    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k."""
+    """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
+    that is not sure only the end is kept, where it met others or the die had shown most of itself: what came before is
+    looked at again from there."""
     seen, chase = Seen.empty(len(reel)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
+    rows = rows if runner.sure else rows[-STAGES[1] :]
     seen.take(k + rows, runner.seen, rows)
     chase.next_frame, chase.unused = k + chase.next_frame, unused
     return chase, seen
 
 
-def _race(view: View, reel: Reel, k: int, starts: list[Pose], unused: Mask) -> Runner | None:
+def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
     """The start on frame k that the frames after it bear out best; None where they bear out none."""
     left = min(STAGES[-1], len(reel) - k)
-    runners = [_at_the_line(view, reel, k, pose, unused) for pose in starts]
+    starts = find_start(view, np.asarray(reel.frame(k), np.float32))
+    runners = [_at_the_line(view, reel, k, pose, unused) for _, pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
-        followed = [r for r in runners if _followed(r, view, reel, k, stage)]
+        rated = [(r, rating) for r in runners if (rating := _followed(r, view, reel, k, stage)) is not None]
         # Past an impact nobody moves evenly any more: of those still on the die, who led before it has won.
-        even = [r for r in followed if r.unevenness < 1.0] if stage >= min(STAGES[1], left) else followed
+        even = [(r, rating) for r, rating in rated if rating.unevenness < 1.0 or stage < min(STAGES[2], left)]
         if not even:
-            return next((r for r in runners if r in followed), runners[0]) if stage > STAGES[1] else None
-        best = min(r.badness for r in even)
-        runners = _apart(view, sorted((r for r in even if r.badness < best + BEHIND), key=lambda r: r.badness))
-        if len(runners) == 1 and stage >= STAGES[1]:
+            followed = [r for r, _ in rated]
+            return (
+                _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+            )
+        least = min(rating.cost for _, rating in even)
+        for runner, rating in even:
+            runner.rating = rating
+        near = [r for r, rating in even if rating.cost < least + BEHIND]
+        runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
+        if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
-    return runners[0] if runners else None
+    return _winner(view, reel, k, runners)
+
+
+def _winner(view: View, reel: Reel, k: int, runners: list[Runner]) -> Runner | None:
+    """The first of the runners, with the number of its rivals. One that settled on the way runs back to the start, which must
+    look as even."""
+    if not runners:
+        return None
+    best = runners[0]
+    best.rivals = len(runners) - 1
+    last = int(np.flatnonzero(best.seen.known)[-1])
+    if best.rating.since and last < best.rating.until:
+        back = best.chase.turned_back(best.seen, last)
+        best.seen.known[:last] = False
+        back.over(np.stack([reel.frame(k + row) for row in range(last)]), reel.times_s[k:], 0, best.seen)
+        best.rating = _rating(view, best.seen, reel.times_s[k:], 0, last + 1)
+    return best
 
 
 def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
@@ -176,27 +258,35 @@ def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Ru
     seen = Seen.empty(min(STAGES[-1], len(reel) - k))
     seen.put(0, pose, np.zeros(6))
     chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
-    return Runner(chase, seen, pose.cost, 0.0)
+    return Runner(chase, seen, Rating(pose.cost))
 
 
-def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> bool:
-    """Follow a start up to so many frames; whether the die was not lost on the way."""
+def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rating | None:
+    """Follow a start up to so many frames; None where the die was lost on the way."""
     chase, seen, times_s = runner.chase, runner.seen, reel.times_s[k:]
     for j in range(chase.next_frame, stage):
         chase.over(reel.frame(k + j)[None], times_s, j, seen)
         if chase.misses > 1:
-            return False
-    known = seen.known[:stage]
-    if known.sum() < stage - 1:
-        return False
-    runner.unevenness = _unevenness(view, seen, times_s)
-    runner.badness = float(seen.cost[seen.known].mean()) + runner.unevenness
-    return True
+            return None
+    if seen.known[:stage].sum() < stage - 1:
+        return None
+    # A start that was a little off takes some frames to settle, and one that was wrong may turn right when the die shows
+    # another face: what counts is how it runs now.
+    since = stage // 2 if stage > STAGES[1] else 0
+    whole = _rating(view, seen, times_s, 0, stage)
+    return whole if whole.unevenness < EVEN else _rating(view, seen, times_s, since, stage)
 
 
-def _unevenness(view: View, seen: Seen, times_s: Array) -> float:
-    """How far the poses depart from a parabola and an even turn; 1 where no die in flight does."""
-    known = np.flatnonzero(seen.known)
+def _rating(view: View, seen: Seen, times_s: Array, since: int, until: int) -> Rating:
+    """The rating of a run from row `since` to before `until`."""
+    cost = float(seen.cost[since:until][seen.known[since:until]].mean())
+    return Rating(cost, _unevenness(view, seen, times_s, since, until), since, until)
+
+
+def _unevenness(view: View, seen: Seen, times_s: Array, since: int, until: int) -> float:
+    """How far the poses from row `since` to before `until` depart from a parabola and an even turn; 1 where no die in flight
+    does."""
+    known = since + np.flatnonzero(seen.known[since:until])
     if len(known) < 3:
         return 0.0
     middle = int(known[len(known) // 2])
@@ -217,14 +307,12 @@ def _apart(view: View, runners: list[Runner]) -> list[Runner]:
     kept: list[Runner] = []
     for runner in runners:
         last = int(np.flatnonzero(runner.seen.known)[-1])
-        if not any(
-            other.seen.known[last]
-            and same_picture(
-                view,
-                (runner.seen.position_m[last], runner.seen.rotation[last]),
-                (other.seen.position_m[last], other.seen.rotation[last]),
-            )
-            for other in kept
-        ):
+        if not any(other.seen.known[last] and _same(view, runner, last, other, last) for other in kept):
             kept.append(runner)
     return kept
+
+
+def _same(view: View, one: Runner, row: int, other: Runner, other_row: int, within: float = ALIKE) -> bool:
+    """Whether two runners draw the same die, each on its own row."""
+    here, there = ((r.seen.position_m[k], r.seen.rotation[k]) for r, k in ((one, row), (other, other_row)))
+    return same_picture(view, here, there, within)

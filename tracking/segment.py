@@ -13,6 +13,10 @@ Mask = NDArray[np.bool_]
 NEAR_BORDER_PX = 3
 """A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed away."""
 
+RIM_PX, THIN_PX = 6, 11
+"""How far beyond a sure shadow its rim reaches: half the window in which its share of light is looked at, and the penumbra; and
+the width below which what is left of a rim, and light thrown on the table by the die, is taken out with it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Blob:
@@ -54,11 +58,24 @@ def without_shadow(image: NDArray[np.float32], background: NDArray[np.float32], 
     return mask & ~shadow
 
 
-def largest_blob(mask: Mask) -> Blob | None:
+def without_rims(image: NDArray[np.float32], background: NDArray[np.float32], mask: Mask, lit: Mask) -> Mask:
+    """The part of `mask` that is bulky and no shadow, where `lit` is what `without_shadow` leaves of it.
+
+    Near the die and near its own border a shadow is no constant share of the background within a window. A thin ring of it is
+    left, and joined to the die makes a region half as large again with its middle elsewhere.
+    """
+    shadow = cv2.morphologyEx((mask & ~lit).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
+    rest = mask & ~(cv2.dilate(shadow, reach).astype(bool) & (image < background))
+    filled = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    thin = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (THIN_PX, THIN_PX))
+    return np.asarray(cv2.morphologyEx(filled, cv2.MORPH_OPEN, thin).astype(bool))
+
+
+def largest_blob(mask: Mask, holes_px: int = 7) -> Blob | None:
     """The largest connected region of at least 60 pixels, small holes and specks smoothed away; None if there is none."""
-    kernel = np.ones((3, 3), np.uint8)
-    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, kernel)
-    clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((holes_px, holes_px), np.uint8))
     count, _, stats, centres = cv2.connectedComponentsWithStats(clean)
     if count < 2:
         return None

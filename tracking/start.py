@@ -8,6 +8,7 @@ both readings are tried.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
@@ -16,10 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.rotations import matrix_from_quat
+from ..model.solids import Solid
 from .coarser import Coarseness
 from .edges import COARSE, new_desk
 from .pose import THREADS, Pose, View, make_view, picture_scores, refine_pose, seen_by_first, stacked
-from .segment import Blob, differing, largest_blob, without_shadow
+from .segment import Blob, Mask, differing, largest_blob, without_rims, without_shadow
+from .silhouette import reflects, shadowless_scores
 
 Array = NDArray[np.float64]
 
@@ -27,17 +30,23 @@ ROTATIONS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60
 """Order of each die's rotation group: the grid needs that many times fewer orientations."""
 GRID = 12_000
 """Orientations over all rotations, before the symmetry divides them: near enough for the edges to pull a start in."""
+FACTORS = (0.92, 1.0, 1.1)
+"""On the distance at which a silhouette is as large as the region."""
 REFINED = 48
 FEW_KEPT, WORSE = 6, 0.3
 """Starts are handed on that score at most so much worse than the best, which other frames may yet turn round, and a few in
 any case; never more than the view's quality says."""
 SEARCH_PIXELS = 1500
 """Pixels that judge a trial pose."""
+PLAIN_SUPPORT = 0.8
+"""Share of the contour with a clear step of a start that ends the search: less of it, where the region was that of some faces."""
 LARGEST_PX, SEARCHED_PX = 800, 400
 """A die larger than the first is looked for in a smaller picture, where it is about as large as the second: neighbours of
 the grid lie some ten degrees apart, and no edge is looked for further away than some ten pixels."""
 SHARPEST_PX = 0.3
 """Lens blur of a picture made smaller, at the least: the mean over a pixel."""
+ALIKE = 0.05
+"""Distance of corners, in edges, below which two poses are one."""
 LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
 
@@ -46,7 +55,18 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     """Candidate poses for one frame (height, width), or a stack for several cameras, best first, each with its picture
     score; empty where no die is seen in the first camera."""
     images = image if image.ndim == 3 else image[None]
-    blobs = die_blobs(view, images[0])
+    if not die_blobs(view, images[0]):
+        return []
+    found: list[tuple[float, Pose]] = []
+    for blobs in _readings(view, images[0]):
+        found = sorted([*found, *_found_about(view, images, blobs)], key=lambda pair: pair[0])
+        if any(pose.support > PLAIN_SUPPORT for _, pose in found):
+            break
+    return found
+
+
+def _found_about(view: View, images: NDArray[np.float32], blobs: list[Blob]) -> list[tuple[float, Pose]]:
+    """The starts about some readings of one region, of which not all need be right."""
     if not blobs:
         return []
     # One window for all readings, so that their scores can be compared.
@@ -62,7 +82,8 @@ def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
     apart = _apart(view, found)[: view.quality.starts]
-    return apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
+    kept = apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
+    return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in kept]
 
 
 def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> list[tuple[float, Pose]]:
@@ -84,9 +105,7 @@ def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> l
 
 def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
     """The regions that may be the die, not cut by the image border: with what looks like shadow taken out, and with it."""
-    mask = differing(image, view.background, view.noise_grey)
-    lit = without_shadow(image, view.background, view.noise_grey, mask)
-    bright = mask & (image > view.background)
+    mask, lit = _masks(view, image)
     rest, whole = largest_blob(lit), largest_blob(mask)
     if rest is None or whole is None or rest.area_px < LIT_SHARE * whole.area_px:
         # Nothing but a shadow: it often comes into view before the die that casts it.
@@ -94,28 +113,40 @@ def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
     if rest.touches_border:
         # The die is coming into view, or leaving; what else there is, is its shadow.
         return []
-    return [b for b in (rest, largest_blob(bright), whole) if b and not b.touches_border]
+    return [b for b in (rest, largest_blob(mask & (image > view.background)), whole) if b and not b.touches_border]
+
+
+def _readings(view: View, image: NDArray[np.float32]) -> Iterator[list[Blob]]:
+    """Regions that the die alone may be, likely ones first: what is bulky and no shadow, and what is brighter than the table; and
+    where none of them shows a die, as of one that is as grey as its shadow, everything that differs."""
+    mask, lit = _masks(view, image)
+    # Bulky parts are not joined again: a small die and its shadow lie a few pixels apart.
+    bulky = largest_blob(without_rims(image, view.background, mask, lit), holes_px=1)
+    bright = largest_blob(mask & (image > view.background))
+    for readings in ((bulky, bright), (largest_blob(lit), largest_blob(mask))):
+        inside = [b for b in readings if b is not None and not b.touches_border]
+        yield list({(b.box, b.area_px): b for b in inside}.values())
+
+
+def _masks(view: View, image: NDArray[np.float32]) -> tuple[Mask, Mask]:
+    """What differs from the background, and what of it does not look like a shadow. A mirror shows none: what is dark there is a
+    dark face, or the reflection."""
+    mask = differing(image, view.background, view.noise_grey)
+    return mask, mask if reflects(view) else without_shadow(image, view.background, view.noise_grey, mask)
 
 
 def _search(
     view: View, images: NDArray[np.float32], blob: Blob, box: tuple[int, int, int, int]
 ) -> list[tuple[float, Pose]]:
     """Grid search about one blob of the first camera's picture, then refinement of the best on all cameras."""
-    image = images[0]
-    camera, solid = view.camera, view.die.solid
-    focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
-    depth = focal * np.sqrt(_mean_shadow_area(solid.vertices, solid.faces) / blob.area_px)
-    ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
-    places = [camera.centre_m + ray * depth * factor for factor in (0.85, 0.95, 1.06, 1.18)]
-    places = [p for p in places if p[2] >= 0.5 * solid.inradius]
-    grid = _grid(GRID // ROTATIONS.get(solid.name, 12))
-    if not places:
+    solid = view.die.solid
+    positions, rotations = _trials(view, blob)
+    if not len(positions):
         return []
-    positions, rotations = np.repeat(places, len(grid), axis=0), np.tile(grid, (len(places), 1, 1))
     cuts = [slice(int(a), int(b)) for a, b in pairwise(np.linspace(0, len(positions), THREADS + 1).astype(int))]
     with ThreadPoolExecutor(THREADS) as pool:
         parts = pool.map(
-            lambda part: picture_scores(view, image, box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
+            lambda part: _scores(view, images[0], box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
         )
         scores = np.concatenate(list(parts))
     best = np.argsort(scores, kind="stable")[:REFINED]
@@ -123,19 +154,45 @@ def _search(
     poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= 0.3 * solid.inradius]
     if not poses:
         return []
-    scores, differs = picture_scores(
-        view,
-        image,
-        box,
-        np.array([p.position_m for p in poses]),
-        np.array([p.rotation for p in poses]),
-        4 * SEARCH_PIXELS,
-    )
+    places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
+    scores, differs = _scores(view, images[0], box, places, turns, 4 * SEARCH_PIXELS)
     return [
         (float(score) + 2.0 * (1.0 - pose.support) + 10.0 * pose.unexplained, pose)
         for score, share, pose in zip(scores, differs, poses, strict=True)
         if share > 0.4 and pose.support > 0.5
     ]
+
+
+def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
+    """Positions (n, 3) and rotations (n, 3, 3) whose silhouettes are about as large as the blob and lie where it does: each
+    orientation of the grid at its own distance, and a little nearer and further for what light and shadow do to the blob."""
+    camera, solid = view.camera, view.die.solid
+    rotations = _grid(GRID // ROTATIONS.get(solid.name, 12))
+    focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
+    ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
+    sight = ray / np.linalg.norm(ray)
+    # Of a convex body the faces that look this way project to its silhouette, each by its area and slant.
+    areas, middles = _faces(solid)
+    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ sight, 0.0) * areas
+    silhouette_m2 = shares.sum(1)
+    middle = np.einsum("nij,nj->ni", rotations, shares @ middles / silhouette_m2[:, None])
+    aside = middle - np.outer(middle @ sight, sight)
+    depth = focal * np.sqrt(silhouette_m2 / blob.area_px)
+    places = np.concatenate([camera.centre_m + np.outer(depth * factor, ray) - aside for factor in FACTORS])
+    rotations = np.tile(rotations, (len(FACTORS), 1, 1))
+    above = places[:, 2] >= 0.5 * solid.inradius
+    return places[above], rotations[above]
+
+
+def _scores(
+    view: View, image: NDArray[np.float32], box: tuple[int, int, int, int], positions_m: Array, rotations: Array,
+    samples: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """`picture_scores`, on a mirror without the shadows that it does not show."""
+    scores, differs = picture_scores(view, image, box, positions_m, rotations, samples)
+    if reflects(view):
+        scores = scores + shadowless_scores(view, image, box, positions_m, rotations, samples)
+    return scores, differs
 
 
 def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotations: Array) -> list[Pose]:
@@ -148,7 +205,7 @@ def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotati
         poses = [
             refine_pose(
                 first, images, positions_m[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
-                prior_rotation_rad=0.3, desk=desk,
+                prior_rotation_rad=0.3, roughly=True, desk=desk,
             )
             for k in rows
         ]  # fmt: skip
@@ -175,13 +232,13 @@ def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pos
     return kept
 
 
-def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array]) -> bool:
-    """Whether two poses (position [m], rotation) draw the same die: every corner of the one within a twentieth of an edge
-    of some corner of the other, which the die's symmetry makes likely."""
+def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array], within: float = ALIKE) -> bool:
+    """Whether two poses (position [m], rotation) draw the same die: every corner of the one `within` so many edges of some
+    corner of the other, which the die's symmetry makes likely."""
     vertices = view.die.solid.vertices
     corners, others = (vertices @ rotation.T + position_m for position_m, rotation in (here, there))
     apart = np.linalg.norm(corners[:, None] - others[None], axis=2).min(1).max()
-    return bool(apart < 0.05 * view.die.solid.edge_m)
+    return bool(apart < within * view.die.solid.edge_m)
 
 
 def _ray(matrix: Array, pixel: Array) -> Array:
@@ -189,14 +246,12 @@ def _ray(matrix: Array, pixel: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, np.array([pixel[0], pixel[1], 1.0])))
 
 
-def _mean_shadow_area(vertices: Array, faces: tuple[tuple[int, ...], ...]) -> float:
-    """Mean projected area [m²] of a convex body over all directions: a quarter of its surface (Cauchy)."""
-    surface = 0.0
-    for face in faces:
-        a = vertices[face[0]]
-        for j in range(1, len(face) - 1):
-            surface += 0.5 * float(np.linalg.norm(np.cross(vertices[face[j]] - a, vertices[face[j + 1]] - a)))
-    return surface / 4.0
+def _faces(solid: Solid) -> tuple[Array, Array]:
+    """(faces,) areas [m²] and (faces, 3) centroids [m], those of their corners."""
+    corners = [solid.vertices[list(face)] for face in solid.faces]
+    fans = [np.cross(c[1:-1] - c[0], c[2:] - c[0]) for c in corners]
+    areas = [0.5 * float(np.linalg.norm(fan, axis=1).sum()) for fan in fans]
+    return np.array(areas), np.array([c.mean(0) for c in corners])
 
 
 @cache

@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import cv2
+import footage_of_throws
 import numpy as np
 import pytest
 from footage_of_throws import DICE, REACH_M, photograph, studio
 from random_throws import random_quaternion
 
 from diethrow.model.motion import State
-from diethrow.model.rotations import quat_from_matrix, rotvec_from_quat
-from diethrow.model.solids import SHAPES
-from diethrow.tracking.pose import labelled_like
-from diethrow.tracking.segment import background_noise, differing, largest_blob, without_shadow
-from diethrow.tracking.start import die_blobs, find_start
+from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
+from diethrow.model.solids import SHAPES, Die
+from diethrow.tracking.pose import labelled_like, make_view
+from diethrow.tracking.segment import Blob, background_noise, differing, largest_blob, without_rims, without_shadow
+from diethrow.tracking.silhouette import shadowless_scores
+from diethrow.tracking.start import FACTORS, _trials, die_blobs, find_start
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -82,6 +85,71 @@ def test_the_shadow_is_told_from_the_die(shape: str) -> None:
     heart = cv2.erode((mask & ~die).astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
     assert heart.sum() > 50
     assert lit[heart].mean() < 0.05
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_bulk_of_what_is_no_shadow_is_the_die(shape: str) -> None:
+    """Also where the shadow begins at the die, and leaves a ring about itself that no window tells from it."""
+    die = DICE[shape]
+    for seed in range(4):
+        rng = np.random.default_rng([21, seed])
+        state = state_at(rng, 0.012)
+        image, view = photograph(ROOM, die, state, rng), ROOM.view(die)
+        mask = differing(image, view.background, view.noise_grey)
+        lit = without_shadow(image, view.background, view.noise_grey, mask)
+        blob = largest_blob(without_rims(image, view.background, mask, lit), holes_px=1)
+        assert blob is not None
+        outer = ROOM.camera.project(die.solid.vertices @ state.rotation.T + state.position_m).astype(np.float32)
+        true = cv2.moments(cv2.convexHull(outer))
+        middle = np.array([true["m10"], true["m01"]]) / true["m00"]
+        # Of a die 80 px across a tenth of its size is within what the edges pull in, and an eighth of its distance.
+        assert np.linalg.norm(blob.centre_px - middle) < 0.1 * np.sqrt(true["m00"])
+        assert blob.area_px == pytest.approx(true["m00"], rel=0.25)
+
+
+def test_trials_are_as_large_as_the_region_that_they_are_to_explain() -> None:
+    for die in DICE.values():
+        view = ROOM.view(die)
+        blob = Blob(np.array([110.0, 90.0]), 3600.0, (80, 60, 140, 120), False)
+        places, rotations = _trials(view, blob)
+        areas, middles = [], []
+        for place, rotation in zip(places[::37], rotations[::37], strict=True):
+            outline = cv2.convexHull(view.camera.project(die.solid.vertices @ rotation.T + place).astype(np.float32))
+            moments = cv2.moments(outline)
+            areas.append(moments["m00"])
+            middles.append([moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]])
+        # Three distances; perspective and the lens make single ones up to a twentieth smaller or larger.
+        factors = np.sort(np.sqrt(3600.0 / np.array(areas)))
+        assert np.abs(factors[:, None] - FACTORS).min(1).max() < 0.05
+        assert np.linalg.norm(np.array(middles) - blob.centre_px, axis=1).max() < 2.0
+
+
+def dark_but_above(die: Die, rotation: np.ndarray) -> np.ndarray:
+    """Greys of faces of which the upper one alone is bright, and the others are darker than the table."""
+    up = die.solid.normals @ rotation[2]
+    return np.where(up == up.max(), 190.0, 45.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
+    """A smaller cube further away covers the bright face alone: a shadow might explain the rest, on a mirror none can."""
+    rng = np.random.default_rng([8, seed])
+    quaternion = quat_from_rotvec(np.array([0.15, -0.1, 0.3]) + 0.1 * rng.normal(size=3))
+    state = State(0.0, np.array([0.001, -0.002, 0.024]), quaternion, np.zeros(3), np.zeros(3))
+    smooth = replace(ROOM, table=np.full_like(ROOM.table, 80.0), shadow=0.0)
+    with patch.object(footage_of_throws, "greys", dark_but_above):
+        image = photograph(smooth, DICE["cube"], state, rng)
+    view = make_view(smooth.camera, DICE["cube"], smooth.table, 2.0, None, smooth.blur_px, mirror=True)
+    found = find_start(view, image)
+    alike = labelled_like(view, found[0][1].rotation, state.rotation)
+    assert np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))) < 0.5
+    assert np.linalg.norm(found[0][1].position_m - state.position_m) < 0.1 * REACH_M
+    box = (20, 20, 180, 180)
+    further = state.position_m + 0.15 * (state.position_m - view.camera.centre_m)
+    both = np.array([state.position_m, further]), np.array([state.rotation, state.rotation])
+    right, wrong = shadowless_scores(view, image, box, *both, 6000)
+    # What is left of the right one is the blurred rim of the dark faces.
+    assert 0.0 <= right < 0.2 * wrong
 
 
 def test_a_die_cut_by_the_border_is_no_start() -> None:
