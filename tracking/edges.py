@@ -891,8 +891,8 @@ def _view_equations(
                 if sharp:
                     _sharp_basis(n, phi[0], phi[1], slope[0], slope[1])
                     if full:
-                        for i in range(n):
-                            spread[0, i], spread[1, i] = -slope[0, i] * spread[0, i], -slope[1, i] * spread[0, i]
+                        for j in range(n):
+                            spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
                     desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, desk.greys[view],
                     desk.usual[view], f0, f1 if interior else len(desk.facing), H, g, stats,

@@ -425,7 +425,7 @@ def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np
         mine = sight_boxes(view, one.position_m, one.rotation)
         there = boxes[one.rows]
         both = np.concatenate([np.minimum(there, mine)[..., :2], np.maximum(there, mine)[..., 2:]], axis=-1)
-        lone, blank = ~there.any(-1)[..., None], ~mine.any(-1)[..., None]
+        lone, blank = (np.asarray(~some.any(-1))[..., None] for some in (there, mine))
         boxes[one.rows] = np.where(lone, mine, np.where(blank, there, both))
     return boxes
 
@@ -573,8 +573,8 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
 def _poses_by_edges(view: View, edges: Track, seen: Seen, rows: NDArray[np.int64]) -> FramePoses:
     """What the edges of some tracked frames say, with the covariances of `edges`."""
     return FramePoses(
-        edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]), np.linalg.inv(edges.covariance[rows]),
-        contour_leans(seen.H[rows], view.lens),
+        edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
+        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_leans(seen.H[rows], view.lens),
     )  # fmt: skip
 
 

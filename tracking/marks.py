@@ -222,7 +222,7 @@ class Refining:
     def poses(self) -> FramePoses:
         """Where they are now. Where no marked face was seen, the edges' pose stays, its covariance widened by their systematic
         errors."""
-        unseen = ~self._H.any(axis=(1, 2))
+        unseen = np.asarray(~self._H.any(axis=(1, 2)))
         position = np.where(unseen[:, None], self._edges.position_m, self._position)
         rotation = np.where(unseen[:, None, None], self._edges.rotation, self._rotation)
         information = self._H + self._sure
