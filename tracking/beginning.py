@@ -125,14 +125,14 @@ def find_beginning(
 
 
 def _most_agreed(view: View, reel: Reel, starts: list[tuple[int, Runner]]) -> tuple[int, Runner] | None:
-    """Of starts on different frames (row, runner) the one that most others meet when they are followed to one frame, the more
-    even one of equals; None where no two meet. Wrong starts go astray each in its own way, but for those with rivals: what is
-    open in one picture is so in the next."""
+    """Of starts on different frames (row, runner) the one that most others meet when they are followed to one frame; of equals
+    the more even one, or the first where impacts leave none even; None where no two meet. Wrong starts go astray each in its
+    own way, but for those with rivals: what is open in one picture is so in the next."""
     starts = [(k, runner) for k, runner in starts if runner.rivals == 0]
     votes = [sum(_meet(view, reel, one, other) for other in starts if other is not one) for one in starts]
     if not any(votes):
         return None
-    best = max(range(len(starts)), key=lambda i: (votes[i], -starts[i][1].rating.unevenness))
+    best = max(range(len(starts)), key=lambda i: (votes[i], -min(starts[i][1].rating.unevenness, 1.0), -starts[i][0]))
     return starts[best]
 
 
@@ -203,11 +203,15 @@ def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> t
 
 def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
     """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
-    that is not sure only the end is kept, where it met others or the die had shown most of itself: what came before is
-    looked at again from there."""
+    that is not sure the end is kept, where it met others or the die had shown most of itself, and what came before as far as the
+    pictures bear it out as well; the rest is looked at again from there."""
     seen, chase = Seen.empty(len(reel)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
-    rows = rows if runner.sure else rows[-STAGES[1] :]
+    if not runner.sure:
+        cost, end = runner.seen.cost[rows], max(len(rows) - STAGES[1], 0)
+        dear = np.flatnonzero(cost[:end] > np.median(cost[end:]) + BEHIND)
+        settled = runner.rivals == 0 and runner.rating.since == 0
+        rows = rows[(dear[-1] + 1 if len(dear) else 0) if settled else end :]
     seen.take(k + rows, runner.seen, rows)
     chase.next_frame, chase.unused = k + chase.next_frame, unused
     return chase, seen
