@@ -17,8 +17,7 @@ class Quality:
     chase_stride: int
     """One pixel line in so many is walked while the die is only followed."""
     enough: float
-    """Squared sigmas: a step that gains less is the last one. 0.1 moves a pose by a third of its sigma, and the next step would
-    move it by less than a tenth of a sigma."""
+    """Squared sigmas, of all six numbers together: a step that gains less is the last one, and leaves about a tenth of that."""
     settled_px: float
     """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
     it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
