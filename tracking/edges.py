@@ -129,8 +129,7 @@ _inner = inner(nogil=True)
 _free = inner(nogil=True, _nrt=False)
 _free_sums = inner(nogil=True, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
 """For kernels that only others call. The free ones take no memory and count no references to arrays: counting took a quarter of
-the time, and threads waited for each other's counts. Of the last, plain sums over pixels, the order is left to the compiler: four
-times the speed and no other figure."""
+the time. Of the last, plain sums over pixels, the order is left to the compiler: four times the speed and no other figure."""
 
 
 class Shape(NamedTuple):
