@@ -258,11 +258,21 @@ class Desk(NamedTuple):
     C: Any
     y: Any
     c: Any
+    solved: Any
     greys: Any
     """(views, faces + 1, 5) of the stretches beside each face, and beside the background: their number, and sums of p, p², p c
     and p c² of their intensities c and the information p about each."""
     usual: Any
-    """(views, faces + 1, 2) what those of the last step let expect: mean, and information; 0 where nothing."""
+    """(views, faces + 1, 2) the grey of each face, and beside the background, that its stretches share, and the inverse square
+    of how far they differ from it; 0 where they share none."""
+    shared: Any
+    """(views, faces + 1, faces + 1) normal matrix of those greys; what `_eliminate` leaves is its factor, of those that count."""
+    by_shared: Any
+    """(views, faces + 1, COLUMNS) of pose, contour and blur by those greys."""
+    pull: Any
+    """(views, faces + 1) right side of those greys."""
+    which: Any
+    """(views, faces + 2) how many greys are shared, and whose."""
 
 
 @compiled(nogil=True)
@@ -276,7 +286,9 @@ def new_desk(shape: Shape, eyes: Eyes) -> Desk:
         np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
         np.zeros(BUFFER), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
         np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
-        np.zeros(4), np.zeros(4), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
+        np.zeros(4), np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
+        np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, COLUMNS)), np.zeros((views, nf + 1)),
+        np.zeros((views, nf + 2), np.int64),
     )  # fmt: skip
 
 
@@ -463,14 +475,15 @@ def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any,
 @_free
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    weight: float, full: bool, greys: Any, usual: Any, near: int, far: int, H: Any, g: Any, stats: Any,
+    weight: float, full: bool, view: int, near: int, far: int, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
     On the desk: `phi` (4, n), the basis functions of the intensities (near, far, and those of a rounded strip), with
     their derivatives `slope` by d and `spread` by the blur (the last is needed where `full`); `begin` (m + 1) the first
     pixel of each row and `rows` (m, 8) the derivative of d by pose and contour error. `under_sum` is the sum of the far
-    side's known background (n between two faces); `weight` multiplies what is added.
+    side's known background (n between two faces); `weight` multiplies what is added. `near` and `far` are the faces whose greys
+    it may share.
     """
     stats[2] += n
     stats[5] += 1.0
@@ -483,6 +496,8 @@ def _stretch(
     K = 2 if sharp else 4
     base = under_sum / n
     scale, icut = floor_grey, 0.0
+    greys, usual = desk.greys[view], desk.usual[view]
+    known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
     for turn_number in range(ROBUST_TURNS):
@@ -490,10 +505,11 @@ def _stretch(
             A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(n, icut, phi[0], phi[1], grey, res, w)
             if turn_number == ROBUST_TURNS - 1:
                 _note_greys(A, y, scale, greys[near], greys[far])
-            for a, side in ((0, near), (1, far)):
-                known = usual[side, 1] * scale * scale
-                A[a, a] += known
-                y[a] += known * usual[side, 0]
+            known_near, known_far = usual[near, 1] * scale * scale, usual[far, 1] * scale * scale
+            A[0, 0] += known_near
+            A[1, 1] += known_far
+            y[0] += known_near * usual[near, 0]
+            y[1] += known_far * usual[far, 0]
         else:
             _four_sums(n, icut, phi, grey, res, w, A, y)
             level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
@@ -564,6 +580,8 @@ def _stretch(
             H[BLUR, a] += ja * rs
     # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S their own normal matrix, A / scale².
     top = COLUMNS if full else BLUR
+    sharing = known_near > 0.0 or known_far > 0.0
+    by_near, by_far = desk.by_shared[view, near], desk.by_shared[view, far]
     for b in range(top):
         _back(L, K, C[b], y)
         for a in range(b, top):
@@ -571,6 +589,19 @@ def _stretch(
             if not sharp:
                 lost += C[a, 2] * y[2] + C[a, 3] * y[3]
             H[a, b] -= lost / iv
+        if sharing:
+            by_near[b] += known_near * y[0]
+            by_far[b] += known_far * y[1]
+    if sharing:
+        shared, pull = desk.shared[view], desk.pull[view]
+        det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
+        shared[near, near] += iv * (known_near - known_near * known_near * A[1, 1] / det)
+        shared[far, far] += iv * (known_far - known_far * known_far * A[0, 0] / det)
+        both = iv * known_near * known_far * A[1, 0] / det
+        shared[near, far] += both
+        shared[far, near] += both
+        pull[near] += iv * known_near * (c[0] - usual[near, 0])
+        pull[far] += iv * known_far * (c[1] - usual[far, 0])
     stats[0] += cost
     stats[1] += used
     stats[6] += n * log(scale)
@@ -601,11 +632,48 @@ def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
 
 
 @_free
-def _share_greys(greys: Any, usual: Any) -> None:
-    """What the stretches beside a face let expect of each: their mean, and how far they differ beyond their own noise
-    (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986). A face of one grey helps every edge of it; light, shadow and
-    grain make its stretches differ, and each is left to itself."""
+def _eliminate(desk: Desk, view: int, top: int, H: Any, g: Any) -> None:
+    """Eliminate the greys that the stretches of one view share from its normal equations: the `top` leading rows of H (lower
+    half) and g. Those greys are `usual` so far; what they become waits for the step of the pose, see `_share_greys`."""
+    M, X, pull, which, y = desk.shared[view], desk.by_shared[view], desk.pull[view], desk.which[view], desk.solved
+    count = np.int64(0)
+    for f in range(pull.shape[0]):
+        if M[f, f] > 0.0:
+            count += 1
+            which[count] = f
+    # Those that count are moved together; their order stays, so that nothing is written before it was read.
+    for i in range(count):
+        for j in range(i + 1):
+            M[i, j] = M[which[i + 1], which[j + 1]]
+        pull[i] = pull[which[i + 1]]
+        for a in range(top):
+            X[i, a] = X[which[i + 1], a]
+    which[0] = count if _factor(M, count, M, 1e-12) else 0
+    for a in range(top):
+        for i in range(which[0]):
+            y[i] = X[i, a]
+        _back(M, which[0], y, y)
+        for i in range(which[0]):
+            g[a] -= y[i] * pull[i]
+            for b in range(a, top):
+                H[b, a] -= y[i] * X[i, b]
+
+
+@_free
+def _share_greys(desk: Desk, step: Any) -> None:
+    """After a step (6,) of the pose: the greys that stretches share, and how far the stretches beside a face differ from theirs
+    beyond their own noise (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986). A face of one grey helps every edge
+    of it; light, shadow and grain make its stretches differ, and each is left to itself."""
+    greys, usual, y = desk.greys, desk.usual, desk.solved
     for view in range(greys.shape[0]):
+        which = desk.which[view]
+        for i in range(which[0]):
+            y[i] = desk.pull[view, i]
+            for a in range(6):
+                y[i] -= desk.by_shared[view, i, a] * step[a]
+        _back(desk.shared[view], which[0], y, y)
+        for i in range(which[0]):
+            usual[view, which[i + 1], 0] += y[i]
         for f in range(greys.shape[1]):
             count, p, pp, pc, pcc = (
                 greys[view, f, 0],
@@ -614,15 +682,18 @@ def _share_greys(greys: Any, usual: Any) -> None:
                 greys[view, f, 3],
                 greys[view, f, 4],
             )
+            known = usual[view, f, 1] > 0.0
             usual[view, f, 1] = 0.0
             if count >= FEWEST_ALIKE:
                 mean = pc / p
                 beyond = pcc - mean * pc - (count - 1.0)
                 spread = max(beyond, sqrt(2.0 * (count - 1.0))) / (p - pp / p)
-                usual[view, f, 0] = mean
-                usual[view, f, 1] = 1.0 / (spread * (1.0 + 1.0 / count) + 1.0 / p)
+                if not known:
+                    usual[view, f, 0] = mean
+                usual[view, f, 1] = 1.0 / spread
             for a in range(5):
                 greys[view, f, a] = 0.0
+        which[0] = 0
 
 
 @_free
@@ -841,6 +912,9 @@ def _view_equations(
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
     curved = speed2 * exposure * exposure / 24.0 * _reach(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
     lines[:] = 0.0
+    desk.shared[view] = 0.0
+    desk.by_shared[view] = 0.0
+    desk.pull[view] = 0.0
     for e in range(shape.edges.shape[0]):
         f0, f1 = shape.edge_faces[e, 0], shape.edge_faces[e, 1]
         if desk.facing[f0] <= 0.0 and desk.facing[f1] <= 0.0:
@@ -893,8 +967,8 @@ def _view_equations(
                         for j in range(n):
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
-                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, desk.greys[view],
-                    desk.usual[view], f0, f1 if interior else len(desk.facing), H, g, stats,
+                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, view,
+                    f0, f1 if interior else len(desk.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
                 walked, under_sum = 0.0, 0.0
@@ -984,6 +1058,8 @@ def _view_equations(
             m += 1
             starts[m] = n
             walked += row_length
+    if sharp:
+        _eliminate(desk, view, COLUMNS if full else BLUR, H, g)
 
 
 @_free
@@ -1309,6 +1385,7 @@ def look(
     wp, wr = 1.0 / sigma_m**2, 1.0 / sigma_rad**2
     reach, six = _reach(shape), np.int64(6)
     desk.greys[:] = 0.0
+    desk.which[:] = 0
     for it in range(coarse + lens.fine_steps):
         fine = it >= coarse
         sigma, band = (lens.blur, max(lens.band, 4.0 * lens.blur)) if fine else COARSE[len(COARSE) - coarse + it]
@@ -1321,7 +1398,6 @@ def look(
                     view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
                     lens.floor_grey, lens.full and fine, desk, H, g, stats,
                 )  # fmt: skip
-        _share_greys(desk.greys, desk.usual)
         for a in range(COLUMNS):
             for b in range(a):
                 H[b, a] = H[a, b]
@@ -1349,6 +1425,7 @@ def look(
         for a in range(3):
             p[a] += step[a]
         Q = turn(Q, step[3:])
+        _share_greys(desk, step)
         if fine and (gain < lens.enough or _moved_px(eyes, pos, step, shrink * lr * reach, reach) < lens.settled_px):
             break
     cost = 0.0
