@@ -7,19 +7,20 @@ pose, and turns about it; the one that explains the picture best is taken, and t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Flight, State
-from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
+from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ..model.solids import Die
 from .edges import DEARER, Desk, chase, coast, correct, new_desk
 from .pose import Pose, View, labelled_like, refine_pose, share_in_view, with_screen
+from .reel import Reel
 from .start import find_start
 
 Array = NDArray[np.float64]
@@ -42,6 +43,14 @@ BOUNCE_REACH = 0.35
 """Height of the lowest corner, in units of the die's reach, below which a bounce may have come between two frames."""
 SEARCH_EVERY = 6
 """Frames without a pose until a fresh start is looked for."""
+PLENTY = 800
+"""Frames of a throw that place its flights well enough to look for better poses along them."""
+SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
+"""Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
+LEAPS, SETTLED, SURE_PX, SURPRISING = 32, 20, 0.3, 30.0
+"""Leaps at a time over frames that may be left out; frames that must have been seen of a flight before, or since a surprise: so
+many the motion remembers; how sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie
+away from there, and of honest ones one in 25 000."""
 
 
 @dataclass(eq=False)
@@ -61,6 +70,10 @@ class Seen:
     """How badly each picture is explained."""
     lean: Array
     """(n, 6) what a pixel of contour error does to each pose: see `Track`."""
+    every: int = 1
+    """Rows that are multiples of this one stand for all: where little moves on the way those between may have been left out."""
+
+    _COLUMNS: ClassVar = ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean")
 
     @staticmethod
     def empty(n: int) -> Seen:
@@ -69,6 +82,11 @@ class Seen:
             np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
             np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf), np.full((n, 6), np.nan),
         )  # fmt: skip
+
+    @property
+    def even(self) -> NDArray[np.bool_]:
+        """(n,) known rows as far apart as anywhere."""
+        return np.asarray(self.known & (np.arange(len(self.known)) % self.every == 0))
 
     @property
     def support(self) -> Array:
@@ -85,9 +103,26 @@ class Seen:
         )
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
+    def filled(self) -> Seen:
+        """With starts on rows that were left out between two known ones, half of the way from one to the other and so on; how
+        well the pictures bear those out nobody has seen."""
+        out, rows = (
+            replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS}),
+            np.flatnonzero(self.known),
+        )
+        gaps = np.diff(rows)
+        near = np.flatnonzero((gaps > 1) & (gaps <= longest_leap(len(self.known))))
+        for a, b in zip(rows[near].tolist(), rows[near + 1].tolist(), strict=True):
+            share = (np.arange(a + 1, b) - a) / (b - a)
+            turn = rotation_between(*quat_from_matrix(self.rotation[[a, b]]))
+            out.position_m[a + 1 : b] = self.position_m[a] + share[:, None] * (self.position_m[b] - self.position_m[a])
+            out.rotation[a + 1 : b] = matrix_from_quat(quat_from_rotvec(share[:, None] * turn)) @ self.rotation[a]
+            out.motion[a + 1 : b], out.known[a + 1 : b] = self.motion[a], True
+        return out
+
     def take(self, rows: NDArray[np.int64], other: Seen, others: NDArray[np.int64] | None = None) -> None:
         """Take some rows over, from the same rows of another or from `others`."""
-        for name in ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean"):
+        for name in self._COLUMNS:
             getattr(self, name)[rows] = getattr(other, name)[rows if others is None else others]
 
 
@@ -103,6 +138,7 @@ class Chase:
         self.misses = 0
         self.next_frame = 0
         self.backwards = False
+        self._leaps_from, self._surprises = 0, 0
         self._desk: Desk = new_desk(view.shape, view.eyes)
 
     @staticmethod
@@ -124,6 +160,51 @@ class Chase:
         back.backwards = True
         return back
 
+    def to_the_end(self, reel: Reel, seen: Seen, reached: Callable[[int], None], *, all_frames: bool) -> None:
+        """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
+        and the motion is sure: of a film far faster than the die is. Where it bounces, all are looked at."""
+        seen.every = 1 if all_frames else longest_leap(len(reel))
+        while self.next_frame < len(reel):
+            for first, frames in reel.blocks(self.next_frame):
+                self.over(frames, reel.times_s, first, seen)
+                reached(self.next_frame)
+                if self._leap(reel.times_s, seen) > 1:
+                    break
+            while (leap := self._leap(reel.times_s, seen)) > 1:
+                self._leap_over(reel, seen, leap)
+                reached(self.next_frame)
+
+    def _leap(self, times_s: Array, seen: Seen) -> int:
+        """From how many frames to look at one next: a power of two, so that multiples of a longer leap are some of a shorter. No
+        more than the fastest flight so far allows: a die that rests at last must not seem filmed as fast as that."""
+        k = self.next_frame
+        if seen.every == 1 or self.misses > 0 or self.clock[2] < SETTLED or not self._leaps_from <= k < len(times_s):
+            return 1
+        frame_s, reach_m, camera = float(times_s[k] - times_s[k - 1]), self.view.reach_m, self.view.camera
+        speed, spin = (float(np.linalg.norm(rate)) for rate in (self.motion[3:6], self.motion[6:9]))
+        moved = max(speed * frame_s / (SMALL_MOVE_REACH * reach_m), spin * frame_s / SMALL_TURN_RAD, 1e-9)
+        seen.every = _power_of_two(min(seen.every, 1.0 / moved))
+        blind_m, blind_rad = (float(np.sqrt(np.diag(self.P)[rows].max())) for rows in (slice(6, 9), slice(9, 12)))
+        scale_px_per_m = camera.matrix[0, 0] / float(np.linalg.norm(self.motion[:3] - camera.centre_m))
+        unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
+        return _power_of_two(min(seen.every, SURE_PX / unsure_px))
+
+    def _leap_over(self, reel: Reel, seen: Seen, leap: int) -> None:
+        """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
+        rows = np.arange(-(-self.next_frame // leap) * leap, len(reel), leap)[:LEAPS]
+        rows = rows[~self.unused[rows]]
+        done = 0
+        if len(rows):
+            frames = np.stack([reel.frame(int(k)) for k in rows])
+            done = self._in_flight(frames, rows, reel.times_s, seen, SURPRISING)
+        if done:
+            self.next_frame, self._surprises = int(rows[done - 1]) + 1, 0
+        if done < len(rows) or not len(rows):
+            # What moves as no flight does, a die that rolls or rests, surprises again and again.
+            last = int(rows[done]) if len(rows) else self.next_frame
+            self._leaps_from = last + (SETTLED << self._surprises)
+            self._surprises += 1
+
     def over(self, frames: Frames, times_s: Array, first: int, seen: Seen) -> None:
         """Follow the die over frames (n, cameras, height, width), of which the first is frame `first` of the clip, and
         write what is seen; backwards from the last frame where the chase runs backwards."""
@@ -134,7 +215,11 @@ class Chase:
             order = order[first + order >= self.next_frame]
         done = 0
         while done < len(order):
-            done += self._in_flight(frames, times_s, first, order[done:], seen)
+            left = order[done:]
+            # Contiguous either way, so that there is one compiled chase and not two; frames one after the other need no copy.
+            in_a_row = left[-1] - left[0] == len(left) - 1
+            some = np.ascontiguousarray(frames[left[0] : left[-1] + 1] if in_a_row else frames[left])
+            done += self._in_flight(some, first + left, times_s, seen)
             if done == len(order):
                 break
             k = int(order[done])
@@ -146,21 +231,21 @@ class Chase:
                 return
         self.next_frame = first + len(frames)
 
-    def _in_flight(self, frames: Frames, times_s: Array, first: int, order: NDArray[np.int64], seen: Seen) -> int:
-        """As many frames as the compiled chase can follow; how many."""
+    def _in_flight(
+        self, frames: Frames, rows: NDArray[np.int64], times_s: Array, seen: Seen, surprising: float = np.inf
+    ) -> int:
+        """As many frames, some rows of the clip, as the compiled chase can follow; how many."""
         if self.misses > 0:
             return 0
-        n = len(order)
+        n = len(rows)
         position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
         stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
-        # Contiguous either way, so that there is one compiled chase and not two; frames one after the other need no copy.
-        in_a_row = n > 0 and order[-1] - order[0] == n - 1
-        ordered = np.ascontiguousarray(frames[order[0] : order[-1] + 1] if in_a_row else frames[order])
         done = chase(
-            ordered, times_s[first + order], self.view.backgrounds, self._screen, self.view.eyes, self.view.shape,
-            self.view.chase_lens, self.motion, self.rotation, self.P, self.clock, position, rotation, H, stats, motion, cost,
+            frames, times_s[rows], self.view.backgrounds, self._screen, self.view.eyes, self.view.shape,
+            self.view.chase_lens, self.motion, self.rotation, self.P, self.clock, surprising, position, rotation, H, stats,
+            motion, cost,
         )  # fmt: skip
-        rows = first + order[:done]
+        rows = rows[:done]
         seen.known[rows] = True
         seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = position[:done], rotation[:done], motion[:done]
         seen.H[rows], seen.stats[rows], seen.cost[rows] = H[:done], stats[:done], cost[:done]
@@ -293,6 +378,16 @@ _TURNS = np.vstack(
         np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0),
     ]
 )
+
+
+def longest_leap(frames: int) -> int:
+    """From how many frames of a clip of so many one is plenty."""
+    return _power_of_two(frames / PLENTY)
+
+
+def _power_of_two(most: float) -> int:
+    """The largest one that is no larger; 1 at the least."""
+    return 1 << max(int(most).bit_length() - 1, 0)
 
 
 def _state(time_s: float, motion: Array, rotation: Array) -> State:

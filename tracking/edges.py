@@ -1658,10 +1658,11 @@ def _write(
 @compiled(nogil=True)
 def chase(
     frames: Any, times: Any, backgrounds: Any, screen: Screen, eyes: Eyes, shape: Shape, lens: Lens, x: Any, R: Any,
-    P: Any, clock: Any, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
+    P: Any, clock: Any, surprising: float, positions: Any, rotations: Any, H: Any, stats: Any, motions: Any, costs: Any,
 ) -> int:  # fmt: skip
     """Follow a die in flight over frames (n, cameras, height, width) at `times` (n,), as long as picture and motion tell
-    the same story. Returns how many frames it did; the rows of the outputs are filled that far.
+    the same story. Returns how many frames it did; the rows of the outputs are filled that far. A pose that lies
+    `surprising` squared sigmas from where the motion led belongs to another story in any case.
 
     x (9,), R (3, 3), P (12, 12) are the motion at clock[0] [s], and are carried along with it; clock[1] is the usual cost
     of a pose, clock[2] how many poses of this flight have been seen. What turns out to stand before the die is put in
@@ -1696,8 +1697,12 @@ def chase(
         # Where the pose is where the motion leads, a dearer picture only means that the light has changed; and what the
         # pixels leave open, as the distance of a face seen alone, may be far off.
         allowed = DEARER
-        if not new and seen_enough and turned < far_rad and surprise(ahead, R_ahead, P_ahead, p, Q, h, lens) < NEAR:
-            allowed, far_m = 1e9 if row[4] > 0.6 * row[3] else MUCH_DEARER, 0.28 * reach
+        if not new and seen_enough and turned < far_rad:
+            off = surprise(ahead, R_ahead, P_ahead, p, Q, h, lens)
+            if off > surprising:
+                return k
+            if off < NEAR:
+                allowed, far_m = 1e9 if row[4] > 0.6 * row[3] else MUCH_DEARER, 0.28 * reach
         if not (seen_enough and turned < far_rad and gone < far_m and cost < usual + allowed):
             return k
         for a in range(3):

@@ -28,7 +28,7 @@ from .background import estimate_background
 from .beginning import begin_by_hand, find_beginning
 from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
-from .chase import Seen
+from .chase import PLENTY, SMALL_MOVE_REACH, SMALL_TURN_RAD, Seen
 from .clip import Clip
 from .corners import (
     FRAMES,
@@ -87,10 +87,9 @@ LEAST_IN_VIEW = 0.3
 """Share of the corners that must lie in view for a frame to be refined from its flight."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
-PLENTY = 800
-"""Frames of a throw that place its flights well enough to look for better poses along them."""
-SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
-"""Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
+FASTEST = 0.99
+"""Share of the frames that move less than what counts as the fastest motion: a die that rests through most of its film has
+flown as fast as any."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
@@ -190,7 +189,7 @@ def look_through(
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, reel, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
-    sure = calibrated(track, view.die, view.camera, every=_spared(view, track))
+    sure = calibrated(track, view.die, view.camera, every=spared(view, track))
     return Followed(sure, marks, offsets, view.die, corners)
 
 
@@ -250,9 +249,7 @@ def _first_pass(
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back(seen, first_known)
-    for first, frames in reel.blocks(chase.next_frame):
-        chase.over(frames, reel.times_s, first, seen)
-        report.at_least(first + len(frames))
+    chase.to_the_end(reel, seen, report.at_least, all_frames=not view.quality.second_pass)
     for first, frames in reel.blocks_backwards(first_known):
         back.over(frames, reel.times_s, first, seen)
         if back.misses > 3:
@@ -279,19 +276,23 @@ def _first_pass_rounded(
     corners = _corners_at_sight(first, reel, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, seen, corners if rounding is Rounding.ESTIMATED else None
-    radius_m = corners.radius_m
+    radius_m, tried = corners.radius_m, []
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
         try:
             first, seen = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
+        tried.append((radius_m, first, seen))
         whole = shares_in_view(first, seen.position_m, seen.rotation) == 1.0
-        found, _ = _corners_in_flight(first, reel, _as_track(first, reel, seen, whole), corners)
+        found, _ = _corners_in_flight(first, reel, _as_track(first, reel, seen, whole & seen.even), corners)
         before, borne_out, corners = radius_m, found is not corners, found
         radius_m = corners.radius_m if borne_out else LESS * radius_m
         if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
             break
+    if tried:
+        # Poses of a smaller radius than is told in the end lie farther away than it says.
+        _, first, seen = min(tried, key=lambda each: abs(each[0] - corners.radius_m))
     return rounded(first, corners.radius_m), seen, corners
 
 
@@ -337,24 +338,27 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
-    track = _as_track(view, reel, seen, whole)
+    track = _as_track(view, reel, seen, whole & seen.even)
     try:
-        return measure_throw(track, view.die, view.camera, every=_spared(view, track))
+        return measure_throw(track, view.die, view.camera, every=spared(view, track))
     except NoFlightError:
         return None
 
 
-def _spared(view: View, track: Track) -> int:
+def spared(view: View, track: Track) -> int:
     """Of how many frames one will do for flights that only lead to better ones: 1 but on a film that shows more than PLENTY of
     a motion so slow, for its rate, that frames left out hide nothing."""
     known = np.flatnonzero(track.tracked)
     if len(known) < 2 * PLENTY:
         return 1
-    p, q = track.position_m[known], track.quaternion[known]
+    # Over so many frames what single poses err no longer seems a motion.
+    apart = len(known) // PLENTY
+    some = known[::apart]
+    p, q = track.position_m[some], track.quaternion[some]
     moves = np.linalg.norm(np.diff(p, axis=0), axis=1) / (SMALL_MOVE_REACH * view.reach_m)
     turns = np.linalg.norm(rotation_between(q[:-1], q[1:]), axis=1) / SMALL_TURN_RAD
-    usual = float(np.median(np.maximum(moves, turns)))
-    return int(max(1.0, min(1.0 / max(usual, 1e-9), len(known) // PLENTY)))
+    fastest = float(np.quantile(np.maximum(moves, turns) * np.median(np.diff(some)) / np.diff(some), FASTEST))
+    return int(max(1.0, apart * min(1.0 / max(fastest, 1e-9), 1.0)))
 
 
 def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
@@ -400,6 +404,7 @@ def _second_pass(
     view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter, offsets: Offsets
 ) -> Seen:
     """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
+    first = first.filled()
     wanted, tries = first, [_Settling(view, first, first.known, offsets, np.zeros(len(reel), bool))]
     if throw is not None:
         wanted = _motions(throw, reel.times_s)
@@ -532,7 +537,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        every = _spared(view, track)
+        every = spared(view, track)
         found = measure(track, view.die, view.camera, every=every)
     except NoFlightError:
         return seen, None, None
@@ -544,12 +549,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
     if marks is None or len(reel.clips) > 1:
         return seen, marks, None
-    both = [
-        pair
-        for pair, shared in zip(zip(throw.flights, marks.flights, strict=True), marks.shared, strict=True)
-        if np.isfinite(shared).all()
-    ]
-    if _contradiction(both) > CONTRADICTED or _gain(both, every) < WORTHWHILE:
+    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared])
+    both = [(throw.flights[k], marks.flights[k]) for k in learned]
+    if _contradiction(both) > CONTRADICTED or _gain(both, [found.own.flights[k] for k in learned], every) < WORTHWHILE:
         return seen, marks, None
     # Where no edges were seen there is no frame to refine.
     known = np.flatnonzero(edges.tracked)
@@ -597,16 +599,20 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
     return float(np.median(squared)) if squared else 0.0
 
 
-def _gain(both: Sequence[tuple[Flight, Flight]], every: int) -> float:
+def _gain(both: Sequence[tuple[Flight, Flight]], own: Sequence[Flight], every: int) -> float:
     """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
-    the determinants of the covariances, those of the edges as if from all frames, of which one in `every` was used."""
+    the determinants of the covariances. Those of the edges count as if from all frames, of which one in `every` was used, but
+    for what all frames err alike and their `own` covariances leave out."""
     gains = []
-    for ours, theirs in both:
-        if ours.covariance is not None and theirs.covariance is not None and np.isfinite(ours.end_s):
+    for (ours, theirs), alone in zip(both, own, strict=True):
+        if ours.covariance is None or alone.covariance is None or theirs.covariance is None:
+            continue
+        if np.isfinite(ours.end_s):
             t = 0.5 * (ours.start.time_s + ours.end_s)
             M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
-            edges, marks = M @ ours.covariance @ M.T, N @ theirs.covariance @ N.T
-            gains.append(float(np.linalg.slogdet(edges / every)[1] - np.linalg.slogdet(marks)[1]))
+            shared = ours.covariance - alone.covariance
+            edges, marks = M @ (alone.covariance / every + shared) @ M.T, N @ theirs.covariance @ N.T
+            gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))
     return float(np.median(gains)) if gains else -np.inf
 
 

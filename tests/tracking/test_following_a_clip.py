@@ -18,10 +18,12 @@ from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.simulate import Until, throw_die
 from diethrow.tracking.background import estimate_background
+from diethrow.tracking.beginning import find_beginning
 from diethrow.tracking.bounces import measure_throw
-from diethrow.tracking.chase import Chase, Seen
-from diethrow.tracking.follow import NoDieError, follow
-from diethrow.tracking.pose import refine_pose, share_in_view
+from diethrow.tracking.chase import Chase, Seen, longest_leap
+from diethrow.tracking.follow import NoDieError, follow, spared
+from diethrow.tracking.pose import make_view, refine_pose, share_in_view
+from diethrow.tracking.reel import Reel
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
@@ -90,6 +92,65 @@ def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
     # and the rounding to whole grey levels are not in the model. Below it: what all frames of a clip could err alike is
     # part of every covariance, and this clip's contour is where the model has it.
     assert 1.5 < np.median(nees) < 9.0
+
+
+TIMES_FASTER = 6
+"""Of a film that shows a throw on six frames for every usual one."""
+
+
+@pytest.fixture
+def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if so few frames were as many as thousands: they take long to draw."""
+    monkeypatch.setattr("diethrow.tracking.chase.PLENTY", FRAMES)
+
+
+@pytest.mark.usefixtures("few_are_plenty")
+def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_where_it_bounces() -> None:
+    """The chase leaves frames out in flight and none after a bounce until it knows the new flight; the refinement then has a
+    pose for every frame, as right as on a usual film."""
+    count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
+    clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
+    reel, view = Reel([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
+    beginning = find_beginning(view, reel, np.zeros(count, bool))
+    assert beginning is not None
+    chase, seen = beginning
+    chase.to_the_end(reel, seen, lambda frame: None, all_frames=False)
+    (bounce,) = throw.bounces
+    struck = int(np.ceil(bounce.time_s * fps))
+    assert seen.every > 1
+    assert seen.known[struck + 4 : struck + 20].all()
+    assert seen.known.mean() < 0.7
+    rows = np.flatnonzero(seen.known)
+    assert (np.diff(rows) <= longest_leap(count)).all()
+    filled = seen.filled()
+    assert filled.known[rows[0] : rows[-1] + 1].all()
+    off_m = np.linalg.norm(
+        filled.position_m[rows[0] : rows[-1]] - throw.poses(clip.times_s[rows[0] : rows[-1]])[0], axis=1
+    )
+    # Half of the way is where a line meets the arc: the bounce alone bends it. Depth is known to some tenths of a millimetre.
+    assert np.quantile(off_m, 0.95) < 1e-3
+
+    track = follow(clip, ROOM.camera, CUBE, background=table)
+    assert (track.status == TRACKED).all()
+    turned = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
+    assert np.median(turned) < 0.08
+    assert np.quantile(turned, 0.95) < 0.3
+    (found,) = measure_throw(track, CUBE, ROOM.camera).impacts
+    assert abs(found.time_s - bounce.time_s) < 0.02 / FPS
+
+
+def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() -> None:
+    """No frame of a flight at usual speed is spared because of a long rest behind it, those of slow motion are."""
+    usual, view = Flight(falling_cube().flights[0].start, np.inf), ROOM.view(CUBE)
+    times, slow = np.arange(FRAMES + 4000) / FPS, np.arange(4000) / (40.0 * FPS)
+    assert spared(view, tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS)))) == 1
+    assert spared(view, tracked(slow, *usual.poses(slow))) > 3
+
+
+def tracked(times_s: Array, position_m: Array, quaternion: Array) -> Track:
+    count = len(times_s)
+    covariance = np.tile(1e-9 * np.eye(6), (count, 1, 1))
+    return Track(np.arange(count), times_s, position_m, quaternion, covariance, np.full(count, TRACKED))
 
 
 def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
