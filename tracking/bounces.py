@@ -8,6 +8,7 @@ vertices and the restitution that it shows; what cannot be told apart is an unre
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ Array = NDArray[np.float64]
 
 LITTLE_SLACK = 0.1
 """Of the usual slack, where the scatter of the frames is measured: what keeps a frame that states no error in bounds."""
+BORNE_OUT = 0.5
+"""Share of its frames that a flight must go through."""
 SAMPLES, SEED = 2000, 20120404
 """Draws behind the interval of a restitution."""
 
@@ -57,9 +60,12 @@ class Measured:
 
     @property
     def alone(self) -> NDArray[np.bool_]:
-        """(track rows,) the frames at contacts that could not be told apart which lie on neither flight."""
+        """(track rows,) the frames at contacts that could not be told apart which lie on neither flight, and those of flights
+        that they do not bear out."""
         out, sure = np.zeros(len(self.frames), bool), np.flatnonzero(self.joined.weights > 0.0)
         time_s = self.frames.time_s[self.rows]
+        for part, true in zip(_parts(time_s, self.joined), _borne_out(time_s, self.joined), strict=True):
+            out[self.rows[part]] = not true
         for link in self.joined.links:
             at = np.searchsorted(time_s[sure], link.time_s)
             if link.is_open and 0 < at < len(sure):
@@ -109,7 +115,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         ahead = slice(0, flying)
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-        flights, impacts = joined.flights, _impacts(joined, die, spacing_s)
+        flights, impacts = joined.flights, _impacts(joined, _borne_out(seen.time_s[ahead], joined), die, spacing_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
             break
@@ -240,12 +246,27 @@ def _at_rest(
     return (*flights[:-1], replace(flights[-1], end_s=begin), carried), (*impacts, held)
 
 
-def _impacts(joined: Joined, die: Die, spacing_s: float) -> tuple[Impact, ...]:
-    """What each link says about its bounce."""
-    return tuple(_impact(joined, die, k, spacing_s) for k in range(len(joined.links)))
+def _parts(time_s: Array, joined: Joined) -> list[slice]:
+    """The frames at some instants (n,), flight by flight."""
+    edges = [0, *np.searchsorted(time_s, joined.links_s, side="right").tolist(), len(time_s)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
-def _impact(joined: Joined, die: Die, k: int, spacing_s: float) -> Impact:
+def _borne_out(time_s: Array, joined: Joined) -> list[bool]:
+    """Which flights BORNE_OUT of their frames, at instants (n,), lie on. What they miss another contact may be, or a die that
+    rolls: such a flight is where the fit had to put it."""
+    weights = [joined.weights[part] for part in _parts(time_s, joined)]
+    return [not len(own) or bool((own > 0.0).mean() > BORNE_OUT) for own in weights]
+
+
+def _impacts(joined: Joined, borne_out: list[bool], die: Die, spacing_s: float) -> tuple[Impact, ...]:
+    """What each link says about its bounce; nothing where a flight beside it is none."""
+    return tuple(
+        _impact(joined, die, k, spacing_s, told=borne_out[k] and borne_out[k + 1]) for k in range(len(joined.links))
+    )
+
+
+def _impact(joined: Joined, die: Die, k: int, spacing_s: float, *, told: bool) -> Impact:
     """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
     link, before, after = joined.links[k], joined.flights[k], joined.flights[k + 1]
     t = link.time_s
@@ -253,7 +274,7 @@ def _impact(joined: Joined, die: Die, k: int, spacing_s: float) -> Impact:
     touching, arm = _contact(link, die, a)
     v_before, v_after = normal_velocity(a, arm), normal_velocity(b, arm)
     known = joined.sigma_time_s[k] < INSTANT_FRAMES * spacing_s
-    is_resolved = not link.is_open and known and v_before < 0.0 < v_after
+    is_resolved = told and not link.is_open and known and v_before < 0.0 < v_after
     contact = {1: "vertex", 2: "edge"}.get(len(touching), "face") if is_resolved else "unresolved"
     chi, low, high = np.nan, np.nan, np.nan
     if is_resolved:

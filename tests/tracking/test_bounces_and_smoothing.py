@@ -15,7 +15,7 @@ from throws import FPS, random_release, seen, true_throw
 from diethrow.model.motion import Flight, Impact, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.solids import Die, make_die
-from diethrow.tracking.bounces import NoFlightError, measure_throw
+from diethrow.tracking.bounces import NoFlightError, measure, measure_throw
 from diethrow.tracking.flights import moved
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
@@ -98,6 +98,24 @@ def test_energies_and_velocities_are_those_of_the_throw() -> None:
         assert found.energy_before_J == pytest.approx(true.energy_before_J, rel=0.03)
         assert found.energy_after_J == pytest.approx(true.energy_after_J, rel=0.03)
         np.testing.assert_allclose(found.point_m, true.point_m, atol=2e-4)
+
+
+@pytest.mark.parametrize("period", [6.0, 9.0])
+def test_a_flight_that_few_of_its_frames_lie_on_is_none(period: float) -> None:
+    """A die that wobbles where it should fly: frames keep their own poses, and the contact before them names no vertex."""
+    throw, rng = lone_bounces(CUBE, 2, 2)
+    track = seen(throw, rng)
+    last = np.flatnonzero(track.tracked)[-12:]
+    assert throw.impacts[1].time_s < track.time_s[last[4]]
+    turns = np.radians(3.0) * np.sin(2.0 * np.pi * np.arange(12) / period)
+    quaternion = track.quaternion.copy()
+    quaternion[last] = quat_multiply(quat_from_rotvec(turns[:, None] * [0.6, 0.0, 0.8]), quaternion[last])
+    track = replace(track, quaternion=quaternion)
+    found = measure(track, CUBE)
+    assert [impact.contact for impact in found.throw.impacts] == ["vertex", "unresolved"]
+    behind = track.time_s > found.throw.impacts[1].time_s
+    smoothed = smooth(found.frames, found.own, found.floor, found.alone)
+    np.testing.assert_array_equal(smoothed.quaternion[behind], found.frames.quaternion[behind])
 
 
 def free_flight(seed: int) -> tuple[Throw, np.random.Generator]:
