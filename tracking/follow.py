@@ -9,7 +9,7 @@ frames: nothing is smoothed here (`smooth`).
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -411,10 +411,14 @@ def _second_pass(
         apart = first.known & _apart(view, wanted, first)
         tries = [_Settling(view, wanted, ~unused, offsets, apart), _Settling(view, first, apart, offsets, apart)]
     with ThreadPoolExecutor(THREADS) as pool:
+        under_way: list[Future[None]] = []
         for start, frames in reel.blocks(boxes=_looked_at(view, tries, len(reel))):
-            for one in tries:
-                one.see(frames, start, pool)
-            report.at_least(len(reel) + start + len(frames))
+            begun = [job for one in tries for job in one.see(frames, start, pool)]
+            _wait_for(under_way)
+            under_way = begun
+            report.at_least(len(reel) + start)
+        _wait_for(under_way)
+    report.at_least(2 * len(reel))
     seen = tries[0].seen(len(reel))
     for one in tries[1:]:
         other = one.seen(len(reel))
@@ -450,16 +454,15 @@ class _Settling:
         self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
         self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
 
-    def see(self, frames: Frames, first: int, pool: ThreadPoolExecutor) -> None:
-        """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`."""
+    def see(self, frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
+        """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`, in the
+        threads of a pool: the jobs that were begun."""
         a, b = (int(k) for k in np.searchsorted(self.rows, (first, first + len(frames))))
         some = frames if b - a == len(frames) else frames[self.rows[a:b] - first]
         judged = self._judged[first : first + len(frames)].any()
         lens = self._view.lens if judged else self._view.lens._replace(samples=0)
         cuts = np.linspace(a, b, THREADS + 1).astype(int).tolist()
-        jobs = [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
-        for job in jobs:
-            job.result()
+        return [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
 
     def _settle(self, frames: Frames, mine: slice, lens: Lens) -> None:
         if not self._offsets.any:
@@ -500,6 +503,13 @@ class _Settling:
         near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
         plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
+
+
+def _wait_for(jobs: list[Future[None]]) -> None:
+    """Until all are done. The jobs of a block are waited for when those of the next are begun: no thread then has nothing to
+    do because another is late."""
+    for job in jobs:
+        job.result()
 
 
 def _apart(view: View, flown: Seen, first: Seen) -> Mask:
@@ -560,11 +570,15 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     boxes = np.zeros((len(reel), 1, 4), np.int64)
     boxes[known, 0] = refining.boxes
     with ThreadPoolExecutor(THREADS) as pool:
+        under_way: list[Future[None]] = []
         for first, frames in reel.blocks(boxes=boxes):
             a, b = np.searchsorted(known, (first, first + len(frames)))
             some = frames if b - a == len(frames) else frames[known[a:b] - first]
-            refining.see(some, slice(int(a), int(b)), pool)
-            report.at_least(2 * len(reel) + first + len(frames))
+            begun = refining.see(some, slice(int(a), int(b)), pool)
+            _wait_for(under_way)
+            under_way = begun
+            report.at_least(2 * len(reel) + first)
+        _wait_for(under_way)
     out, shared, poses = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan), refining.poses()
     out.take(np.arange(len(reel)), seen)
     out.position_m[known], out.rotation[known], shared[known] = poses.position_m, poses.rotation, refining.shared

@@ -38,7 +38,7 @@ Pose increments are (δp, δθ): world position [m], and rotation vector in worl
 from __future__ import annotations
 
 from collections.abc import Iterable
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -204,8 +204,9 @@ class Refining:
         self.shared = shared
         """(n, 6, 6) covariance that each pose shares with all others (`shared_covariances`)."""
 
-    def see(self, frames: NDArray[Any], rows: slice, pool: Executor) -> None:
-        """Refine some of the frames, given as pictures (n, cameras, height, width), in the threads of a pool."""
+    def see(self, frames: NDArray[Any], rows: slice, pool: Executor) -> list[Future[None]]:
+        """Refine some of the frames, given as pictures (n, cameras, height, width), in the threads of a pool: the jobs that were
+        begun, which must be done before `poses` is asked."""
 
         def some(part: slice) -> None:
             mine = slice(rows.start + part.start, rows.start + part.stop)
@@ -216,8 +217,7 @@ class Refining:
             )  # fmt: skip
 
         cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
-        for job in [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts)]:
-            job.result()
+        return [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts) if b > a]
 
     def poses(self) -> FramePoses:
         """Where they are now. Where no marked face was seen, the edges' pose stays, its covariance widened by their systematic

@@ -1035,8 +1035,9 @@ def refine_on_marks(
             continue
         image = np.empty((boxes[k, 3] - y0, boxes[k, 2] - x0), np.float32)
         for i in range(image.shape[0]):
+            here, there = image[i], frames[k, 0, y0 + i, x0:]
             for j in range(image.shape[1]):
-                image[i, j] = frames[k, 0, y0 + i, x0 + j]
+                here[j] = there[j]
         p, Q, vel, omega = positions[k].copy(), rotations[k].copy(), velocities[k], omegas[k]
         other, other_g = others[k], other_gs[k]
         seen = False
