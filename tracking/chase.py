@@ -47,10 +47,10 @@ PLENTY = 800
 """Frames of a throw that place its flights well enough to look for better poses along them."""
 SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
 """Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
-LEAPS, SETTLED, SURE_PX, SURPRISING = 32, 20, 0.3, 30.0
-"""Leaps at a time over frames that may be left out; frames that must have been seen of a flight before, or since a surprise: so
-many the motion remembers; how sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie
-away from there, and of honest ones one in 25 000."""
+SETTLED, SURE_PX, SURPRISING = 20, 0.3, 30.0
+"""Frames that must have been seen of a flight, or since a surprise, before some are left out: so many the motion remembers; how
+sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie away from there, and of honest
+ones one in 25 000."""
 
 
 @dataclass(eq=False)
@@ -104,12 +104,10 @@ class Seen:
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
     def filled(self) -> Seen:
-        """With starts on rows that were left out between two known ones, half of the way from one to the other and so on; how
-        well the pictures bear those out nobody has seen."""
-        out, rows = (
-            replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS}),
-            np.flatnonzero(self.known),
-        )
+        """With starts on rows that were left out between two known ones, on a straight way from one to the other. What the
+        pictures say of those nobody has seen."""
+        out = replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS})
+        rows = np.flatnonzero(self.known)
         gaps = np.diff(rows)
         near = np.flatnonzero((gaps > 1) & (gaps <= longest_leap(len(self.known))))
         for a, b in zip(rows[near].tolist(), rows[near + 1].tolist(), strict=True):
@@ -138,7 +136,7 @@ class Chase:
         self.misses = 0
         self.next_frame = 0
         self.backwards = False
-        self._leaps_from, self._surprises = 0, 0
+        self._longest, self._leaps_from, self._surprises = 1, 0, 0
         self._desk: Desk = new_desk(view.shape, view.eyes)
 
     @staticmethod
@@ -162,36 +160,38 @@ class Chase:
 
     def to_the_end(self, reel: Reel, seen: Seen, reached: Callable[[int], None], *, all_frames: bool) -> None:
         """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
-        and the motion is sure: of a film far faster than the die is. Where it bounces, all are looked at."""
-        seen.every = 1 if all_frames else longest_leap(len(reel))
+        and the motion is sure: of a film far faster than the die is. After a surprise, as a bounce is one, all are looked at."""
+        self._longest = 1 if all_frames else longest_leap(len(reel))
         while self.next_frame < len(reel):
             for first, frames in reel.blocks(self.next_frame):
                 self.over(frames, reel.times_s, first, seen)
                 reached(self.next_frame)
-                if self._leap(reel.times_s, seen) > 1:
+                if self._leap(reel.times_s) > 1:
                     break
-            while (leap := self._leap(reel.times_s, seen)) > 1:
+            while (leap := self._leap(reel.times_s)) > 1:
                 self._leap_over(reel, seen, leap)
+                seen.every = self._longest
                 reached(self.next_frame)
+        seen.every = min(seen.every, self._longest)
 
-    def _leap(self, times_s: Array, seen: Seen) -> int:
+    def _leap(self, times_s: Array) -> int:
         """From how many frames to look at one next: a power of two, so that multiples of a longer leap are some of a shorter. No
         more than the fastest flight so far allows: a die that rests at last must not seem filmed as fast as that."""
         k = self.next_frame
-        if seen.every == 1 or self.misses > 0 or self.clock[2] < SETTLED or not self._leaps_from <= k < len(times_s):
+        if self._longest == 1 or self.misses > 0 or self.clock[2] < SETTLED or not self._leaps_from <= k < len(times_s):
             return 1
         frame_s, reach_m, camera = float(times_s[k] - times_s[k - 1]), self.view.reach_m, self.view.camera
         speed, spin = (float(np.linalg.norm(rate)) for rate in (self.motion[3:6], self.motion[6:9]))
         moved = max(speed * frame_s / (SMALL_MOVE_REACH * reach_m), spin * frame_s / SMALL_TURN_RAD, 1e-9)
-        seen.every = _power_of_two(min(seen.every, 1.0 / moved))
+        self._longest = _power_of_two(min(self._longest, 1.0 / moved))
         blind_m, blind_rad = (float(np.sqrt(np.diag(self.P)[rows].max())) for rows in (slice(6, 9), slice(9, 12)))
         scale_px_per_m = camera.matrix[0, 0] / float(np.linalg.norm(self.motion[:3] - camera.centre_m))
         unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
-        return _power_of_two(min(seen.every, SURE_PX / unsure_px))
+        return _power_of_two(min(self._longest, SURE_PX / unsure_px))
 
     def _leap_over(self, reel: Reel, seen: Seen, leap: int) -> None:
         """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
-        rows = np.arange(-(-self.next_frame // leap) * leap, len(reel), leap)[:LEAPS]
+        rows = np.arange(-(-self.next_frame // leap) * leap, len(reel), leap)[: reel.block]
         rows = rows[~self.unused[rows]]
         done = 0
         if len(rows):

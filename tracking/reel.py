@@ -53,7 +53,8 @@ class Reel:
         self._dtype = np.uint8 if all(c.bit_depth <= 8 for c in clips) else np.uint16
         self._recent: OrderedDict[int, Frames] = OrderedDict()
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
-        self._block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
+        self.block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
+        """Frames that are worked on at once."""
         self._keep = max(4, RECENT_BYTES // frame_bytes)
         self._rooms: list[Frames] = []
         self._taking = threading.Lock()
@@ -74,8 +75,8 @@ class Reel:
         """
         stop = len(self) if stop is None else stop
         if self._whole is not None and self._there[start:stop].all():
-            for first in range(start, stop, self._block):
-                yield first, self._whole[first : min(first + self._block, stop)]
+            for first in range(start, stop, self.block):
+                yield first, self._whole[first : min(first + self.block, stop)]
             return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()
@@ -100,7 +101,7 @@ class Reel:
     def blocks_backwards(self, stop: int) -> Iterator[tuple[int, Frames]]:
         """The frames before `stop` in blocks, the last block first; frames within a block in their own order."""
         while stop > 0:
-            start = max(0, stop - self._block)
+            start = max(0, stop - self.block)
             yield start, np.concatenate([frames for _, frames in self.blocks(start, stop)])
             stop = start
 
@@ -140,7 +141,7 @@ class Reel:
             for room in self._rooms:
                 if sys.getrefcount(room) == _UNHELD:
                     return room
-            room = np.zeros((self._block, *self._shape), self._dtype)
+            room = np.zeros((self.block, *self._shape), self._dtype)
             self._rooms.append(room)
             return room
 
@@ -152,8 +153,8 @@ class Reel:
         try:
             runs = [_Run(clip, start, stop) for clip in self.clips]
             boxes = None if self._whole is not None else boxes  # what is kept is kept whole
-            for first in range(start, stop, self._block):
-                count = min(self._block, stop - first)
+            for first in range(start, stop, self.block):
+                count = min(self.block, stop - first)
                 block = self._room()[:count]
                 for c, run in enumerate(runs):
                     wanted = None if boxes is None else boxes[first : first + count, c]
