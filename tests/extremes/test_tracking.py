@@ -209,13 +209,7 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Tol
                 ),
             ],
         ),
-        pytest.param(
-            4,
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.xfail(strict=False, reason="nor is rounding to 16 grey levels: poses up to 6 sigmas off"),
-            ],
-        ),
+        pytest.param(4, marks=pytest.mark.slow),
     ],
     ids=lambda bits: f"{bits} bit" + "s" * (bits > 1),
 )
@@ -304,18 +298,7 @@ class Live:
 
 @pytest.mark.parametrize(
     "frames",
-    [
-        200,
-        pytest.param(
-            60_000,
-            marks=[
-                pytest.mark.slow,
-                pytest.mark.xfail(
-                    strict=False, reason="a contact is told where the slow errors of so many frames seem a jump"
-                ),
-            ],
-        ),
-    ],
+    [200, pytest.param(60_000, marks=pytest.mark.slow)],
     ids=lambda n: f"{n} frames",
 )
 def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Told) -> None:
