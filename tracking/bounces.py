@@ -22,7 +22,7 @@ from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import INSTANT_FRAMES
-from .rest import Carried, carried_from, low_from, resting_vertices
+from .rest import Carried, carried_from, low_from, on_table, resting_vertices
 from .track import Track
 
 Array = NDArray[np.float64]
@@ -104,8 +104,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         left = np.append(SIZE_LEFT_PX, sigma[1:])
         floor[use] = (lean[use] * left**2) @ np.swapaxes(lean[use], 1, 2)
     if track.shared is not None and np.isfinite(track.shared[use]).any():
-        # Poses that rest on marks do not share the errors of edges but those of the places of the marks.
-        floor[use] = track.shared[use]
+        # Poses that rest on marks do not share the errors of edges but those of the places of the marks. Of a die that the
+        # table carries they rest on edges.
+        by_edges = np.isnan(track.shared[use]).any((1, 2)) & (np.arange(len(use)) >= flying)
+        floor[use[~by_edges]] = track.shared[use[~by_edges]]
     floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
@@ -120,10 +122,12 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         if told == len(impacts):
             break
         flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
-    if flying < len(use):
-        last_s = float(seen.time_s[flying - 1])
-        flights, impacts = _at_rest(flights, impacts, seen.rows(slice(flying, len(use))), last_s, die)
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
+    if flying < len(use):
+        if camera is not None and any(link.strike is not None for link in joined.links):
+            straight = on_table(straight, use[flying:], die, joined.table_m, TABLE_SIGMA_M)
+        carried, last_s = _sightings(straight, use[flying:]), float(seen.time_s[flying - 1])
+        flights, impacts = _at_rest(flights, impacts, carried, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
     return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)

@@ -94,9 +94,9 @@ CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
 """Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
-WORTHWHILE = 8.0
-"""Least gain of the marks, see `_gain`: sigmas half as large on the whole. Where marks promise less, as small numbers on many
-faces do, where they were learned matters more than what they add."""
+WORTHWHILE = 0.0
+"""Least gain of the marks, see `_gain`: with the edges, of which they take the part that is not common to a flight, they must
+be as sure as the flights that the edges show."""
 
 
 class NoDieError(ValueError):
@@ -563,8 +563,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     both = [(throw.flights[k], marks.flights[k]) for k in learned]
     if _contradiction(both) > CONTRADICTED or _gain(both, [found.own.flights[k] for k in learned], every) < WORTHWHILE:
         return seen, marks, None
-    # Where no edges were seen there is no frame to refine.
-    known = np.flatnonzero(edges.tracked)
+    # Frames without edges have nothing to be refined. On those of a die that the table carries edges do as well: marks are known
+    # to where they were learned, on the flights.
+    known = np.flatnonzero(track.tracked)
     adjusted = Throw(marks.flights, throw.impacts)
     refining = Refining(view, marks, _poses_by_edges(view, edges, seen, known), adjusted, edges.time_s[known])
     boxes = np.zeros((len(reel), 1, 4), np.int64)
@@ -579,10 +580,13 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
             under_way = begun
             report.at_least(2 * len(reel) + first)
         _wait_for(under_way)
-    out, shared, poses = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan), refining.poses()
+    out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
-    out.position_m[known], out.rotation[known], shared[known] = poses.position_m, poses.rotation, refining.shared
-    out.lean[known], out.H[known, :6, :6] = poses.contour_lean, poses.information
+    carried = np.flatnonzero(edges.tracked & ~track.tracked)
+    shared[known] = refining.shared
+    for rows, poses in ((known, refining.poses()), (carried, _poses_by_edges(view, edges, seen, carried))):
+        out.position_m[rows], out.rotation[rows] = poses.position_m, poses.rotation
+        out.lean[rows], out.H[rows, :6, :6] = poses.contour_lean, poses.information
     return out, marks, shared
 
 
@@ -614,9 +618,9 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
 
 
 def _gain(both: Sequence[tuple[Flight, Flight]], own: Sequence[Flight], every: int) -> float:
-    """By how much marks are surer than edges of the pose half-way through a flight: median difference of the logarithms of
-    the determinants of the covariances. Those of the edges count as if from all frames, of which one in `every` was used, but
-    for what all frames err alike and their `own` covariances leave out."""
+    """By how much marks, weakly helped by edges, are surer than edges alone of the pose half-way through a flight: median
+    difference of the logarithms of the determinants of the covariances. Those of the edges count as if from all frames, of which
+    one in `every` was used, but for what all frames err alike and their `own` covariances leave out."""
     gains = []
     for (ours, theirs), alone in zip(both, own, strict=True):
         if ours.covariance is None or alone.covariance is None or theirs.covariance is None:

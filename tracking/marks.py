@@ -22,7 +22,8 @@ from the die's size, whatever its edges look like. The appearance of each face i
    distance, comes from the known distance of the faces from the centre about which the die turns, and from gravity.
 4. *Refinement.* A frame's residual is taken on its own pixels, never on resampled ones, so that their noise stays
    independent; the light is eliminated by a Schur complement (variable projection). Marks and edges are added up, the
-   edges with the common error that the adjusted flights have shown them to have.
+   edges with the common error that the adjusted flights have shown them to have, of which the frames of a flight tell
+   together no more than one.
 
 A face seen aslant is blurred more along its short side, which makes a round mark seem longer there than it is; at a blur of
 half a pixel this alone turned dice by 0.2 degrees. Each frame is therefore compared with the texture at the frame's own
@@ -91,6 +92,9 @@ WINDOW_PX = 6.0
 """Margin of a frame's window about the outline."""
 STEPS = 4
 """Gauss-Newton steps of a refinement; from a flight the first one settles it to a hundredth of a pixel."""
+FAR = 30.0
+"""Squared sigmas of six numbers from which the edges of a frame do not show it on its flight: a step of the refinement that
+begins there may lead to other marks."""
 
 
 def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
@@ -182,19 +186,23 @@ class Refining:
 
     def __init__(self, view: View, marks: Marks, edges: FramePoses, throw: Throw, times_s: Array) -> None:
         """The frames at `times_s` (n,) belong to the poses `edges`. The steps begin where `throw`, the adjusted flights with
-        their impacts, leads, or at the edges' pose where that is over or no flight."""
+        their impacts, leads, or at the edges' pose where that is no flight, or where they lie FAR from it."""
         which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
         for k in np.unique(which):
             shared[which == k] = shared_covariances(view, marks, int(k), times_s[which == k])
-        over = times_s > throw.flights[-1].end_s
         velocity, omega = (np.ascontiguousarray(half) for half in np.split(throw.rates(times_s), 2, axis=1))
-        velocity[over], omega[over] = 0.0, 0.0
         position, quaternion = throw.poses(times_s)
-        by_flight = ~over & np.isfinite(shared[:, 0, 0])
+        learned = np.asarray(np.isfinite(shared[:, 0, 0]))
+        turn = matrix_from_quat(quaternion)
+        away = np.concatenate([edges.position_m - position, turn_between(turn, edges.rotation)], axis=1)
+        alone = edge_information(view, marks, edges, np.ones(len(times_s)))
+        by_flight = learned & (np.einsum("ni,nij,nj->n", away, alone, away) < FAR)
+        # What edges get wrong alike in a flight is told once: its frames share that between them.
+        sharing = np.where(learned, np.bincount(which[learned], minlength=len(throw.flights))[which], 1)
+        self._sure = edge_information(view, marks, edges, sharing)
         self._position = np.where(by_flight[:, None], position, edges.position_m)
-        self._rotation = np.where(by_flight[:, None, None], matrix_from_quat(quaternion), edges.rotation)
-        self._sure = edge_information(view, marks, edges)
-        away = np.concatenate([edges.position_m - self._position, turn_between(self._rotation, edges.rotation)], axis=1)
+        self._rotation = np.where(by_flight[:, None, None], turn, edges.rotation)
+        away[~by_flight] = 0.0
         self._pull, self._H = np.einsum("nij,nj->ni", self._sure, away), np.zeros((len(times_s), 6, 6))
         self._rates = velocity, omega
         self._view, self._edges, self._factor = view, edges, marks.factor
@@ -232,9 +240,10 @@ class Refining:
         return FramePoses(position, rotation, information, lean)
 
 
-def edge_information(view: View, marks: Marks, edges: FramePoses) -> Array:
-    """(n, 6, 6) of poses from edges, what they get wrong in common taken into account."""
-    common = contour_covariance(view, edges.position_m, marks.contour_m)
+def edge_information(view: View, marks: Marks, edges: FramePoses, sharing: NDArray[Any]) -> Array:
+    """(n, 6, 6) of poses from edges. What they get wrong in common counts as often as there are frames `sharing` (n,) it, so
+    that all of these together know the pose no better than it lets them."""
+    common = sharing[:, None, None] * contour_covariance(view, edges.position_m, marks.contour_m)
     # (Σ + S)⁻¹ by way of the information, which may be singular where Σ does not exist.
     return np.asarray(edges.information @ np.linalg.inv(np.eye(6) + common @ edges.information))
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
@@ -34,6 +35,8 @@ LINK_M, LINK_RAD = 1e-5, 5e-4
 """How well flights meet at a bounce: a contact lasts some 0.05 ms, in which a die leaves the corner between its two motions by a
 quarter of that time its speed."""
 PRIOR_INSTANT_S = 2e-3
+CONTOUR_SHARES = (1e-4, 0.3)
+"""Between which the common error of edges is looked for, over the die's edge."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 
@@ -70,9 +73,9 @@ def adjusted(
     A = np.diag(_priors(view, len(used), len(place_of), len(links)))
     y = np.zeros(len(A))
     for look, (H, g, place, _), M, away in zip(looks, equations, poses.by_start, edges, strict=True):
-        # What edges get wrong they get wrong alike on all frames of a flight: together they count as one.
-        common = look.edge_covariance + contour_covariance(view, look.edge_position_m, marks.contour_m)
-        E = np.linalg.inv(common) / in_flight[look.flight]
+        # So that what the edges get wrong alike does not shrink with the number of looks.
+        contour_m = marks.contour_m * np.sqrt(in_flight[look.flight])
+        E = np.linalg.inv(look.edge_covariance + contour_covariance(view, look.edge_position_m, contour_m))
         c = slice(column[look.flight], column[look.flight] + 12)
         A[c, c] += M.T @ (H / factor + E) @ M
         y[c] += M.T @ (g / factor + E @ away)
@@ -159,12 +162,21 @@ def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array
 
 
 def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
-    """The length [m] that makes the edges' distance from the flights what `contour_covariance` expects."""
-    squared = []
-    for look, away in zip(looks, _edges_minus_flights(looks, poses_of(looks, marks.flights)), strict=True):
-        unit = contour_covariance(view, look.edge_position_m, 1.0)
-        squared.append(float(away @ np.linalg.solve(unit, away)))
-    return float(np.sqrt(np.median(squared) / CHI2_MEDIAN))
+    """The length [m] that makes the edges' distance from the flights what their own covariances and `contour_covariance`
+    together expect."""
+    away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
+    own = np.array([look.edge_covariance for look in looks])
+    unit = contour_covariance(view, np.array([look.edge_position_m for look in looks]), 1.0)
+
+    def beyond(log_length: float) -> float:
+        spread = own + np.exp(2.0 * log_length) * unit
+        squared = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away[..., None])[..., 0])
+        return float(np.median(squared)) - CHI2_MEDIAN
+
+    least, most = np.log(np.array(CONTOUR_SHARES) * view.die.solid.edge_m)
+    if beyond(least) <= 0.0:
+        return float(np.exp(least))
+    return float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01)))
 
 
 def _equations(

@@ -89,8 +89,8 @@ class Marks:
     factor: float
     """Scatter of the marks' poses about the flights over what pixel noise says, as a variance; at least 1."""
     contour_m: float
-    """By how much the edges seem to lie elsewhere than the model of an edge expects, as one length: their poses have a common
-    error of this size over the die's (see `edge_covariance`)."""
+    """By how much the edges lie elsewhere than the model of an edge expects, beyond what each frame errs for itself, as one
+    length: their poses have a common error of this size over the die's (see `marks_adjustment.contour_covariance`)."""
     flights: tuple[Flight, ...]
     """The adjusted flights, with covariance: uncertain places of the textures included."""
     shared: tuple[Array, ...]

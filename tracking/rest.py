@@ -22,7 +22,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
 
 from ..model.motion import GRAVITY_M_S2, Flight, State, Throw
-from ..model.rotations import continuous_sign, matrix_from_quat, rotation_between
+from ..model.rotations import (
+    continuous_sign,
+    matrix_from_quat,
+    quat_from_rotvec,
+    quat_multiply,
+    rotation_between,
+)
 from ..model.solids import Die, inner_vertices
 from .flights import Sightings
 from .parting import TABLE_REACH
@@ -37,6 +43,8 @@ LEFT = 3
 LEVEL_SHARE = 0.01
 """How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
 part of coming to rest."""
+ON_TABLE_SHARE = 0.0025
+"""One sigma of where it is while the table carries the die, which hops by a part of that now and then."""
 LOW_SHARE = 0.15
 """The same where the frames tell a flight from a die that is carried: hops of two millimetres last for 40 ms, and edges alone
 err by as much in the distance."""
@@ -201,6 +209,28 @@ def _is_carried(seen: Sightings, rows: slice) -> bool:
     scatter = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
     sigma = float(np.sqrt(scatter * inverse[2, 2]))
     return bool(values[2] > -CARRIED * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > 3.0 * sigma)
+
+
+def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, table_sigma_m: float) -> Track:
+    """The track with the poses of its frames `rows`, over which the table carries the die, corrected by what that says: the
+    lowest point is on the table, whose height is `table_m`, known to `table_sigma_m`. What is so known of the height one
+    camera hardly sees, as distance."""
+    p, q, C = track.position_m[rows], track.quaternion[rows], track.covariance[rows]
+    corners = matrix_from_quat(q) @ inner_vertices(die.solid, die.corner_radius_m).T
+    low = np.argmin(corners[:, 2], axis=1)
+    x, y, z = np.moveaxis(np.take_along_axis(corners, low[:, None, None], axis=2)[..., 0], 1, 0)
+    height = p[:, 2] + z - die.corner_radius_m - table_m
+    # ẑ·(δp + δθ × r)
+    row = np.stack([np.zeros_like(x), np.zeros_like(x), np.ones_like(x), y, -x, np.zeros_like(x)], axis=1)
+    told = np.einsum("nij,nj->ni", C, row)
+    sigma_m = np.hypot(ON_TABLE_SHARE * die.solid.edge_m, table_sigma_m)
+    share = told / ((row * told).sum(1) + sigma_m**2)[:, None]
+    change = -share * height[:, None]
+    position, quaternion, covariance = track.position_m.copy(), track.quaternion.copy(), track.covariance.copy()
+    position[rows] += change[:, :3]
+    quaternion[rows] = quat_multiply(quat_from_rotvec(change[:, 3:]), q)
+    covariance[rows] = C - share[:, :, None] * told[:, None, :]
+    return replace(track, position_m=position, quaternion=quaternion, covariance=covariance)
 
 
 def flown(throw: Throw) -> Throw:

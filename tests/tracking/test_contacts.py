@@ -19,7 +19,7 @@ from diethrow.tracking.bounces import measure, measure_throw
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
 from diethrow.tracking.joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, strike_cost
 from diethrow.tracking.links import Rules, settle
-from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight
+from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
 
@@ -213,6 +213,29 @@ def test_frames_at_rest_keep_their_own_poses_and_are_left_out_of_fits() -> None:
     p, q = found.poses(track.time_s[still])
     np.testing.assert_allclose(p, track.position_m[still], atol=1e-12)
     np.testing.assert_allclose(rotation_between(q, track.quaternion[still]), 0.0, atol=1e-9)
+
+
+def test_the_table_tells_how_far_away_a_die_is_that_it_carries() -> None:
+    throw, track = to_rest(ROUND, SmoothImpact(0.2), 0)
+    rows = np.flatnonzero(track.time_s >= throw.flights[-1].start.time_s)
+    rng, sight = np.random.default_rng(5), np.array([0.0, 0.9, -0.4])
+    sight /= np.linalg.norm(sight)
+    far_m = 6e-4 * rng.standard_normal(len(track))
+    covariance = track.covariance.copy()
+    covariance[:, :3, :3] += 6e-4**2 * np.outer(sight, sight)
+    unsure = replace(track, position_m=track.position_m + far_m[:, None] * sight, covariance=covariance)
+    told = on_table(unsure, rows, ROUND, 0.0, TABLE_SIGMA_M)
+    p, q = throw.poses(track.time_s[rows])
+    off = np.concatenate([told.position_m[rows] - p, rotation_between(q, told.quaternion[rows])], axis=1)
+    squares = np.einsum("ni,nij,nj->n", off, np.linalg.inv(told.covariance[rows]), off)
+    before = (unsure.position_m[rows] - p) @ sight
+    # A height known to 0.05 mm is a distance known to a tenth: the line of sight goes down by 24 degrees.
+    assert np.std(before) > 5e-4
+    assert np.sqrt(np.mean((off[:, :3] @ sight) ** 2)) < 2e-4
+    assert np.median(squares) < 7.5
+    # What is in flight is left as it is.
+    np.testing.assert_array_equal(told.position_m[: rows[0]], unsure.position_m[: rows[0]])
+    np.testing.assert_array_equal(told.covariance[: rows[0]], unsure.covariance[: rows[0]])
 
 
 def test_a_die_that_nearly_rests_flies_from_bounce_to_bounce() -> None:
