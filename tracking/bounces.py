@@ -21,7 +21,7 @@ from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
-from .quick import INSTANT_FRAMES
+from .quick import instant_s
 from .rest import Carried, carried_from, low_from, on_table, resting_vertices
 from .track import Track
 
@@ -111,13 +111,13 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
-    spacing_s = float(np.median(np.diff(seen.time_s)))
+    limit_s = instant_s(seen.time_s)
     low = low_from(seen, die) if flying < len(use) else len(use)
     while True:
         ahead = slice(0, flying)
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-        flights, impacts = joined.flights, _impacts(joined, _borne_out(seen.time_s[ahead], joined), die, spacing_s)
+        flights, impacts = joined.flights, _impacts(joined, _borne_out(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
             break
@@ -263,21 +263,22 @@ def _borne_out(time_s: Array, joined: Joined) -> list[bool]:
     return [not len(own) or bool((own > 0.0).mean() > BORNE_OUT) for own in weights]
 
 
-def _impacts(joined: Joined, borne_out: list[bool], die: Die, spacing_s: float) -> tuple[Impact, ...]:
-    """What each link says about its bounce; nothing where a flight beside it is none."""
+def _impacts(joined: Joined, borne_out: list[bool], die: Die, limit_s: float) -> tuple[Impact, ...]:
+    """What each link says about its bounce; nothing where a flight beside it is none, or its instant is less sure than
+    `limit_s`."""
     return tuple(
-        _impact(joined, die, k, spacing_s, told=borne_out[k] and borne_out[k + 1]) for k in range(len(joined.links))
+        _impact(joined, die, k, limit_s, told=borne_out[k] and borne_out[k + 1]) for k in range(len(joined.links))
     )
 
 
-def _impact(joined: Joined, die: Die, k: int, spacing_s: float, *, told: bool) -> Impact:
+def _impact(joined: Joined, die: Die, k: int, limit_s: float, *, told: bool) -> Impact:
     """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
     link, before, after = joined.links[k], joined.flights[k], joined.flights[k + 1]
     t = link.time_s
     a, b = before.at(t), after.at(t)
     touching, arm = _contact(link, die, a)
     v_before, v_after = normal_velocity(a, arm), normal_velocity(b, arm)
-    known = joined.sigma_time_s[k] < INSTANT_FRAMES * spacing_s
+    known = joined.sigma_time_s[k] < limit_s
     is_resolved = told and not link.is_open and known and v_before < 0.0 < v_after
     contact = {1: "vertex", 2: "edge"}.get(len(touching), "face") if is_resolved else "unresolved"
     chi, low, high = np.nan, np.nan, np.nan

@@ -22,7 +22,7 @@ from ..model.solids import Die, inner_vertices
 from .flights import Scatter, Sightings, fit_flight, misfits, scaled_inverse
 from .joined import Joined, Link, Strike, fit_joined, strike_cost
 from .parting import TABLE_REACH
-from .quick import INSTANT_FRAMES, is_crowded, resolved
+from .quick import instant_s, is_crowded, resolved
 from .scatter import estimate_scatter
 
 Array = NDArray[np.float64]
@@ -169,7 +169,7 @@ def _can_be_bounce(seen: Sightings, joined: Joined, k: int, die: Die) -> bool:
         return False
     if normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low]):
         return True
-    if joined.sigma_time_s[k] > INSTANT_FRAMES * _spacing(seen):
+    if joined.sigma_time_s[k] > instant_s(seen.time_s):
         return False
     return any(
         strike_cost(joined, k, strike, UNKNOWN_TABLE_M) < STRIKE_STRAIN and _may_rebound(joined, k, strike)

@@ -29,6 +29,7 @@ from ..model.simulate import Until, throw_die
 from ..model.solids import Die, symmetry_rotations
 from .flights import Sightings
 from .joined import CUT_SIGMA, Joined, Link, Strike
+from .parting import BRIEFEST_S, WINDOW
 
 Array = NDArray[np.float64]
 Fit = Callable[[Sightings, Sequence[State], Sequence[Link]], Joined]
@@ -52,6 +53,12 @@ INSTANT_FRAMES = 0.4
 """Sigma of an instant, in frames, beyond which it is none."""
 FAR_RAD = 0.35
 """A frame further than this from the model under every labelling is wrong, and keeps its own."""
+
+
+def instant_s(time_s: Array) -> float:
+    """Sigma [s] of an instant beyond which it is none, for frames at some times (n,). On a film so fast that flights are parted
+    by what a given time shows, that counts and not its frames, which may follow each other faster than any instant is known."""
+    return INSTANT_FRAMES * max(float(np.median(np.diff(time_s))), BRIEFEST_S / WINDOW)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,8 +93,7 @@ def resolved(
         return None
     own, best, story, _ = found[0]
     new = slice(before, before + len(story.order))
-    spacing = float(np.median(np.diff(seen.time_s)))
-    unsure = bool((best.sigma_time_s[new] > INSTANT_FRAMES * spacing).any())
+    unsure = bool((best.sigma_time_s[new] > instant_s(seen.time_s)).any())
     # The same story with another impact in it that explains no more is no other one.
     rivals = [other.cost for _, other, told, _ in found[1:] if not _holds(told.order, story.order)]
     # An open link has more freedom than impacts and may cost less; one that is taken for a single impact has less.

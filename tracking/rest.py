@@ -54,6 +54,9 @@ HOPS = 1.5
 """A hop that strays no further than that is over in 2 √(2h/g): what lasts so many times as long is none, nor its end."""
 FEWEST_FALLING = 8
 """Frames that are tried first to tell a fall: good poses do so within 5 ms."""
+MOST_FALLING = 128
+"""Frames that are looked at of those over which a fall is told, or twice as many, spread evenly: more of a film far faster than
+the die is lie so near each other that they err alike, and taken for independent would say more than they know."""
 PASSED_OVER = 2
 """Flights too short to be told do not last for so many times as many frames."""
 LONGEST_FALL_S = 0.1
@@ -161,15 +164,16 @@ def _flown_on(seen: Sightings, first: int, die: Die) -> int | None:
 
 
 def _strays(seen: Sightings, span: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
-    """Of frames, `span` in a row: the first row (w,), the squared sigmas by which they stray from free motion, in how fast
-    they fall and how their spin changes, and those by which they would at the least if the table carried the die.
+    """Of frames, `span` in a row of which MOST_FALLING are enough: the first row (w,), the squared sigmas by which they stray
+    from free motion, in how fast they fall and how their spin changes, and those by which they would at the least if the table
+    carried the die.
 
     Nothing is taken to push the die aside: what is seen across the line of sight then tells how it falls, whatever the
     distance errs.
     """
     begins = np.arange(0, len(seen) - span + 1, max(span // FEWEST_FALLING, 1))
-    rows = begins[:, None] + np.arange(span)
-    middle = rows[:, span // 2, None]
+    rows = begins[:, None] + np.arange(0, span, max(span // MOST_FALLING, 1))
+    middle = rows[:, rows.shape[1] // 2, None]
     tau = seen.time_s[rows] - seen.time_s[middle]
     A = np.zeros((*rows.shape, 6, 16))
     A[..., :6] = np.eye(6)

@@ -36,13 +36,19 @@ Array = NDArray[np.float64]
 
 FEWEST = 10
 """Frames of a flight that say anything of how errors go together."""
+MOST = 1000
+"""Frames of the longest flight that are looked at, or twice as many. What errs alike while an edge moves by part of a pixel does
+so for a thousand frames of a film far faster than the die, and is most of what a mean over a flight errs; but likelihood is all
+about neighbours, and were they so near, about what hardly counts."""
 INLIER = 0.3
 """Weight (of Tukey's biweight) from which a frame counts as one amid the others."""
 PRIOR_FRAMES = 4.0
 """The stated sigmas count for as much as so many frames that scatter as stated."""
-WANDERS = np.append(0.0, np.geomspace(0.05, 50.0, 11))
-MEMORIES = np.geomspace(0.7, 60.0, 10)
-"""The grid; memories in frames."""
+FURTHER = 4
+WANDERS, SMALLER = np.geomspace(0.05, 50.0, 11), 0.05 * 1000.0 ** (np.arange(-FURTHER, 0) / 10.0)
+MEMORIES = np.append(np.geomspace(0.7, 60.0, 10), 60.0 * (60.0 / 0.7) ** (np.arange(1, FURTHER + 1) / 9.0))
+"""The grid, besides no wander; memories in frames. Only where flights tell of the last so many memories are as many smaller
+wanders looked for: over so many frames they count for as much in a mean."""
 NEIGHBOURS = 0.2
 """Share with which each of the five other series counts."""
 
@@ -56,8 +62,9 @@ def estimate_scatter(
     A memory longer than a third of the longest flight cannot be told from the flight, and is not looked for.
     """
     times, series, ends = [], [], [0]
+    every = max(1, max(rows.stop - rows.start for rows in parts) // MOST)
     for rows, state in zip(parts, states, strict=True):
-        inside = np.flatnonzero(weights[rows] > INLIER) + rows.start
+        inside = np.flatnonzero(weights[rows] > INLIER)[::every] + rows.start
         if len(inside) >= FEWEST:
             part = seen.rows(inside)
             leaning = part.whitener @ (part.lean @ shared)[:, :, None]
@@ -68,21 +75,29 @@ def estimate_scatter(
         return Scatter.white()
     spacing = float(np.median(np.concatenate([np.diff(t) for t in times])))
     longest = max(float(t[-1] - t[0]) for t in times) / 3.0
-    memories = MEMORIES[: max(1, int((MEMORIES * spacing < longest).sum()))] * spacing
-    likelihood, variance = np.empty((2, 6, len(memories), len(WANDERS)))
+    frames, wanders = _grid(longest / spacing)
+    memories = frames * spacing
+    likelihood, variance = np.empty((2, 6, len(memories), len(wanders)))
     residuals = np.vstack(series)
-    _fill(np.concatenate(times), residuals, np.array(ends), WANDERS, memories, likelihood, variance)
+    _fill(np.concatenate(times), residuals, np.array(ends), wanders, memories, likelihood, variance)
     pooled = (1.0 - NEIGHBOURS) * likelihood + NEIGHBOURS * likelihood.sum(axis=0)
     odds = np.exp(-0.5 * (pooled - pooled.min(axis=(1, 2), keepdims=True)))
     odds /= odds.sum(axis=(1, 2), keepdims=True)
-    return _mean_scatter(odds, variance, memories, spacing)
+    return _mean_scatter(odds, variance, memories, wanders, spacing)
 
 
-def _mean_scatter(odds: Array, variance: Array, memories_s: Array, spacing: float) -> Scatter:
+def _grid(longest: float) -> tuple[Array, Array]:
+    """Memories below the longest [frames] that can be told, the first in any case, and wanders."""
+    memories = MEMORIES[: max(1, int((longest > MEMORIES).sum()))]
+    smaller = SMALLER[min(FURTHER, len(MEMORIES) - len(memories)) :]
+    return memories, np.concatenate([[0.0], smaller, WANDERS])
+
+
+def _mean_scatter(odds: Array, variance: Array, memories_s: Array, wanders: Array, spacing: float) -> Scatter:
     """The scatter whose white, single and lasting variance are the geometric means over scatters (6, memories, wanders)
     of these odds. Arithmetic means would be those of the few with the longest memory."""
     keep = np.exp(-spacing / memories_s)[:, None]
-    forms = (np.ones_like(WANDERS), 1.0 + WANDERS, 1.0 + WANDERS * (1.0 + keep) / (1.0 - keep))
+    forms = (np.ones_like(wanders), 1.0 + wanders, 1.0 + wanders * (1.0 + keep) / (1.0 - keep))
     white, single, lasting = (np.exp((odds * np.log(variance * form)).sum(axis=(1, 2))) for form in forms)
     wander = single / white - 1.0
     ratio = np.maximum((lasting / white - 1.0) / np.maximum(wander, 1e-12), 1.0 + 1e-6)

@@ -45,9 +45,9 @@ def one_flight(rng: np.random.Generator, frames: int = 120) -> Throw:
     return Throw((Flight(start, frames / FPS),), ())
 
 
-def scattered(rng: np.random.Generator, wander: float, frames: float) -> Track:
+def scattered(rng: np.random.Generator, wander: float, frames: float, flight_frames: int = 120) -> Track:
     """A flight whose errors are white as stated, plus a slow part of `wander` times that variance."""
-    throw = one_flight(rng)
+    throw = one_flight(rng, flight_frames)
     track = seen(throw, rng)
     slow = blurred_in_time(track, throw, rng, frames)
     p, q = throw.poses(track.time_s)
@@ -85,6 +85,17 @@ def test_slow_errors_are_told_from_white_ones() -> None:
     # to a factor of two.
     assert np.mean(sizes) == pytest.approx(4.0, rel=0.3)
     assert 18.0 < np.median(ratios) < 74.0
+
+
+def test_slow_errors_of_a_film_far_faster_than_the_die_are_found_though_they_are_slight() -> None:
+    ratios, sizes = [], []
+    for seed in range(6):
+        found = scatter_of(scattered(np.random.default_rng(seed), 0.05, 500.0, 20_000))
+        sizes.append(found.variance.mean())
+        ratios.append(found.slow_variance(1.0 / FPS).mean())
+    # 1 + 0.05, and 1 + 0.05 · 2 · 500 = 51. A flight of forty memories knows its spectrum near zero to a factor of two.
+    assert np.mean(sizes) == pytest.approx(1.05, rel=0.1)
+    assert 25.0 < np.median(ratios) < 102.0
 
 
 def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
