@@ -18,6 +18,11 @@ contour and c0 (1 - u) + c1 u + γ 4u(1 - u) between two faces: what light from 
 order. The strip is drawn in CELLS pieces of equal turn, each between its own two lines of the image; α, β, γ are held
 near zero by a weak prior, because a strip seen too narrow does not show them.
 
+Where a clip has few grey levels, rounding to steps s wider than its noise errs alike on all pixels of one grey. The two greys
+beside an edge are each off by s/√12, and the pixels between, which take all levels, by nothing in the mean: it is as if these
+were off by e = s/√24 from the others, and the whole edge is shifted by e Σ|I'| / Σ I'², some 0.7 σ s/|c1 b - c0|. Its stretches
+count for as much less as leaves the edge no surer than that.
+
 The blur σ is that of the lens, and on every row also that of the motion: an edge that moves by m pixels across itself
 during the exposure is spread by a box of variance m²/12, and what its path bends within the exposure T shifts its mean
 place by T²/24 of the second derivative of d, which counts where the die turns by some hundredths of a radian. Marks and
@@ -228,6 +233,9 @@ class Lens(NamedTuple):
     """Pixels that judge a pose as a whole; none where nobody asks."""
     band: float
     """[px] least half-width of the band about an edge at the lens blur."""
+    rounding_grey: float
+    """Step between the grey levels of a clip whose noise is too small for it: rounding then errs alike all along an edge. 0 where
+    it does not."""
 
 
 class Desk(NamedTuple):
@@ -472,10 +480,22 @@ def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any,
     return cost, used
 
 
+@_free_sums
+def _shift_alike(n: int, rise: Any, w: Any) -> float:
+    """(Σ w |r|)² / Σ w r², with r the derivatives of grey levels by d: by how much the variance of d is greater where n pixels
+    err alike, and not each for itself."""
+    total, squares = 0.0, 0.0
+    for i in range(n):
+        total += w[i] * abs(rise[i])
+        squares += w[i] * rise[i] * rise[i]
+    return total * total / max(squares, 1e-30)
+
+
 @_free
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    weight: float, full: bool, view: int, near: int, far: int, H: Any, g: Any, stats: Any,
+    weight: float, rounding_grey: float, alike: float, full: bool, view: int, near: int, far: int, H: Any, g: Any,
+    stats: Any,
 ) -> None:  # fmt: skip
     """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
@@ -530,6 +550,8 @@ def _stretch(
         icut = 1.0 / (TUKEY * scale)
     iv = weight / (scale * scale)
     cost, used = _rises(n, K, c, icut, slope, res, rise, w)
+    if rounding_grey > 0.0:
+        iv /= 1.0 + alike * iv * rounding_grey * rounding_grey / 24.0 * _shift_alike(n, rise, w)
     begin, rows = desk.begin, desk.rows
     C[:] = 0.0
     for k in range(m):
@@ -882,8 +904,8 @@ def _step(t: float) -> tuple[float, float]:
 @_free
 def _view_equations(
     view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
-    exposure: float, sigma: float, band: float, stride: int, floor_grey: float, full: bool, desk: Desk, H: Any, g: Any,
-    stats: Any,
+    exposure: float, sigma: float, band: float, stride: int, floor_grey: float, rounding_grey: float, full: bool, desk: Desk,
+    H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add what one view says: H (8, 8, lower half) and g (8,) of pose, contour error and blur (the last only where
     `full`), and `stats`.
@@ -967,7 +989,8 @@ def _view_equations(
                         for j in range(n):
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
-                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view], full, view,
+                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view],
+                    rounding_grey, (last - first + 1) / (stride * m), full, view,
                     f0, f1 if interior else len(desk.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
@@ -1396,7 +1419,7 @@ def look(
             if eyes.weight[view] > 0.0 and sight.size[eyes.camera[view], 0] > 0:
                 _view_equations(
                     view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
-                    lens.floor_grey, lens.full and fine, desk, H, g, stats,
+                    lens.floor_grey, lens.rounding_grey, lens.full and fine, desk, H, g, stats,
                 )  # fmt: skip
         for a in range(COLUMNS):
             for b in range(a):

@@ -64,7 +64,7 @@ from .pose import (
 from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .rest import flown, frames_in_flight
-from .segment import background_noise
+from .segment import background_noise, errs_alike, level_step
 from .track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -205,14 +205,20 @@ def _view_of(
     """The scene as the refinement wants it, with the noise of the still background."""
     given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
     given += [None] * (len(clips) - len(given))
-    pictures, noises = [], []
+    pictures, noises, steps = [], [], []
     for one, camera, picture in zip(clips, cameras, given, strict=True):
         _check_sizes(one, camera, picture)
         picture = np.asarray(estimate_background(one) if picture is None else picture, np.float32)
         chosen = np.unique(np.linspace(0, len(one) - 1, 12).astype(int))
-        noises.append(background_noise([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture))
+        some = [np.asarray(one.frame(int(k)), np.float32) for k in chosen]
+        step = level_step(some)
+        noises.append(background_noise(some, picture, step))
+        steps.append(step if errs_alike(step, noises[-1]) else 0.0)
         pictures.append(picture)
-    return make_view(cameras, die, pictures, max(noises), exposure_s, FIRST_BLUR_PX, mirror=mirror, quality=quality)
+    return make_view(
+        cameras, die, pictures, max(noises), exposure_s, FIRST_BLUR_PX, rounding_grey=max(steps), mirror=mirror,
+        quality=quality,
+    )  # fmt: skip
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | None) -> None:

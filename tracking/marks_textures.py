@@ -330,5 +330,5 @@ def faces_of(view: View, marks: Marks, cut: float) -> Faces:
     return Faces(
         grid.axes, grid.offsets, grid.corners, grid.counts, marks.base, marks.coefficients, marks.marked, marks.noise_grey,
         MARGIN_BLURS * marks.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
-        max(0.5, 0.5 * float(view.noise_grey)), float(cut),
+        float(view.lens.floor_grey), float(cut),
     )  # fmt: skip

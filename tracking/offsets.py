@@ -130,6 +130,7 @@ def _alone(view: View, c: int) -> View:
         view.noise_grey,
         view.exposure_s,
         view.blur_px,
+        rounding_grey=view.rounding_grey,
         mirror=mirror,
         quality=view.quality,
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from numba import config as numba_config
@@ -49,6 +50,8 @@ class View:
     shape: Shape
     eyes: Eyes
     """The cameras, and behind them the cameras as the table mirrors them where it does."""
+    rounding_grey: float = 0.0
+    """Step between the grey levels of the clip where rounding errs alike on pixels of one grey; 0 where it does not."""
 
     @property
     def camera(self) -> Camera:
@@ -74,10 +77,11 @@ class View:
     def lens(self) -> Lens:
         """The numbers that the compiled refinement wants."""
         reach, quality = self.reach_m, self.quality
+        floor_grey = max(0.5, 0.5 * self.noise_grey, self.rounding_grey / sqrt(12.0))
         return Lens(
-            self.exposure_s, self.blur_px, max(0.5, 0.5 * self.noise_grey), self.noise_grey, LOOSE_REACH * reach,
+            self.exposure_s, self.blur_px, floor_grey, self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
-            quality.judging_pixels, quality.band_px,
+            quality.judging_pixels, quality.band_px, self.rounding_grey,
         )  # fmt: skip
 
     @property
@@ -186,16 +190,17 @@ def make_view(
     exposure_s: float | None,
     blur_px: float,
     *,
+    rounding_grey: float = 0.0,
     mirror: bool = False,
     quality: Quality = STANDARD,
 ) -> View:
     """Prepare the geometry that every frame shares. `mirror`: the table reflects the die. The reflection then hides what
-    it hides, and counts as a view of its own after `with_reflections`."""
+    it hides, and counts as a view of its own after `with_reflections`. The other numbers are those of the `View`."""
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
     return View(
         cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), _eyes(cameras, mirror),
+        symmetry_rotations(die.solid), _shape_of(die), _eyes(cameras, mirror), rounding_grey,
     )  # fmt: skip
 
 

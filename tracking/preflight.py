@@ -35,7 +35,7 @@ from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .pose import View, make_view, outline_box, refine_pose
 from .quality import FAST
-from .segment import background_noise, differing, largest_blob, without_shadow
+from .segment import background_noise, differing, largest_blob, level_step, without_shadow
 from .start import die_blobs
 from .track import Track
 
@@ -150,7 +150,7 @@ def preflight(
     empty = estimate_background(clip) if background is None else background
     rows = np.unique(np.linspace(0, len(clip) - 1, min(SAMPLED, len(clip))).astype(int))
     sample = [_grey(clip.frame(int(k))) for k in rows]
-    noise = background_noise(sample, empty)
+    noise = background_noise(sample, empty, level_step(sample))
     backdrop = _backdrop(sample, empty, estimated, clip.bit_depth)
     sight, trouble, notices = None, "", clip.notices
     first = _first_sight(clip, make_view(camera, die, empty, noise, exposure_s, 0.7), start)
@@ -196,7 +196,8 @@ def timing_of(clip: Clip, notices: tuple[str, ...]) -> Timing:
 def _backdrop(sample: list[Image], background: Image, estimated: bool, bit_depth: int) -> Backdrop:
     offsets = [float(np.median(image - background)) for image in sample]
     # Other light than the background's is no noise: a tracker takes it for some, and sees less.
-    noise = background_noise([image - off for image, off in zip(sample, offsets, strict=True)], background)
+    still = [image - off for image, off in zip(sample, offsets, strict=True)]
+    noise = background_noise(still, background, level_step(sample))
     brightest = max(float(np.percentile(image[::2, ::2], 99.9)) for image in sample)
     worst = max(offsets, key=abs)
     return Backdrop(estimated, noise, worst, _always_off(sample, background, noise), brightest / (2**bit_depth - 1))

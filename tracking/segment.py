@@ -13,6 +13,10 @@ Mask = NDArray[np.bool_]
 NEAR_BORDER_PX = 3
 """A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed away."""
 
+DITHERED = 0.5
+"""Noise, in steps between grey levels, with which rounding errs for each pixel by itself: in the mean it is off by no more than
+exp(-2π²/4)/π of a step then, a four hundredth."""
+
 RIM_PX, THIN_PX = 6, 11
 """How far beyond a sure shadow its rim reaches: half the window in which its share of light is looked at, and the penumbra; and
 the width below which what is left of a rim, and light thrown on the table by the die, is taken out with it."""
@@ -30,13 +34,33 @@ class Blob:
     touches_border: bool
 
 
-def background_noise(images: list[NDArray[np.float32]], background: NDArray[np.float32]) -> float:
+def level_step(images: list[NDArray[np.float32]]) -> float:
+    """Step [grey] between levels as some frames (height, width) show them: the smallest gap between two that occur, and 1 where
+    but one does. It is 1 on footage that was not rounded again."""
+    step_grey = np.inf
+    for image in images:
+        gaps = np.diff(np.unique(image[::2, ::2]))
+        step_grey = min(step_grey, float(gaps.min(initial=np.inf)))
+        if step_grey <= 1.0:
+            break
+    return step_grey if np.isfinite(step_grey) else 1.0
+
+
+def errs_alike(step_grey: float, noise_grey: float) -> bool:
+    """Whether rounding to steps so wide errs alike on pixels of one grey. Steps of 1 are left to the least noise that edges are
+    given."""
+    return step_grey > 1.0 and noise_grey < DITHERED * step_grey
+
+
+def background_noise(
+    images: list[NDArray[np.float32]], background: NDArray[np.float32], step_grey: float = 1.0
+) -> float:
     """Standard deviation [grey] of a still pixel about the background: the smallest over the frames of the median
-    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to integers leaves. One
-    pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
+    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to steps of `step_grey` leaves.
+    One pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
     some = slice(None, None, 2)
     spreads = [1.4826 * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
-    return max(min(spreads), 0.3)
+    return max(min(spreads), 0.3 * step_grey)
 
 
 def differing(image: NDArray[np.float32], background: NDArray[np.float32], noise_grey: float) -> Mask:

@@ -197,20 +197,7 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Tol
 
 @pytest.mark.parametrize(
     "bits",
-    [
-        1,
-        pytest.param(
-            2,
-            marks=[
-                pytest.mark.slow,
-                # Not strict: it goes well as soon as the sigmas know of rounding.
-                pytest.mark.xfail(
-                    strict=False, reason="rounding to 64 grey levels is no noise that the sigmas know of"
-                ),
-            ],
-        ),
-        pytest.param(4, marks=pytest.mark.slow),
-    ],
+    some_slow(1, slow=(2, 3, 4)),
     ids=lambda bits: f"{bits} bit" + "s" * (bits > 1),
 )
 def test_few_levels_make_worse_poses_or_none(bits: int, happened: Told) -> None:

@@ -16,7 +16,16 @@ from diethrow.model.motion import State
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.solids import SHAPES, Die
 from diethrow.tracking.pose import labelled_like, make_view
-from diethrow.tracking.segment import Blob, background_noise, differing, largest_blob, without_rims, without_shadow
+from diethrow.tracking.segment import (
+    Blob,
+    background_noise,
+    differing,
+    errs_alike,
+    largest_blob,
+    level_step,
+    without_rims,
+    without_shadow,
+)
 from diethrow.tracking.silhouette import shadowless_scores
 from diethrow.tracking.start import FACTORS, _trials, die_blobs, find_start
 
@@ -166,6 +175,30 @@ def test_the_noise_of_the_still_table_is_measured_past_the_die() -> None:
     # The median of forty thousand pixels has an error of a per cent; a fifth of them, under the die, only raise it.
     assert background_noise(images, ROOM.table) == pytest.approx(2.0, rel=0.25)
     assert background_noise([ROOM.table], ROOM.table) == 0.3
+
+
+def test_the_step_between_grey_levels_is_that_of_the_rounding() -> None:
+    rng = np.random.default_rng(5)
+    images = [np.rint(photograph(ROOM, DICE["cube"], state_at(rng), rng)) for _ in range(2)]
+    assert level_step(images) == 1.0
+    assert level_step([np.floor(image / 16.0) * 16.0 for image in images]) == 16.0
+    # Levels stretched to the full scale lie 36 or 37 apart.
+    assert level_step([np.rint(np.floor(image / 32.0) * 255.0 / 7.0) for image in images]) == 36.0
+    assert level_step([np.zeros((20, 20), np.float32)]) == 1.0
+    table = [np.floor(ROOM.table / 16.0) * 16.0]
+    # Rounding errors are uniform over a step, whose standard deviation is 0.29.
+    assert background_noise(table, table[0], 16.0) == pytest.approx(16.0 / np.sqrt(12.0), rel=0.05)
+
+
+def test_only_rounding_wider_than_the_noise_errs_alike() -> None:
+    assert errs_alike(16.0, 2.0)
+    assert not errs_alike(1.0, 0.3)
+    assert not errs_alike(16.0, 9.0)
+    # Of many pixels of one grey the mean is off by no more than a four hundredth of a step where noise is half as wide.
+    rng = np.random.default_rng(1)
+    greys = np.linspace(0.0, 1.0, 21)
+    means = np.array([np.floor(grey + 0.5 * rng.normal(size=200_000) + 0.5).mean() for grey in greys])
+    assert np.abs(means - greys).max() < 1.0 / 400.0 + 4.0 * np.sqrt(0.25 + 1.0 / 12.0) / np.sqrt(200_000)
 
 
 def test_the_largest_region_is_reported_with_its_place() -> None:
