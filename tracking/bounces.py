@@ -101,8 +101,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
-        left = np.append(SIZE_LEFT_PX, sigma[1:])
-        floor[use] = (lean[use] * left**2) @ np.swapaxes(lean[use], 1, 2)
+        left = np.tile(np.append(SIZE_LEFT_PX, sigma[1:]), (len(use), 1))
+        # How far out the contour of a die seems that the table carries, amid its shadow, flights do not tell.
+        left[flying:, 0] = sigma[0]
+        floor[use] = (lean[use] * left[:, None] ** 2) @ np.swapaxes(lean[use], 1, 2)
     if track.shared is not None and np.isfinite(track.shared[use]).any():
         # Poses that rest on marks do not share the errors of edges but those of the places of the marks. Of a die that the
         # table carries they rest on edges.
