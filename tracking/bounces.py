@@ -8,7 +8,6 @@ vertices and the restitution that it shows; what cannot be told apart is an unre
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +63,7 @@ class Measured:
         that they do not bear out."""
         out, sure = np.zeros(len(self.frames), bool), np.flatnonzero(self.joined.weights > 0.0)
         time_s = self.frames.time_s[self.rows]
-        for part, true in zip(_parts(time_s, self.joined), _borne_out(time_s, self.joined), strict=True):
+        for part, true in zip(self.joined.parts(time_s), _known(time_s, self.joined), strict=True):
             out[self.rows[part]] = not true
         for link in self.joined.links:
             at = np.searchsorted(time_s[sure], link.time_s)
@@ -119,7 +118,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         ahead = slice(0, flying)
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-        flights, impacts = joined.flights, _impacts(joined, _borne_out(seen.time_s[ahead], joined), die, limit_s)
+        flights, impacts = joined.flights, _impacts(joined, _known(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
             break
@@ -252,24 +251,17 @@ def _at_rest(
     return (*flights[:-1], replace(flights[-1], end_s=begin), carried), (*impacts, held)
 
 
-def _parts(time_s: Array, joined: Joined) -> list[slice]:
-    """The frames at some instants (n,), flight by flight."""
-    edges = [0, *np.searchsorted(time_s, joined.links_s, side="right").tolist(), len(time_s)]
-    return [slice(a, b) for a, b in pairwise(edges)]
+def _known(time_s: Array, joined: Joined) -> NDArray[np.bool_]:
+    """(flights,) which flights BORNE_OUT of their frames, at instants (n,), lie on. What they miss another contact may be, or a
+    die that rolls: such a flight is where the fit had to put it."""
+    return ~(joined.borne_out(time_s) <= BORNE_OUT)
 
 
-def _borne_out(time_s: Array, joined: Joined) -> list[bool]:
-    """Which flights BORNE_OUT of their frames, at instants (n,), lie on. What they miss another contact may be, or a die that
-    rolls: such a flight is where the fit had to put it."""
-    weights = [joined.weights[part] for part in _parts(time_s, joined)]
-    return [not len(own) or bool((own > 0.0).mean() > BORNE_OUT) for own in weights]
-
-
-def _impacts(joined: Joined, borne_out: list[bool], die: Die, limit_s: float) -> tuple[Impact, ...]:
+def _impacts(joined: Joined, known: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:
     """What each link says about its bounce; nothing where a flight beside it is none, or its instant is less sure than
     `limit_s`."""
     return tuple(
-        _impact(joined, die, k, limit_s, told=borne_out[k] and borne_out[k + 1]) for k in range(len(joined.links))
+        _impact(joined, die, k, limit_s, told=bool(known[k] and known[k + 1])) for k in range(len(joined.links))
     )
 
 

@@ -141,6 +141,16 @@ class Joined:
         """(N,) instants."""
         return np.array([link.time_s for link in self.links])
 
+    def parts(self, time_s: Array) -> list[slice]:
+        """The fitted frames, which are those at some instants (n,), flight by flight."""
+        edges = [0, *np.searchsorted(time_s, self.links_s, side="right").tolist(), len(time_s)]
+        return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+    def borne_out(self, time_s: Array) -> Array:
+        """(flights,) share of each flight's frames that lie on it; NaN for one without a frame."""
+        weights = [self.weights[part] for part in self.parts(time_s)]
+        return np.array([float((own > 0.0).mean()) if len(own) else np.nan for own in weights])
+
 
 def fit_joined(
     seen: Sightings,

@@ -267,8 +267,7 @@ def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
     """The chain with contacts that nothing tells apart as one, which stays open: two of which one is open and no frame
     between, so that nothing is known of the flight between; and two that a fit has drawn to one instant."""
     while True:
-        edges = np.searchsorted(seen.time_s, joined.links_s, side="right")
-        borne_out = [joined.weights[a:b].any() for a, b in itertools.pairwise(edges)]
+        borne_out = joined.borne_out(seen.time_s)[1:-1] > 0.0
         opened = [a.is_open or b.is_open for a, b in itertools.pairwise(joined.links)]
         alike = np.diff(joined.links_s) < SAME_FRAMES * _spacing(seen)
         k = next((k for k, one in enumerate(alike) if one or (opened[k] and not borne_out[k])), None)
@@ -284,11 +283,12 @@ def _at_first_touches(seen: Sightings, joined: Joined, die: Die, rules: Rules) -
     """The chain with each open link where the first of its contacts must be: the motion before, followed on from its last
     sure frame, comes down to the table. Where it does not before the next flight is sure, the link stays where it is."""
     inner = inner_vertices(die.solid, die.corner_radius_m)
-    edges = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
+    parts = joined.parts(seen.time_s)
     links = list(joined.links)
     for k, link in enumerate(joined.links):
         sure = np.flatnonzero(joined.weights > 0.5)
-        before, behind = sure[(sure >= edges[k]) & (sure < edges[k + 1])], sure[sure >= edges[k + 1]]
+        before = sure[(sure >= parts[k].start) & (sure < parts[k].stop)]
+        behind = sure[sure >= parts[k].stop]
         if not link.is_open or not len(before) or not len(behind):
             continue
         times = np.linspace(float(seen.time_s[before[-1]]), float(seen.time_s[behind[0]]), TOUCH_STEPS)
@@ -342,9 +342,7 @@ def _likely(seen: Sightings, joined: Joined, k: int, low: list[Strike], rules: R
 def _is_borne_out(seen: Sightings, joined: Joined, k: int) -> bool:
     """Whether most frames of the flights on either side of a link lie on them. What a flight that others have spoilt makes
     of a contact says nothing."""
-    cuts = [0, *np.searchsorted(seen.time_s, joined.links_s, side="right").tolist(), len(seen)]
-    sides = [joined.weights[a:b] for a, b in (cuts[k : k + 2], cuts[k + 1 : k + 3])]
-    return all(len(side) > 0 and bool((side > 0.0).mean() > MOST_FRAMES) for side in sides)
+    return bool((joined.borne_out(seen.time_s)[k : k + 2] > MOST_FRAMES).all())
 
 
 def _numbered(joined: Joined) -> list[tuple[int, Link]]:
@@ -371,9 +369,9 @@ def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike]:
 
 def _scatter_of(seen: Sightings, joined: Joined) -> Scatter:
     """The scatter of the frames about the fitted flights."""
-    cuts = [0, *(int(c) for c in np.searchsorted(seen.time_s, joined.links_s, side="right")), len(seen)]
-    parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
-    return estimate_scatter(seen, parts, [flight.start for flight in joined.flights], joined.shared, joined.weights)
+    return estimate_scatter(
+        seen, joined.parts(seen.time_s), [flight.start for flight in joined.flights], joined.shared, joined.weights
+    )
 
 
 def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
