@@ -416,15 +416,11 @@ def _second_pass(
         wanted = _motions(throw, reel.times_s)
         apart = first.known & _apart(view, wanted, first)
         tries = [_Settling(view, wanted, ~unused, offsets, apart), _Settling(view, first, apart, offsets, apart)]
-    with ThreadPoolExecutor(THREADS) as pool:
-        under_way: list[Future[None]] = []
-        for start, frames in reel.blocks(boxes=_looked_at(view, tries, len(reel))):
-            begun = [job for one in tries for job in one.see(frames, start, pool)]
-            _wait_for(under_way)
-            under_way = begun
-            report.at_least(len(reel) + start)
-        _wait_for(under_way)
-    report.at_least(2 * len(reel))
+
+    def begun(frames: Frames, start: int, pool: Executor) -> list[Future[None]]:
+        return [job for one in tries for job in one.see(frames, start, pool)]
+
+    _see_all(reel, _looked_at(view, tries, len(reel)), begun, report, len(reel))
     seen = tries[0].seen(len(reel))
     for one in tries[1:]:
         other = one.seen(len(reel))
@@ -511,11 +507,27 @@ class _Settling:
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
 
 
-def _wait_for(jobs: list[Future[None]]) -> None:
-    """Until all are done. The jobs of a block are waited for when those of the next are begun: no thread then has nothing to
-    do because another is late."""
-    for job in jobs:
-        job.result()
+def _see_all(
+    reel: Reel,
+    boxes: NDArray[np.int64],
+    begun: Callable[[Frames, int, Executor], list[Future[None]]],
+    report: _Reporter,
+    done: int,
+) -> None:
+    """Hand all frames, block by block and cut to `boxes`, to what begins the jobs of a block in a pool; that counts frames from
+    `done` on to its end. The jobs of a block are waited for when those of the next are begun: no thread then has nothing to do
+    because another is late."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        under_way: list[Future[None]] = []
+        for first, frames in reel.blocks(boxes=boxes):
+            jobs = begun(frames, first, pool)
+            for job in under_way:
+                job.result()
+            under_way = jobs
+            report.at_least(done + first)
+        for job in under_way:
+            job.result()
+    report.at_least(done + len(reel))
 
 
 def _apart(view: View, flown: Seen, first: Seen) -> Mask:
@@ -576,16 +588,13 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     refining = Refining(view, marks, _poses_by_edges(view, edges, seen, known), adjusted, edges.time_s[known])
     boxes = np.zeros((len(reel), 1, 4), np.int64)
     boxes[known, 0] = refining.boxes
-    with ThreadPoolExecutor(THREADS) as pool:
-        under_way: list[Future[None]] = []
-        for first, frames in reel.blocks(boxes=boxes):
-            a, b = np.searchsorted(known, (first, first + len(frames)))
-            some = frames if b - a == len(frames) else frames[known[a:b] - first]
-            begun = refining.see(some, slice(int(a), int(b)), pool)
-            _wait_for(under_way)
-            under_way = begun
-            report.at_least(2 * len(reel) + first)
-        _wait_for(under_way)
+
+    def begun(frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
+        a, b = (int(k) for k in np.searchsorted(known, (first, first + len(frames))))
+        some = frames if b - a == len(frames) else frames[known[a:b] - first]
+        return refining.see(some, slice(a, b), pool)
+
+    _see_all(reel, boxes, begun, report, 2 * len(reel))
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
     carried = np.flatnonzero(edges.tracked & ~track.tracked)
