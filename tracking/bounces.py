@@ -44,7 +44,7 @@ class Measured:
 
     throw: Throw
     frames: Track
-    """The single frames with the error that they share taken out."""
+    """The single frames with the error that they share taken out, and those that the table carries put on it."""
     independent: Track
     """The same with covariances as wide as a fit needs that takes the frames for independent of each other: a mean over a
     flight is then as sure as it is. What a model is fitted to."""
