@@ -18,7 +18,7 @@ from .camera import Camera
 from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
-from .links import UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
+from .links import FAR_SIGMAS, UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
 from .parting import FEWEST, part_flights, sane_rows
 from .quick import instant_s
 from .rest import Carried, carried_from, low_from, on_table, resting_vertices
@@ -44,9 +44,11 @@ class Measured:
 
     throw: Throw
     frames: Track
-    """The single frames with the error that they share taken out, and those that the table carries put on it."""
+    """The single frames with the error that they share taken out."""
+    on_table: Track
+    """The same with those that the table carries put on it."""
     independent: Track
-    """The same with covariances as wide as a fit needs that takes the frames for independent of each other: a mean over a
+    """The same again with covariances as wide as a fit needs that takes the frames for independent of each other: a mean over a
     flight is then as sure as it is. What a model is fitted to."""
     joined: Joined
     rows: NDArray[np.int64]
@@ -96,20 +98,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     lean = np.zeros((len(track), 6, 0))
     loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(seen, die)
-    prior, floor = np.zeros(0), np.zeros((len(track), 6, 6))
+    prior = sigma = np.zeros(0)
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
-        left = np.tile(np.append(SIZE_LEFT_PX, sigma[1:]), (len(use), 1))
-        # How far out the contour of a die seems that the table carries, amid its shadow, flights do not tell.
-        left[flying:, 0] = sigma[0]
-        floor[use] = (lean[use] * left[:, None] ** 2) @ np.swapaxes(lean[use], 1, 2)
-    if track.shared is not None and np.isfinite(track.shared[use]).any():
-        # Poses that rest on marks do not share the errors of edges but those of the places of the marks. Of a die that the
-        # table carries they rest on edges.
-        by_edges = np.isnan(track.shared[use]).any((1, 2)) & (np.arange(len(use)) >= flying)
-        floor[use[~by_edges]] = track.shared[use[~by_edges]]
-    floor = _filled(floor, use)
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     limit_s = instant_s(seen.time_s)
@@ -123,15 +115,45 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         if told == len(impacts):
             break
         flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
+    floor = _floor(track, lean, sigma, use, flying)
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
+    settled = straight
     if flying < len(use):
-        if camera is not None and any(link.strike is not None for link in joined.links):
-            straight = on_table(straight, use[flying:], die, joined.table_m, TABLE_SIGMA_M)
-        carried, last_s = _sightings(straight, use[flying:]), float(seen.time_s[flying - 1])
-        flights, impacts = _at_rest(flights, impacts, carried, last_s, die)
+        if camera is not None:
+            carried = track.tracked & (track.time_s >= track.time_s[use[flying]])
+            settled = _on_table(straight, np.flatnonzero(carried), die, joined)
+        poses, last_s = _sightings(settled, use[flying:]), float(seen.time_s[flying - 1])
+        flights, impacts = _at_rest(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
-    return Measured(throw, straight, _independent(straight, throw, joined, floor), joined, use[:flying], floor, own)
+    independent = _independent(settled, throw, joined, floor)
+    return Measured(throw, straight, settled, independent, joined, use[:flying], floor, own)
+
+
+def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:
+    """(track rows, 6, 6) covariance of what poses err alike, of frames that are used, `flying` of them in flight, and the nearest
+    one's of the others: by edges, whose `lean` (track rows, 6, m) has priors `sigma` (m,), or by marks."""
+    floor = np.zeros((len(track), 6, 6))
+    if len(sigma):
+        left = np.tile(np.append(SIZE_LEFT_PX, sigma[1:]), (len(use), 1))
+        # How far out the contour of a die seems that the table carries, amid its shadow, flights do not tell.
+        left[flying:, 0] = sigma[0]
+        floor[use] = (lean[use] * left[:, None] ** 2) @ np.swapaxes(lean[use], 1, 2)
+    if track.shared is not None and np.isfinite(track.shared[use]).any():
+        # Poses that rest on marks do not share the errors of edges but those of the places of the marks. Of a die that the
+        # table carries they rest on edges.
+        by_edges = np.isnan(track.shared[use]).any((1, 2)) & (np.arange(len(use)) >= flying)
+        floor[use[~by_edges]] = track.shared[use[~by_edges]]
+    return _filled(floor, use)
+
+
+def _on_table(track: Track, rows: NDArray[np.int64], die: Die, joined: Joined) -> Track:
+    """The track with the frames `rows` of a die that the table carries put on it, where its height is known: impacts tell it, and
+    it is about where the scene has it."""
+    struck = any(link.strike is not None for link in joined.links)
+    if not struck or abs(joined.table_m) > FAR_SIGMAS * TABLE_SIGMA_M:
+        return track
+    return on_table(track, rows, die, joined.table_m, TABLE_SIGMA_M)
 
 
 def _last_told(impacts: tuple[Impact, ...], low_s: float) -> int:
@@ -168,12 +190,13 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: i
 
 def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Track:
     """The track with slow errors counted as they count in a mean over many frames, and with those that all frames of a
-    flight share multiplied by the number of its frames."""
+    flight share multiplied by the number of its frames. Of a die that the table carries the table tells them."""
     use = np.flatnonzero(track.tracked)
     root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
     flight = throw.flights_at(track.time_s[use])
-    count = np.bincount(flight)[flight]
+    is_flown = np.array([one.covariance is not None for one in throw.flights])
+    count = np.where(is_flown, np.bincount(flight, minlength=len(is_flown)), 0)[flight]
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
     covariance[use] = slow + count[:, None, None] * floor[use]

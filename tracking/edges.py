@@ -482,8 +482,8 @@ def _rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any,
 
 @_free_sums
 def _shift_alike(n: int, rise: Any, w: Any) -> float:
-    """(Σ w |r|)² / Σ w r², with r the derivatives of grey levels by d: by how much the variance of d is greater where n pixels
-    err alike, and not each for itself."""
+    """(Σ w |r|)² / Σ w r², with r the derivatives of grey levels by d: by how much the variance of d is greater where n
+    pixels err alike, and not each for itself."""
     total, squares = 0.0, 0.0
     for i in range(n):
         total += w[i] * abs(rise[i])
@@ -600,7 +600,7 @@ def _stretch(
             h[6] += jr * j6
             h[7] += jr * j7
             H[BLUR, a] += ja * rs
-    # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S their own normal matrix, A / scale².
+    # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S = A iv their own normal matrix.
     top = COLUMNS if full else BLUR
     sharing = known_near > 0.0 or known_far > 0.0
     by_near, by_far = desk.by_shared[view, near], desk.by_shared[view, far]

@@ -64,7 +64,7 @@ from .pose import (
 from .quality import STANDARD, Quality
 from .reel import Frames, Reel
 from .rest import flown, frames_in_flight
-from .segment import background_noise, errs_alike, level_step
+from .segment import noise_and_rounding
 from .track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -95,8 +95,8 @@ CHI2_MEDIAN = 5.348
 CONTRADICTED = 30.0
 """Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
 WORTHWHILE = 0.0
-"""Least gain of the marks, see `_gain`: with the edges, of which they take the part that is not common to a flight, they must
-be as sure as the flights that the edges show."""
+"""Least gain of the marks, see `_gain`: marks and edges together must be as sure of the flights as edges alone. Asked for sigmas
+half as large, dice of 20 px an edge did without their marks, and were turned by 0.46° and not by 0.10°."""
 
 
 class NoDieError(ValueError):
@@ -205,18 +205,17 @@ def _view_of(
     """The scene as the refinement wants it, with the noise of the still background."""
     given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
     given += [None] * (len(clips) - len(given))
-    pictures, noises, steps = [], [], []
+    pictures, noises, roundings = [], [], []
     for one, camera, picture in zip(clips, cameras, given, strict=True):
         _check_sizes(one, camera, picture)
         picture = np.asarray(estimate_background(one) if picture is None else picture, np.float32)
         chosen = np.unique(np.linspace(0, len(one) - 1, 12).astype(int))
-        some = [np.asarray(one.frame(int(k)), np.float32) for k in chosen]
-        step = level_step(some)
-        noises.append(background_noise(some, picture, step))
-        steps.append(step if errs_alike(step, noises[-1]) else 0.0)
+        noise, rounding = noise_and_rounding([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture)
+        noises.append(noise)
+        roundings.append(rounding)
         pictures.append(picture)
     return make_view(
-        cameras, die, pictures, max(noises), exposure_s, FIRST_BLUR_PX, rounding_grey=max(steps), mirror=mirror,
+        cameras, die, pictures, max(noises), exposure_s, FIRST_BLUR_PX, rounding_grey=max(roundings), mirror=mirror,
         quality=quality,
     )  # fmt: skip
 
@@ -570,7 +569,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     except NoFlightError:
         return seen, None, None
     edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
-    track, throw = frames_in_flight(edges, found.throw), flown(found.throw)
+    throw, track = flown(found.throw), edges
+    if throw is not found.throw:
+        track = frames_in_flight(edges, throw)
     rows = frames_to_learn_from(track, throw)
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)
     images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
@@ -599,9 +600,9 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     out.take(np.arange(len(reel)), seen)
     carried = np.flatnonzero(edges.tracked & ~track.tracked)
     shared[known] = refining.shared
-    for rows, poses in ((known, refining.poses()), (carried, _poses_by_edges(view, edges, seen, carried))):
-        out.position_m[rows], out.rotation[rows] = poses.position_m, poses.rotation
-        out.lean[rows], out.H[rows, :6, :6] = poses.contour_lean, poses.information
+    for put, poses in ((known, refining.poses()), (carried, _poses_by_edges(view, edges, seen, carried))):
+        out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
+        out.lean[put], out.H[put, :6, :6] = poses.contour_lean, poses.information
     return out, marks, shared
 
 

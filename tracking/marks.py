@@ -173,7 +173,8 @@ class FramePoses:
     rotation: Array
     """(n, 3, 3) body to world."""
     information: Array
-    """(n, 6, 6) inverse covariance from the pixels of each frame alone."""
+    """(n, 6, 6) inverse covariance from the pixels of each frame alone; with marks, what edges err alike in a flight counts in
+    it as often as the flight has frames, so that all together have it once."""
     contour_lean: Array
     """(n, 6) [m/px, rad/px] by how much each is off for every pixel that the contour is taken too far out."""
 
@@ -186,7 +187,7 @@ class Refining:
 
     def __init__(self, view: View, marks: Marks, edges: FramePoses, throw: Throw, times_s: Array) -> None:
         """The frames at `times_s` (n,) belong to the poses `edges`. The steps begin where `throw`, the adjusted flights with
-        their impacts, leads, or at the edges' pose where that is no flight, or where they lie FAR from it."""
+        their impacts, leads, or at the edges' pose where nothing was learned there, or where they lie FAR from it."""
         which, shared = throw.flights_at(times_s), np.empty((len(times_s), 6, 6))
         for k in np.unique(which):
             shared[which == k] = shared_covariances(view, marks, int(k), times_s[which == k])
@@ -229,7 +230,7 @@ class Refining:
 
     def poses(self) -> FramePoses:
         """Where they are now. Where no marked face was seen, the edges' pose stays, its covariance widened by their systematic
-        errors."""
+        errors as often as frames share them."""
         unseen = np.asarray(~self._H.any(axis=(1, 2)))
         position = np.where(unseen[:, None], self._edges.position_m, self._position)
         rotation = np.where(unseen[:, None, None], self._edges.rotation, self._rotation)

@@ -73,7 +73,7 @@ def adjusted(
     A = np.diag(_priors(view, len(used), len(place_of), len(links)))
     y = np.zeros(len(A))
     for look, (H, g, place, _), M, away in zip(looks, equations, poses.by_start, edges, strict=True):
-        # So that what the edges get wrong alike does not shrink with the number of looks.
+        # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
         contour_m = marks.contour_m * np.sqrt(in_flight[look.flight])
         E = np.linalg.inv(look.edge_covariance + contour_covariance(view, look.edge_position_m, contour_m))
         c = slice(column[look.flight], column[look.flight] + 12)

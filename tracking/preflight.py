@@ -35,7 +35,7 @@ from .gravity import Fall, measure_fall
 from .hints import HandStart
 from .pose import View, make_view, outline_box, refine_pose
 from .quality import FAST
-from .segment import background_noise, differing, largest_blob, level_step, without_shadow
+from .segment import background_noise, differing, largest_blob, level_step, noise_and_rounding, without_shadow
 from .start import die_blobs
 from .track import Track
 
@@ -150,10 +150,10 @@ def preflight(
     empty = estimate_background(clip) if background is None else background
     rows = np.unique(np.linspace(0, len(clip) - 1, min(SAMPLED, len(clip))).astype(int))
     sample = [_grey(clip.frame(int(k))) for k in rows]
-    noise = background_noise(sample, empty, level_step(sample))
+    noise, step = noise_and_rounding(sample, empty)
     backdrop = _backdrop(sample, empty, estimated, clip.bit_depth)
     sight, trouble, notices = None, "", clip.notices
-    first = _first_sight(clip, make_view(camera, die, empty, noise, exposure_s, 0.7), start)
+    first = _first_sight(clip, make_view(camera, die, empty, noise, exposure_s, 0.7, rounding_grey=step), start)
     if first is None:
         trouble = "nothing that could be a die is wholly in view on any of the frames that were looked at"
     else:

@@ -43,8 +43,8 @@ LEFT = 3
 LEVEL_SHARE = 0.01
 """How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
 part of coming to rest."""
-ON_TABLE_SHARE = 0.0025
-"""One sigma of where it is while the table carries the die, which hops by a part of that now and then."""
+HOPPING = 9.0
+"""Squared sigmas off the table from which the lowest point is not on it: the die hops."""
 LOW_SHARE = 0.15
 """The same where the frames tell a flight from a die that is carried: hops of two millimetres last for 40 ms, and edges alone
 err by as much in the distance."""
@@ -217,8 +217,9 @@ def _is_carried(seen: Sightings, rows: slice) -> bool:
 
 def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, table_sigma_m: float) -> Track:
     """The track with the poses of its frames `rows`, over which the table carries the die, corrected by what that says: the
-    lowest point is on the table, whose height is `table_m`, known to `table_sigma_m`. What is so known of the height one
-    camera hardly sees, as distance."""
+    lowest point is on the table, whose height is `table_m`, known to `table_sigma_m`, or hops by LEVEL_SHARE at the most, taken
+    for two sigmas. What is so known of the height one camera hardly sees, as distance. A frame that is too far off (HOPPING)
+    stays as it is."""
     p, q, C = track.position_m[rows], track.quaternion[rows], track.covariance[rows]
     corners = matrix_from_quat(q) @ inner_vertices(die.solid, die.corner_radius_m).T
     low = np.argmin(corners[:, 2], axis=1)
@@ -227,8 +228,9 @@ def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, ta
     # ẑ·(δp + δθ × r)
     row = np.stack([np.zeros_like(x), np.zeros_like(x), np.ones_like(x), y, -x, np.zeros_like(x)], axis=1)
     told = np.einsum("nij,nj->ni", C, row)
-    sigma_m = np.hypot(ON_TABLE_SHARE * die.solid.edge_m, table_sigma_m)
-    share = told / ((row * told).sum(1) + sigma_m**2)[:, None]
+    sigma_m = np.hypot(0.5 * LEVEL_SHARE * die.solid.edge_m, table_sigma_m)
+    spread = (row * told).sum(1) + sigma_m**2
+    share = np.where(height**2 < HOPPING * spread, 1.0 / spread, 0.0)[:, None] * told
     change = -share * height[:, None]
     position, quaternion, covariance = track.position_m.copy(), track.quaternion.copy(), track.covariance.copy()
     position[rows] += change[:, :3]

@@ -45,10 +45,11 @@ INLIER = 0.3
 PRIOR_FRAMES = 4.0
 """The stated sigmas count for as much as so many frames that scatter as stated."""
 FURTHER = 4
+"""Memories beyond the usual ones, and wanders below them, that are looked for where flights are long enough to tell."""
 WANDERS, SMALLER = np.geomspace(0.05, 50.0, 11), 0.05 * 1000.0 ** (np.arange(-FURTHER, 0) / 10.0)
 MEMORIES = np.append(np.geomspace(0.7, 60.0, 10), 60.0 * (60.0 / 0.7) ** (np.arange(1, FURTHER + 1) / 9.0))
-"""The grid, besides no wander; memories in frames. Only where flights tell of the last so many memories are as many smaller
-wanders looked for: over so many frames they count for as much in a mean."""
+"""The grid, besides no wander; memories in frames. As many of the SMALLER wanders are looked for as of the FURTHER memories: over
+so many frames they count for as much in a mean."""
 NEIGHBOURS = 0.2
 """Share with which each of the five other series counts."""
 

@@ -36,7 +36,7 @@ class Blob:
 
 def level_step(images: list[NDArray[np.float32]]) -> float:
     """Step [grey] between levels as some frames (height, width) show them: the smallest gap between two that occur, and 1 where
-    but one does. It is 1 on footage that was not rounded again."""
+    but one does. It is 1 where a file uses all its levels; 12 bits in the upper part of 16 show 16."""
     step_grey = np.inf
     for image in images:
         gaps = np.diff(np.unique(image[::2, ::2]))
@@ -50,6 +50,13 @@ def errs_alike(step_grey: float, noise_grey: float) -> bool:
     """Whether rounding to steps so wide errs alike on pixels of one grey. Steps of 1 are left to the least noise that edges are
     given."""
     return step_grey > 1.0 and noise_grey < DITHERED * step_grey
+
+
+def noise_and_rounding(images: list[NDArray[np.float32]], background: NDArray[np.float32]) -> tuple[float, float]:
+    """`background_noise` [grey] for the levels that occur, and the step between these [grey] where rounding errs alike, or 0."""
+    step_grey = level_step(images)
+    noise_grey = background_noise(images, background, step_grey)
+    return noise_grey, step_grey if errs_alike(step_grey, noise_grey) else 0.0
 
 
 def background_noise(

@@ -402,7 +402,7 @@ def _bounces(
             found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return found.independent, flown(found.throw), smooth(found.frames, found.own, found.floor, found.alone)
+        return found.independent, flown(found.throw), smooth(found.on_table, found.own, found.floor, found.alone)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:

@@ -17,6 +17,7 @@ from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_
 from diethrow.model.solids import SHAPES, Die
 from diethrow.tracking.pose import labelled_like, make_view
 from diethrow.tracking.segment import (
+    DITHERED,
     Blob,
     background_noise,
     differing,
@@ -193,12 +194,12 @@ def test_the_step_between_grey_levels_is_that_of_the_rounding() -> None:
 def test_only_rounding_wider_than_the_noise_errs_alike() -> None:
     assert errs_alike(16.0, 2.0)
     assert not errs_alike(1.0, 0.3)
-    assert not errs_alike(16.0, 9.0)
+    assert not errs_alike(16.0, 16.0 * DITHERED)
     # Of many pixels of one grey the mean is off by no more than a four hundredth of a step where noise is half as wide.
     rng = np.random.default_rng(1)
     greys = np.linspace(0.0, 1.0, 21)
-    means = np.array([np.floor(grey + 0.5 * rng.normal(size=200_000) + 0.5).mean() for grey in greys])
-    assert np.abs(means - greys).max() < 1.0 / 400.0 + 4.0 * np.sqrt(0.25 + 1.0 / 12.0) / np.sqrt(200_000)
+    means = np.array([np.floor(grey + DITHERED * rng.normal(size=200_000) + 0.5).mean() for grey in greys])
+    assert np.abs(means - greys).max() < 1.0 / 400.0 + 4.0 * np.sqrt(DITHERED**2 + 1.0 / 12.0) / np.sqrt(200_000)
 
 
 def test_the_largest_region_is_reported_with_its_place() -> None:

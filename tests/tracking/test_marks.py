@@ -86,8 +86,8 @@ def test_the_flight_knows_how_uncertain_the_places_of_its_marks_leave_it() -> No
 def test_what_edges_err_alike_is_told_from_what_each_frame_errs() -> None:
     honest, _, _ = learned(marked_film(), np.zeros(6))
     assert honest is not None
-    # Both have the same noise of single frames, 2 mrad, which is 0.03 mm at the die's border. What COMMON adds is 0.1 mm there by
-    # its turn, and 0.05 mm by its shift and by its distance.
+    # The edges of both have the same noise of single frames, 2 mrad, which is 0.03 mm at the die's border. What COMMON adds
+    # is 0.1 mm there by its turn, and 0.05 mm by its shift and by its distance.
     assert honest.contour_m < 1e-5
     assert 3e-5 < learned_marks()[0].contour_m < 1.5e-4
 
