@@ -254,7 +254,7 @@ def test_the_table_tells_how_far_away_a_die_is_that_it_carries(table_m: float) -
 
 @pytest.mark.parametrize("every", [1, 3])
 def test_a_measured_throw_has_all_frames_on_the_table_that_carries_them(every: int) -> None:
-    throw, track = to_rest(CUBE, SmoothImpact(0.2), 0)
+    throw, track = to_rest(CUBE, SmoothImpact(0.2), 3)
     camera = studio().camera
     sight = throw.flights[-1].start.position_m - camera.centre_m
     unsure = unsure_along(track, sight / np.linalg.norm(sight), 4e-4)
