@@ -43,8 +43,8 @@ LEFT = 3
 LEVEL_SHARE = 0.01
 """How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
 part of coming to rest."""
-HOPPING = 9.0
-"""Squared sigmas off the table from which the lowest point is not on it: the die hops."""
+HOPPING = 25.0
+"""Squared sigmas off the table from which the lowest point is surely not on it: the die hops."""
 LOW_SHARE = 0.15
 """The same where the frames tell a flight from a die that is carried: hops of two millimetres last for 40 ms, and edges alone
 err by as much in the distance."""
