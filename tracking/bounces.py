@@ -65,7 +65,7 @@ class Measured:
         that they do not bear out."""
         out, sure = np.zeros(len(self.frames), bool), np.flatnonzero(self.joined.weights > 0.0)
         time_s = self.frames.time_s[self.rows]
-        for part, true in zip(self.joined.parts(time_s), _known(time_s, self.joined), strict=True):
+        for part, true in zip(self.joined.parts(time_s), _believed(time_s, self.joined), strict=True):
             out[self.rows[part]] = not true
         for link in self.joined.links:
             at = np.searchsorted(time_s[sure], link.time_s)
@@ -110,29 +110,29 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         ahead = slice(0, flying)
         rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
-        flights, impacts = joined.flights, _impacts(joined, _known(seen.time_s[ahead], joined), die, limit_s)
+        flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
             break
         flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
     floor = _floor(track, lean, sigma, use, flying)
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
-    settled = straight
+    resting = straight
     if flying < len(use):
-        if camera is not None:
+        if camera is not None and _tells_the_table(joined):
             carried = track.tracked & (track.time_s >= track.time_s[use[flying]])
-            settled = _on_table(straight, np.flatnonzero(carried), die, joined)
-        poses, last_s = _sightings(settled, use[flying:]), float(seen.time_s[flying - 1])
+            resting = on_table(straight, np.flatnonzero(carried), die, joined.table_m, TABLE_SIGMA_M)
+        poses, last_s = _sightings(resting, use[flying:]), float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
-    independent = _independent(settled, throw, joined, floor)
-    return Measured(throw, straight, settled, independent, joined, use[:flying], floor, own)
+    independent = _independent(resting, throw, joined, floor)
+    return Measured(throw, straight, resting, independent, joined, use[:flying], floor, own)
 
 
 def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:
     """(track rows, 6, 6) covariance of what poses err alike, of frames that are used, `flying` of them in flight, and the nearest
-    one's of the others: by edges, whose `lean` (track rows, 6, m) has priors `sigma` (m,), or by marks."""
+    one's of the others: by edges, whose `lean` (track rows, 6, m) has priors `sigma` (m,), none without a camera, or by marks."""
     floor = np.zeros((len(track), 6, 6))
     if len(sigma):
         left = np.tile(np.append(SIZE_LEFT_PX, sigma[1:]), (len(use), 1))
@@ -147,13 +147,10 @@ def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flyi
     return _filled(floor, use)
 
 
-def _on_table(track: Track, rows: NDArray[np.int64], die: Die, joined: Joined) -> Track:
-    """The track with the frames `rows` of a die that the table carries put on it, where its height is known: impacts tell it, and
-    it is about where the scene has it."""
+def _tells_the_table(joined: Joined) -> bool:
+    """Whether impacts tell the height of the table, and it is about where the scene has it."""
     struck = any(link.strike is not None for link in joined.links)
-    if not struck or abs(joined.table_m) > FAR_SIGMAS * TABLE_SIGMA_M:
-        return track
-    return on_table(track, rows, die, joined.table_m, TABLE_SIGMA_M)
+    return struck and abs(joined.table_m) < FAR_SIGMAS * TABLE_SIGMA_M
 
 
 def _last_told(impacts: tuple[Impact, ...], low_s: float) -> int:
@@ -274,17 +271,17 @@ def _at_rest(
     return (*flights[:-1], replace(flights[-1], end_s=begin), carried), (*impacts, held)
 
 
-def _known(time_s: Array, joined: Joined) -> NDArray[np.bool_]:
+def _believed(time_s: Array, joined: Joined) -> NDArray[np.bool_]:
     """(flights,) which flights BORNE_OUT of their frames, at instants (n,), lie on. What they miss another contact may be, or a
     die that rolls: such a flight is where the fit had to put it."""
     return ~(joined.borne_out(time_s) <= BORNE_OUT)
 
 
-def _impacts(joined: Joined, known: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:
+def _impacts(joined: Joined, believed: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:
     """What each link says about its bounce; nothing where a flight beside it is none, or its instant is less sure than
     `limit_s`."""
     return tuple(
-        _impact(joined, die, k, limit_s, told=bool(known[k] and known[k + 1])) for k in range(len(joined.links))
+        _impact(joined, die, k, limit_s, told=bool(believed[k] and believed[k + 1])) for k in range(len(joined.links))
     )
 
 

@@ -571,6 +571,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
     throw, track = flown(found.throw), edges
     if throw is not found.throw:
+        # Not where the die flies to the end: a thinned fit ends before the last frame does.
         track = frames_in_flight(edges, throw)
     rows = frames_to_learn_from(track, throw)
     full_scale = float(2 ** reel.clips[0].bit_depth - 1)

@@ -8,7 +8,7 @@ chain of impacts with nothing of the model left in it but what any impact obeys 
 differ from contact to contact, and friction may act.
 
 The order of vertices that explains the frames best is taken if it explains them as well as two unrelated flights do, if no
-other order comes near it, and if every instant is known to a fraction of a frame. Otherwise the link stays open.
+other order comes near it, and if every instant is known (`instant_s`). Otherwise the link stays open.
 
 A die may be taken up behind such contacts under another labelling of its faces. The model says which is its own: frames
 are relabelled by the symmetry that turns them nearest to it.

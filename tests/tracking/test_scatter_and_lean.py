@@ -87,15 +87,19 @@ def test_slow_errors_are_told_from_white_ones() -> None:
     assert 18.0 < np.median(ratios) < 74.0
 
 
-def test_slow_errors_of_a_film_far_faster_than_the_die_are_found_though_they_are_slight() -> None:
+@pytest.mark.parametrize(("wander", "memory", "frames"), [(0.05, 500.0, 20_000), (0.01, 3000.0, 60_000)])
+def test_slow_errors_of_a_film_far_faster_than_the_die_are_found_though_they_are_slight(
+    wander: float, memory: float, frames: int
+) -> None:
     ratios, sizes = [], []
     for seed in range(6):
-        found = scatter_of(scattered(np.random.default_rng(seed), 0.05, 500.0, 20_000))
+        found = scatter_of(scattered(np.random.default_rng(seed), wander, memory, frames))
         sizes.append(found.variance.mean())
         ratios.append(found.slow_variance(1.0 / FPS).mean())
-    # 1 + 0.05, and 1 + 0.05 · 2 · 500 = 51. A flight of forty memories knows its spectrum near zero to a factor of two.
-    assert np.mean(sizes) == pytest.approx(1.05, rel=0.1)
-    assert 25.0 < np.median(ratios) < 102.0
+    # 1 + a, and 1 + 2 a T. A flight of twenty to forty memories knows its spectrum near zero to a factor of two.
+    lasting = 1.0 + 2.0 * wander * memory
+    assert np.mean(sizes) == pytest.approx(1.0 + wander, rel=0.1)
+    assert 0.5 * lasting < np.median(ratios) < 2.0 * lasting
 
 
 def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
