@@ -19,7 +19,7 @@ from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
 from .links import FAR_SIGMAS, UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
-from .parting import FEWEST, part_flights, sane_rows
+from .parting import FEWEST, part_flights, sane_rows, spared
 from .quick import instant_s
 from .rest import Carried, carried_from, low_from, on_table, resting_vertices
 from .track import Track
@@ -104,11 +104,12 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
-    limit_s = instant_s(seen.time_s)
+    limit_s, apart = instant_s(seen.time_s), max(1, spared(track, die) // every)
     low = low_from(seen, die) if flying < len(use) else len(use)
     while True:
-        ahead = slice(0, flying)
-        rough = join_flights(loose.rows(ahead), part_flights(loose.rows(ahead), die), die)
+        # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
+        ahead, some = slice(0, flying), loose.rows(slice(0, flying, apart))
+        rough = join_flights(some, part_flights(some, die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)

@@ -19,6 +19,7 @@ from ..model.motion import Flight, State
 from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ..model.solids import Die
 from .edges import DEARER, Desk, chase, coast, correct, new_desk
+from .parting import PLENTY, SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .pose import Pose, View, labelled_like, refine_pose, share_in_view, with_screen
 from .reel import Reel
 from .start import find_start
@@ -43,10 +44,6 @@ BOUNCE_REACH = 0.35
 """Height of the lowest corner, in units of the die's reach, below which a bounce may have come between two frames."""
 SEARCH_EVERY = 6
 """Frames without a pose until a fresh start is looked for."""
-PLENTY = 800
-"""Frames of a throw that place its flights well enough to look for better poses along them."""
-SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
-"""Least that a die moves from frame to frame on ordinary footage: less, and frames may be left out."""
 SETTLED, SURE_PX, SURPRISING = 20, 0.3, 30.0
 """Frames that must have been seen of a flight, or since a surprise, before some are left out: so many the motion remembers; how
 sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie away from there, and of honest

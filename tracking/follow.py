@@ -28,7 +28,7 @@ from .background import estimate_background
 from .beginning import begin_by_hand, find_beginning
 from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
-from .chase import PLENTY, SMALL_MOVE_REACH, SMALL_TURN_RAD, Seen
+from .chase import Seen
 from .clip import Clip
 from .corners import (
     FRAMES,
@@ -47,6 +47,7 @@ from .hints import HandStart, excluded_rows
 from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
 from .marks_textures import Marks
 from .offsets import Offsets, eyes_at, find_offsets
+from .parting import spared
 from .pose import (
     THREADS,
     View,
@@ -87,9 +88,6 @@ LEAST_IN_VIEW = 0.3
 """Share of the corners that must lie in view for a frame to be refined from its flight."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
-FASTEST = 0.99
-"""Share of the frames that move less than what counts as the fastest motion: a die that rests through most of its film has
-flown as fast as any."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
@@ -189,7 +187,7 @@ def look_through(
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, reel, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
-    sure = calibrated(track, view.die, view.camera, every=spared(view, track))
+    sure = calibrated(track, view.die, view.camera, every=spared(track, view.die))
     return Followed(sure, marks, offsets, view.die, corners)
 
 
@@ -345,25 +343,9 @@ def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole & seen.even)
     try:
-        return measure_throw(track, view.die, view.camera, every=spared(view, track))
+        return measure_throw(track, view.die, view.camera, every=spared(track, view.die))
     except NoFlightError:
         return None
-
-
-def spared(view: View, track: Track) -> int:
-    """Of how many frames one will do for flights that only lead to better ones: 1 but on a film that shows more than PLENTY of
-    a motion so slow, for its rate, that frames left out hide nothing."""
-    known = np.flatnonzero(track.tracked)
-    if len(known) < 2 * PLENTY:
-        return 1
-    # Over so many frames what single poses err no longer seems a motion.
-    apart = len(known) // PLENTY
-    some = known[::apart]
-    p, q = track.position_m[some], track.quaternion[some]
-    moves = np.linalg.norm(np.diff(p, axis=0), axis=1) / (SMALL_MOVE_REACH * view.reach_m)
-    turns = np.linalg.norm(rotation_between(q[:-1], q[1:]), axis=1) / SMALL_TURN_RAD
-    fastest = float(np.quantile(np.maximum(moves, turns) * np.median(np.diff(some)) / np.diff(some), FASTEST))
-    return int(max(1.0, apart * min(1.0 / max(fastest, 1e-9), 1.0)))
 
 
 def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
@@ -564,7 +546,7 @@ def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[
     whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
     track = _as_track(view, reel, seen, whole)
     try:
-        every = spared(view, track)
+        every = spared(track, view.die)
         found = measure(track, view.die, view.camera, every=every)
     except NoFlightError:
         return seen, None, None

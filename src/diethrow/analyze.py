@@ -23,7 +23,7 @@ from .model.solids import Die
 from .model.tables import LEVEL
 from .model.tables import Table as ModelTable
 from .outputs import ROOM_BYTES, demand_room, whole_folder
-from .provenance import InputFile, Stopwatch, add_timings, steady, write_provenance
+from .provenance import Inputs, Stopwatch, add_timings, steady, write_provenance
 from .records import (
     covariance_path,
     read_json,
@@ -508,7 +508,7 @@ def _write_origin(
     folder: Path,
     scene: Scene,
     command: tuple[str, ...],
-    inputs: tuple[InputFile, ...],
+    inputs: Inputs,
     watch: Stopwatch,
     corners: Corners | None = None,
 ) -> None:

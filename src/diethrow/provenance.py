@@ -6,8 +6,10 @@ import hashlib
 import importlib.metadata
 import os
 import platform
+import threading
 import time
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -31,7 +33,11 @@ PACKAGES = (
 )
 """Packages whose version can change a result."""
 
-CHUNK_BYTES = 1 << 20
+CHUNK_BYTES = 1 << 18
+"""Pieces in which a file is read: they stay in the processor's cache."""
+READ_AT_ONCE_BYTES = 1 << 24
+"""Files up to this size are read through before the work begins, larger ones beside it. Of a clip of 8 GB it takes some seconds,
+in which the stages that follow one frame after the other leave a core idle."""
 
 
 @dataclass
@@ -61,8 +67,6 @@ class InputFile:
     path: Path
     bytes: int
     sha256: str
-    stamp: tuple[int, int, int]
-    """Device, inode and time of the last change [ns]: while they and the size stay, so do the bytes."""
 
 
 def files_read(inputs: Iterable[Path]) -> tuple[InputFile, ...]:
@@ -73,46 +77,88 @@ def files_read(inputs: Iterable[Path]) -> tuple[InputFile, ...]:
     return tuple(_file_read(path) for path in _files(tuple(inputs)))
 
 
+class Inputs:
+    """The files of a run as they were when it began."""
+
+    def __init__(self, inputs: Iterable[Path]) -> None:
+        """Raises OSError for a file that cannot be read. Large ones are read through in a thread, until `close`."""
+        self._stop = threading.Event()
+        self._reader = ThreadPoolExecutor(1, "inputs")
+        self._begun: list[tuple[Path, int, tuple[int, int, int]]] = []
+        self._read: list[InputFile | Future[InputFile]] = []
+        for path in _files(tuple(inputs)):
+            status = _status(path)
+            self._begun.append((path, status.st_size, _stamp(status)))
+            large = status.st_size > READ_AT_ONCE_BYTES
+            self._read.append(self._reader.submit(_file_read, path, self._stop) if large else _file_read(path))
+
+    @property
+    def files(self) -> tuple[InputFile, ...]:
+        """All of them, when they are read. Raises InputChangedError for one that was written to meanwhile."""
+        return tuple(file.result() if isinstance(file, Future) else file for file in self._read)
+
+    def first_changed(self) -> str:
+        """A sentence on the first file that is not what it was; empty where all are."""
+        for (path, size, stamp), file in zip(self._begun, self._read, strict=True):
+            try:
+                now = path.stat()
+                if (now.st_size, _stamp(now)) == (size, stamp):
+                    continue
+                # A copy of the same bytes, or a new time alone, changes no result; of a file not yet read nobody knows.
+                known = file.result() if isinstance(file, Future) and file.done() and not file.exception() else file
+                if not isinstance(known, InputFile) or now.st_size != size or sha256(path) != known.sha256:
+                    return _changed(path)
+            except OSError:
+                return f"{path} vanished, or cannot be read any longer, while it was worked on; run again"
+        return ""
+
+    def close(self) -> None:
+        """Read no further."""
+        self._stop.set()
+        self._reader.shutdown(cancel_futures=True)
+
+
 @contextmanager
-def steady(inputs: Iterable[Path]) -> Iterator[tuple[InputFile, ...]]:
+def steady(inputs: Iterable[Path]) -> Iterator[Inputs]:
     """The files of the inputs as they are now; what the block makes of them is refused if they change meanwhile.
 
     Raises InputChangedError at the end of the block, also in place of an error that a changed file may have caused.
     """
-    files = files_read(inputs)
+    known = Inputs(inputs)
     try:
-        yield files
+        yield known
+        changed = known.first_changed()
     except (ValueError, OSError) as error:
-        if changed := _first_changed(files):
+        if changed := known.first_changed():
             raise InputChangedError(changed) from error
         raise
-    if changed := _first_changed(files):
+    finally:
+        known.close()
+    if changed:
         raise InputChangedError(changed)
 
 
-def _file_read(path: Path) -> InputFile:
+def _file_read(path: Path, stop: threading.Event | None = None) -> InputFile:
+    before = _status(path)
     try:
-        before, digest, after = path.stat(), sha256(path), path.stat()
+        digest, after = sha256(path, stop), path.stat()
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise OSError(f"{path} cannot be read ({reason}); wanted a file that this user may read") from error
+        raise _unreadable(path, error) from error
     if (before.st_size, _stamp(before)) != (after.st_size, _stamp(after)):
         raise InputChangedError(_changed(path))
-    return InputFile(path, before.st_size, digest, _stamp(before))
+    return InputFile(path, before.st_size, digest)
 
 
-def _first_changed(files: Iterable[InputFile]) -> str:
-    """A sentence on the first file that is not what it was; empty where all are."""
-    for file in files:
-        try:
-            now = file.path.stat()
-            same = (now.st_size, _stamp(now)) == (file.bytes, file.stamp)
-            # A copy of the same bytes, or a new time alone, changes no result.
-            if not same and (now.st_size != file.bytes or sha256(file.path) != file.sha256):
-                return _changed(file.path)
-        except OSError:
-            return f"{file.path} vanished, or cannot be read any longer, while it was worked on; run again"
-    return ""
+def _status(path: Path) -> os.stat_result:
+    try:
+        return path.stat()
+    except OSError as error:
+        raise _unreadable(path, error) from error
+
+
+def _unreadable(path: Path, error: OSError) -> OSError:
+    reason = (error.strerror or str(error)).lower()
+    return OSError(f"{path} cannot be read ({reason}); wanted a file that this user may read")
 
 
 def _changed(path: Path) -> str:
@@ -120,6 +166,7 @@ def _changed(path: Path) -> str:
 
 
 def _stamp(status: os.stat_result) -> tuple[int, int, int]:
+    """Device, inode and time of the last change [ns]: while they and the size stay, so do the bytes."""
     return status.st_dev, status.st_ino, status.st_mtime_ns
 
 
@@ -128,7 +175,7 @@ def write_provenance(
     *,
     command: tuple[str, ...],
     understood: Any,
-    inputs: tuple[Path, ...] | tuple[InputFile, ...],
+    inputs: tuple[Path, ...] | Inputs,
     seconds: dict[str, float],
     seeds: dict[str, int] | None = None,
     found: dict[str, float] | None = None,
@@ -136,10 +183,9 @@ def write_provenance(
     """`provenance.json`: version, command line and where it was given, what was understood, what was `found` in the place of
     what nobody gave, SHA-256 of every input, seeds, packages, timings.
 
-    `understood` is any frozen value (a Scene, a Plan); inputs as for `files_read`, or what that gave.
+    `understood` is any frozen value (a Scene, a Plan); inputs as for `files_read`, or as a run has held them steady.
     """
-    known = [part for part in inputs if isinstance(part, InputFile)]
-    read = (*known, *files_read(part for part in inputs if isinstance(part, Path)))
+    read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)
     write_json(
         path,
         {
@@ -167,12 +213,12 @@ def _rounded(seconds: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in seconds.items()}
 
 
-def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while piece := file.read(CHUNK_BYTES):
-            digest.update(piece)
+def sha256(path: Path, stop: threading.Event | None = None) -> str:
+    """Hexadecimal SHA-256 of a file, read in pieces, of as much as was read when `stop` was set."""
+    digest, piece = hashlib.sha256(), memoryview(bytearray(CHUNK_BYTES))
+    with path.open("rb", buffering=0) as file:
+        while not (stop and stop.is_set()) and (count := file.readinto(piece)):
+            digest.update(piece[:count])
     return digest.hexdigest()
 
 

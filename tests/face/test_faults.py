@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import threading
 from collections import namedtuple
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +20,7 @@ from footage_files import noisy_frames, write_cine, write_photron, write_picture
 import diethrow.provenance
 from diethrow.analyze import track_only
 from diethrow.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
-from diethrow.provenance import InputChangedError, files_read, steady
+from diethrow.provenance import READ_AT_ONCE_BYTES, InputChangedError, files_read, sha256, steady
 from diethrow.scene import read_scene
 from diethrow.tracking.clip import clip_files, open_clip
 from diethrow.tracking.quality import FAST
@@ -61,14 +63,30 @@ def test_a_full_disk_is_told_before_anything_is_computed(tmp_path: Path, monkeyp
 def test_an_input_that_changes_meanwhile_is_refused_and_a_copy_of_it_is_not(tmp_path: Path) -> None:
     clip = tmp_path / "clip.avi"
     clip.write_bytes(b"as it was")
-    with steady([clip]) as files:
+    with steady([clip]) as inputs:
         shutil.copy(clip, tmp_path / "copy")
         (tmp_path / "copy").replace(clip)
-    assert [file.bytes for file in files] == [9]
+    assert [file.bytes for file in inputs.files] == [9]
     with pytest.raises(InputChangedError, match=r"clip\.avi changed while it was read"), steady([clip]):
         clip.write_bytes(b"otherwise")
     with pytest.raises(InputChangedError, match=r"clip\.avi vanished"), steady([clip]):
         clip.unlink()
+
+
+def test_a_large_input_is_read_beside_the_work_and_guarded_as_a_small_one(tmp_path: Path) -> None:
+    clip = tmp_path / "clip.mraw"
+    clip.write_bytes(bytes(READ_AT_ONCE_BYTES + 1))
+    with steady([clip]) as inputs:
+        assert inputs.files[0].sha256 == sha256(clip)
+    with pytest.raises(InputChangedError, match=r"clip\.mraw changed while it was read"), steady([clip]):
+        clip.write_bytes(b"otherwise")
+
+
+def test_a_run_that_ends_early_reads_no_further(tmp_path: Path) -> None:
+    clip, stop = tmp_path / "clip.mraw", threading.Event()
+    clip.write_bytes(b"as it was")
+    stop.set()
+    assert sha256(clip, stop) == hashlib.sha256().hexdigest()
 
 
 def test_a_change_explains_the_error_that_it_caused(tmp_path: Path) -> None:
@@ -89,7 +107,7 @@ def test_a_change_explains_the_error_that_it_caused(tmp_path: Path) -> None:
 def test_an_input_that_cannot_be_read_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "clip.avi").write_bytes(b"mine")
 
-    def refuse(path: Path) -> str:
+    def refuse(path: Path, stop: object) -> str:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
     monkeypatch.setattr(diethrow.provenance, "sha256", refuse)

@@ -21,7 +21,8 @@ from diethrow.tracking.background import estimate_background
 from diethrow.tracking.beginning import find_beginning
 from diethrow.tracking.bounces import measure_throw
 from diethrow.tracking.chase import Chase, Seen, longest_leap
-from diethrow.tracking.follow import NoDieError, follow, spared
+from diethrow.tracking.follow import NoDieError, follow
+from diethrow.tracking.parting import spared
 from diethrow.tracking.pose import make_view, refine_pose, share_in_view
 from diethrow.tracking.reel import Reel
 from diethrow.tracking.smooth import smooth
@@ -141,10 +142,10 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
 
 def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() -> None:
     """No frame of a flight at usual speed is spared because of a long rest behind it, those of slow motion are."""
-    usual, view = Flight(falling_cube().flights[0].start, np.inf), ROOM.view(CUBE)
+    usual = Flight(falling_cube().flights[0].start, np.inf)
     times, slow = np.arange(FRAMES + 4000) / FPS, np.arange(4000) / (40.0 * FPS)
-    assert spared(view, tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS)))) == 1
-    assert spared(view, tracked(slow, *usual.poses(slow))) > 3
+    assert spared(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
+    assert spared(tracked(slow, *usual.poses(slow)), CUBE) > 3
 
 
 def tracked(times_s: Array, position_m: Array, quaternion: Array) -> Track:
