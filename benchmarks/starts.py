@@ -34,9 +34,9 @@ from diethrow.analyze import RunError, track_scene
 from diethrow.scene import Scene, read_scene
 from diethrow.tracking import follow
 from diethrow.tracking.beginning import best_start, find_beginning
-from diethrow.tracking.chase import Seen
 from diethrow.tracking.pose import View
 from diethrow.tracking.reel import Reel
+from diethrow.tracking.seen import Seen
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 
 from ..model.motion import GRAVITY_M_S2
 from ..model.rotations import quat_from_matrix, rotation_between
-from .chase import Chase, Seen
+from .chase import Chase
 from .hints import HandStart
 from .pose import Pose, View
 from .reel import Reel
+from .seen import Seen
 from .start import ALIKE, die_blobs, find_start, same_picture
 from .start_by_hand import start_by_hand
 

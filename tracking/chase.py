@@ -8,20 +8,21 @@ pose, and turns about it; the one that explains the picture best is taken, and t
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..model.motion import Flight, State
-from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
+from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ..model.solids import Die
 from .edges import DEARER, Desk, chase, coast, correct, new_desk
-from .parting import PLENTY, SMALL_MOVE_REACH, SMALL_TURN_RAD
+from .parting import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .pose import Pose, View, labelled_like, refine_pose, share_in_view, with_screen
 from .reel import Reel
+from .seen import Seen, longest_leap, power_of_two
 from .start import find_start
 
 Array = NDArray[np.float64]
@@ -48,77 +49,6 @@ SETTLED, SURE_PX, SURPRISING = 20, 0.3, 30.0
 """Frames that must have been seen of a flight, or since a surprise, before some are left out: so many the motion remembers; how
 sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie away from there, and of honest
 ones one in 25 000."""
-
-
-@dataclass(eq=False)
-class Seen:
-    """Poses of single frames as arrays, one row a frame of the clip; rows that are not known hold NaN."""
-
-    known: NDArray[np.bool_]
-    position_m: Array
-    rotation: Array
-    """(n, 3, 3) body to world."""
-    motion: Array
-    """(n, 6) velocity [m/s] and angular velocity [rad/s] that were assumed for the blur."""
-    H: Array
-    """(n, 8, 8) normal equations: see `edges`."""
-    stats: Array
-    cost: Array
-    """How badly each picture is explained."""
-    lean: Array
-    """(n, 6) what a pixel of contour error does to each pose: see `Track`."""
-    every: int = 1
-    """Rows that are multiples of this one stand for all: where little moves on the way those between may have been left out."""
-
-    _COLUMNS: ClassVar = ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean")
-
-    @staticmethod
-    def empty(n: int) -> Seen:
-        """Nothing seen on n frames."""
-        return Seen(
-            np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
-            np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf), np.full((n, 6), np.nan),
-        )  # fmt: skip
-
-    @property
-    def even(self) -> NDArray[np.bool_]:
-        """(n,) known rows as far apart as anywhere."""
-        return np.asarray(self.known & (np.arange(len(self.known)) % self.every == 0))
-
-    @property
-    def support(self) -> Array:
-        """(n,) share of the contour that shows a clear step."""
-        return np.asarray(self.stats[:, 4] / np.maximum(self.stats[:, 3], 1e-9))
-
-    def put(self, k: int, pose: Pose, motion: Array) -> None:
-        """Write one frame."""
-        self.known[k], self.position_m[k], self.rotation[k], self.motion[k] = (
-            True,
-            pose.position_m,
-            pose.rotation,
-            motion,
-        )
-        self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
-
-    def filled(self) -> Seen:
-        """With starts on rows that were left out between two known ones, on a straight way from one to the other. What the
-        pictures say of those nobody has seen."""
-        out = replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS})
-        rows = np.flatnonzero(self.known)
-        gaps = np.diff(rows)
-        near = np.flatnonzero((gaps > 1) & (gaps <= longest_leap(len(self.known))))
-        for a, b in zip(rows[near].tolist(), rows[near + 1].tolist(), strict=True):
-            share = (np.arange(a + 1, b) - a) / (b - a)
-            turn = rotation_between(*quat_from_matrix(self.rotation[[a, b]]))
-            out.position_m[a + 1 : b] = self.position_m[a] + share[:, None] * (self.position_m[b] - self.position_m[a])
-            out.rotation[a + 1 : b] = matrix_from_quat(quat_from_rotvec(share[:, None] * turn)) @ self.rotation[a]
-            out.motion[a + 1 : b], out.known[a + 1 : b] = self.motion[a], True
-        return out
-
-    def take(self, rows: NDArray[np.int64], other: Seen, others: NDArray[np.int64] | None = None) -> None:
-        """Take some rows over, from the same rows of another or from `others`."""
-        for name in self._COLUMNS:
-            getattr(self, name)[rows] = getattr(other, name)[rows if others is None else others]
 
 
 class Chase:
@@ -180,11 +110,11 @@ class Chase:
         frame_s, reach_m, camera = float(times_s[k] - times_s[k - 1]), self.view.reach_m, self.view.camera
         speed, spin = (float(np.linalg.norm(rate)) for rate in (self.motion[3:6], self.motion[6:9]))
         moved = max(speed * frame_s / (SMALL_MOVE_REACH * reach_m), spin * frame_s / SMALL_TURN_RAD, 1e-9)
-        self._longest = _power_of_two(min(self._longest, 1.0 / moved))
+        self._longest = power_of_two(min(self._longest, 1.0 / moved))
         blind_m, blind_rad = (float(np.sqrt(np.diag(self.P)[rows].max())) for rows in (slice(6, 9), slice(9, 12)))
         scale_px_per_m = camera.matrix[0, 0] / float(np.linalg.norm(self.motion[:3] - camera.centre_m))
         unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
-        return _power_of_two(min(self._longest, SURE_PX / unsure_px))
+        return power_of_two(min(self._longest, SURE_PX / unsure_px))
 
     def _leap_over(self, reel: Reel, seen: Seen, leap: int) -> None:
         """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
@@ -375,16 +305,6 @@ _TURNS = np.vstack(
         np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3.0),
     ]
 )
-
-
-def longest_leap(frames: int) -> int:
-    """From how many frames of a clip of so many one is plenty."""
-    return _power_of_two(frames / PLENTY)
-
-
-def _power_of_two(most: float) -> int:
-    """The largest one that is no larger; 1 at the least."""
-    return 1 << max(int(most).bit_length() - 1, 0)
 
 
 def _state(time_s: float, motion: Array, rotation: Array) -> State:

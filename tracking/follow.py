@@ -1,34 +1,28 @@
 """From a clip to a track: the die found, followed through its bounces, and every frame's pose refined.
 
 First pass (`chase`): from the first frame on which the die is wholly seen, forwards to the end and backwards to where it
-came in. Second pass: the bounces are found, each flight is fitted, the lens blur is estimated, and every frame is refined
-once more from its flight, which brings back frames that the first pass lost or got wrong. The poses are those of single
-frames: nothing is smoothed here (`smooth`).
+came in. Then the bounces are found, each flight is fitted, and the lens blur is estimated. Second pass (`second_pass`): every
+frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what is printed on the faces. The poses
+are those of single frames: nothing is smoothed here (`smooth`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.motion import Flight, Throw
+from ..model.motion import Throw
 from ..model.rotations import (
-    continuous_sign,
     matrix_from_quat,
-    quat_from_matrix,
-    rotation_between,
 )
 from ..model.solids import Die
 from .background import estimate_background
 from .beginning import begin_by_hand, find_beginning
 from .bounces import NoFlightError, calibrated, measure, measure_throw
 from .camera import Camera
-from .chase import Seen
 from .clip import Clip
 from .corners import (
     FRAMES,
@@ -41,32 +35,26 @@ from .corners import (
     look_rounded,
     looks_in_flight,
 )
-from .edges import Eyes, Lens, settle
-from .flights import transition
 from .hints import HandStart, excluded_rows
-from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
 from .marks_textures import Marks
-from .offsets import Offsets, eyes_at, find_offsets
+from .offsets import Offsets, find_offsets
 from .parting import spared
 from .pose import (
-    THREADS,
     View,
     blur_step,
-    contour_leans,
-    covariances,
     labelled_like,
     make_view,
     rounded,
     share_in_view,
-    shares_in_view,
-    sight_boxes,
     with_reflections,
 )
 from .quality import STANDARD, Quality
-from .reel import Frames, Reel
-from .rest import flown, frames_in_flight
+from .reel import Reel
+from .second_pass import SecondPass
+from .seen import Seen, as_track, shown_whole
 from .segment import noise_and_rounding
-from .track import ABSENT, LOST, TRACKED, Track
+from .third_pass import Marked, third_pass
+from .track import ABSENT, LOST, Track
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -82,19 +70,6 @@ ROUNDINGS, SAME_RADIUS, LESS = 3, 0.1, 0.9
 factor on a radius whose flights do not bear it out: a bounce is lost or not by a little, and rather with too large a one."""
 ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
-LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
-"""Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
-LEAST_IN_VIEW = 0.3
-"""Share of the corners that must lie in view for a frame to be refined from its flight."""
-OPEN_RAD = np.radians(6.0)
-"""A pose whose turn is less sure than this is no pose."""
-CHI2_MEDIAN = 5.348
-"""Median of chi-square with six degrees of freedom."""
-CONTRADICTED = 30.0
-"""Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
-WORTHWHILE = 0.0
-"""Least gain of the marks, see `_gain`: marks and edges together must be as sure of the flights as edges alone. Asked for sigmas
-half as large, dice of 20 px an edge did without their marks, and were turned by 0.46° and not by 0.10°."""
 
 
 class NoDieError(ValueError):
@@ -172,23 +147,26 @@ def look_through(
         seen = _labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
     offsets = Offsets.none(len(clips))
+    marked = Marked(seen, None, None)
     if quality.second_pass:
         view = with_reflections(view)
         view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
         report.at_least(len(reel))
         if throw is not None:
             offsets = find_offsets(view, reel.frame, reel.times_s, throw)
-        seen = _second_pass(view, reel, seen, throw, unused, report, offsets)
-    marks, shared = None, None
-    if quality.marks:
-        seen, marks, shared = _third_pass(view, reel, seen, report)
-        report.at_least(3 * len(reel))
-    track = replace(_track(reel, view, seen, throw), shared=shared)
+        second = SecondPass(view, reel, seen.filled(), throw, ~unused, offsets)
+        every = _in_second_pass(view, reel, seen) if quality.marks and throw is not None else 1
+        seen = second.see(np.arange(len(reel)) % every == 0, lambda done: report.at_least(len(reel) + done))
+        marked = Marked(seen, None, None)
+        if quality.marks:
+            marked = third_pass(second, seen, every, lambda done: report.at_least(2 * len(reel) + done))
+            report.at_least(3 * len(reel))
+    track = replace(_track(reel, view, marked.seen, throw), shared=marked.shared)
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, reel, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     sure = calibrated(track, view.die, view.camera, every=spared(track, view.die))
-    return Followed(sure, marks, offsets, view.die, corners)
+    return Followed(sure, marked.marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -287,8 +265,8 @@ def _first_pass_rounded(
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
         tried.append((radius_m, first, seen))
-        whole = shares_in_view(first, seen.position_m, seen.rotation) == 1.0
-        found, _ = _corners_in_flight(first, reel, _as_track(first, reel, seen, whole & seen.even), corners)
+        whole = shown_whole(first, seen)
+        found, _ = _corners_in_flight(first, reel, as_track(first, reel, seen, whole & seen.even), corners)
         before, borne_out, corners = radius_m, found is not corners, found
         radius_m = corners.radius_m if borne_out else LESS * radius_m
         if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
@@ -301,7 +279,7 @@ def _first_pass_rounded(
 
 def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
-    whole = np.flatnonzero(seen.known & (shares_in_view(view, seen.position_m, seen.rotation) == 1.0))
+    whole = np.flatnonzero(shown_whole(view, seen))
 
     def looks(count: int) -> Looks:
         poses = seen.position_m[whole], seen.rotation[whole], seen.motion[whole]
@@ -340,12 +318,19 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 
 def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
-    whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
-    track = _as_track(view, reel, seen, whole & seen.even)
+    track = as_track(view, reel, seen, shown_whole(view, seen) & seen.even)
     try:
         return measure_throw(track, view.die, view.camera, every=spared(track, view.die))
     except NoFlightError:
         return None
+
+
+def _in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
+    """Of how many frames one has a second pass before marks are known, which may make that of the others needless. Several
+    cameras have no use for marks."""
+    if len(reel.clips) > 1:
+        return 1
+    return seen.every * spared(as_track(view, reel, seen, shown_whole(view, seen) & seen.even), view.die)
 
 
 def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
@@ -387,286 +372,12 @@ def _lens_blur(view: View, reel: Reel, seen: Seen, known: Mask) -> float:
     return view.blur_px
 
 
-def _second_pass(
-    view: View, reel: Reel, first: Seen, throw: Throw | None, unused: Mask, report: _Reporter, offsets: Offsets
-) -> Seen:
-    """Every frame refined from its flight, and from the first pass where that lies elsewhere; the better is kept."""
-    first = first.filled()
-    wanted, tries = first, [_Settling(view, first, first.known, offsets, np.zeros(len(reel), bool))]
-    if throw is not None:
-        wanted = _motions(throw, reel.times_s)
-        apart = first.known & _apart(view, wanted, first)
-        tries = [_Settling(view, wanted, ~unused, offsets, apart), _Settling(view, first, apart, offsets, apart)]
-
-    def begun(frames: Frames, start: int, pool: Executor) -> list[Future[None]]:
-        return [job for one in tries for job in one.see(frames, start, pool)]
-
-    _see_all(reel, _looked_at(view, tries, len(reel)), begun, report, len(reel))
-    seen = tries[0].seen(len(reel))
-    for one in tries[1:]:
-        other = one.seen(len(reel))
-        seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
-    seen.rotation[seen.known] = labelled_like(view, seen.rotation[seen.known], wanted.rotation[seen.known])
-    return seen
-
-
-def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np.int64]:
-    """(count, cameras, 4) pixels that hold all that a pass looks at."""
-    boxes = np.zeros((count, len(view.cameras), 4), np.int64)
-    for one in tries:
-        mine = sight_boxes(view, one.position_m, one.rotation)
-        there = boxes[one.rows]
-        both = np.concatenate([np.minimum(there, mine)[..., :2], np.maximum(there, mine)[..., 2:]], axis=-1)
-        lone, blank = (np.asarray(~some.any(-1))[..., None] for some in (there, mine))
-        boxes[one.rows] = np.where(lone, mine, np.where(blank, there, both))
-    return boxes
-
-
-class _Settling:
-    """Some frames on their way from a start each to the pose that their pixels bear out: what there is to know without the
-    pictures is worked out for all of them at once."""
-
-    def __init__(self, view: View, start: Seen, use: Mask, offsets: Offsets, judged: Mask) -> None:
-        """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
-        where there is another start to compare with."""
-        in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
-        self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
-        n = len(self.rows)
-        self._view, self._start, self._offsets, self._judged = view, start, offsets, judged
-        self.position_m, self.rotation = start.position_m[self.rows], start.rotation[self.rows]
-        self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
-        self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
-
-    def see(self, frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
-        """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`, in the
-        threads of a pool: the jobs that were begun."""
-        a, b = (int(k) for k in np.searchsorted(self.rows, (first, first + len(frames))))
-        some = frames if b - a == len(frames) else frames[self.rows[a:b] - first]
-        judged = self._judged[first : first + len(frames)].any()
-        lens = self._view.lens if judged else self._view.lens._replace(samples=0)
-        cuts = np.linspace(a, b, THREADS + 1).astype(int).tolist()
-        return [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
-
-    def _settle(self, frames: Frames, mine: slice, lens: Lens) -> None:
-        if not self._offsets.any:
-            self._settle_with(frames, mine, lens, self._view.eyes)
-            return
-        for k, frame in enumerate(range(mine.start, mine.stop)):
-            # Late cameras stand elsewhere for every frame.
-            eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[frame], self._motion[frame])
-            self._settle_with(frames[k : k + 1], slice(frame, frame + 1), lens, eyes)
-
-    def _settle_with(self, frames: Frames, mine: slice, lens: Lens, eyes: Eyes) -> None:
-        view = self._view
-        settle(
-            frames, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
-            self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
-        )  # fmt: skip
-
-    def seen(self, count: int) -> Seen:
-        """What the pixels bear out of it, as rows of a clip of so many frames."""
-        seen, good = Seen.empty(count), self._borne_out()
-        rows = self.rows[good]
-        seen.known[rows] = True
-        seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = (
-            self.position_m[good],
-            self.rotation[good],
-            self._motion[good],
-        )
-        seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
-        return seen
-
-    def _borne_out(self) -> Mask:
-        """(n,) where the pixels bear a refined pose out."""
-        gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
-        turned = _angles(self.rotation, self._start.rotation[self.rows])
-        support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
-        whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
-        open_rad = np.sqrt(np.trace(covariances(self._H[:, :6, :6])[:, 3:, 3:], axis1=1, axis2=2))
-        near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
-        plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
-        return np.asarray(near & plain & (open_rad < OPEN_RAD))
-
-
-def _see_all(
-    reel: Reel,
-    boxes: NDArray[np.int64],
-    begun: Callable[[Frames, int, Executor], list[Future[None]]],
-    report: _Reporter,
-    done: int,
-) -> None:
-    """Hand all frames, block by block and cut to `boxes`, to what begins the jobs of a block in a pool; that counts frames from
-    `done` on to its end. The jobs of a block are waited for when those of the next are begun: no thread then has nothing to do
-    because another is late."""
-    with ThreadPoolExecutor(THREADS) as pool:
-        under_way: list[Future[None]] = []
-        for first, frames in reel.blocks(boxes=boxes):
-            jobs = begun(frames, first, pool)
-            for job in under_way:
-                job.result()
-            under_way = jobs
-            report.at_least(done + first)
-        for job in under_way:
-            job.result()
-    report.at_least(done + len(reel))
-
-
-def _apart(view: View, flown: Seen, first: Seen) -> Mask:
-    """(n,) where the first pass lies further from the flight than a refinement is sure to cover."""
-    moved = np.linalg.norm(flown.position_m - first.position_m, axis=1)
-    return np.asarray((_angles(flown.rotation, first.rotation) > np.radians(1.5)) | (moved > 0.1 * view.reach_m))
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """(n,) [rad] between rotations (n, 3, 3); NaN where one is not known."""
-    cosine = 0.5 * (np.einsum("nij,nij->n", a, b) - 1.0)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
-
-
-def _motions(throw: Throw, times_s: Array) -> Seen:
-    """Where the flights lead on every frame, as starts for a refinement."""
-    out = Seen.empty(len(times_s))
-    position, quaternion = throw.poses(times_s)
-    out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)
-    out.motion[:] = throw.rates(times_s)
-    out.known[:] = True
-    return out
-
-
-# --- the third pass: what is printed on the faces ---------------------------------------------------------------------
-
-
-def _third_pass(view: View, reel: Reel, seen: Seen, report: _Reporter) -> tuple[Seen, Marks | None, Array | None]:
-    """Every frame refined once more on the marks of the die's faces, where it has any, with what all frames then err
-    alike (n, 6, 6).
-
-    Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
-    other's lines of sight, which marks of one do not.
-    """
-    whole = shares_in_view(view, seen.position_m, seen.rotation) == 1.0
-    track = _as_track(view, reel, seen, whole)
-    try:
-        every = spared(track, view.die)
-        found = measure(track, view.die, view.camera, every=every)
-    except NoFlightError:
-        return seen, None, None
-    edges = _as_sure_as_they_scatter(found.frames, flown(found.throw))
-    throw, track = flown(found.throw), edges
-    if throw is not found.throw:
-        # Not where the die flies to the end: a thinned fit ends before the last frame does.
-        track = frames_in_flight(edges, throw)
-    rows = frames_to_learn_from(track, throw)
-    full_scale = float(2 ** reel.clips[0].bit_depth - 1)
-    images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
-    marks = learn_marks(view, images, track, throw, saturation_grey=full_scale)
-    if marks is None or len(reel.clips) > 1:
-        return seen, marks, None
-    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared])
-    both = [(throw.flights[k], marks.flights[k]) for k in learned]
-    if _contradiction(both) > CONTRADICTED or _gain(both, [found.own.flights[k] for k in learned], every) < WORTHWHILE:
-        return seen, marks, None
-    # Frames without edges have nothing to be refined. On those of a die that the table carries edges do as well: marks are known
-    # to where they were learned, on the flights.
-    known = np.flatnonzero(track.tracked)
-    adjusted = Throw(marks.flights, throw.impacts)
-    refining = Refining(view, marks, _poses_by_edges(view, edges, seen, known), adjusted, edges.time_s[known])
-    boxes = np.zeros((len(reel), 1, 4), np.int64)
-    boxes[known, 0] = refining.boxes
-
-    def begun(frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
-        a, b = (int(k) for k in np.searchsorted(known, (first, first + len(frames))))
-        some = frames if b - a == len(frames) else frames[known[a:b] - first]
-        return refining.see(some, slice(a, b), pool)
-
-    _see_all(reel, boxes, begun, report, 2 * len(reel))
-    out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
-    out.take(np.arange(len(reel)), seen)
-    carried = np.flatnonzero(edges.tracked & ~track.tracked)
-    shared[known] = refining.shared
-    for put, poses in ((known, refining.poses()), (carried, _poses_by_edges(view, edges, seen, carried))):
-        out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
-        out.lean[put], out.H[put, :6, :6] = poses.contour_lean, poses.information
-    return out, marks, shared
-
-
-def _poses_by_edges(view: View, edges: Track, seen: Seen, rows: NDArray[np.int64]) -> FramePoses:
-    """What the edges of some tracked frames say, with the covariances of `edges`."""
-    return FramePoses(
-        edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
-        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_leans(seen.H[rows], view.lens),
-    )  # fmt: skip
-
-
-def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
-    """Median squared distance of flights by edges and by marks half-way through each, in the sigmas of both.
-
-    Two ways to see one motion must agree. Where they do not, the marks were learned in the wrong places: many small faces,
-    each seen for a short time, can shift against each other without the pictures telling.
-    """
-    squared = []
-    for ours, theirs in both:
-        if ours.covariance is None or theirs.covariance is None or not np.isfinite(ours.end_s):
-            continue
-        t = 0.5 * (ours.start.time_s + ours.end_s)
-        a, b = ours.at(t), theirs.at(t)
-        miss = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
-        M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
-        C = M @ ours.covariance @ M.T + N @ theirs.covariance @ N.T
-        squared.append(float(miss @ np.linalg.solve(C, miss)))
-    return float(np.median(squared)) if squared else 0.0
-
-
-def _gain(both: Sequence[tuple[Flight, Flight]], own: Sequence[Flight], every: int) -> float:
-    """By how much marks, weakly helped by edges, are surer than edges alone of the pose half-way through a flight: median
-    difference of the logarithms of the determinants of the covariances. Those of the edges count as if from all frames, of which
-    one in `every` was used, but for what all frames err alike and their `own` covariances leave out."""
-    gains = []
-    for (ours, theirs), alone in zip(both, own, strict=True):
-        if ours.covariance is None or alone.covariance is None or theirs.covariance is None:
-            continue
-        if np.isfinite(ours.end_s):
-            t = 0.5 * (ours.start.time_s + ours.end_s)
-            M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
-            shared = ours.covariance - alone.covariance
-            edges, marks = M @ (alone.covariance / every + shared) @ M.T, N @ theirs.covariance @ N.T
-            gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))
-    return float(np.median(gains)) if gains else -np.inf
-
-
-def _as_sure_as_they_scatter(track: Track, throw: Throw) -> Track:
-    """The track with its covariances scaled, by one number, to how far single poses usually lie from their flights. What
-    neighbouring frames err alike is left out: the marks estimate for themselves what the edges err in common."""
-    use = np.flatnonzero(track.tracked & (track.time_s <= throw.flights[-1].end_s))
-    p, q = throw.poses(track.time_s[use])
-    miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
-    squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
-    return replace(track, covariance=track.covariance * max(1.0, float(np.median(squared)) / CHI2_MEDIAN))
-
-
 # --- the table of poses -----------------------------------------------------------------------------------------------
-
-
-def _as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
-    """A track of the frames that have a pose; the others are lost."""
-    n = len(reel)
-    known = seen.known if use is None else seen.known & use
-    covariance = np.full((n, 6, 6), np.nan)
-    covariance[known] = covariances(seen.H[known][:, :6, :6])
-    known = known & np.isfinite(covariance[:, 0, 0])
-    position = np.where(known[:, None], seen.position_m, np.nan)
-    quaternion = np.full((n, 4), np.nan)
-    quaternion[known] = quat_from_matrix(seen.rotation[known])
-    status = np.where(known, TRACKED, LOST).astype("<U7")
-    frames = reel.first_frame + np.arange(n)
-    lean = np.full((n, 6), np.nan)
-    lean[known] = contour_leans(seen.H[known], view.lens)
-    lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
-    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
 def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
     """The final table: frames without a pose are absent where the motion leads out of view, or lost."""
-    track = _as_track(view, reel, seen)
+    track = as_track(view, reel, seen)
     status = track.status.copy()
     for k in np.flatnonzero(status == LOST):
         if throw is None:

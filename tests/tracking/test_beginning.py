@@ -19,12 +19,12 @@ from diethrow.model.solids import symmetry_rotations
 from diethrow.scene import read_scene
 from diethrow.tracking.background import load_background
 from diethrow.tracking.beginning import best_start, find_beginning
-from diethrow.tracking.chase import Seen
 from diethrow.tracking.clip import open_clip
 from diethrow.tracking.follow import follow
 from diethrow.tracking.pose import View
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.reel import Reel
+from diethrow.tracking.seen import Seen
 
 ROOT = Path(__file__).parents[2]
 

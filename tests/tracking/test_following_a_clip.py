@@ -20,11 +20,12 @@ from diethrow.model.simulate import Until, throw_die
 from diethrow.tracking.background import estimate_background
 from diethrow.tracking.beginning import find_beginning
 from diethrow.tracking.bounces import measure_throw
-from diethrow.tracking.chase import Chase, Seen, longest_leap
+from diethrow.tracking.chase import Chase
 from diethrow.tracking.follow import NoDieError, follow
 from diethrow.tracking.parting import spared
 from diethrow.tracking.pose import make_view, refine_pose, share_in_view
 from diethrow.tracking.reel import Reel
+from diethrow.tracking.seen import Seen, longest_leap
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
@@ -102,7 +103,7 @@ TIMES_FASTER = 6
 @pytest.fixture
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
-    monkeypatch.setattr("diethrow.tracking.chase.PLENTY", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.seen.PLENTY", FRAMES)
 
 
 @pytest.mark.usefixtures("few_are_plenty")
