@@ -186,7 +186,7 @@ def _equations(
     count = len(faces.counts)
 
     def of_some(some: NDArray[np.int64]) -> list[tuple[Array, Array, Array, Array]]:
-        bench, out = new_bench(BUFFER), []
+        bench, out = new_bench(BUFFER, faces.coefficients.shape[1]), []
         for i in some:
             look, H, g = looks[i], np.zeros((6, 6)), np.zeros(6)
             place, stats = np.zeros((count, WARPS + SHARED, 7 + WARPS + SHARED)), np.zeros((count, 3))

@@ -36,8 +36,6 @@ SHARED = 1
 """Numbers shared by all faces and frames: the lens blur."""
 STEEP = 0.3
 """Share of the steepest slope on a face from which a pixel counts as steep."""
-FLAT = 0.01
-"""The same share below which a pixel tells the light alone: its part in the normal equations is below 1e-4."""
 THINNED = 3
 """Of the pixels on flat ground beside marks every third is enough for the six numbers of light."""
 NO_BLUR = 0.02
@@ -45,13 +43,10 @@ NO_BLUR = 0.02
 BLUR_STEP = 1.15
 """Factor on the lens blur for its difference quotient. Its derivative proper would rest on the texture's curvature at one place,
 and so on its noise, which every look that it was learned from shares: blurs came out a quarter too large."""
-LITTLE_BLUR = 0.3
-"""Variance [texel²] up to which more or less blur adds half of it times the second derivatives of the texture. What that leaves
-out, an eighth of its square times the fourth ones, is 0.6 % of a step that is blurred by a texel, and odd about it: it moves
-nothing. Beyond, the texture is looked up at more places."""
-MODERATE_BLUR = 1.0
-"""The same on the grid itself, where differences from texel to texel stand for the derivatives: three texels so weighted have
-just that variance, and no weight is negative up to here."""
+STENCIL_BLUR = 2.0
+"""Variance [texel²] up to which a texture is blurred by three texels in a row, some times over; beyond they lie twice as far
+apart, from four times as much on four times, and so on. Three values so far apart as √3 standard deviations, weighted 1/6, 2/3
+and 1/6, blur a quintic as a normal distribution does."""
 EVERY_THIRD, MANY = 3, 600
 """On the way one pixel in three tells the scale of the residuals well enough, where a face has so many."""
 BUFFER = 60_000
@@ -154,19 +149,23 @@ class Bench(NamedTuple):
     """(2, most)"""
     softer: Any
     """(2, most) derivatives of the texture by its own variance [1/texel²] and by the lens blur [1/px]."""
-    bent: Any
-    """(10,) a spline and its derivatives at one place."""
+    by: Any
+    """(6 + WARPS + SHARED, most) derivatives of the grey levels by all that they may depend on."""
+    heavy: Any
+    """(most,) one of them, times its weight."""
+    soft: Any
+    """(4, n, n) textures that are being blurred."""
     line: Any
     """(2, most) where the pixels of one line lie on the face [texel]."""
 
 
 @compiled(nogil=True)
-def new_bench(most: int) -> Bench:
-    """A bench for `most` pixels of a face."""
+def new_bench(most: int, side: int) -> Bench:
+    """A bench for `most` pixels of a face, and textures of `side` texels a side."""
     return Bench(
         np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
         np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty((2, most)),
-        np.empty(10), np.empty((2, most)),
+        np.empty((6 + WARPS + SHARED, most)), np.empty(most), np.empty((4, side, side)), np.empty((2, most)),
     )  # fmt: skip
 
 
@@ -322,43 +321,38 @@ def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
 
 
 @_free
-def _bent_spline(coef: Any, x: float, y: float, out: Any) -> None:
-    """The same with all higher derivatives, in out (10,): value, x, y, xx, xy, yy, xxx, xxy, xyy, yyy."""
+def _spline_value(coef: Any, x: float, y: float) -> float:
+    """Its value alone."""
     j, i = floor(x), floor(y)
     s, t = x - j, y - i
     bx0, bx1, bx3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
     bx2 = 1.0 - bx0 - bx1 - bx3
-    dx0, dx1, dx3 = -0.5 * (1.0 - s) ** 2, s * (1.5 * s - 2.0), 0.5 * s * s
-    dx2 = -dx0 - dx1 - dx3
     by0, by1, by3 = (1.0 - t) ** 3 / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), t * t * t / 6.0
-    dy0, dy1, dy3 = -0.5 * (1.0 - t) ** 2, t * (1.5 * t - 2.0), 0.5 * t * t
-    weights = (
-        (by0, dy0, 1.0 - t, -1.0),
-        (by1, dy1, 3.0 * t - 2.0, 3.0),
-        (1.0 - by0 - by1 - by3, -dy0 - dy1 - dy3, 1.0 - 3.0 * t, -3.0),
-        (by3, dy3, t, 1.0),
-    )
-    v, gx, gy, xx, xy, yy, xxx, xxy, xyy, yyy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    by = (by0, by1, 1.0 - by0 - by1 - by3, by3)
+    v = 0.0
+    for k in range(4):
+        row = coef[i - 1 + k]
+        v += by[k] * (row[j - 1] * bx0 + row[j] * bx1 + row[j + 1] * bx2 + row[j + 2] * bx3)
+    return v
+
+
+@_free
+def _spline_bend(coef: Any, x: float, y: float) -> float:
+    """Sum of its second derivatives by x and by y [1/texel²]."""
+    j, i = floor(x), floor(y)
+    s, t = x - j, y - i
+    bx0, bx1, bx3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
+    bx2 = 1.0 - bx0 - bx1 - bx3
+    by0, by1, by3 = (1.0 - t) ** 3 / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), t * t * t / 6.0
+    weights = ((by0, 1.0 - t), (by1, 3.0 * t - 2.0), (1.0 - by0 - by1 - by3, 1.0 - 3.0 * t), (by3, t))
+    v = 0.0
     for k in range(4):
         row = coef[i - 1 + k]
         c0, c1, c2, c3 = row[j - 1], row[j], row[j + 1], row[j + 2]
-        r0 = c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3
-        r1 = c0 * dx0 + c1 * dx1 + c2 * dx2 + c3 * dx3
-        r2 = (1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3)
-        w0, w1, w2, w3 = weights[k]
-        v += w0 * r0
-        gx += w0 * r1
-        gy += w1 * r0
-        xx += w0 * r2
-        xy += w1 * r1
-        yy += w2 * r0
-        xxx += w0 * (c3 - c0 + 3.0 * (c1 - c2))
-        xxy += w1 * r2
-        xyy += w2 * r1
-        yyy += w3 * r0
-    out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7], out[8], out[9] = (
-        v, gx, gy, xx, xy, yy, xxx, xxy, xyy, yyy
-    )  # fmt: skip
+        level, bend = weights[k]
+        v += level * ((1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3))
+        v += bend * (c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3)
+    return v
 
 
 @_inner
@@ -411,46 +405,42 @@ def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float,
 
 
 @_free
-def _directions(more: Any, spread: Any) -> int:
-    """Principal directions [texel] of variances `more` (3,), √3 standard deviations long, and the sign, -1 for less blur, in
-    `spread` (2, 3); how many of them matter."""
-    caa, cab, cbb = more[0], more[1], more[2]
-    mean, half = 0.5 * (caa + cbb), sqrt(0.25 * (caa - cbb) ** 2 + cab * cab)
-    number = 0
-    for k in range(2):
-        value = mean + half if k == 0 else mean - half
-        if abs(value) < NO_BLUR:
+def _soften(texture: Any, more: Any, largest: float, room: Any) -> int:
+    """Blur a surface (n, n), its values on a grid or the coefficients of its spline, by variances `more` (3,) xx, xy, yy
+    [texel²], of which the `largest` is so large; which of the two in `room` (2, n, n) it then is. Less blur than a texture has
+    is the same difference taken away, once: more turns would sharpen its noise."""
+    apart = 1
+    while largest > STENCIL_BLUR * apart * apart:
+        apart *= 2
+    unit = 1.0 / (apart * apart)
+    turns = max(int(3.0 * largest * unit + 0.5), 1) if more[0] + more[2] > 0.0 else 1
+    unit /= turns
+    _blur_once(texture, more, unit, apart, room[0])
+    for k in range(1, turns):
+        _blur_once(room[(k - 1) % 2], more, unit, apart, room[k % 2])
+    return (turns - 1) % 2
+
+
+@_free_sums
+def _blur_once(texture: Any, more: Any, unit: float, apart: int, out: Any) -> None:
+    """Add half of `unit` times the variances times the second differences between values so far apart; the border stays."""
+    n = texture.shape[0]
+    xx, xy, yy = 0.5 * unit * more[0], 0.25 * unit * more[1], 0.5 * unit * more[2]
+    middle, inside, far = 1.0 - 2.0 * (xx + yy), n - 2 * apart, 2 * apart
+    for i in range(n):
+        here, blurred = texture[i], out[i]
+        for j in range(n):
+            blurred[j] = here[j]
+        if i < apart or i >= n - apart:
             continue
-        ux, uy = value - cbb, cab
-        if abs(ux) + abs(uy) < 1e-9 * (abs(mean) + half):
-            ux, uy = (1.0, 0.0) if (k == 0) == (caa >= cbb) else (0.0, 1.0)
-        length = hypot(ux, uy)
-        reach = sqrt(3.0 * abs(value))
-        spread[number, 0], spread[number, 1] = reach * ux / length, reach * uy / length
-        spread[number, 2] = 1.0 if value > 0.0 else -1.0
-        number += 1
-    return number
-
-
-@_free
-def _blurred(coef: Any, x: float, y: float, spread: Any, number: int) -> tuple[float, float, float]:
-    """The spline blurred along `number` directions, with its slopes, by three-point Gauss-Hermite quadrature along each:
-    exact for quintics; less blur than the texture has is the same difference taken away, exact for cubics."""
-    v, gx, gy = _spline(coef, x, y)
-    top = coef.shape[0] - 2.0 - 1e-9
-    value, by_x, by_y = v, gx, gy
-    for k in range(number):
-        share = spread[k, 2] / 6.0
-        for sign in (-1.0, 1.0):
-            aside, ax, ay = _spline(
-                coef,
-                min(max(x + sign * spread[k, 0], 1.0), top),
-                min(max(y + sign * spread[k, 1], 1.0), top),
-            )
-            value += share * (aside - v)
-            by_x += share * (ax - gx)
-            by_y += share * (ay - gy)
-    return value, by_x, by_y
+        # Views that begin where they are read: an index that might be negative keeps the loop from being done in steps of eight.
+        left, centre, right = here[:inside], here[apart : n - apart], here[far:]
+        a, b, c = texture[i - apart, :inside], texture[i - apart, apart : n - apart], texture[i - apart, far:]
+        d, e, f = texture[i + apart, :inside], texture[i + apart, apart : n - apart], texture[i + apart, far:]
+        new = blurred[apart : n - apart]
+        for j in range(inside):
+            across, along = left[j] + right[j], b[j] + e[j]
+            new[j] = middle * centre[j] + xx * across + yy * along + xy * (a[j] - c[j] - d[j] + f[j])
 
 
 @_free_sums
@@ -607,16 +597,13 @@ def look_at_face(
     inverse variance times `importance`, and `count` (n, n) by one where the frame shows a texel; `own` (2, 3) becomes the
     blur of this frame (`_blur_on_face`). The picture is read by cubic convolution (Keys, 1981), whose kernel adds no variance
     of its own. Where the texture is `known`, only what `faces.use` names is looked at, the light is fitted with the texture,
-    of which `knots` (6, n, n) are value, slopes x, y and second differences xx, xy, yy on the grid, and what does not look
-    like it is left out; else a plane of light alone is fitted, and the values are grey over plane. Returns the share of the
-    texels in view that were used, below a half of which nothing is added, and the sum of weights; zeros for a face that is
-    not seen.
+    of which `knots` (3, n, n) are value and slopes x, y on the grid, and what does not look like it is left out; else a plane
+    of light alone is fitted, and the values are grey over plane. Returns the share of the texels in view that were used,
+    below a half of which nothing is added, and the sum of weights; zeros for a face that is not seen.
     """
     n = total.shape[0]
     E, origin = np.zeros((3, 3)), np.zeros(3)
-    K, dist, Rcw, coef, use, texel = (
-        optics.matrix, optics.distortion, optics.rotation, faces.coefficients[f], faces.use[f], faces.texel
-    )  # fmt: skip
+    K, dist, Rcw, use, texel = optics.matrix, optics.distortion, optics.rotation, faces.use[f], faces.texel
     offset, sides = faces.offsets[f], faces.counts[f]
     if _face_in_camera(Rcw, optics.translation, pos, R, faces.axes[f], offset, E, origin) < GRAZING:
         return 0.0, 0.0
@@ -630,10 +617,10 @@ def look_at_face(
         return 0.0, 0.0
     height, width = image.shape
     half = 0.5 * (n - 1)
-    more, spread = np.zeros(3), np.zeros((2, 3))
+    more, values = np.zeros(3), knots[0]
     largest = _extra_blur(own[0], own[1], optics.blur, faces.base[f], texel, more)
-    bent = NO_BLUR <= largest < MODERATE_BLUR
-    number = 0 if bent else _directions(more, spread)
+    if known and largest >= NO_BLUR:
+        values = bench.soft[_soften(values, more, largest, bench.soft)]
     grey, where, steep, texture = bench.grey, bench.where, bench.steep, bench.texture
     m = _FIRST
     for i in range(n):
@@ -671,16 +658,8 @@ def look_at_face(
                 continue
             grey[m] = value
             texture[m], steep[m] = 1.0, 1.0
-            if known and number > 0:
-                level, gx, gy = _blurred(coef, float(j), float(i), spread, number)
-                texture[m], steep[m] = level, hypot(gx, gy)
-            elif known:
-                texture[m] = knots[0, i, j]
-                if bent:
-                    texture[m] += 0.5 * (
-                        more[0] * knots[3, i, j] + 2.0 * more[1] * knots[4, i, j] + more[2] * knots[5, i, j]
-                    )
-                steep[m] = hypot(knots[1, i, j], knots[2, i, j])
+            if known:
+                texture[m], steep[m] = values[i, j], hypot(knots[1, i, j], knots[2, i, j])
             bench.a[m], bench.b[m] = a / (half * texel), b / (half * texel)
             where[m] = i * n + j
             m += 1
@@ -692,7 +671,7 @@ def look_at_face(
     if scale < 0.0 or (known and c[0] <= 0.0):
         return 0.0, 0.0
     # What this frame says of each texel: its value in place of the residual, its weight in place of the robust one.
-    values, each = bench.left, bench.weight
+    shown, each = bench.left, bench.weight
     used, together = 0.0, 0.0
     for k in range(m):
         if known:
@@ -701,13 +680,13 @@ def look_at_face(
                 each[k] = 0.0
                 continue
             used += each[k]
-            values[k] = texture[k] + values[k] / contrast
+            shown[k] = texture[k] + shown[k] / contrast
             each[k] *= (contrast / scale) ** 2
         else:
-            plane = grey[k] - values[k]
+            plane = grey[k] - shown[k]
             each[k] = 0.0
             if plane > 2.0 * scale:
-                values[k] = grey[k] / plane
+                shown[k] = grey[k] / plane
                 each[k] = (plane / scale) ** 2
                 used += 1.0
         together += each[k]
@@ -716,7 +695,7 @@ def look_at_face(
     for k in range(m):
         if each[k] > 0.0:
             i, j = where[k] // n, where[k] % n
-            total[i, j] += importance * each[k] * values[k]
+            total[i, j] += importance * each[k] * shown[k]
             weights[i, j] += importance * each[k]
             count[i, j] += 1
     return used / m, importance * together
@@ -748,8 +727,8 @@ def mark_equations(
     E, origin = np.zeros((3, 3)), np.zeros(3)
     most = corners.shape[1]
     px, planes = np.zeros((most, 2)), np.zeros((most, 3))
-    more, spread, further, own = np.zeros(3), np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 3))
-    grey, texture, steep, bent = bench.grey, bench.texture, bench.steep, bench.bent
+    more, further, own = np.zeros(3), np.zeros(3), np.zeros((2, 3))
+    grey, texture, steep = bench.grey, bench.texture, bench.steep
     slope, ray, softer, line = bench.slope, bench.ray, bench.softer, bench.line
     c, A = np.zeros(GAINS), np.zeros((GAINS, GAINS))
     HH, gg, C = np.zeros((N, N)), np.zeros(N), np.zeros((N, GAINS))
@@ -780,13 +759,14 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        wider = 0
+        sharp, largest = coef, _extra_blur(own[0], own[1], optics.blur, base, texel, more)
+        if largest >= NO_BLUR:
+            coef = bench.soft[_soften(coef, more, largest, bench.soft)]
         if places:
-            _extra_blur(own[0], own[1], BLUR_STEP * optics.blur, base, texel, more)
-            wider = _directions(more, further)
-        largest = _extra_blur(own[0], own[1], optics.blur, base, texel, more)
-        little = NO_BLUR <= largest < LITTLE_BLUR
-        number = 0 if little else _directions(more, spread)
+            _extra_blur(own[0], own[1], BLUR_STEP * optics.blur, base, texel, further)
+            for k in range(3):
+                further[k] -= more[k]
+            blurrier = bench.soft[2 + _soften(coef, further, further[0] + further[2], bench.soft[2:])]
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
         # Rays and centre are bent rather than the die, see `_line_on_face`.
         for i in range(3):
@@ -814,24 +794,14 @@ def mark_equations(
                 kind = use[int(y + 0.5), int(x + 0.5)]
                 if kind == 0 or (kind == 1 and (u + v) % THINNED != 0):
                     continue
-                if places or little:
-                    _bent_spline(coef, x, y, bent)
-                if number > 0:
-                    level, gx, gy = _blurred(coef, x, y, spread, number)
-                elif little:
-                    level = bent[0] + 0.5 * (more[0] * bent[3] + 2.0 * more[1] * bent[4] + more[2] * bent[5])
-                    gx = bent[1] + 0.5 * (more[0] * bent[6] + 2.0 * more[1] * bent[7] + more[2] * bent[8])
-                    gy = bent[2] + 0.5 * (more[0] * bent[7] + 2.0 * more[1] * bent[8] + more[2] * bent[9])
-                else:
-                    level, gx, gy = _spline(coef, x, y)
+                level, gx, gy = _spline(coef, x, y)
                 grey[m], texture[m] = value, level
                 bench.a[m], bench.b[m] = (x - half) / half, (y - half) / half
                 slope[0, m], slope[1, m] = gx / texel, gy / texel
                 steep[m] = hypot(gx, gy)
                 if places:
-                    softer[0, m] = 0.5 * (bent[3] + bent[5])
-                    blurrier, _, _ = _blurred(coef, x, y, further, wider)
-                    softer[1, m] = (blurrier - level) / ((BLUR_STEP - 1.0) * optics.blur)
+                    softer[0, m] = 0.5 * _spline_bend(sharp, x, y)
+                    softer[1, m] = (_spline_value(blurrier, x, y) - level) / ((BLUR_STEP - 1.0) * optics.blur)
                 ray[0, m], ray[1, m] = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 m += 1
         stats[f, 0] = m
@@ -848,14 +818,12 @@ def mark_equations(
         stats[f, 1], stats[f, 2] = used, scale
         if used < (1.0 - MOST_HIDDEN) * m:
             continue
-        HH[:] = 0.0
-        gg[:] = 0.0
-        C[:] = 0.0
         # Everything in camera axes; turned to world axes once, after the sum.
+        _fill_by_pose(m, c, E, offsets[f], half * texel, bench)
         if places:
-            _add_places(m, c, E, offsets[f], half * texel, bench, HH, gg, C)
-        else:
-            _add_pose(m, c, E, offsets[f], half * texel, bench, HH, gg, C)
+            _fill_by_places(m, c, half * texel, bench)
+        for k in range(N):
+            _add_products(m, k, bench, HH, gg, C)
         _light_sums(m, grey, texture, bench.a, bench.b, bench.weight, A, elim)
         iv = 1.0 / (scale * scale)
         for k in range(PLAIN, GAINS):
@@ -905,63 +873,57 @@ def _by_pose(
 
 
 @_inner_sums
-def _add_pose(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
-    """Add m pixels to HH (6, 6, lower half), gg (6,) and C (6, GAINS), the products with the light, all at unit noise."""
-    J = np.empty(6)
+def _fill_by_pose(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench) -> None:
+    """Derivatives of m grey levels by the pose."""
+    by = bench.by
     for i in range(m):
-        w = bench.weight[i]
-        if w <= 0.0 or bench.steep[i] < FLAT:
-            continue
-        x, y, t = bench.a[i], bench.b[i], bench.texture[i]
+        x, y = bench.a[i], bench.b[i]
         contrast = c[0] + c[4] * x + c[5] * y
-        J[0], J[1], J[2], J[3], J[4], J[5] = _by_pose(
+        by[0, i], by[1, i], by[2, i], by[3, i], by[4, i], by[5, i] = _by_pose(
             contrast * bench.slope[0, i], contrast * bench.slope[1, i], bench.ray[0, i], bench.ray[1, i], unit * x, unit * y,
             E, offset,
         )  # fmt: skip
-        r, xt, yt = bench.left[i], x * t, y * t
-        for k in range(6):
-            jk = w * J[k]
-            gg[k] += jk * r
-            C[k, 0] += jk * t
-            C[k, 1] += jk
-            C[k, 2] += jk * x
-            C[k, 3] += jk * y
-            C[k, 4] += jk * xt
-            C[k, 5] += jk * yt
-            # The whole row, though the lower half would do: a loop of fixed length is one instruction or two.
-            for h in range(6):
-                HH[k, h] += jk * J[h]
 
 
 @_inner_sums
-def _add_places(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
-    """The same with the warps of the texture and the lens blur: HH (N, N), gg (N,), C (N, GAINS)."""
-    J = np.empty(6 + WARPS + SHARED)
+def _fill_by_places(m: int, c: Any, unit: float, bench: Bench) -> None:
+    """The same by the warps of the texture and the lens blur."""
+    by = bench.by
     for i in range(m):
-        w = bench.weight[i]
-        if w <= 0.0 or bench.steep[i] < FLAT:
-            continue
-        x, y, t = bench.a[i], bench.b[i], bench.texture[i]
+        x, y = bench.a[i], bench.b[i]
         contrast = c[0] + c[4] * x + c[5] * y
         a, b, ga, gb = unit * x, unit * y, contrast * bench.slope[0, i], contrast * bench.slope[1, i]
-        J[0], J[1], J[2], J[3], J[4], J[5] = _by_pose(ga, gb, bench.ray[0, i], bench.ray[1, i], a, b, E, offset)
         radial = ga * a + gb * b
-        J[6], J[7] = -ga, -gb
-        J[8], J[9], J[10], J[11] = -ga * a, -ga * b, -gb * a, -gb * b
-        J[12], J[13] = -radial * a, -radial * b
-        J[14], J[15] = contrast * bench.softer[0, i], contrast * bench.softer[1, i]
-        r, xt, yt = bench.left[i], x * t, y * t
-        for k in range(6 + WARPS + SHARED):
-            jk = w * J[k]
-            gg[k] += jk * r
-            C[k, 0] += jk * t
-            C[k, 1] += jk
-            C[k, 2] += jk * x
-            C[k, 3] += jk * y
-            C[k, 4] += jk * xt
-            C[k, 5] += jk * yt
-            for h in range(6 + WARPS + SHARED):
-                HH[k, h] += jk * J[h]
+        by[6, i], by[7, i] = -ga, -gb
+        by[8, i], by[9, i], by[10, i], by[11, i] = -ga * a, -ga * b, -gb * a, -gb * b
+        by[12, i], by[13, i] = -radial * a, -radial * b
+        by[14, i], by[15, i] = contrast * bench.softer[0, i], contrast * bench.softer[1, i]
+
+
+@_inner_sums
+def _add_products(m: int, k: int, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
+    """Row k of HH (lower half), gg and C, the products with the light, all at unit noise, of m pixels: one sum after the other
+    over all pixels, which the processor does several at a time."""
+    mine, weight, left, heavy = bench.by[k], bench.weight, bench.left, bench.heavy
+    texture, xs, ys = bench.texture, bench.a, bench.b
+    pull, ct, c1, cx, cy, cxt, cyt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(m):
+        w, t, x, y = weight[i] * mine[i], texture[i], xs[i], ys[i]
+        heavy[i] = w
+        pull += w * left[i]
+        ct += w * t
+        c1 += w
+        cx += w * x
+        cy += w * y
+        cxt += w * x * t
+        cyt += w * y * t
+    gg[k] = pull
+    C[k, 0], C[k, 1], C[k, 2], C[k, 3], C[k, 4], C[k, 5] = ct, c1, cx, cy, cxt, cyt
+    for h in range(k + 1):
+        other, total = bench.by[h], 0.0
+        for i in range(m):
+            total += heavy[i] * other[i]
+        HH[k, h] = total
 
 
 @_inner
@@ -1028,7 +990,7 @@ def refine_on_marks(
     place, stats = np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3))
     Hk, g = np.zeros((6, 6)), np.zeros(6)
     A, y, step, away = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
-    bench = new_bench(_MOST)
+    bench = new_bench(_MOST, faces.coefficients.shape[1])
     for k in range(frames.shape[0]):
         x0, y0 = boxes[k, 0], boxes[k, 1]
         if boxes[k, 2] <= x0 or boxes[k, 3] <= y0:

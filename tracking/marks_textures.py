@@ -220,7 +220,7 @@ def with_learned_textures(
         known = bool(np.isfinite(marks.texture[f]).any())
         if known and not marks.noise_grey[f]:
             return
-        knots, bench, own = _knots(marks.coefficients[f]), new_bench(grid.size**2), np.zeros((2, 3))
+        knots, bench, own = _knots(marks.coefficients[f]), new_bench(grid.size**2, grid.size), np.zeros((2, 3))
         for i in np.flatnonzero(facings[:, f] > GRAZING):
             look, half = looks[i], seen[f] % 2
             share, together = look_at_face(
@@ -240,14 +240,10 @@ def with_learned_textures(
 
 
 def _knots(coefficients: Array) -> Array:
-    """(6, n, n) of a cubic B-spline surface where its coefficients (n, n) sit: value, slopes x and y [1/texel], and differences
-    xx, xy, yy of the second order from texel to texel."""
+    """(3, n, n) of a cubic B-spline surface where its coefficients (n, n) sit: value, and slopes x and y [1/texel]."""
     level, slope = np.array([1.0, 4.0, 1.0]) / 6.0, np.array([-0.5, 0.0, 0.5])
-    same, bend = np.array([0.0, 1.0, 0.0]), np.array([1.0, -2.0, 1.0])
-    values = cv2.sepFilter2D(coefficients, cv2.CV_64F, level, level)
-    slopes = [cv2.sepFilter2D(coefficients, cv2.CV_64F, x, y) for x, y in ((slope, level), (level, slope))]
-    bends = [cv2.sepFilter2D(values, cv2.CV_64F, x, y) for x, y in ((bend, same), (slope, slope), (same, bend))]
-    return np.stack([values, *slopes, *bends])
+    both = ((level, level), (slope, level), (level, slope))
+    return np.stack([cv2.sepFilter2D(coefficients, cv2.CV_64F, x, y) for x, y in both])
 
 
 def _facings(view: View, grid: FaceGrid, poses: Poses) -> Array:
