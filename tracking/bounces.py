@@ -96,7 +96,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
             "a flight"
         )
     lean = np.zeros((len(track), 6, 0))
-    loose, seen = _sightings(track, use), _sightings(track, use, LITTLE_SLACK)
+    apart = max(1, spared(track, die) // every)
+    # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
+    loose, seen = _sightings(track, use[::apart]), _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(seen, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
@@ -104,11 +106,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
-    limit_s, apart = instant_s(seen.time_s), max(1, spared(track, die) // every)
+    limit_s = instant_s(seen.time_s)
     low = low_from(seen, die) if flying < len(use) else len(use)
     while True:
-        # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
-        ahead, some = slice(0, flying), loose.rows(slice(0, flying, apart))
+        ahead, some = slice(0, flying), loose.rows(slice(0, -(-flying // apart)))
         rough = join_flights(some, part_flights(some, die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)

@@ -1763,10 +1763,11 @@ def scale_px(eyes: Eyes, pos: Any) -> float:
 
 @compiled(nogil=True)
 def settle(
-    frames: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, positions: Any, rotations: Any, motions: Any,
-    H: Any, stats: Any, costs: Any,
+    frames: Any, which: Any, backgrounds: Any, eyes: Eyes, shape: Shape, lens: Lens, positions: Any, rotations: Any,
+    motions: Any, H: Any, stats: Any, costs: Any,
 ) -> None:  # fmt: skip
-    """Refine each of many frames from its own start, in place; a start whose position is NaN is left out.
+    """Refine the poses of frames number `which` (m,) of many (n, cameras, height, width), each from its own start, in place; a
+    start whose position is NaN is left out.
 
     Most starts lie so near that the lens blur does at once; where the pose moves by more than NEARBY_PX, it begins again
     from the start with coarser steps.
@@ -1774,7 +1775,7 @@ def settle(
     desk = new_desk(shape, eyes)
     h, g, row = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
     moved, reach = np.zeros(3), _reach(shape)
-    for k in range(frames.shape[0]):
+    for k in range(which.shape[0]):
         H[k] = 0.0
         if isnan(positions[k, 0]):
             continue
@@ -1782,7 +1783,7 @@ def settle(
         for again in range(2):
             if again:
                 desk.usual[:] = 0.0
-            sight = sight_of(frames[k], eyes, shape, start, R, WINDOW_PX if again else NARROW_PX, desk)
+            sight = sight_of(frames[which[k]], eyes, shape, start, R, WINDOW_PX if again else NARROW_PX, desk)
             if sight.pixels.shape[1] == 0:
                 break
             p, Q, cost = look(

@@ -213,20 +213,20 @@ class Refining:
         self.shared = shared
         """(n, 6, 6) covariance that each pose shares with all others (`shared_covariances`)."""
 
-    def see(self, frames: NDArray[Any], rows: slice, pool: Executor) -> list[Future[None]]:
-        """Refine some of the frames, given as pictures (n, cameras, height, width), in the threads of a pool: the jobs that were
-        begun, which must be done before `poses` is asked."""
+    def see(self, frames: NDArray[Any], which: NDArray[np.int64], rows: slice, pool: Executor) -> list[Future[None]]:
+        """Refine some rows: those of pictures number `which` (m,) of some (n, cameras, height, width), in the threads of a pool.
+        The jobs that were begun, which must be done before `poses` is asked."""
 
-        def some(part: slice) -> None:
-            mine = slice(rows.start + part.start, rows.start + part.stop)
+        def some(a: int, b: int) -> None:
+            mine = slice(rows.start + a, rows.start + b)
             velocity, omega = self._rates
             refine_on_marks(
-                frames[part], self.boxes[mine], self._optics, self._faces, self._position[mine], self._rotation[mine],
+                frames, which[a:b], self.boxes[mine], self._optics, self._faces, self._position[mine], self._rotation[mine],
                 velocity[mine], omega[mine], self._factor, self._sure[mine], self._pull[mine], STEPS, self._H[mine],
             )  # fmt: skip
 
-        cuts = np.linspace(0, len(frames), THREADS + 1).astype(int)
-        return [pool.submit(some, slice(int(a), int(b))) for a, b in pairwise(cuts) if b > a]
+        cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
+        return [pool.submit(some, a, b) for a, b in pairwise(cuts) if b > a]
 
     def poses(self) -> FramePoses:
         """Where they are now. Where no marked face was seen, the edges' pose stays, its covariance widened by their systematic

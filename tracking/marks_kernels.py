@@ -975,14 +975,15 @@ def _turned(R: Any, w: Any) -> Any:
 
 @compiled(nogil=True)
 def refine_on_marks(
-    frames: Any, boxes: Any, optics: Optics, faces: Faces, positions: Any, rotations: Any, velocities: Any, omegas: Any,
-    factor: float, others: Any, other_gs: Any, steps: int, H: Any,
+    frames: Any, which: Any, boxes: Any, optics: Optics, faces: Faces, positions: Any, rotations: Any, velocities: Any,
+    omegas: Any, factor: float, others: Any, other_gs: Any, steps: int, H: Any,
 ) -> None:  # fmt: skip
-    """Gauss-Newton on the marks together with another source of the pose, on many frames (n, cameras, height, width), whose
-    first camera's windows are `boxes` (n, 4; x0, y0, x1, y1), empty where a frame shall be left alone.
+    """Gauss-Newton on the marks together with another source of the pose, on frames number `which` (m,) of many
+    (n, cameras, height, width), whose first camera's windows are `boxes` (m, 4; x0, y0, x1, y1), empty where a frame shall be
+    left alone.
 
-    `others` (n, 6, 6) is that source's information and `other_gs` (n, 6) its information times its pose minus the start;
-    `factor` divides the information of the marks. `positions` (n, 3) and `rotations` (n, 3, 3) are replaced; H (n, 6, 6)
+    `others` (m, 6, 6) is that source's information and `other_gs` (m, 6) its information times its pose minus the start;
+    `factor` divides the information of the marks. `positions` (m, 3) and `rotations` (m, 3, 3) are replaced; H (m, 6, 6)
     becomes the information of the marks alone, divided by `factor`; zero where no face with marks is seen, whose pose stays.
     """
     K, Rcw, tcw = optics.matrix, optics.rotation, optics.translation
@@ -991,13 +992,13 @@ def refine_on_marks(
     Hk, g = np.zeros((6, 6)), np.zeros(6)
     A, y, step, away = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     bench = new_bench(_MOST, faces.coefficients.shape[1])
-    for k in range(frames.shape[0]):
+    for k in range(which.shape[0]):
         x0, y0 = boxes[k, 0], boxes[k, 1]
         if boxes[k, 2] <= x0 or boxes[k, 3] <= y0:
             continue
         image = np.empty((boxes[k, 3] - y0, boxes[k, 2] - x0), np.float32)
         for i in range(image.shape[0]):
-            here, there = image[i], frames[k, 0, y0 + i, x0:]
+            here, there = image[i], frames[which[k], 0, y0 + i, x0:]
             for j in range(image.shape[1]):
                 here[j] = there[j]
         p, Q, vel, omega = positions[k].copy(), rotations[k].copy(), velocities[k], omegas[k]

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from .clip import Clip, Filling
 
 Frames = NDArray[Any]
+Rows = NDArray[np.int64]
 
 BLOCK_BYTES = 2**24
 """Size of a block: large enough for threads to share its frames, small enough to keep three in memory."""
@@ -65,22 +66,31 @@ class Reel:
     def __len__(self) -> int:
         return len(self.times_s)
 
-    def blocks(
-        self, start: int = 0, stop: int | None = None, boxes: NDArray[np.int64] | None = None
-    ) -> Iterator[tuple[int, Frames]]:
-        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread.
-
-        With `boxes` (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), whoever asks looks at no others:
-        they may be those of other frames.
-        """
+    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
+        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
         stop = len(self) if stop is None else stop
-        if self._whole is not None and self._there[start:stop].all():
-            for first in range(start, stop, self.block):
-                yield first, self._whole[first : min(first + self.block, stop)]
+        for rows, frames in self._ahead(np.arange(start, stop), None):
+            yield int(rows[0]), frames
+
+    def looked_at(self, boxes: NDArray[np.int64]) -> Iterator[tuple[Rows, Frames]]:
+        """Rows (n,) and frames (n, cameras, height, width), in order, of at least those frames of the clip whose `boxes`
+        (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), hold any. Whoever asks looks at no other pixels:
+        they may be those of other frames."""
+        rows = np.arange(len(self))
+        if self._whole is None and all(isinstance(clip, Filling) for clip in self.clips):
+            rows = np.flatnonzero((boxes[:, :, 2:] > boxes[:, :, :2]).all(2).any(1))
+        return self._ahead(rows, boxes)
+
+    def _ahead(self, rows: Rows, boxes: NDArray[np.int64] | None) -> Iterator[tuple[Rows, Frames]]:
+        """Some rows in blocks, read ahead in a thread."""
+        pieces = [rows[k : k + self.block] for k in range(0, len(rows), self.block)]
+        if self._whole is not None and self._there[rows].all():
+            for some in pieces:
+                yield some, self._whole[some[0] : some[-1] + 1]  # one after the other: such a clip is read whole
             return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()
-        reader = threading.Thread(target=self._read, args=(start, stop, boxes, queue, closed), daemon=True)
+        reader = threading.Thread(target=self._read, args=(pieces, boxes, queue, closed), daemon=True)
         reader.start()
         try:
             while True:
@@ -146,43 +156,42 @@ class Reel:
             return room
 
     def _read(
-        self, start: int, stop: int, boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
+        self, pieces: list[Rows], boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
     ) -> None:
         """Fill the queue; what goes wrong is handed on to whoever waits."""
         last: Any = None
         try:
-            runs = [_Run(clip, start, stop) for clip in self.clips]
+            runs = [_Run(clip, pieces) for clip in self.clips]
             boxes = None if self._whole is not None else boxes  # what is kept is kept whole
-            for first in range(start, stop, self.block):
-                count = min(self.block, stop - first)
-                block = self._room()[:count]
+            for rows in pieces:
+                block = self._room()[: len(rows)]
                 for c, run in enumerate(runs):
-                    wanted = None if boxes is None else boxes[first : first + count, c]
-                    if not run.put(first, block[:, c], wanted, closed):
+                    if not run.put(rows, block[:, c], None if boxes is None else boxes[rows, c], closed):
                         return
-                self._keep_whole(first, block)
-                _put(queue, (first, block), closed)
+                self._keep_whole(int(rows[0]), block)
+                _put(queue, (rows, block), closed)
         except BaseException as error:  # raised again by the thread that reads the blocks
             last = error
         _put(queue, last, closed)
 
 
 class _Run:
-    """Frames of one clip in order, as quickly as it hands them out."""
+    """Frames of one clip in order, as quickly as it hands them out: any, or all of a range where it knows no other way."""
 
-    def __init__(self, clip: Clip, start: int, stop: int) -> None:
+    def __init__(self, clip: Clip, pieces: list[Rows]) -> None:
         self._size = clip.height_px, clip.width_px
         self._filling = clip if isinstance(clip, Filling) else None
-        self._frames = iter(()) if self._filling else clip.frames(start, stop)
+        whole = pieces and not self._filling
+        self._frames = clip.frames(int(pieces[0][0]), int(pieces[-1][-1]) + 1) if whole else iter(())
 
-    def put(self, first: int, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
-        """Write the frames from `first` on into `out` (n, height, width); whether they were all written before it was closed."""
+    def put(self, rows: Rows, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
+        """Write some frames into `out` (n, height, width); whether they were all written before it was closed."""
         out = out[:, : self._size[0], : self._size[1]]
-        for k in range(len(out)):
+        for k, row in enumerate(rows.tolist()):
             if closed.is_set():
                 return False
             if self._filling:
-                self._filling.fill(first + k, out[k : k + 1], None if boxes is None else boxes[k : k + 1])
+                self._filling.fill(row, out[k : k + 1], None if boxes is None else boxes[k : k + 1])
             else:
                 out[k] = next(self._frames)
         return True

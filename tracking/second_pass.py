@@ -19,7 +19,7 @@ from ..model.rotations import matrix_from_quat
 from .edges import Eyes, Lens, settle
 from .offsets import Offsets, eyes_at
 from .pose import THREADS, View, covariances, labelled_like, shares_in_view, sight_boxes
-from .reel import Frames, Reel
+from .reel import Frames, Reel, Rows
 from .seen import Seen
 
 Array = NDArray[np.float64]
@@ -68,8 +68,8 @@ class SecondPass:
                 _Settling(view, lens, some, use, self.offsets, apart) for some, use in ((wanted, rows), (first, apart))
             ]
 
-        def begun(frames: Frames, start: int, pool: Executor) -> list[Future[None]]:
-            return [job for one in tries for job in one.see(frames, start, pool)]
+        def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+            return [job for one in tries for job in one.see(frames, shown, pool)]
 
         see_all(self.reel, _looked_at(view, tries, count), begun, reached)
         seen = tries[0].seen(count)
@@ -113,29 +113,31 @@ class _Settling:
         self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
         self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
 
-    def see(self, frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
-        """Refine those that are among some pictures (n, cameras, height, width), the first of them that of row `first`, in the
+    def see(self, frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+        """Refine those that are among some pictures (n, cameras, height, width), which are those of rows `shown` (n,), in the
         threads of a pool: the jobs that were begun."""
-        a, b = (int(k) for k in np.searchsorted(self.rows, (first, first + len(frames))))
-        some = frames if b - a == len(frames) else frames[self.rows[a:b] - first]
-        judged = self._judged[first : first + len(frames)].any()
-        lens = self._lens if judged else self._lens._replace(samples=0)
-        cuts = np.linspace(a, b, THREADS + 1).astype(int).tolist()
-        return [pool.submit(self._settle, some[i - a : j - a], slice(i, j), lens) for i, j in pairwise(cuts) if j > i]
+        mine, which = among(self.rows, shown)
+        lens = self._lens if self._judged[shown].any() else self._lens._replace(samples=0)
+        cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
+        return [
+            pool.submit(self._settle, frames, which[a:b], slice(mine.start + a, mine.start + b), lens)
+            for a, b in pairwise(cuts)
+            if b > a
+        ]
 
-    def _settle(self, frames: Frames, mine: slice, lens: Lens) -> None:
+    def _settle(self, frames: Frames, which: Rows, mine: slice, lens: Lens) -> None:
         if not self._offsets.any:
-            self._settle_with(frames, mine, lens, self._view.eyes)
+            self._settle_with(frames, which, mine, lens, self._view.eyes)
             return
-        for k, frame in enumerate(range(mine.start, mine.stop)):
+        for k, row in enumerate(range(mine.start, mine.stop)):
             # Late cameras stand elsewhere for every frame.
-            eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[frame], self._motion[frame])
-            self._settle_with(frames[k : k + 1], slice(frame, frame + 1), lens, eyes)
+            eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[row], self._motion[row])
+            self._settle_with(frames, which[k : k + 1], slice(row, row + 1), lens, eyes)
 
-    def _settle_with(self, frames: Frames, mine: slice, lens: Lens, eyes: Eyes) -> None:
+    def _settle_with(self, frames: Frames, which: Rows, mine: slice, lens: Lens, eyes: Eyes) -> None:
         view = self._view
         settle(
-            frames, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
+            frames, which, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
             self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
         )  # fmt: skip
 
@@ -167,23 +169,30 @@ class _Settling:
 def see_all(
     reel: Reel,
     boxes: NDArray[np.int64],
-    begun: Callable[[Frames, int, Executor], list[Future[None]]],
+    begun: Callable[[Frames, Rows, Executor], list[Future[None]]],
     reached: Callable[[int], None],
 ) -> None:
-    """Hand all frames, block by block and cut to `boxes`, to what begins the jobs of a block in a pool; `reached` is called with
-    how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has nothing to do
-    because another is late."""
+    """Hand all frames of which `boxes` hold pixels, block by block, to what begins the jobs of a block in a pool; `reached` is
+    called with how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has
+    nothing to do because another is late."""
     with ThreadPoolExecutor(THREADS) as pool:
         under_way: list[Future[None]] = []
-        for first, frames in reel.blocks(boxes=boxes):
-            jobs = begun(frames, first, pool)
+        for shown, frames in reel.looked_at(boxes):
+            jobs = begun(frames, shown, pool)
             for job in under_way:
                 job.result()
             under_way = jobs
-            reached(first)
+            reached(int(shown[0]))
         for job in under_way:
             job.result()
     reached(len(reel))
+
+
+def among(rows: Rows, shown: Rows) -> tuple[slice, Rows]:
+    """Which of some `rows` lie between the first and the last that are `shown`, and the place of each among those."""
+    a, b = (int(k) for k in np.searchsorted(rows, (shown[0], shown[-1] + 1)))
+    # One that is not shown has no pixels to be looked at: any frame will do for it.
+    return slice(a, b), np.minimum(np.searchsorted(shown, rows[a:b]), len(shown) - 1)
 
 
 def _angles(a: Array, b: Array) -> Array:

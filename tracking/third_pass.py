@@ -23,15 +23,14 @@ from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
 from .marks_textures import Marks
 from .parting import spared
 from .pose import View, contour_leans
-from .reel import Frames, Reel
+from .reel import Frames, Reel, Rows
 from .rest import flown, frames_in_flight
-from .second_pass import SecondPass, see_all
+from .second_pass import SecondPass, among, see_all
 from .seen import Seen, as_track, shown_whole
 from .track import Track
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
@@ -134,10 +133,9 @@ def _see_some(reel: Reel, rows: Rows, refining: Refining, reached: Callable[[int
     boxes = np.zeros((len(reel), 1, 4), np.int64)
     boxes[rows, 0] = refining.boxes
 
-    def begun(frames: Frames, first: int, pool: Executor) -> list[Future[None]]:
-        a, b = (int(k) for k in np.searchsorted(rows, (first, first + len(frames))))
-        some = frames if b - a == len(frames) else frames[rows[a:b] - first]
-        return refining.see(some, slice(a, b), pool)
+    def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+        mine, which = among(rows, shown)
+        return refining.see(frames, which, mine, pool)
 
     see_all(reel, boxes, begun, reached)
 

@@ -29,7 +29,7 @@ def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePo
     frames = np.array([film[k] for k in which])[:, None]
     refining = Refining(VIEW, marks, edges, Throw(marks.flights, ()), rows / FPS)
     with ThreadPoolExecutor(2) as pool:
-        for job in refining.see(frames, slice(0, len(rows)), pool):
+        for job in refining.see(frames, np.arange(len(rows)), slice(0, len(rows)), pool):
             job.result()
     return edges, refining.poses(), refining.shared
 

@@ -104,16 +104,33 @@ def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
     assert not frames[7, 1, 8:].any()
 
 
-def test_boxes_hold_what_the_frames_have_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_boxes_hold_what_the_frames_have_there_and_empty_ones_are_passed_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
     levels = noisy_frames(COUNT, bits=12)
     clip = open_clip(write_photron(tmp_path / "x.cihx", levels, stored_bits=12))
-    corner = np.random.default_rng(1).integers(0, 6, (COUNT, 1, 2))
-    boxes = np.concatenate([corner, corner + 7], axis=-1)
-    for first, frames in Reel([clip]).blocks(20, boxes=boxes):
-        for k, frame in enumerate(frames[:, 0], first):
-            x0, y0, x1, y1 = boxes[k, 0]
-            np.testing.assert_array_equal(frame[y0:y1, x0:x1], levels[k, y0:y1, x0:x1])
+    rng = np.random.default_rng(1)
+    corner, wanted = rng.integers(0, 6, (COUNT, 1, 2)), rng.random(COUNT) < 0.3
+    boxes = np.concatenate([corner, corner + 7 * wanted[:, None, None]], axis=-1)
+    shown = []
+    for rows, frames in Reel([clip]).looked_at(boxes):
+        shown += rows.tolist()
+        for row, frame in zip(rows, frames[:, 0], strict=True):
+            x0, y0, x1, y1 = boxes[row, 0]
+            np.testing.assert_array_equal(frame[y0:y1, x0:x1], levels[row, y0:y1, x0:x1])
+    assert shown == np.flatnonzero(wanted).tolist()
+
+
+def test_a_clip_that_is_read_in_order_alone_shows_frames_without_a_box_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    clip, boxes = clip_of(12, 1000), np.zeros((1000, 1, 4), np.int64)
+    boxes[::9, 0, 2:] = 5
+    parts = list(Reel([clip]).looked_at(boxes))
+    np.testing.assert_array_equal(np.concatenate([rows for rows, _ in parts]), np.arange(1000))
+    plain = np.array(list(clip.frames()))
+    for rows, frames in parts:
+        np.testing.assert_array_equal(frames[:, 0], plain[rows])
 
 
 def test_clips_of_different_lengths_are_refused() -> None:
