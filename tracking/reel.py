@@ -78,7 +78,8 @@ class Reel:
         they may be those of other frames."""
         rows = np.arange(len(self))
         if self._whole is None and all(isinstance(clip, Filling) for clip in self.clips):
-            rows = np.flatnonzero((boxes[:, :, 2:] > boxes[:, :, :2]).all(2).any(1))
+            holds = np.asarray((boxes[:, :, 2:] > boxes[:, :, :2]).all(axis=2))
+            rows = np.flatnonzero(holds.any(axis=1))
         return self._ahead(rows, boxes)
 
     def _ahead(self, rows: Rows, boxes: NDArray[np.int64] | None) -> Iterator[tuple[Rows, Frames]]:
