@@ -70,12 +70,13 @@ def adjusted(
     edges = _edges_minus_flights(looks, poses)
     squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
     factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
+    # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
+    shared = in_flight[[look.flight for look in looks]][:, None, None] * _contours(view, looks, marks.contour_m)
+    informations = np.linalg.inv(np.array([look.edge_covariance for look in looks]) + shared)
     A = np.diag(_priors(view, len(used), len(place_of), len(links)))
     y = np.zeros(len(A))
-    for look, (H, g, place, _), M, away in zip(looks, equations, poses.by_start, edges, strict=True):
-        # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
-        contour_m = marks.contour_m * np.sqrt(in_flight[look.flight])
-        E = np.linalg.inv(look.edge_covariance + contour_covariance(view, look.edge_position_m, contour_m))
+    terms = zip(looks, equations, informations, poses.by_start, edges, strict=True)
+    for look, (H, g, place, _), E, M, away in terms:
         c = slice(column[look.flight], column[look.flight] + 12)
         A[c, c] += M.T @ (H / factor + E) @ M
         y[c] += M.T @ (g / factor + E @ away)
@@ -98,11 +99,11 @@ def adjusted(
     # What would be left if the places of the textures were known: the rest of C is common to all frames.
     sure = np.r_[0 : 12 * len(used), blur_at + SHARED : len(A)]
     own = _inverse(A[np.ix_(sure, sure)])
-    flights, shared = list(marks.flights), list(marks.shared)
+    flights, common = list(marks.flights), list(marks.shared)
     for k, at in column.items():
         c = slice(at, at + 12)
         flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
-        shared[k] = C[c, c] - own[c, c]
+        common[k] = C[c, c] - own[c, c]
     moves = np.zeros(len(flights))
     for k, at in column.items():
         moves[k] = float(np.max(np.abs(step[at : at + 12]) / np.sqrt(np.diag(C)[at : at + 12])))
@@ -110,7 +111,7 @@ def adjusted(
     noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
     usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
     new = replace(
-        marks, flights=tuple(flights), shared=tuple(shared), factor=factor,
+        marks, flights=tuple(flights), shared=tuple(common), factor=factor,
         blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
     )  # fmt: skip
     return replace(new, contour_m=_contour_error(view, looks, new)), moves
@@ -161,12 +162,17 @@ def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array
     return out
 
 
+def _contours(view: View, looks: list[Look], contour_m: float) -> Array:
+    """(looks, 6, 6) `contour_covariance` of the edges' poses."""
+    return contour_covariance(view, np.array([look.edge_position_m for look in looks]), contour_m)
+
+
 def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
     """The length [m] that makes the edges' distance from the flights what their own covariances and `contour_covariance`
     together expect."""
     away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
     own = np.array([look.edge_covariance for look in looks])
-    unit = contour_covariance(view, np.array([look.edge_position_m for look in looks]), 1.0)
+    unit = _contours(view, looks, 1.0)
 
     def beyond(log_length: float) -> float:
         spread = own + np.exp(2.0 * log_length) * unit
