@@ -224,21 +224,29 @@ def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotati
 
 def _apart(view: View, found: list[tuple[float, Pose]]) -> list[tuple[float, Pose]]:
     """One of each group of poses that draw the same picture."""
-    kept: list[tuple[float, Pose]] = []
-    for score, pose in found:
-        here = pose.position_m, pose.rotation
-        if not any(same_picture(view, here, (other.position_m, other.rotation)) for _, other in kept):
-            kept.append((score, pose))
-    return kept
+    kept: list[int] = []
+    corners = np.array([_corners(view, pose.position_m, pose.rotation) for _, pose in found])
+    for k, mine in enumerate(corners):
+        if not _alike(view, mine, corners[kept], ALIKE).any():
+            kept.append(k)
+    return [found[k] for k in kept]
 
 
 def same_picture(view: View, here: tuple[Array, Array], there: tuple[Array, Array], within: float = ALIKE) -> bool:
     """Whether two poses (position [m], rotation) draw the same die: every corner of the one `within` so many edges of some
     corner of the other, which the die's symmetry makes likely."""
-    vertices = view.die.solid.vertices
-    corners, others = (vertices @ rotation.T + position_m for position_m, rotation in (here, there))
-    apart = np.linalg.norm(corners[:, None] - others[None], axis=2).min(1).max()
-    return bool(apart < within * view.die.solid.edge_m)
+    return bool(_alike(view, _corners(view, *here), _corners(view, *there)[None], within)[0])
+
+
+def _corners(view: View, position_m: Array, rotation: Array) -> Array:
+    """(v, 3) [m] of the sharp die."""
+    return np.asarray(view.die.solid.vertices @ rotation.T + position_m)
+
+
+def _alike(view: View, corners: Array, others: Array, within: float) -> NDArray[np.bool_]:
+    """(n,) which of other dice (n, v, 3) have a corner `within` so many edges of each of the corners (v, 3)."""
+    away = np.linalg.norm(corners[:, None] - others[:, None], axis=3).min(axis=2)
+    return np.asarray(away.max(axis=1) < within * view.die.solid.edge_m)
 
 
 def _ray(matrix: Array, pixel: Array) -> Array:
