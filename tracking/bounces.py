@@ -47,9 +47,6 @@ class Measured:
     """The single frames with the error that they share taken out."""
     on_table: Track
     """The same with those that the table carries put on it."""
-    independent: Track
-    """The same again with covariances as wide as a fit needs that takes the frames for independent of each other: a mean over a
-    flight is then as sure as it is. What a model is fitted to."""
     joined: Joined
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
@@ -58,6 +55,12 @@ class Measured:
     in the throw's."""
     own: Throw
     """The throw as sure as if there were no such errors."""
+
+    @property
+    def independent(self) -> Track:
+        """The same as `on_table` with covariances as wide as a fit needs that takes the frames for independent of each other: a
+        mean over a flight is then as sure as it is. What a model is fitted to."""
+        return _independent(self.on_table, self.throw, self.joined, self.floor)
 
     @property
     def alone(self) -> NDArray[np.bool_]:
@@ -128,8 +131,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         flights, impacts = _at_rest(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
-    independent = _independent(resting, throw, joined, floor)
-    return Measured(throw, straight, resting, independent, joined, use[:flying], floor, own)
+    return Measured(throw, straight, resting, joined, use[:flying], floor, own)
 
 
 def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:
