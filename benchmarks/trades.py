@@ -63,6 +63,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--throws", type=int, default=THROWS, help="of each engine in a round (%(default)s)")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page (%(default)s)")
     chosen = parser.parse_args(arguments)
+    chosen.out.mkdir(parents=True, exist_ok=True)
     told = {
         name: vars(chosen)[name]
         for name in ("clips", "rounds", "throws")

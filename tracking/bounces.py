@@ -99,9 +99,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
             "a flight"
         )
     lean = np.zeros((len(track), 6, 0))
-    apart = max(1, spared(track, die) // every)
-    # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
-    loose, seen = _sightings(track, use[::apart]), _sightings(track, use, LITTLE_SLACK)
+    seen = _sightings(track, use, LITTLE_SLACK)
     flying = carried_from(seen, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
@@ -112,7 +110,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     limit_s = instant_s(seen.time_s)
     low = low_from(seen, die) if flying < len(use) else len(use)
     while True:
-        ahead, some = slice(0, flying), loose.rows(slice(0, -(-flying // apart)))
+        # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
+        ahead = slice(0, flying)
+        some = _sightings(track, use[ahead][:: spared(track, die, use[ahead])])
         rough = join_flights(some, part_flights(some, die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)

@@ -155,7 +155,7 @@ def look_through(
         if throw is not None:
             offsets = find_offsets(view, reel.frame, reel.times_s, throw)
         second = SecondPass(view, reel, seen.filled(), throw, ~unused, offsets)
-        every = _in_second_pass(view, reel, seen) if quality.marks and throw is not None else 1
+        every = _every_in_second_pass(view, reel, seen) if quality.marks and throw is not None else 1
         seen = second.see(np.arange(len(reel)) % every == 0, lambda done: report.at_least(len(reel) + done))
         marked = Marked(seen, None, None)
         if quality.marks:
@@ -313,7 +313,7 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
     return again, contour_sigma_px(view, again.sigma_m, p, R)
 
 
-# --- the second pass --------------------------------------------------------------------------------------------------
+# --- between the passes --------------------------------------------------------------------------------------------------
 
 
 def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
@@ -325,9 +325,9 @@ def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
         return None
 
 
-def _in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
-    """Of how many frames one has a second pass before marks are known, which may make that of the others needless. Several
-    cameras have no use for marks."""
+def _every_in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
+    """Of how many frames one has a second pass before the marks are known, along whose flights that of the others takes less
+    time. With several cameras poses do without marks."""
     if len(reel.clips) > 1:
         return 1
     return seen.every * spared(as_track(view, reel, seen, shown_whole(view, seen) & seen.even), view.die)

@@ -48,27 +48,29 @@ PLENTY = 800
 """Frames of a throw that tell its flights apart, and place them well enough to look for better poses along them."""
 SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
 """Least that a die moves from frame to frame on ordinary footage, in units of its reach: less, and frames may be left out."""
-FASTEST = 0.99
-"""Share of the frames that move less than what counts as the fastest motion: a die that rests through most of its film has
-flown as fast as any."""
+WRONG_MOVES = 20
+"""Moves that may be those of wrong poses, and count for none: a die that rests through most of its film has flown as fast as
+any."""
 TABLE_REACH = 0.35
 """A contact's lowest vertex may seem this share of an edge off the table: rounding, calibration and depth error (half a
 per cent of the distance to the camera is a quarter of a die)."""
 
 
-def spared(track: Track, die: Die) -> int:
-    """Of how many tracked frames one will do to find flights: 1 but on a film that shows more than PLENTY of a motion so slow,
-    for its rate, that frames left out hide nothing."""
-    known = np.flatnonzero(track.tracked)
+def spared(track: Track, die: Die, rows: NDArray[np.int64] | None = None) -> int:
+    """Of how many tracked frames, of `rows` where those are given, one will do to find flights: 1 but on a film that shows more
+    than PLENTY of a motion so slow, for its rate, that frames left out hide nothing."""
+    known = np.flatnonzero(track.tracked) if rows is None else rows
     if len(known) < 2 * PLENTY:
         return 1
     # Over so many frames what single poses err no longer seems a motion.
     apart = len(known) // PLENTY
-    some = known[::apart]
-    p, q = track.position_m[some], track.quaternion[some]
-    moves = np.linalg.norm(np.diff(p, axis=0), axis=1) / (SMALL_MOVE_REACH * die.solid.circumradius)
-    turns = np.linalg.norm(rotation_between(q[:-1], q[1:]), axis=1) / SMALL_TURN_RAD
-    fastest = float(np.quantile(np.maximum(moves, turns) * np.median(np.diff(some)) / np.diff(some), FASTEST))
+    a, b = known[:-apart], known[apart:]
+    moves = np.linalg.norm(track.position_m[b] - track.position_m[a], axis=1) / (
+        SMALL_MOVE_REACH * die.solid.circumradius
+    )
+    turns = np.linalg.norm(rotation_between(track.quaternion[a], track.quaternion[b]), axis=1) / SMALL_TURN_RAD
+    rates = np.maximum(moves, turns) * np.median(b - a) / (b - a)
+    fastest = float(np.partition(rates, -WRONG_MOVES)[-WRONG_MOVES])
     return int(max(1.0, apart * min(1.0 / max(fastest, 1e-9), 1.0)))
 
 

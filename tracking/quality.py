@@ -19,8 +19,9 @@ class Quality:
     enough: float
     """Squared sigmas, of all six numbers together: a step that gains less is the last one, and leaves about a tenth of that."""
     settled_px: float
-    """A step that moves no point of the die by more than this is the last one as well while the die is only followed. What
-    it leaves, about a tenth, pulls poses towards their prediction: final ones would scatter less than they err."""
+    """A step that moves no point of the die by more than this is the last one as well while the die is only followed, and
+    along flights that marks have made far surer than a frame. What it leaves, about a tenth, pulls poses towards their
+    prediction: along others final ones would scatter less than they err."""
     band_px: float
     """Least half-width of the band of pixels about an edge. The two greys beside an edge are not known: of what the pixels
     tell of its place 35 % are lost to them in a band of 3.5 pixels, 15 % in one of 8, where stretches are not alike. On faces of
@@ -35,7 +36,12 @@ class Quality:
     second_pass: bool
     """Refine every frame once more from its flight, which brings back frames that the first pass lost."""
     marks: bool
-    """Use what is printed on the faces, where it helps."""
+    """Use what is printed on the faces, where it helps; they are learned from what a second pass shows."""
+
+    def __post_init__(self) -> None:
+        """Raises ValueError for marks without a second pass."""
+        if self.marks and not self.second_pass:
+            raise ValueError(f"quality {self.name}: marks without a second pass; wanted both, or no marks")
 
 
 FAST = Quality(

@@ -2,7 +2,7 @@
 
 The marks are learned from some frames of the flights that the second pass shows (`marks`), and used where marks and edges
 together are as sure of the flights as edges alone. Of a film far faster than the die only some frames had a second pass; the
-others have it now, along the flights that the marks show.
+others have it now, along the flights that the marks show, or as the first did where they are not used.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from .bounces import Measured, NoFlightError, measure
 from .flights import transition
 from .lean import shared_lean, without_lean
 from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
+from .marks_adjustment import CHI2_MEDIAN
 from .marks_textures import Marks
 from .parting import spared
 from .pose import View, contour_leans
@@ -32,8 +33,6 @@ from .track import Track
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CHI2_MEDIAN = 5.348
-"""Median of chi-square with six degrees of freedom."""
 CONTRADICTED = 30.0
 """Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
 WORTHWHILE = 0.0
@@ -54,6 +53,7 @@ class Marked:
 
 def third_pass(second: SecondPass, seen: Seen, every: int, reached: Callable[[int], None]) -> Marked:
     """All frames refined on marks and edges, where that helps. `seen` is what the second pass shows on one frame in `every`.
+    `reached` is called with how far it is, in frames.
 
     Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
     other's lines of sight, which marks of one do not.
@@ -71,14 +71,16 @@ def third_pass(second: SecondPass, seen: Seen, every: int, reached: Callable[[in
     if marks is None or len(reel.clips) > 1 or not _are_worth_it(marks, found, every * thinned):
         return Marked(_completed(second, seen, left, reached), marks, None)
     flights = Throw(marks.flights, flown(found.throw).impacts)
-    seen = _completed(second.along(flights), seen, left, reached)
+    to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
+    seen = _completed(second.along(to_the_end), seen, left, reached)
     edges = _edges_of(second, seen, found, scatter)
     # Frames without edges have nothing to be refined. On those of a die that the table carries edges do as well: marks are known
     # to where they were learned, on the flights.
     flying = _in_flight(edges, found.throw).tracked
     rows, carried = np.flatnonzero(flying), np.flatnonzero(edges.tracked & ~flying)
     refining = Refining(view, marks, _poses_of(view, edges, seen, rows), flights, reel.times_s[rows])
-    _see_some(reel, rows, refining, reached)
+    # Frames whose edges are seen now count half, and half when their marks are.
+    _see_some(reel, rows, refining, reached if every == 1 else lambda done: reached((len(reel) + done) // 2))
     out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
     shared[rows] = refining.shared
@@ -92,7 +94,7 @@ def _completed(second: SecondPass, seen: Seen, left: Mask, reached: Callable[[in
     """With the frames that are left."""
     if not left.any():
         return seen
-    out = second.see(left, reached)
+    out = second.see(left, lambda done: reached(done // 2))
     out.take(np.flatnonzero(~left), seen)
     return out
 

@@ -9,7 +9,7 @@ import platform
 import threading
 import time
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
@@ -74,7 +74,7 @@ def files_read(inputs: Iterable[Path]) -> tuple[InputFile, ...]:
 
     Raises InputChangedError for a file that is written to meanwhile, OSError for one that cannot be read.
     """
-    return tuple(_file_read(path) for path in _files(tuple(inputs)))
+    return tuple(_file_read(path, _status(path)) for path in _files(tuple(inputs)))
 
 
 class Inputs:
@@ -84,29 +84,38 @@ class Inputs:
         """Raises OSError for a file that cannot be read. Large ones are read through in a thread, until `close`."""
         self._stop = threading.Event()
         self._reader = ThreadPoolExecutor(1, "inputs")
-        self._begun: list[tuple[Path, int, tuple[int, int, int]]] = []
+        self._begun: list[tuple[Path, os.stat_result]] = []
         self._read: list[InputFile | Future[InputFile]] = []
-        for path in _files(tuple(inputs)):
-            status = _status(path)
-            self._begun.append((path, status.st_size, _stamp(status)))
-            large = status.st_size > READ_AT_ONCE_BYTES
-            self._read.append(self._reader.submit(_file_read, path, self._stop) if large else _file_read(path))
+        try:
+            for path in _files(tuple(inputs)):
+                self._begin(path, _status(path))
+        except BaseException:
+            self.close()
+            raise
+
+    def _begin(self, path: Path, status: os.stat_result) -> None:
+        self._begun.append((path, status))
+        if status.st_size > READ_AT_ONCE_BYTES:
+            self._read.append(self._reader.submit(_file_read, path, status, self._stop))
+        else:
+            self._read.append(_file_read(path, status))
 
     @property
     def files(self) -> tuple[InputFile, ...]:
-        """All of them, when they are read. Raises InputChangedError for one that was written to meanwhile."""
+        """All of them, when they are read. Raises InputChangedError for one that was written to since the run began, and
+        CancelledError after `close` for what was not read by then."""
         return tuple(file.result() if isinstance(file, Future) else file for file in self._read)
 
     def first_changed(self) -> str:
         """A sentence on the first file that is not what it was; empty where all are."""
-        for (path, size, stamp), file in zip(self._begun, self._read, strict=True):
+        for (path, before), file in zip(self._begun, self._read, strict=True):
             try:
                 now = path.stat()
-                if (now.st_size, _stamp(now)) == (size, stamp):
+                if _is_as(before, now):
                     continue
                 # A copy of the same bytes, or a new time alone, changes no result; of a file not yet read nobody knows.
                 known = file.result() if isinstance(file, Future) and file.done() and not file.exception() else file
-                if not isinstance(known, InputFile) or now.st_size != size or sha256(path) != known.sha256:
+                if not isinstance(known, InputFile) or now.st_size != known.bytes or sha256(path) != known.sha256:
                     return _changed(path)
             except OSError:
                 return f"{path} vanished, or cannot be read any longer, while it was worked on; run again"
@@ -122,7 +131,8 @@ class Inputs:
 def steady(inputs: Iterable[Path]) -> Iterator[Inputs]:
     """The files of the inputs as they are now; what the block makes of them is refused if they change meanwhile.
 
-    Raises InputChangedError at the end of the block, also in place of an error that a changed file may have caused.
+    Raises InputChangedError at the end of the block, or when it asks for the files, also in place of an error that a changed
+    file may have caused.
     """
     known = Inputs(inputs)
     try:
@@ -138,13 +148,12 @@ def steady(inputs: Iterable[Path]) -> Iterator[Inputs]:
         raise InputChangedError(changed)
 
 
-def _file_read(path: Path, stop: threading.Event | None = None) -> InputFile:
-    before = _status(path)
+def _file_read(path: Path, before: os.stat_result, stop: threading.Event | None = None) -> InputFile:
     try:
         digest, after = sha256(path, stop), path.stat()
     except OSError as error:
         raise _unreadable(path, error) from error
-    if (before.st_size, _stamp(before)) != (after.st_size, _stamp(after)):
+    if not _is_as(before, after):
         raise InputChangedError(_changed(path))
     return InputFile(path, before.st_size, digest)
 
@@ -165,9 +174,10 @@ def _changed(path: Path) -> str:
     return f"{path} changed while it was read; wait until it is written, and run again"
 
 
-def _stamp(status: os.stat_result) -> tuple[int, int, int]:
-    """Device, inode and time of the last change [ns]: while they and the size stay, so do the bytes."""
-    return status.st_dev, status.st_ino, status.st_mtime_ns
+def _is_as(before: os.stat_result, now: os.stat_result) -> bool:
+    """Whether it is the same file, with the same time of the last change: then its bytes are the same."""
+    names = ("st_size", "st_dev", "st_ino", "st_mtime_ns")
+    return all(getattr(before, name) == getattr(now, name) for name in names)
 
 
 def write_provenance(
@@ -214,10 +224,12 @@ def _rounded(seconds: dict[str, float]) -> dict[str, float]:
 
 
 def sha256(path: Path, stop: threading.Event | None = None) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces, of as much as was read when `stop` was set."""
+    """Hexadecimal SHA-256 of a file, read in pieces. Raises CancelledError where `stop` is set before its end."""
     digest, piece = hashlib.sha256(), memoryview(bytearray(CHUNK_BYTES))
     with path.open("rb", buffering=0) as file:
-        while not (stop and stop.is_set()) and (count := file.readinto(piece)):
+        while count := file.readinto(piece):
+            if stop is not None and stop.is_set():
+                raise CancelledError
             digest.update(piece[:count])
     return digest.hexdigest()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import hashlib
 import os
 import shutil
 import subprocess
@@ -11,6 +10,7 @@ import sys
 import threading
 from collections import namedtuple
 from collections.abc import Callable
+from concurrent.futures import CancelledError
 from pathlib import Path
 
 import numpy as np
@@ -82,11 +82,48 @@ def test_a_large_input_is_read_beside_the_work_and_guarded_as_a_small_one(tmp_pa
         clip.write_bytes(b"otherwise")
 
 
-def test_a_run_that_ends_early_reads_no_further(tmp_path: Path) -> None:
-    clip, stop = tmp_path / "clip.mraw", threading.Event()
-    clip.write_bytes(b"as it was")
+def test_a_second_large_input_that_changes_before_its_turn_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clips = [tmp_path / name for name in ("left.mraw", "right.mraw")]
+    for clip in clips:
+        clip.write_bytes(bytes(READ_AT_ONCE_BYTES + 1))
+    may_go_on = threading.Event()
+
+    def waits(path: Path, stop: threading.Event | None = None) -> str:
+        may_go_on.wait()
+        return sha256(path, stop)
+
+    def rewritten() -> None:
+        with steady(clips) as inputs:
+            clips[1].write_bytes(b"x" * (READ_AT_ONCE_BYTES + 1))
+            may_go_on.set()
+            assert inputs.files
+
+    monkeypatch.setattr(diethrow.provenance, "sha256", waits)
+    with pytest.raises(InputChangedError, match=r"right\.mraw changed"):
+        rewritten()
+
+
+def test_a_run_that_ends_early_reads_no_further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, scene, stop = tmp_path / "clip.mraw", tmp_path / "scene.toml", threading.Event()
+    clip.write_bytes(bytes(READ_AT_ONCE_BYTES + 1))
+    scene.write_bytes(b"[clip]")
     stop.set()
-    assert sha256(clip, stop) == hashlib.sha256().hexdigest()
+    with pytest.raises(CancelledError):
+        sha256(clip, stop)
+    with pytest.raises(RuntimeError, match="no die"), steady([clip, scene]):
+        raise RuntimeError("no die")
+
+    def refuse(path: Path, stop: threading.Event | None = None) -> str:
+        if path == scene:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return sha256(path, stop)
+
+    monkeypatch.setattr(diethrow.provenance, "sha256", refuse)
+    with pytest.raises(OSError, match=r"scene\.toml cannot be read"), steady([clip, scene]):
+        pytest.fail("the work was begun")
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("inputs")]
 
 
 def test_a_change_explains_the_error_that_it_caused(tmp_path: Path) -> None:

@@ -144,7 +144,7 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
 def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() -> None:
     """No frame of a flight at usual speed is spared because of a long rest behind it, those of slow motion are."""
     usual = Flight(falling_cube().flights[0].start, np.inf)
-    times, slow = np.arange(FRAMES + 4000) / FPS, np.arange(4000) / (40.0 * FPS)
+    times, slow = np.arange(FRAMES + 40_000) / FPS, np.arange(4000) / (40.0 * FPS)
     assert spared(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
     assert spared(tracked(slow, *usual.poses(slow)), CUBE) > 3
 
