@@ -130,6 +130,8 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
 class Held(ArrayClip):
     """A clip decoded into memory; of further passes no more is copied than is looked at."""
 
+    in_any_order = True
+
     def fill(self, start: int, out: NDArray[Any], boxes: NDArray[np.int64] | None = None) -> None:
         """As `Footage.fill`."""
         if boxes is None:

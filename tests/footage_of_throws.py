@@ -129,14 +129,16 @@ def photograph(
 
 
 def film(
-    room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS
-) -> ArrayClip:
+    room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS,
+    spots: tuple[Spot, ...] = (),
+) -> ArrayClip:  # fmt: skip
     """The throw from time zero, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / fps
     scale, dtype = 2.0 ** (bit_depth - 8), np.uint8 if bit_depth <= 8 else np.uint16
     stack = [
-        np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng)), 0, 2**bit_depth - 1) for t in times
+        np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng, spots)), 0, 2**bit_depth - 1)
+        for t in times
     ]
     return ArrayClip(np.array(stack).astype(dtype), times, bit_depth)
 

@@ -58,6 +58,11 @@ class Clip(Protocol):
 class Filling(Protocol):
     """A clip that writes frames where they are wanted, and no more of them than is wanted: see `Footage.fill`."""
 
+    @property
+    def in_any_order(self) -> bool:
+        """Whether a frame takes as long wherever the one before was. If not, to pass some over saves nothing."""
+        ...
+
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
         """Frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
         ...

@@ -66,6 +66,9 @@ def _share_changed(before: Frame, after: Frame) -> float:
 class Footage(ABC):
     """A film in a file, or a range of its frames, each (height, width) uint8 or uint16 at native depth."""
 
+    in_any_order = True
+    """Whether a frame takes as long wherever the one before was."""
+
     def __init__(
         self,
         path: Path,

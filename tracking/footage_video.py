@@ -74,6 +74,8 @@ class Packets:
 class VideoClip(Footage):
     """See the module's text."""
 
+    in_any_order = False
+
     def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
         self._container, self._video = _open(path)
         stream = self._video

@@ -44,9 +44,10 @@ BLUR_STEP = 1.15
 """Factor on the lens blur for its difference quotient. Its derivative proper would rest on the texture's curvature at one place,
 and so on its noise, which every look that it was learned from shares: blurs came out a quarter too large."""
 STENCIL_BLUR = 2.0
-"""Variance [texel²] up to which a texture is blurred by three texels in a row, some times over; beyond they lie twice as far
-apart, from four times as much on four times, and so on. Three values so far apart as √3 standard deviations, weighted 1/6, 2/3
-and 1/6, blur a quintic as a normal distribution does."""
+"""Variance [texel²] up to which a texture is blurred by three values in a row, a texel apart, some times over. More is blurred by
+values twice as far apart, from four times as much on four times, and so on, each after one turn of those nearer to each other:
+values far apart leave what lies between them as it is. Three values √3 standard deviations apart, weighted 1/6, 2/3 and 1/6,
+blur a quintic as a normal distribution does; the turns here are about as wide, and right for cubics."""
 EVERY_THIRD, MANY = 3, 600
 """On the way one pixel in three tells the scale of the residuals well enough, where a face has so many."""
 BUFFER = 60_000
@@ -394,6 +395,12 @@ def _reach_px(K: Any, depth: float, motion: Any) -> float:
 
 
 @_free
+def _largest(more: Any) -> float:
+    """Size of the largest of variances xx, xy, yy."""
+    return abs(0.5 * (more[0] + more[2])) + sqrt(0.25 * (more[0] - more[2]) ** 2 + more[1] * more[1])
+
+
+@_free
 def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, more: Any) -> float:
     """By how much more a face is blurred on a frame than its texture, as variances xx, xy, yy in `more` (3,) [texel²]; returns
     the size of the largest. `base` (2, 3) is the blur of the texture, of the lens for one pixel and of motion."""
@@ -401,29 +408,40 @@ def _extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float,
     s = blur_px * blur_px
     for k in range(3):
         more[k] = (s * (lens[k] - base[0, k]) + motion[k] - base[1, k]) * iv
-    return abs(0.5 * (more[0] + more[2])) + sqrt(0.25 * (more[0] - more[2]) ** 2 + more[1] * more[1])
+    return _largest(more)
 
 
 @_free
-def _soften(texture: Any, more: Any, largest: float, room: Any) -> int:
+def soften(texture: Any, more: Any, room: Any) -> int:
     """Blur a surface (n, n), its values on a grid or the coefficients of its spline, by variances `more` (3,) xx, xy, yy
-    [texel²], of which the `largest` is so large; which of the two in `room` (2, n, n) it then is. Less blur than a texture has
-    is the same difference taken away, once: more turns would sharpen its noise."""
-    apart = 1
-    while largest > STENCIL_BLUR * apart * apart:
+    [texel²]; which of the two in `room` (2, n, n) it then is. Less blur than a texture has is the same difference taken away,
+    once: more turns would sharpen its noise."""
+    apart, left, k = 1, _largest(more), _FIRST
+    whole, blurrier = left, more[0] + more[2] > 0.0
+    while blurrier and left > STENCIL_BLUR * apart * apart:
+        _blur_again(texture, k, more, 1.0 / (3.0 * whole), apart, room)
+        left -= apart * apart / 3.0
         apart *= 2
-    unit = 1.0 / (apart * apart)
-    turns = max(int(3.0 * largest * unit + 0.5), 1) if more[0] + more[2] > 0.0 else 1
-    unit /= turns
-    _blur_once(texture, more, unit, apart, room[0])
-    for k in range(1, turns):
-        _blur_once(room[(k - 1) % 2], more, unit, apart, room[k % 2])
-    return (turns - 1) % 2
+        k += 1
+    turns = max(int(3.0 * left / (apart * apart) + 0.5), 1) if blurrier else 1
+    for _ in range(turns):
+        _blur_again(texture, k, more, left / (whole * turns * apart * apart), apart, room)
+        k += 1
+    return (k - 1) % 2
+
+
+@_free
+def _blur_again(texture: Any, turn_number: int, more: Any, unit: float, apart: int, room: Any) -> None:
+    """The surface after so many turns, blurred once more: from one place in `room` (2, n, n) to the other."""
+    if turn_number == 0:
+        _blur_once(texture, more, unit, apart, room[0])
+    else:
+        _blur_once(room[(turn_number - 1) % 2], more, unit, apart, room[turn_number % 2])
 
 
 @_free_sums
 def _blur_once(texture: Any, more: Any, unit: float, apart: int, out: Any) -> None:
-    """Add half of `unit` times the variances times the second differences between values so far apart; the border stays."""
+    """Add half of `unit` times the variances [1] times the second differences between values so far apart; the border stays."""
     n = texture.shape[0]
     xx, xy, yy = 0.5 * unit * more[0], 0.25 * unit * more[1], 0.5 * unit * more[2]
     middle, inside, far = 1.0 - 2.0 * (xx + yy), n - 2 * apart, 2 * apart
@@ -618,9 +636,8 @@ def look_at_face(
     height, width = image.shape
     half = 0.5 * (n - 1)
     more, values = np.zeros(3), knots[0]
-    largest = _extra_blur(own[0], own[1], optics.blur, faces.base[f], texel, more)
-    if known and largest >= NO_BLUR:
-        values = bench.soft[_soften(values, more, largest, bench.soft)]
+    if _extra_blur(own[0], own[1], optics.blur, faces.base[f], texel, more) >= NO_BLUR and known:
+        values = bench.soft[soften(values, more, bench.soft)]
     grey, where, steep, texture = bench.grey, bench.where, bench.steep, bench.texture
     m = _FIRST
     for i in range(n):
@@ -759,14 +776,13 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        sharp, largest = coef, _extra_blur(own[0], own[1], optics.blur, base, texel, more)
-        if largest >= NO_BLUR:
-            coef = bench.soft[_soften(coef, more, largest, bench.soft)]
+        if _extra_blur(own[0], own[1], optics.blur, base, texel, more) >= NO_BLUR:
+            coef = bench.soft[soften(coef, more, bench.soft)]
         if places:
             _extra_blur(own[0], own[1], BLUR_STEP * optics.blur, base, texel, further)
             for k in range(3):
                 further[k] -= more[k]
-            blurrier = bench.soft[2 + _soften(coef, further, further[0] + further[2], bench.soft[2:])]
+            blurrier = bench.soft[2 + soften(coef, further, bench.soft[2:])]
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
         # Rays and centre are bent rather than the die, see `_line_on_face`.
         for i in range(3):
@@ -800,7 +816,7 @@ def mark_equations(
                 slope[0, m], slope[1, m] = gx / texel, gy / texel
                 steep[m] = hypot(gx, gy)
                 if places:
-                    softer[0, m] = 0.5 * _spline_bend(sharp, x, y)
+                    softer[0, m] = 0.5 * _spline_bend(coef, x, y)
                     softer[1, m] = (_spline_value(blurrier, x, y) - level) / ((BLUR_STEP - 1.0) * optics.blur)
                 ray[0, m], ray[1, m] = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 m += 1

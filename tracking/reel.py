@@ -77,7 +77,7 @@ class Reel:
         (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), hold any. Whoever asks looks at no other pixels:
         they may be those of other frames."""
         rows = np.arange(len(self))
-        if self._whole is None and all(isinstance(clip, Filling) for clip in self.clips):
+        if self._whole is None and all(isinstance(clip, Filling) and clip.in_any_order for clip in self.clips):
             holds = np.asarray((boxes[:, :, 2:] > boxes[:, :, :2]).all(axis=2))
             rows = np.flatnonzero(holds.any(axis=1))
         return self._ahead(rows, boxes)
@@ -87,7 +87,8 @@ class Reel:
         pieces = [rows[k : k + self.block] for k in range(0, len(rows), self.block)]
         if self._whole is not None and self._there[rows].all():
             for some in pieces:
-                yield some, self._whole[some[0] : some[-1] + 1]  # one after the other: such a clip is read whole
+                assert some[-1] - some[0] == len(some) - 1, "of a clip that is kept whole rows follow each other"
+                yield some, self._whole[some[0] : some[-1] + 1]
             return
         queue: Queue[Any] = Queue(maxsize=2)
         closed = threading.Event()

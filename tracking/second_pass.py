@@ -62,8 +62,8 @@ class SecondPass:
         rows, lens = rows & self.usable, view.lens._replace(settled_px=self.settled_px)
         wanted, tries = first, [_Settling(view, lens, first, first.known & rows, self.offsets, np.zeros(count, bool))]
         if self.throw is not None:
-            wanted = motions(self.throw, self.reel.times_s)
-            apart = rows & self.apart_from(wanted)
+            wanted = _motions(self.throw, self.reel.times_s)
+            apart = rows & self._apart_from(wanted)
             tries = [
                 _Settling(view, lens, some, use, self.offsets, apart) for some, use in ((wanted, rows), (first, apart))
             ]
@@ -79,11 +79,40 @@ class SecondPass:
         seen.rotation[seen.known] = labelled_like(view, seen.rotation[seen.known], wanted.rotation[seen.known])
         return seen
 
-    def apart_from(self, flown: Seen) -> Mask:
+    def _apart_from(self, flown: Seen) -> Mask:
         """(n,) where the first pass lies further from flights than a refinement is sure to cover."""
         moved = np.linalg.norm(flown.position_m - self.first.position_m, axis=1)
         turned = _angles(flown.rotation, self.first.rotation)
         return np.asarray(self.first.known & ((turned > APART_RAD) | (moved > APART_REACH * self.view.reach_m)))
+
+
+def see_all(
+    reel: Reel,
+    boxes: NDArray[np.int64],
+    begun: Callable[[Frames, Rows, Executor], list[Future[None]]],
+    reached: Callable[[int], None],
+) -> None:
+    """Hand all frames of which `boxes` hold pixels, block by block, to what begins the jobs of a block in a pool; `reached` is
+    called with how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has
+    nothing to do because another is late."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        under_way: list[Future[None]] = []
+        for shown, frames in reel.looked_at(boxes):
+            jobs = begun(frames, shown, pool)
+            for job in under_way:
+                job.result()
+            under_way = jobs
+            reached(int(shown[0]))
+        for job in under_way:
+            job.result()
+    reached(len(reel))
+
+
+def among(rows: Rows, shown: Rows) -> tuple[slice, Rows]:
+    """Which of some `rows` lie between the first and the last that are `shown`, and the place of each among those."""
+    a, b = (int(k) for k in np.searchsorted(rows, (shown[0], shown[-1] + 1)))
+    # One that is not shown has no pixels to be looked at: any frame will do for it.
+    return slice(a, b), np.minimum(np.searchsorted(shown, rows[a:b]), len(shown) - 1)
 
 
 def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np.int64]:
@@ -166,42 +195,13 @@ class _Settling:
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
 
 
-def see_all(
-    reel: Reel,
-    boxes: NDArray[np.int64],
-    begun: Callable[[Frames, Rows, Executor], list[Future[None]]],
-    reached: Callable[[int], None],
-) -> None:
-    """Hand all frames of which `boxes` hold pixels, block by block, to what begins the jobs of a block in a pool; `reached` is
-    called with how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has
-    nothing to do because another is late."""
-    with ThreadPoolExecutor(THREADS) as pool:
-        under_way: list[Future[None]] = []
-        for shown, frames in reel.looked_at(boxes):
-            jobs = begun(frames, shown, pool)
-            for job in under_way:
-                job.result()
-            under_way = jobs
-            reached(int(shown[0]))
-        for job in under_way:
-            job.result()
-    reached(len(reel))
-
-
-def among(rows: Rows, shown: Rows) -> tuple[slice, Rows]:
-    """Which of some `rows` lie between the first and the last that are `shown`, and the place of each among those."""
-    a, b = (int(k) for k in np.searchsorted(rows, (shown[0], shown[-1] + 1)))
-    # One that is not shown has no pixels to be looked at: any frame will do for it.
-    return slice(a, b), np.minimum(np.searchsorted(shown, rows[a:b]), len(shown) - 1)
-
-
 def _angles(a: Array, b: Array) -> Array:
     """(n,) [rad] between rotations (n, 3, 3); NaN where one is not known."""
     cosine = 0.5 * (np.einsum("nij,nij->n", a, b) - 1.0)
     return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
-def motions(throw: Throw, times_s: Array) -> Seen:
+def _motions(throw: Throw, times_s: Array) -> Seen:
     """Where the flights lead on every frame, as starts for a refinement."""
     out = Seen.empty(len(times_s))
     position, quaternion = throw.poses(times_s)

@@ -8,12 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, FPS, film, photograph, studio
+from footage_of_throws import DICE, FPS, film, photograph, pips, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.impacts import SmoothImpact
+from diethrow.model.impacts import CoulombImpact, SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.simulate import Until, throw_die
@@ -21,7 +21,7 @@ from diethrow.tracking.background import estimate_background
 from diethrow.tracking.beginning import find_beginning
 from diethrow.tracking.bounces import measure_throw
 from diethrow.tracking.chase import Chase
-from diethrow.tracking.follow import NoDieError, follow
+from diethrow.tracking.follow import NoDieError, follow, look_through
 from diethrow.tracking.parting import spared
 from diethrow.tracking.pose import make_view, refine_pose, share_in_view
 from diethrow.tracking.reel import Reel
@@ -104,6 +104,7 @@ TIMES_FASTER = 6
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
     monkeypatch.setattr("diethrow.tracking.seen.PLENTY", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.parting.PLENTY", FRAMES)
 
 
 @pytest.mark.usefixtures("few_are_plenty")
@@ -139,6 +140,30 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
     assert np.quantile(turned, 0.95) < 0.3
     (found,) = measure_throw(track, CUBE, ROOM.camera).impacts
     assert abs(found.time_s - bounce.time_s) < 0.02 / FPS
+
+
+@pytest.mark.usefixtures("few_are_plenty")
+def test_on_such_a_film_frames_between_are_refined_along_the_flights_of_the_marks_and_at_rest() -> None:
+    fps = TIMES_FASTER * FPS
+    flat = np.array([1.0, 0.06, 0.05, 0.3]) / np.linalg.norm([1.0, 0.06, 0.05, 0.3])
+    release = State(
+        0.0, np.array([-0.002, 0.0, 0.0115]), flat, np.array([0.05, 0.05, -0.3]), np.array([2.0, -1.0, 6.0])
+    )
+    throw = throw_die(CUBE, release, CoulombImpact(0.1, 0.3), until=Until(time_s=0.04)).throw
+    clip = film(ROOM, CUBE, throw, round(0.04 * fps), fps=fps, spots=pips(CUBE))
+    told: list[tuple[int, int]] = []
+    found = look_through(
+        clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), progress=lambda done, total: told.append((done, total))
+    )
+    track = found.track
+    assert track.shared is not None  # marks were used
+    assert (track.status == TRACKED).all()
+    errors = errors_of(track, throw)
+    turned = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
+    assert np.median(turned) < 0.1
+    assert turned.max() < 3.0
+    # How far the last pass is, is told until the last frames.
+    assert sum(done < total for done, total in told[-5:]) >= 2
 
 
 def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() -> None:

@@ -11,12 +11,20 @@ from footage_of_throws import FPS, Image
 from marked_throws import FRAMES, ROOM, VIEW, edges_track, filmed, learned, learned_marks, marked_film, tossed
 from numpy.typing import NDArray
 
+from diethrow.model.compiled import compiled
 from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.tracking.marks import FramePoses, Refining, frames_to_learn_from
+from diethrow.tracking.marks_kernels import soften
 from diethrow.tracking.marks_textures import Marks, undistorted_rays
 
 Array = NDArray[np.float64]
+
+
+@compiled
+def blurred(surface: Array, more: Array, room: Array) -> int:
+    """Kernels that only others call are no functions of Python."""
+    return int(soften(surface, more, room))
 
 
 def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePoses, FramePoses, Array]:
@@ -139,3 +147,21 @@ def test_frames_at_a_bounce_teach_nothing() -> None:
     rows = frames_to_learn_from(edges_track(tossed(), np.zeros(6)), Throw((tossed(), tossed()), (bounce,)))
     assert not {30, 31} & set(rows.tolist())
     assert {29, 32} <= set(rows.tolist())
+
+
+@pytest.mark.parametrize(
+    "more", [(0.3, 0.1, 0.2), (1.6, -0.4, 0.5), (7.0, 2.0, 3.0), (40.0, 0.0, 0.1), (-0.2, 0.05, -0.1)]
+)
+def test_blurring_on_the_grid_adds_its_variances_to_any_cubic(more: tuple[float, float, float]) -> None:
+    """The mean of a cubic over displacements of that covariance is the cubic and half of the covariance times its second
+    derivatives; less blur takes as much away."""
+    a, b, c, d = 1.3, -0.7, 0.4, 0.9
+    y, x = np.mgrid[-60:61, -60:61] / 10.0
+    xx, xy, yy = (0.01 * v for v in more)
+    cubic = a * x**3 + b * x * x * y + c * x * y * y + d * y * y
+    wanted = cubic + 0.5 * (xx * (6 * a * x + 2 * b * y) + 2 * xy * (2 * b * x + 2 * c * y) + yy * (2 * c * x + 2 * d))
+    room = np.full((2, *cubic.shape), np.nan)
+    found = room[blurred(cubic, np.array(more), room)]
+    assert np.isfinite(found).all()
+    # The border stays as it was, and turn by turn what lies near it feels that.
+    np.testing.assert_allclose(found[50:71, 50:71], wanted[50:71, 50:71], atol=1e-9)

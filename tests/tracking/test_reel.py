@@ -122,7 +122,7 @@ def test_boxes_hold_what_the_frames_have_there_and_empty_ones_are_passed_over(
     assert shown == np.flatnonzero(wanted).tolist()
 
 
-def test_a_clip_that_is_read_in_order_alone_shows_frames_without_a_box_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_clip_that_cannot_fill_frames_shows_those_without_a_box_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
     clip, boxes = clip_of(12, 1000), np.zeros((1000, 1, 4), np.int64)
     boxes[::9, 0, 2:] = 5
