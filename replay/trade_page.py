@@ -9,11 +9,15 @@ from html import escape
 from pathlib import Path
 
 from matplotlib.axes import Axes
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ..tracking.coarser import Coarseness
 from .pages import as_table, captioned, plotted, whole_page
 from .palette import IMPACT, MEASURED, SIMULATED, hex_colour
 from .plates import Plate
+
+FEW_TIMES = 8.0
+"""Between settings that lie no further apart than this the axis of speed has numbers between 1, 2 and 5."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +166,12 @@ def speed_against_doubt(
         )  # fmt: skip
     ax.set_xscale("log")
     ax.set_yscale("log")
+    # Powers of ten would leave most of these axes with one number.
+    span = max((s.rate for s, _ in places), default=1.0) / min((s.rate for s, _ in places), default=1.0)
+    steps = (1.0, 2.0, 5.0) if span > FEW_TIMES else (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    ax.xaxis.set_major_locator(LogLocator(subs=steps))
+    ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel(x)
     ax.set_ylabel(y)
     ax.spines[["top", "right"]].set_visible(False)

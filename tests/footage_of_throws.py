@@ -7,13 +7,14 @@ of known width, white noise. What the lens cannot do (shadow, motion blur, somet
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.motion import Flight, State
 from diethrow.model.solids import SHAPES, Die, Solid, make_die
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.pose import View, make_view
@@ -128,8 +129,14 @@ def photograph(
     return np.asarray(picture, np.float32)
 
 
+class Moving(Protocol):
+    """Whatever has a state at every instant."""
+
+    def at(self, time_s: float) -> State: ...
+
+
 def film(
-    room: Studio, die: Die, throw: Throw, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS,
+    room: Studio, die: Die, throw: Moving, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS,
     spots: tuple[Spot, ...] = (),
 ) -> ArrayClip:  # fmt: skip
     """The throw from time zero, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
