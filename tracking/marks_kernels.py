@@ -290,24 +290,22 @@ def _outline(
 
 
 @_free
+def _weights_along(s: float) -> tuple[float, float, float, float]:
+    """Of the four coefficients about a place, which lies `s` behind the second of them."""
+    b0, b1, b3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
+    return b0, b1, 1.0 - b0 - b1 - b3, b3
+
+
+@_free
 def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
     """Value and derivatives by x and y (in texels) of a cubic B-spline surface; x runs along columns."""
     j, i = floor(x), floor(y)
     s, t = x - j, y - i
-    bx0 = (1.0 - s) ** 3 / 6.0
-    bx1 = 2.0 / 3.0 - s * s * (1.0 - 0.5 * s)
-    bx3 = s * s * s / 6.0
-    bx2 = 1.0 - bx0 - bx1 - bx3
+    (bx0, bx1, bx2, bx3), by = _weights_along(s), _weights_along(t)
     dx0 = -0.5 * (1.0 - s) ** 2
     dx1 = s * (1.5 * s - 2.0)
     dx3 = 0.5 * s * s
     dx2 = -dx0 - dx1 - dx3
-    by = (
-        (1.0 - t) ** 3 / 6.0,
-        2.0 / 3.0 - t * t * (1.0 - 0.5 * t),
-        2.0 / 3.0 - (1.0 - t) ** 2 * (0.5 + 0.5 * t),
-        t * t * t / 6.0,
-    )
     dy0, dy1, dy3 = -0.5 * (1.0 - t) ** 2, t * (1.5 * t - 2.0), 0.5 * t * t
     dy = (dy0, dy1, -dy0 - dy1 - dy3, dy3)
     v, gx, gy = 0.0, 0.0, 0.0
@@ -325,15 +323,11 @@ def _spline(coef: Any, x: float, y: float) -> tuple[float, float, float]:
 def _spline_value(coef: Any, x: float, y: float) -> float:
     """Its value alone."""
     j, i = floor(x), floor(y)
-    s, t = x - j, y - i
-    bx0, bx1, bx3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
-    bx2 = 1.0 - bx0 - bx1 - bx3
-    by0, by1, by3 = (1.0 - t) ** 3 / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), t * t * t / 6.0
-    by = (by0, by1, 1.0 - by0 - by1 - by3, by3)
+    bx, by = _weights_along(x - j), _weights_along(y - i)
     v = 0.0
     for k in range(4):
         row = coef[i - 1 + k]
-        v += by[k] * (row[j - 1] * bx0 + row[j] * bx1 + row[j + 1] * bx2 + row[j + 2] * bx3)
+        v += by[k] * (row[j - 1] * bx[0] + row[j] * bx[1] + row[j + 1] * bx[2] + row[j + 2] * bx[3])
     return v
 
 
@@ -342,17 +336,14 @@ def _spline_bend(coef: Any, x: float, y: float) -> float:
     """Sum of its second derivatives by x and by y [1/texel²]."""
     j, i = floor(x), floor(y)
     s, t = x - j, y - i
-    bx0, bx1, bx3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
-    bx2 = 1.0 - bx0 - bx1 - bx3
-    by0, by1, by3 = (1.0 - t) ** 3 / 6.0, 2.0 / 3.0 - t * t * (1.0 - 0.5 * t), t * t * t / 6.0
-    weights = ((by0, 1.0 - t), (by1, 3.0 * t - 2.0), (1.0 - by0 - by1 - by3, 1.0 - 3.0 * t), (by3, t))
+    bx, by = _weights_along(s), _weights_along(t)
+    bends = (1.0 - t, 3.0 * t - 2.0, 1.0 - 3.0 * t, t)
     v = 0.0
     for k in range(4):
         row = coef[i - 1 + k]
         c0, c1, c2, c3 = row[j - 1], row[j], row[j + 1], row[j + 2]
-        level, bend = weights[k]
-        v += level * ((1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3))
-        v += bend * (c0 * bx0 + c1 * bx1 + c2 * bx2 + c3 * bx3)
+        v += by[k] * ((1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3))
+        v += bends[k] * (c0 * bx[0] + c1 * bx[1] + c2 * bx[2] + c3 * bx[3])
     return v
 
 
