@@ -30,9 +30,10 @@ from tracker import errors, print_rows
 from diethrow.analyze import track_scene
 from diethrow.scene import Scene, read_scene
 from diethrow.tracking import corners
-from diethrow.tracking.corners import NOTICED_PX, Looks, Rounding
+from diethrow.tracking.corners import PLAIN_PX, Rounding
 from diethrow.tracking.pose import View
 from diethrow.tracking.quality import FAST, STANDARD, Quality
+from diethrow.tracking.seen import Looks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -91,14 +92,14 @@ def tracked_as(scene: Scene, quality: Quality) -> Any:
 
 
 def noting(asked: dict[str, Any]) -> Any:
-    """`gain_of_rounding` that notes its last answer about one pixel, and how long all of them took."""
+    """`gain_of_rounding` that notes its last answer about the radius that is just noticed, and how long all of them took."""
     original = corners.gain_of_rounding
 
-    def noted(view: View, looks: Looks, radius_px: float = NOTICED_PX) -> tuple[float, float]:
+    def noted(view: View, looks: Looks, radius_px: float) -> tuple[float, float]:
         began = time.perf_counter()
         answer = original(view, looks, radius_px)
         asked["ms"] = asked.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)
-        if radius_px == NOTICED_PX or "gain" not in asked:
+        if radius_px != PLAIN_PX or "gain" not in asked:
             asked["gain"] = answer
         asked.setdefault("px_per_m", corners.scale_px_per_m(view, looks))
         return answer

@@ -40,18 +40,20 @@ from .edges import COLUMNS, TUKEY, Lens, look, new_desk
 from .lean import outline_growth
 from .pose import THREADS, View, rounded, shares_in_view, whole_sight
 from .rest import flown
+from .seen import Looks, Picture
 from .track import Track
 
 Array = NDArray[np.float64]
-Picture = Callable[[int], NDArray[np.generic]]
 
 FRAMES, MORE_FRAMES = 24, 72
 """Frames that are asked: their mean is five times as sure as what one says; and where that leaves the first question open."""
 SHARP_PX = 0.02
 """Radius of a die drawn sharp by the very equations of a rounded one, on the same pixels: strips of this width show nothing."""
-NOTICED_PX, PLAIN_PX, PLAIN_FRAMES = 1.0, 4.0, 8
-"""Radii that are tried against none: what a blur of 0.6 px still shows, and what a die shows, already on fewer frames, that is
-so round that one pixel changes nothing."""
+NOTICED_PX, NOTICED_BLUR_PX = 1.0, 0.7
+"""Radius that is tried against none: what this blur still shows. A wider one shows as much more: at 2.4 px of blur a tetrahedron
+that is sharp is explained better by the strips of one pixel, for what the blur of its corners does to the edges beside them."""
+PLAIN_PX, PLAIN_FRAMES = 4.0, 8
+"""The same of a die so round that so little changes nothing, which fewer frames show already."""
 GAIN, SURE = 0.012, 2.0
 """Least fall of ℓ for a die to be taken for rounded, and the standard errors by which a fall lies clearly above or below, and
 above none. `docs/tracking.md` has the table of what sharp and rounded dice show."""
@@ -114,47 +116,15 @@ class Corners:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Looks:
-    """Some frames with the poses from which, or at which, radii are compared."""
-
-    pictures: tuple[NDArray[np.float32], ...]
-    """(cameras, height, width) each."""
-    position_m: Array
-    """(n, 3)"""
-    rotation: Array
-    """(n, 3, 3)"""
-    motion: Array
-    """(n, 6) velocity and spin, for the blur."""
-
-    @staticmethod
-    def at(
-        rows: NDArray[np.int64],
-        picture: Picture,
-        position_m: Array,
-        rotation: Array,
-        motion: Array,
-        count: int = FRAMES,
-    ) -> Looks:
-        """So many of these rows at the most, spread evenly; the poses (k, 3), (k, 3, 3), (k, 6) are those of the rows."""
-        chosen = np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))
-        pictures = tuple(np.ascontiguousarray(picture(int(rows[k])), np.float32) for k in chosen)
-        return Looks(pictures, position_m[chosen], rotation[chosen], motion[chosen])
-
-    def some(self, count: int) -> Looks:
-        """So many of them at the most, spread evenly."""
-        chosen = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
-        pictures = tuple(self.pictures[k] for k in chosen)
-        return Looks(pictures, self.position_m[chosen], self.rotation[chosen], self.motion[chosen])
-
-    def __len__(self) -> int:
-        return len(self.pictures)
-
-
 # --- the questions ----------------------------------------------------------------------------------------------------
 
 
-def gain_of_rounding(view: View, looks: Looks, radius_px: float = NOTICED_PX) -> tuple[float, float]:
+def noticed_px(view: View) -> float:
+    """Radius [px] that is tried against none at the lens blur of a view."""
+    return NOTICED_PX * max(1.0, view.blur_px / NOTICED_BLUR_PX)
+
+
+def gain_of_rounding(view: View, looks: Looks, radius_px: float) -> tuple[float, float]:
     """By how much corners of this radius explain the pictures of a view with sharp ones better: mean fall of ℓ over the
     frames, what lies far off brought nearer, and its standard error."""
     if len(looks) < FEWEST:
@@ -173,9 +143,9 @@ def look_rounded(view: View, looks: Callable[[int], Looks]) -> bool:
     gain, sigma = gain_of_rounding(view, seen.some(PLAIN_FRAMES), PLAIN_PX)
     if gain > max(GAIN, SURE * sigma):
         return True
-    gain, sigma = gain_of_rounding(view, seen)
+    gain, sigma = gain_of_rounding(view, seen, noticed_px(view))
     if abs(gain - GAIN) < SURE * sigma < np.inf:
-        gain, sigma = gain_of_rounding(view, looks(MORE_FRAMES))
+        gain, sigma = gain_of_rounding(view, looks(MORE_FRAMES), noticed_px(view))
     return gain > max(GAIN, SURE * sigma)
 
 
@@ -238,7 +208,7 @@ def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) ->
     position, quaternion = throw.poses(track.time_s[rows])
     rotation, motion = matrix_from_quat(quaternion), throw.rates(track.time_s[rows])
     whole = shares_in_view(view, position, rotation) == 1.0
-    return Looks.at(rows[whole], picture, position[whole], rotation[whole], motion[whole])
+    return Looks.at(rows[whole], picture, position[whole], rotation[whole], motion[whole], FRAMES)
 
 
 def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotation: Array) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,6 @@ from .clip import Clip
 from .corners import (
     FRAMES,
     Corners,
-    Looks,
     Rounding,
     by_flights,
     by_free_poses,
@@ -36,12 +36,12 @@ from .corners import (
     looks_in_flight,
 )
 from .hints import HandStart, excluded_rows
+from .lens_blur import BLUR_FRAMES, lens_blur_px
 from .marks_textures import Marks
 from .offsets import Offsets, find_offsets
 from .parting import spared
 from .pose import (
     View,
-    blur_step,
     labelled_like,
     make_view,
     rounded,
@@ -62,12 +62,11 @@ Progress = Callable[[int, int], None]
 
 FIRST_BLUR_PX = 0.7
 """Lens blur until it is estimated."""
-LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
-BLUR_FRAMES = 16
-"""Frames over which the lens blur is estimated."""
 ROUNDINGS, SAME_RADIUS, LESS = 3, 0.1, 0.9
 """Most first passes with a radius of the corners that is being found, the change, as a share, that needs no other, and the
 factor on a radius whose flights do not bear it out: a bounce is lost or not by a little, and rather with too large a one."""
+KEPT = 0.95
+"""Share of the frames over which the die was followed with another radius, or none, without which a radius is a wrong one."""
 ROUND_SHARE = 0.25
 """Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
 
@@ -150,7 +149,7 @@ def look_through(
     marked = Marked(seen, None, None)
     if quality.second_pass:
         view = with_reflections(view)
-        view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
+        view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
         report.at_least(len(reel))
         if throw is not None:
             offsets = find_offsets(view, reel.frame, reel.times_s, throw)
@@ -226,7 +225,7 @@ def _first_pass(
             f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
         )
     chase, seen = beginning
-    view = replace(view, blur_px=_lens_blur(view, reel, seen, seen.known))
+    view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back(seen, first_known)
@@ -261,30 +260,49 @@ def _first_pass_rounded(
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
         try:
-            first, seen = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
+            one, known = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
-        tried.append((radius_m, first, seen))
-        whole = shown_whole(first, seen)
-        found, _ = _corners_in_flight(first, reel, as_track(first, reel, seen, whole & seen.even), corners)
-        before, borne_out, corners = radius_m, found is not corners, found
-        radius_m = corners.radius_m if borne_out else LESS * radius_m
+        whole = shown_whole(one, known)
+        found, _ = _corners_in_flight(one, reel, as_track(one, reel, known, whole & known.even), corners)
+        borne_out, corners = found is not corners, found
+        tried.append(_Trial(radius_m, one, known, borne_out))
+        before, radius_m = radius_m, corners.radius_m if borne_out else LESS * radius_m
         if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
             break
+    was_sharp = first.die.corner_radius_m == 0.0
+    if rounding is Rounding.LOOKED_AT and was_sharp and not _better_than_sharp(tried, seen.frames):
+        return first, seen, None
     if tried:
+        most = max(each.seen.frames for each in tried)
         # Poses of a smaller radius than is told in the end lie farther away than it says.
-        _, first, seen = min(tried, key=lambda each: abs(each[0] - corners.radius_m))
+        chosen = min(
+            (each for each in tried if each.seen.frames >= KEPT * most),
+            key=lambda each: abs(each.radius_m - corners.radius_m),
+        )
+        first, seen = chosen.view, chosen.seen
     return rounded(first, corners.radius_m), seen, corners
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A first pass with a radius of the corners, and whether its flights bear that out."""
+
+    radius_m: float
+    view: View
+    seen: Seen
+    borne_out: bool
+
+
+def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:
+    """Whether a rounded die was followed over as many frames as the sharp one was, or hardly fewer and its flights bear
+    the radius out. A sharp die out of focus looks a little rounded, and is lost with a radius that is not its own."""
+    return any(each.seen.frames >= (KEPT if each.borne_out else 1.0) * frames for each in tried)
 
 
 def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
-    whole = np.flatnonzero(shown_whole(view, seen))
-
-    def looks(count: int) -> Looks:
-        poses = seen.position_m[whole], seen.rotation[whole], seen.motion[whole]
-        return Looks.at(whole, reel.frame, *poses, count)
-
+    looks = partial(seen.looks, reel.frame, shown_whole(view, seen))
     if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
         return None
     return by_free_poses(view, looks(FRAMES))
@@ -346,30 +364,6 @@ def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Se
         mine = (times_s > impact.time_s) & (times_s <= end)
         rotation[mine] = rotation[mine] @ relabel
     return replace(seen, rotation=rotation)
-
-
-def _lens_blur(view: View, reel: Reel, seen: Seen, known: Mask) -> float:
-    """The lens blur [px] that fits some frames spread over the track best: Newton steps on their common blur, each frame
-    weighted by what it says of it, frames far from the others left out."""
-    have = np.flatnonzero(known)
-    picked = np.unique(have[np.linspace(0, len(have) - 1, min(BLUR_FRAMES, len(have))).astype(int)])
-    images = {int(k): np.asarray(reel.frame(int(k)), np.float32) for k in picked}
-    for _ in range(4):
-        steps = np.array(
-            [
-                blur_step(view, image, seen.position_m[k], seen.rotation[k], seen.motion[k, :3], seen.motion[k, 3:])
-                for k, image in images.items()
-            ]
-        )
-        far = np.abs(steps[:, 0] - np.median(steps[:, 0]))
-        weight = np.where(far <= 3.0 * max(float(np.median(far)), 0.01), steps[:, 1], 0.0)
-        if not weight.sum() > 0.0:
-            break
-        change = float(np.clip(weight @ steps[:, 0] / weight.sum(), -0.3 * view.blur_px, 0.5 * view.blur_px))
-        view = replace(view, blur_px=float(np.clip(view.blur_px + change, LEAST_BLUR_PX, MOST_BLUR_PX)))
-        if abs(change) < 2e-3:
-            break
-    return view.blur_px
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

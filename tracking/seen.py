@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -16,6 +17,7 @@ from .track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Picture = Callable[[int], NDArray[np.generic]]
 
 
 @dataclass(eq=False)
@@ -54,6 +56,11 @@ class Seen:
         return np.asarray(self.known & (np.arange(len(self.known)) % self.every == 0))
 
     @property
+    def frames(self) -> int:
+        """How many have a pose."""
+        return int(self.known.sum())
+
+    @property
     def support(self) -> Array:
         """(n,) share of the contour that shows a clear step."""
         return np.asarray(self.stats[:, 4] / np.maximum(self.stats[:, 3], 1e-9))
@@ -85,10 +92,52 @@ class Seen:
         out.motion[rows], out.known[rows] = self.motion[before], True
         return out
 
+    def looks(self, picture: Picture, use: Mask, count: int) -> Looks:
+        """So many of the rows in `use` at the most, spread evenly, with their pictures."""
+        rows = np.flatnonzero(use)
+        return Looks.at(rows, picture, self.position_m[rows], self.rotation[rows], self.motion[rows], count)
+
     def take(self, rows: NDArray[np.int64], other: Seen, others: NDArray[np.int64] | None = None) -> None:
         """Take some rows over, from the same rows of another or from `others`."""
         for name in self._COLUMNS:
             getattr(self, name)[rows] = getattr(other, name)[rows if others is None else others]
+
+
+@dataclass(frozen=True, eq=False)
+class Looks:
+    """Some frames with poses: what the pictures as a whole are asked at."""
+
+    pictures: tuple[NDArray[np.float32], ...]
+    """(cameras, height, width) each."""
+    position_m: Array
+    """(n, 3)"""
+    rotation: Array
+    """(n, 3, 3)"""
+    motion: Array
+    """(n, 6) velocity and spin, for the blur."""
+
+    @staticmethod
+    def at(
+        rows: NDArray[np.int64],
+        picture: Picture,
+        position_m: Array,
+        rotation: Array,
+        motion: Array,
+        count: int,
+    ) -> Looks:
+        """So many of these rows at the most, spread evenly; the poses (k, 3), (k, 3, 3), (k, 6) are those of the rows."""
+        chosen = np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))
+        pictures = tuple(np.ascontiguousarray(picture(int(rows[k])), np.float32) for k in chosen)
+        return Looks(pictures, position_m[chosen], rotation[chosen], motion[chosen])
+
+    def some(self, count: int) -> Looks:
+        """So many of them at the most, spread evenly."""
+        chosen = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
+        pictures = tuple(self.pictures[k] for k in chosen)
+        return Looks(pictures, self.position_m[chosen], self.rotation[chosen], self.motion[chosen])
+
+    def __len__(self) -> int:
+        return len(self.pictures)
 
 
 def longest_leap(frames: int) -> int:

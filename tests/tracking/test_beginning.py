@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from footage_of_throws import DICE, FPS, film, studio
+from footage_of_throws import DICE, FPS, Studio, film, studio
 from random_throws import random_quaternion
 
 from diethrow.model.impacts import SmoothImpact
@@ -56,9 +56,9 @@ BEGINNINGS = (0, 9, 18, 27, 36, 45)
 """Every ninth frame; the dice bounce about frame 40."""
 
 
-def thrown(shape: str) -> tuple[View, Reel, Throw]:
+def thrown(shape: str, room: Studio | None = None) -> tuple[View, Reel, Throw]:
     """A plain die over a shaded table: footage, and the motion in it."""
-    room, die = replace(studio(), noise_grey=2.0, shadow=0.4), DICE[shape]
+    room, die = room or replace(studio(), noise_grey=2.0, shadow=0.4), DICE[shape]
     rng = np.random.default_rng(11)
     start, down = np.array([0.0, 0.0, 0.028]), np.array([-0.03, 0.05, -0.55])
     release = State(0.0, start, random_quaternion(rng), down, 30.0 * rng.normal(size=3))
@@ -100,3 +100,14 @@ def test_a_clip_may_begin_anywhere() -> None:
         assert begun is not None
         assert np.flatnonzero(begun[1].known)[0] >= k
         assert share_right(view, begun[1], reel.times_s, throw) == 1.0
+
+
+def test_a_small_die_in_a_sharp_picture_is_found() -> None:
+    """27 pixels an edge, and half the blur that is looked for at first: as that of a clip that was shrunk."""
+    view, reel, throw = thrown(
+        "tetrahedron", replace(studio(100, 100, 600.0), noise_grey=0.7, shadow=0.4, blur_px=0.35)
+    )
+    begun = find_beginning(replace(view, blur_px=0.7), reel, np.zeros(FRAMES, bool))
+    assert begun is not None
+    assert begun[1].known[0]
+    assert share_right(view, begun[1], reel.times_s, throw) == 1.0
