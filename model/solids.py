@@ -353,24 +353,38 @@ def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
 def symmetry_rotations(solid: Solid) -> Array:
     """The rotations (order, 3, 3) that carry the solid's vertices onto themselves, the identity first: 12 for the
     tetrahedron, 24 for cube and octahedron, 60 for dodecahedron and icosahedron, 1 for a solid without symmetry."""
+    rotations = np.concatenate([np.eye(3)[None], _rotations_onto(solid, solid.vertices, other_than=np.eye(3))])
+    rotations.setflags(write=False)
+    return rotations
+
+
+@lru_cache(maxsize=16)
+def inversion_rotation(solid: Solid) -> Array | None:
+    """A rotation (3, 3) that does to the solid what reflection through its centre does, (-1) V = V Tᵀ as sets of vertices: the
+    identity of a solid with such a centre, and for a tetrahedron a quarter turn about an axis through the middles of two
+    edges. None of a solid without any."""
+    rotations = _rotations_onto(solid, -solid.vertices)
+    return min(rotations, key=lambda turn: -float(np.trace(turn)), default=None)
+
+
+def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = None) -> Array:
+    """The rotations (n, 3, 3) that carry the solid's vertices onto others (v, 3) at the same distances."""
     V = solid.vertices
     size = solid.circumradius
     first = int(np.argmax(np.linalg.norm(V, axis=1)))
     second = int(np.argmax(np.linalg.norm(np.cross(V[first], V), axis=1)))
     own = _frame(V[first], V[second])
-    found = [np.eye(3)]
-    for p in range(len(V)):
-        for q in range(len(V)):
-            alike = abs(V[p] @ V[p] - V[first] @ V[first]) + abs(V[q] @ V[q] - V[second] @ V[second])
-            if alike + abs(V[p] @ V[q] - V[first] @ V[second]) > 1e-9 * size**2 or (p, q) == (first, second):
+    found = []
+    for p in others:
+        for q in others:
+            alike = abs(p @ p - V[first] @ V[first]) + abs(q @ q - V[second] @ V[second])
+            if alike + abs(p @ q - V[first] @ V[second]) > 1e-9 * size**2:
                 continue
-            turn = _frame(V[p], V[q]) @ own.T
-            gaps = np.linalg.norm((V @ turn.T)[:, None] - V[None], axis=2).min(1)
-            if gaps.max() < 1e-7 * size:
+            turn = _frame(p, q) @ own.T
+            gaps = np.linalg.norm((V @ turn.T)[:, None] - others[None], axis=2).min(1)
+            if gaps.max() < 1e-7 * size and (other_than is None or np.abs(turn - other_than).max() > 1e-7):
                 found.append(turn)
-    rotations = np.array(found)
-    rotations.setflags(write=False)
-    return rotations
+    return np.array(found).reshape(-1, 3, 3)
 
 
 def die_symmetries(die: Die) -> Array:

@@ -54,6 +54,9 @@ the second half of the frames counts."""
 BEHIND = 0.3
 """By how much the pictures may cost a start more than the best and leave it in the race. How evenly it moves does not count
 before the third stage: right starts take some frames to settle."""
+CHEAPER = 0.1
+"""By how much less the pictures cost one that moves unevenly where it shows that the winner is not the die: among starts that are
+all wrong one may move evenly. A right one costs hardly more than those that its own frames draw astray."""
 MET = 0.2
 """Distance of corners, in edges, within which starts from different frames have met: the distance of a small die scatters."""
 UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)
@@ -254,18 +257,19 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
             runner.rating = rating
         near = [r for r, rating in even if rating.cost < least + BEHIND]
         runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
+        cheaper = sum(rating.cost < runners[0].rating.cost - CHEAPER for _, rating in rated)
         if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
-    return _winner(view, reel, k, runners)
+    return _winner(view, reel, k, runners, cheaper)
 
 
-def _winner(view: View, reel: Reel, k: int, runners: list[Runner]) -> Runner | None:
-    """The first of the runners, with the number of its rivals. One that settled on the way runs back to the start, which must
-    look as even."""
+def _winner(view: View, reel: Reel, k: int, runners: list[Runner], cheaper: int = 0) -> Runner | None:
+    """The first of the runners, with the number of its rivals, of which some are `cheaper` than it and uneven. One that settled
+    on the way runs back to the start, which must look as even."""
     if not runners:
         return None
     best = runners[0]
-    best.rivals = len(runners) - 1
+    best.rivals = len(runners) - 1 + cheaper
     last = int(np.flatnonzero(best.seen.known)[-1])
     if best.rating.since and last < best.rating.until:
         back = best.chase.turned_back(best.seen, last)

@@ -77,6 +77,13 @@ class Chase:
         made.next_frame = k + 1
         return made
 
+    def moving(self, velocity_m_s: Array, omega_rad_s: Array, frame_s: float) -> Chase:
+        """This chase with a guess of how the die moves, as good as one of a bounce."""
+        self.motion[3:6], self.motion[6:9] = velocity_m_s, omega_rad_s
+        self.P[6:9, 6:9] = np.eye(3) * (BOUNCED_REACH * self.view.reach_m / frame_s) ** 2
+        self.P[9:, 9:] = np.eye(3) * (BOUNCED_RAD / frame_s) ** 2
+        return self
+
     def turned_back(self, seen: Seen, k: int) -> Chase:
         """The chase of the frames before frame k, from what is known of the flight after it."""
         motion, P = self.motion.copy(), self.P.copy()

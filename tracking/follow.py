@@ -50,6 +50,7 @@ from .pose import (
 )
 from .quality import STANDARD, Quality
 from .reel import Reel
+from .reversals import put_right
 from .second_pass import SecondPass
 from .seen import Seen, as_track, shown_whole
 from .segment import noise_and_rounding
@@ -235,7 +236,7 @@ def _first_pass(
         if back.misses > 3:
             break
     # What was found to stand before the die is known from here on.
-    return chase.view, seen
+    return chase.view, put_right(chase.view, reel, seen, unused)
 
 
 def _first_pass_rounded(

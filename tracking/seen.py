@@ -75,10 +75,14 @@ class Seen:
         )
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
+    def copy(self) -> Seen:
+        """The same in arrays of its own."""
+        return replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS})
+
     def filled(self) -> Seen:
         """With starts on rows that were left out between two known ones, on a straight way from one to the other. What the
         pictures say of those nobody has seen."""
-        out = replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS})
+        out = self.copy()
         known = np.flatnonzero(self.known)
         right = np.searchsorted(known, np.arange(len(self.known)), side="right")
         rows = np.flatnonzero((right > 0) & (right < len(known)) & ~self.known)

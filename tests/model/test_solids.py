@@ -15,6 +15,7 @@ from diethrow.model.solids import (
     die_from_solid,
     die_symmetries,
     inner_vertices,
+    inversion_rotation,
     isohedral_solid,
     loaded_die,
     lowest_face,
@@ -194,6 +195,22 @@ def test_a_truncated_dipyramid_has_congruent_side_faces_first_and_its_cuts_last(
     if cut:
         np.testing.assert_allclose(solid.normals[-2:], [[0, 0, 1], [0, 0, -1]], atol=1e-15)
         np.testing.assert_allclose(solid.offsets[-2:], (1 - cut) * half_height_m, rtol=1e-13)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_rotation_does_what_reflection_through_the_centre_does(shape):
+    solid = make_die(shape, 0.02, 0.01).solid
+    turn = inversion_rotation(solid)
+    assert np.linalg.det(turn) == pytest.approx(1.0)
+    away = np.linalg.norm((solid.vertices @ turn.T)[:, None] + solid.vertices, axis=2).min(1)
+    assert away.max() < 1e-15
+    angle = np.degrees(np.arccos((np.trace(turn) - 1.0) / 2.0))
+    assert angle == pytest.approx(90.0 if shape == "tetrahedron" else 0.0, abs=1e-5)
+
+
+def test_a_solid_without_symmetry_has_no_rotation_for_its_reflection():
+    points = np.random.default_rng(5).normal(size=(7, 3))
+    assert inversion_rotation(convex_solid(points)) is None
 
 
 def test_the_square_dipyramid_of_equal_edges_is_the_octahedron_and_so_a_spherical_top():

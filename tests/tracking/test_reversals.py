@@ -1,0 +1,96 @@
+"""A die taken for its reversal in depth: what that is, and that the motion shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, film, studio
+from random_throws import random_quaternion
+
+from diethrow.model.motion import Flight, State
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix
+from diethrow.model.solids import SHAPES
+from diethrow.tracking.pose import View, labelled_like, refine_pose
+from diethrow.tracking.reel import Reel
+from diethrow.tracking.reversals import put_right, reversed_in_depth
+from diethrow.tracking.seen import Seen
+
+FRAMES = 48
+NONE_UNUSED = np.zeros(FRAMES, bool)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_reversal_exchanges_near_and_far_and_is_its_own(shape: str) -> None:
+    view = studio().view(DICE[shape])
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        position, rotation = rng.uniform(-0.02, 0.02, 3), matrix_from_quat(random_quaternion(rng))
+        reversal = reversed_in_depth(view, position, rotation)
+        assert reversal is not None
+        assert np.linalg.det(reversal) == pytest.approx(1.0)
+        along = (position - view.camera.centre_m) / np.linalg.norm(position - view.camera.centre_m)
+        corners = view.die.solid.vertices @ rotation.T
+        mirrored = corners - 2.0 * np.outer(corners @ along, along)
+        away = np.linalg.norm(mirrored[:, None] - view.die.solid.vertices @ reversal.T, axis=2).min(1)
+        assert away.max() < 1e-12
+        again = reversed_in_depth(view, position, reversal)
+        assert again is not None
+        assert labelled_like(view, again, rotation) == pytest.approx(rotation, abs=1e-12)
+
+
+def spinning_triangle() -> tuple[View, Reel, Flight]:
+    """A plain tetrahedron in flight that turns one face to the camera, 17 degrees aslant, and spins about the line of sight."""
+    room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
+    position = np.array([0.0, 0.0, 0.03])
+    toward = room.camera.centre_m - position
+    toward /= np.linalg.norm(toward)
+    aside = np.cross(toward, [0.0, 0.0, 1.0])
+    looks = np.cos(0.3) * toward + np.sin(0.3) * aside / np.linalg.norm(aside)
+    rotation = basis(looks) @ basis(die.solid.normals[0]).T
+    release = State(0.0, position, quat_from_matrix(rotation), np.array([0.1, 0.0, -0.3]), 60.0 * toward)
+    flight = Flight(release, np.inf)
+    return room.view(die), Reel([film(room, die, flight, FRAMES)]), flight
+
+
+def basis(first: np.ndarray) -> np.ndarray:
+    """(3, 3) right-handed, with this column first."""
+    second = np.cross(first, [0.3, 0.5, 0.8])
+    second /= np.linalg.norm(second)
+    return np.column_stack([first, second, np.cross(first, second)])
+
+
+def seen_at(view: View, reel: Reel, flight: Flight, *, reverse: bool) -> Seen:
+    """What the pictures show near the true poses, or near their reversals."""
+    seen = Seen.empty(FRAMES)
+    for k, time_s in enumerate(reel.times_s):
+        state = flight.at(float(time_s))
+        rotation = reversed_in_depth(view, state.position_m, state.rotation) if reverse else state.rotation
+        assert rotation is not None
+        pose = refine_pose(view, np.asarray(reel.frame(k), np.float32), state.position_m, rotation, coarse=0)
+        seen.put(k, pose, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
+    return seen
+
+
+def share_right(view: View, seen: Seen, flight: Flight, times_s: np.ndarray) -> float:
+    """Share of the frames whose pose draws the true die, whatever its corners are called."""
+    V, right = view.die.solid.vertices, []
+    for k in np.flatnonzero(seen.known):
+        state = flight.at(float(times_s[k]))
+        corners, true = V @ seen.rotation[k].T + seen.position_m[k], V @ state.rotation.T + state.position_m
+        right.append(np.linalg.norm(corners[:, None] - true, axis=2).min(1).max() < 0.25 * view.die.solid.edge_m)
+    return float(np.sum(right)) / len(times_s)
+
+
+def test_a_die_that_was_taken_for_its_reversal_is_put_right() -> None:
+    view, reel, flight = spinning_triangle()
+    wrong = seen_at(view, reel, flight, reverse=True)
+    assert share_right(view, wrong, flight, reel.times_s) < 0.1
+    assert share_right(view, put_right(view, reel, wrong, NONE_UNUSED), flight, reel.times_s) > 0.95
+
+
+def test_what_is_right_stays_as_it_is() -> None:
+    view, reel, flight = spinning_triangle()
+    right = seen_at(view, reel, flight, reverse=False)
+    assert put_right(view, reel, right, NONE_UNUSED) is right
