@@ -360,11 +360,15 @@ def symmetry_rotations(solid: Solid) -> Array:
 
 @lru_cache(maxsize=16)
 def inversion_rotation(solid: Solid) -> Array | None:
-    """A rotation (3, 3) that does to the solid what reflection through its centre does, (-1) V = V Tᵀ as sets of vertices: the
+    """A rotation (3, 3) that does to the solid what reflection through its centre does, -V = V Tᵀ as sets of vertices: the
     identity of a solid with such a centre, and for a tetrahedron a quarter turn about an axis through the middles of two
-    edges. None of a solid without any."""
+    edges; the least turn of several. None of a solid without any."""
     rotations = _rotations_onto(solid, -solid.vertices)
-    return min(rotations, key=lambda turn: -float(np.trace(turn)), default=None)
+    if not len(rotations):
+        return None
+    least = rotations[np.argmax(np.trace(rotations, axis1=1, axis2=2))]
+    least.setflags(write=False)
+    return least
 
 
 def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = None) -> Array:

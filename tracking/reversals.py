@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.solids import inversion_rotation
+from .bounces import LITTLE_SLACK
 from .chase import Chase
 from .flights import Sightings, fit_flights
 from .pose import Pose, View, labelled_like, refine_pose
@@ -41,8 +42,6 @@ TRIED, ROUNDS = 5, 3
 those that were put right may show others."""
 SETTLE = 8
 """Frames over which the motion is learned from a reversed pose, before it is followed to both ends of the run."""
-LITTLE_SLACK = 0.1
-"""Of the usual slack of single poses."""
 
 
 def reversed_in_depth(view: View, position_m: Array, rotation: Array) -> Array | None:
