@@ -99,7 +99,7 @@ def noting(asked: dict[str, Any]) -> Any:
         began = time.perf_counter()
         answer = original(view, looks, radius_px)
         asked["ms"] = asked.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)
-        if radius_px != PLAIN_PX or "gain" not in asked:
+        if radius_px < PLAIN_PX or "gain" not in asked:
             asked["gain"] = answer
         asked.setdefault("px_per_m", corners.scale_px_per_m(view, looks))
         return answer

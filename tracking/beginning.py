@@ -92,7 +92,7 @@ class Runner:
     rating: Rating
     """At the last stage of the race at which somebody moved as a die does."""
     rivals: int = 0
-    """Other poses that are as good when the race ends."""
+    """Other poses that are as good when the race ends, or uneven and explain the pictures better."""
 
     @property
     def support(self) -> float:
@@ -257,7 +257,8 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
             runner.rating = rating
         near = [r for r, rating in even if rating.cost < least + BEHIND]
         runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
-        cheaper = sum(rating.cost < runners[0].rating.cost - CHEAPER for _, rating in rated)
+        uneven = [rating.cost for _, rating in rated if rating.unevenness >= 1.0]
+        cheaper = sum(cost < runners[0].rating.cost - CHEAPER for cost in uneven)
         if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
     return _winner(view, reel, k, runners, cheaper)

@@ -53,7 +53,7 @@ NOTICED_PX, NOTICED_BLUR_PX = 1.0, 0.7
 """Radius that is tried against none: what this blur still shows. A wider one shows as much more: at 2.4 px of blur a tetrahedron
 that is sharp is explained better by the strips of one pixel, for what the blur of its corners does to the edges beside them."""
 PLAIN_PX, PLAIN_FRAMES = 4.0, 8
-"""The same of a die so round that so little changes nothing, which fewer frames show already."""
+"""The same of a die so round that so little changes nothing, which fewer frames show already; wider with the blur as well."""
 GAIN, SURE = 0.012, 2.0
 """Least fall of ℓ for a die to be taken for rounded, and the standard errors by which a fall lies clearly above or below, and
 above none. `docs/tracking.md` has the table of what sharp and rounded dice show."""
@@ -140,7 +140,7 @@ def gain_of_rounding(view: View, looks: Looks, radius_px: float) -> tuple[float,
 def look_rounded(view: View, looks: Callable[[int], Looks]) -> bool:
     """Whether the die of a view with sharp corners is plainly rounded; `looks(count)` are so many frames at the most."""
     seen = looks(FRAMES)
-    gain, sigma = gain_of_rounding(view, seen.some(PLAIN_FRAMES), PLAIN_PX)
+    gain, sigma = gain_of_rounding(view, seen.some(PLAIN_FRAMES), PLAIN_PX / NOTICED_PX * noticed_px(view))
     if gain > max(GAIN, SURE * sigma):
         return True
     gain, sigma = gain_of_rounding(view, seen, noticed_px(view))

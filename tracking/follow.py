@@ -267,7 +267,7 @@ def _first_pass_rounded(
         whole = shown_whole(one, known)
         found, _ = _corners_in_flight(one, reel, as_track(one, reel, known, whole & known.even), corners)
         borne_out, corners = found is not corners, found
-        tried.append(_Trial(radius_m, one, known, borne_out))
+        tried.append(_Trial(radius_m, one, known, borne_out, corners))
         before, radius_m = radius_m, corners.radius_m if borne_out else LESS * radius_m
         if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
             break
@@ -276,11 +276,10 @@ def _first_pass_rounded(
         return first, seen, None
     if tried:
         most = max(each.seen.frames for each in tried)
+        kept = [each for each in tried if each.seen.frames >= KEPT * most]
+        corners = kept[-1].corners
         # Poses of a smaller radius than is told in the end lie farther away than it says.
-        chosen = min(
-            (each for each in tried if each.seen.frames >= KEPT * most),
-            key=lambda each: abs(each.radius_m - corners.radius_m),
-        )
+        chosen = min(kept, key=lambda each: abs(each.radius_m - kept[-1].corners.radius_m))
         first, seen = chosen.view, chosen.seen
     return rounded(first, corners.radius_m), seen, corners
 
@@ -293,6 +292,8 @@ class _Trial:
     view: View
     seen: Seen
     borne_out: bool
+    corners: Corners
+    """What is known of the radius then."""
 
 
 def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:

@@ -35,9 +35,12 @@ STRAINED, WINDOW = 1.5, 24
 impact is among them."""
 NEARLY = 0.15
 """By how much more the pictures may cost a reversal: where a die shows one face, single pictures hardly tell the two apart."""
-RELIEVED = 0.5
-"""Share of the strain that the reversal may leave at the most."""
-TRIED, ROUNDS = 5, 3
+RELIEVED, FLYING = 0.5, 8.0
+"""Share of the strain that the reversal may leave at the most, and how much: dice in flight are followed with less. Of a die that
+rests, or that an impact turns, all is strained whatever its pose."""
+COVERED = 0.9
+"""Share of the frames of a run on which the reversal must have been followed."""
+TRIED, ROUNDS = 3, 3
 """Frames of a run from which its reversal is followed, of which some show it well enough; and how often runs are looked for:
 those that were put right may show others."""
 SETTLE = 8
@@ -63,9 +66,10 @@ def put_right(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
     """The sightings with runs of frames followed anew from their reversal, where they lie on no motion of a die in flight and
     those of the reversal do so better.
 
-    Nothing is asked of films so fast that frames were left out.
+    Nothing is asked of films so fast that frames were left out, nor of several cameras: what is reversed for one is none for
+    the others.
     """
-    if seen.every > 1:
+    if seen.every > 1 or len(reel.clips) > 1:
         return seen
     for _ in range(ROUNDS):
         before, seen = seen, _once(view, reel, seen, unused)
@@ -90,27 +94,29 @@ def _once(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
         # The die is itself again somewhere before the next frame that was asked.
         first = int(rows[begin - 1]) + 1 if begin > 0 else 0
         stop = int(rows[end]) if end < len(rows) else len(reel)
-        others = []
+        run, left, best = slice(int(rows[begin]), int(rows[end - 1]) + 1), RELIEVED, seen
         for i in np.unique(np.linspace(begin, end - 1, min(TRIED, end - begin)).astype(int)):
             pose, k = reversals[i], int(rows[i])
             assert pose is not None, "of a run"
             other = _followed(view, reel, pose, _reversed_motion(view, seen, k), k, (first, stop), unused)
-            others.append((_left(view, reel, seen, other), other))
-        left, best = min(others, key=lambda each: each[0])
-        if left < RELIEVED:
-            seen = _taken_over(view, seen, best, slice(int(rows[begin]), int(rows[end - 1]) + 1))
+            share = _left(view, reel, seen, other, run)
+            if share < left:
+                left, best = share, other
+        if best is not seen:
+            seen = _taken_over(view, seen, best, run)
     return seen
 
 
-def _left(view: View, reel: Reel, seen: Seen, other: Seen) -> float:
-    """The share of the strain that another leaves on the frames that both saw; infinite where these are few, or the pictures deny
-    it. The middling window counts: those with an impact fit neither."""
+def _left(view: View, reel: Reel, seen: Seen, other: Seen, run: slice) -> float:
+    """The share of the strain that another leaves on the frames that both saw; infinite where it is not that of a die in flight
+    either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
     both = seen.known & other.known
-    if both.sum() < SETTLE or other.cost[both].mean() > seen.cost[both].mean() + NEARLY:
+    covered = both[run].sum() >= COVERED * seen.known[run].sum()
+    if not covered or both.sum() < SETTLE or other.cost[both].mean() > seen.cost[both].mean() + NEARLY:
         return np.inf
     rows = np.flatnonzero(both)[:: WINDOW // 2]
-    ours, theirs = (np.median(_strains(as_track(view, reel, one, both), rows)) for one in (seen, other))
-    return float(theirs / ours)
+    ours, theirs = (float(np.median(_strains(as_track(view, reel, one, both), rows))) for one in (seen, other))
+    return theirs / ours if 0.0 < theirs < FLYING and ours > 0.0 else np.inf
 
 
 def _reversed_motion(view: View, seen: Seen, k: int) -> Array:
@@ -139,18 +145,20 @@ def _followed(view: View, reel: Reel, pose: Pose, moving: Array, k: int, within:
     frame_s = float(np.diff(reel.times_s).mean())
     onward = Chase.from_start(view, pose, reel.times_s, k, unused).moving(moving[:3], moving[3:], frame_s)
     settled = min(k + 1 + SETTLE, stop)
-    for start, frames in reel.blocks(k + 1, settled):
-        onward.over(frames, reel.times_s, start, seen)
+    for row in range(k + 1, settled):
+        onward.over(reel.frame(row)[None], reel.times_s, row, seen)
+        if onward.misses > 0:
+            return seen
     last = int(np.flatnonzero(seen.known)[-1])
     back = onward.turned_back(seen, last)
     for start, frames in reel.blocks(settled, stop):
         onward.over(frames, reel.times_s, start, seen)
-        if onward.misses > 1:
+        if onward.misses > 0:
             break
     for start, frames in reel.blocks_backwards(last):
         skipped = max(first - start, 0)
         back.over(frames[skipped:], reel.times_s, start + skipped, seen)
-        if start <= first or back.misses > 1:
+        if start <= first or back.misses > 0:
             break
     return seen
 
@@ -173,8 +181,12 @@ def _strains(track: Track, rows: NDArray[np.int64]) -> Array:
 def _taken_over(view: View, seen: Seen, other: Seen, run: slice) -> Seen:
     """The sightings with those of the other, and nothing on the frames of the run that the other lost. Every
     labelling goes on from that of the frames before."""
-    out, rows = seen.copy(), np.flatnonzero(other.known)
-    out.known[run] = False
+    inside = np.zeros(len(seen.known), bool)
+    inside[run] = True
+    # Beyond the run either may be right: the cheaper one.
+    rows = np.flatnonzero(other.known & (inside | ~seen.known | (other.cost < seen.cost)))
+    out = seen.copy()
+    out.known[inside] = False
     out.take(rows, other)
     for k in (int(rows[0]), int(rows[-1]) + 1):
         before, after = np.flatnonzero(out.known[:k]), k + np.flatnonzero(out.known[k:])

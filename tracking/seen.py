@@ -57,8 +57,8 @@ class Seen:
 
     @property
     def frames(self) -> int:
-        """How many have a pose."""
-        return int(self.known.sum())
+        """How many have a pose, those that were left out between two others included."""
+        return int(self.filled().known.sum())
 
     @property
     def support(self) -> Array:

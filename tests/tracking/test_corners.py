@@ -31,6 +31,7 @@ from diethrow.tracking.corners import (
 )
 from diethrow.tracking.follow import Followed, look_through
 from diethrow.tracking.quality import FAST
+from diethrow.tracking.seen import Seen
 
 ROOM = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
@@ -82,7 +83,7 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
     assert free.radius_m == 0.0
 
 
-@pytest.mark.parametrize("blur_px", [1.2, 2.4])
+@pytest.mark.parametrize("blur_px", [1.2, 2.4, 3.5])
 @pytest.mark.parametrize("shape", ["tetrahedron", "cube"])
 def test_a_sharp_die_out_of_focus_is_not_a_rounded_one(shape: str, blur_px: float) -> None:
     """And a rounded one is one as long as its radius exceeds the blur."""
@@ -225,9 +226,19 @@ def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:
     assert np.array_equal(asked.track.covariance, given.track.covariance, equal_nan=True)
 
 
-def test_a_radius_with_which_the_die_is_lost_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a first sight gets wrong is made good by what follows: the sharp die is on all frames, the ball on some."""
+def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a first sight gets wrong is made good by what follows."""
     monkeypatch.setattr(following, "_corners_at_sight", lambda *_: Corners(5e-3, 0.5e-3))
     asked, given = sharp_followed(Rounding.LOOKED_AT), sharp_followed(Rounding.GIVEN)
     assert asked.corners is None
     assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
+)
+def test_a_radius_that_loses_the_die_is_none(frames: int, borne_out: bool, better: bool) -> None:
+    seen, corners = Seen.empty(120), Corners(1e-3, 1e-4)
+    seen.known[:frames] = True
+    trial = following._Trial(1e-3, ROOM.view(CUBE), seen, borne_out, corners)
+    assert following._better_than_sharp([trial], 100) is better

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, film, studio
+from footage_of_throws import DICE, Moving, film, studio
 from random_throws import random_quaternion
 
 from diethrow.model.motion import Flight, State
-from diethrow.model.rotations import matrix_from_quat, quat_from_matrix
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from diethrow.model.solids import SHAPES
 from diethrow.tracking.pose import View, labelled_like, refine_pose
 from diethrow.tracking.reel import Reel
@@ -61,7 +61,7 @@ def basis(first: np.ndarray) -> np.ndarray:
     return np.column_stack([first, second, np.cross(first, second)])
 
 
-def seen_at(view: View, reel: Reel, flight: Flight, *, reverse: bool) -> Seen:
+def seen_at(view: View, reel: Reel, flight: Moving, *, reverse: bool) -> Seen:
     """What the pictures show near the true poses, or near their reversals."""
     seen = Seen.empty(FRAMES)
     for k, time_s in enumerate(reel.times_s):
@@ -88,6 +88,29 @@ def test_a_die_that_was_taken_for_its_reversal_is_put_right() -> None:
     wrong = seen_at(view, reel, flight, reverse=True)
     assert share_right(view, wrong, flight, reel.times_s) < 0.1
     assert share_right(view, put_right(view, reel, wrong, NONE_UNUSED), flight, reel.times_s) > 0.95
+
+
+@dataclass(frozen=True)
+class Resting:
+    """A die that lies still."""
+
+    state: State
+
+    def at(self, time_s: float) -> State:
+        return replace(self.state, time_s=time_s)
+
+
+@pytest.mark.parametrize("angle_rad", [-1.75, -1.71, 0.3])
+def test_a_die_at_rest_stays_as_it_is(angle_rad: float) -> None:
+    """It lies on no motion with the fall of g, and neither does its reversal."""
+    room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
+    down = basis(np.array([0.0, 0.0, -1.0])) @ basis(die.solid.normals[0]).T
+    turn = matrix_from_quat(quat_from_rotvec(np.array([0.0, 0.0, angle_rad])))
+    place = np.array([0.0, 0.0, die.solid.inradius])
+    still = Resting(State(0.0, place, quat_from_matrix(turn @ down), np.zeros(3), np.zeros(3)))
+    view, reel = room.view(die), Reel([film(room, die, still, FRAMES)])
+    right = seen_at(view, reel, still, reverse=False)
+    assert put_right(view, reel, right, NONE_UNUSED) is right
 
 
 def test_what_is_right_stays_as_it_is() -> None:
