@@ -92,14 +92,14 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     use = np.flatnonzero(track.tracked)[::every]
     if len(use) < FEWEST:
         raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
-    tracked, use = len(use), use[sane_rows(_sightings(track, use), die)]
+    tracked, use = len(use), use[sane_rows(sightings(track, use), die)]
     if len(use) < FEWEST:
         raise NoFlightError(
             f"{_frames(tracked)} tracked, and {len(use)} of them move as a die can: wanted at least three in a row to measure "
             "a flight"
         )
     lean = np.zeros((len(track), 6, 0))
-    seen = _sightings(track, use, LITTLE_SLACK)
+    seen = sightings(track, use, LITTLE_SLACK)
     flying = carried_from(seen, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
@@ -112,7 +112,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     while True:
         # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
         ahead = slice(0, flying)
-        some = _sightings(track, use[ahead][:: spared(track, die, use[ahead])])
+        some = sightings(track, use[ahead][:: spared(track, die, use[ahead])])
         rough = join_flights(some, part_flights(some, die), die)
         joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)
@@ -127,7 +127,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         if camera is not None and _tells_the_table(joined):
             carried = track.tracked & (track.time_s >= track.time_s[use[flying]])
             resting = on_table(straight, np.flatnonzero(carried), die, joined.table_m, TABLE_SIGMA_M)
-        poses, last_s = _sightings(resting, use[flying:]), float(seen.time_s[flying - 1])
+        poses, last_s = sightings(resting, use[flying:]), float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
@@ -183,7 +183,7 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: i
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)
-    root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
+    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor[use]
     return replace(track, covariance=covariance)
@@ -193,7 +193,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     """The track with slow errors counted as they count in a mean over many frames, and with those that all frames of a
     flight share multiplied by the number of its frames. Of a die that the table carries the table tells them."""
     use = np.flatnonzero(track.tracked)
-    root = np.linalg.inv(_sightings(track, use, LITTLE_SLACK).whitener)
+    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
     flight = throw.flights_at(track.time_s[use])
     is_flown = np.array([one.covariance is not None for one in throw.flights])
@@ -204,7 +204,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     return replace(track, covariance=covariance)
 
 
-def _sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sightings:
+def sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sightings:
     """Some rows of a track as the fits want them."""
     poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
     return Sightings.from_poses(*poses, slack=slack)

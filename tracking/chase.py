@@ -67,22 +67,19 @@ class Chase:
         self._desk: Desk = new_desk(view.shape, view.eyes)
 
     @staticmethod
-    def from_start(view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_]) -> Chase:
-        """A chase of which only the pose on frame k is known; frames that are `unused` (n,) are passed over."""
+    def from_start(
+        view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], moving: Array | None = None
+    ) -> Chase:
+        """A chase of which only the pose on frame k is known, or, as after a bounce, also about how the die moves: `moving` (6,),
+        velocity [m/s] and spin [rad/s]. Frames that are `unused` (n,) are passed over."""
         near = times_s[max(k - 1, 0) : k + 2]
         frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
-        P = _unsure(view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
-        motion = np.concatenate([pose.position_m, np.zeros(6)])
+        reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if moving is None else (BOUNCED_REACH, BOUNCED_RAD)
+        P = _unsure(view, pose, frame_s, reach, rad)
+        motion = np.concatenate([pose.position_m, np.zeros(6) if moving is None else moving])
         made = Chase(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
         made.next_frame = k + 1
         return made
-
-    def moving(self, velocity_m_s: Array, omega_rad_s: Array, frame_s: float) -> Chase:
-        """This chase with a guess of how the die moves, as good as one of a bounce."""
-        self.motion[3:6], self.motion[6:9] = velocity_m_s, omega_rad_s
-        self.P[6:9, 6:9] = np.eye(3) * (BOUNCED_REACH * self.view.reach_m / frame_s) ** 2
-        self.P[9:, 9:] = np.eye(3) * (BOUNCED_RAD / frame_s) ** 2
-        return self
 
     def turned_back(self, seen: Seen, k: int) -> Chase:
         """The chase of the frames before frame k, from what is known of the flight after it."""

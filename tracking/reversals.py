@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.solids import inversion_rotation
-from .bounces import LITTLE_SLACK
+from .bounces import LITTLE_SLACK, sightings
 from .chase import Chase
-from .flights import Sightings, fit_flights
+from .flights import fit_flights
 from .pose import Pose, View, labelled_like, refine_pose
 from .reel import Reel
 from .seen import Seen, as_track
@@ -142,8 +142,7 @@ def _followed(view: View, reel: Reel, pose: Pose, moving: Array, k: int, within:
     first, stop = within
     seen = Seen.empty(len(reel))
     seen.put(k, pose, moving)
-    frame_s = float(np.diff(reel.times_s).mean())
-    onward = Chase.from_start(view, pose, reel.times_s, k, unused).moving(moving[:3], moving[3:], frame_s)
+    onward = Chase.from_start(view, pose, reel.times_s, k, unused, moving)
     settled = min(k + 1 + SETTLE, stop)
     for row in range(k + 1, settled):
         onward.over(reel.frame(row)[None], reel.times_s, row, seen)
@@ -171,10 +170,7 @@ def _strains(track: Track, rows: NDArray[np.int64]) -> Array:
         return np.zeros(len(rows))
     at = np.clip(np.searchsorted(use, rows) - WINDOW // 2, 0, max(len(use) - WINDOW, 0))
     windows = [np.arange(k, min(k + WINDOW, len(use))) for k in at]
-    seen = Sightings.from_poses(
-        track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use], slack=LITTLE_SLACK
-    )
-    _, left = fit_flights(seen, windows)
+    _, left = fit_flights(sightings(track, use, LITTLE_SLACK), windows)
     return np.asarray(left / (6.0 * np.array([len(window) for window in windows]) - 12.0))
 
 
