@@ -273,7 +273,7 @@ def _winner(view: View, reel: Reel, k: int, runners: list[Runner], cheaper: int 
     best.rivals = len(runners) - 1 + cheaper
     last = int(np.flatnonzero(best.seen.known)[-1])
     if best.rating.since and last < best.rating.until:
-        back = best.chase.turned_back(best.seen, last)
+        back = best.chase.turned_back()
         best.seen.known[:last] = False
         back.over(np.stack([reel.frame(k + row) for row in range(last)]), reel.times_s[k:], 0, best.seen)
         best.rating = _rating(view, best.seen, reel.times_s[k:], 0, last + 1)

@@ -81,10 +81,9 @@ class Chase:
         made.next_frame = k + 1
         return made
 
-    def turned_back(self, seen: Seen, k: int) -> Chase:
-        """The chase of the frames before frame k, from what is known of the flight after it."""
-        motion, P = self.motion.copy(), self.P.copy()
-        back = Chase(self.view, motion, self.rotation.copy(), P, self.clock.copy(), self.unused)
+    def turned_back(self) -> Chase:
+        """The chase of the frames before those of this one, from what is known of the flight that it is in."""
+        back = Chase(self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused)
         back.view, back._screen = self.view, self._screen
         back.backwards = True
         return back
@@ -115,7 +114,7 @@ class Chase:
         speed, spin = (float(np.linalg.norm(rate)) for rate in (self.motion[3:6], self.motion[6:9]))
         moved = max(speed * frame_s / (SMALL_MOVE_REACH * reach_m), spin * frame_s / SMALL_TURN_RAD, 1e-9)
         self._longest = power_of_two(min(self._longest, 1.0 / moved))
-        blind_m, blind_rad = (float(np.sqrt(np.diag(self.P)[rows].max())) for rows in (slice(6, 9), slice(9, 12)))
+        blind_m, blind_rad = widest_sigma(self.P, 6), widest_sigma(self.P, 9)
         scale_px_per_m = camera.matrix[0, 0] / float(np.linalg.norm(self.motion[:3] - camera.centre_m))
         unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
         return power_of_two(min(self._longest, SURE_PX / unsure_px))
@@ -208,10 +207,9 @@ class Chase:
         """The pose that explains the picture best, with the start that led to it."""
         best: tuple[Pose, State] | None = None
         usual, lens = float(self.clock[1]), self.view.lens
-        sigma_m, sigma_rad = 4.0 * np.sqrt(np.diag(P)[:3].max()), 4.0 * np.sqrt(np.diag(P)[3:6].max())
         tight = (
-            float(np.clip(sigma_m, lens.tight_m, lens.loose_m)),
-            float(np.clip(sigma_rad, lens.tight_rad, lens.loose_rad)),
+            float(np.clip(4.0 * widest_sigma(P, 0), lens.tight_m, lens.loose_m)),
+            float(np.clip(4.0 * widest_sigma(P, 3), lens.tight_rad, lens.loose_rad)),
         )
         loose = lens.loose_m, lens.loose_rad
         rivals = islice(self._rivals(expected, time_s), self.view.quality.rivals)
@@ -241,8 +239,7 @@ class Chase:
         reach = self.view.reach_m
         off = float(np.linalg.norm(pose.position_m - expected.position_m))
         turned = float(np.arccos(np.clip(0.5 * (np.trace(pose.rotation @ expected.rotation.T) - 1.0), -1.0, 1.0)))
-        far_m = max(NEW_REACH * reach, 3.0 * float(np.sqrt(np.diag(P)[:3].max())))
-        far_rad = max(NEW_RAD, 3.0 * float(np.sqrt(np.diag(P)[3:6].max())))
+        far_m, far_rad = max(NEW_REACH * reach, 3.0 * widest_sigma(P, 0)), max(NEW_RAD, 3.0 * widest_sigma(P, 3))
         if off < far_m and turned < far_rad:
             return True
         lowest = float((expected.rotation @ self.view.die.solid.vertices.T)[2].min() + expected.position_m[2])
@@ -313,6 +310,12 @@ _TURNS = np.vstack(
 
 def _state(time_s: float, motion: Array, rotation: Array) -> State:
     return State(time_s, motion[:3].copy(), quat_from_matrix(rotation), motion[3:6].copy(), motion[6:9].copy())
+
+
+def widest_sigma(P: Array, first: int) -> float:
+    """The largest standard deviation of three numbers of a motion. Carried back to where it was known their variances cancel, and
+    rounding may leave less than nothing."""
+    return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
 
 
 def _unsure(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:

@@ -1697,8 +1697,9 @@ def chase(
     for k in range(frames.shape[0]):
         ahead, P_ahead = x.copy(), P.copy()
         R_ahead = coast(ahead, R, P_ahead, times[k] - clock[0])
-        sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2]))
-        sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5]))
+        # Carried back to where they were known, variances cancel, and rounding may leave less than nothing.
+        sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2], 0.0))
+        sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5], 0.0))
         off = scale_px(eyes, ahead[:3]) * (sigma_m + sigma_rad * reach)
         coarse = 4 if off > 1.5 else (2 if off > 0.6 else (1 if off > 0.3 else 0))
         sight = sight_of(frames[k], eyes, shape, ahead[:3], R_ahead, WINDOW_PX if coarse > 0 else NARROW_PX, desk)

@@ -229,7 +229,7 @@ def _first_pass(
     view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
-    back = chase.turned_back(seen, first_known)
+    back = chase.turned_back()
     chase.to_the_end(reel, seen, report.at_least, all_frames=not view.quality.second_pass)
     for first, frames in reel.blocks_backwards(first_known):
         back.over(frames, reel.times_s, first, seen)

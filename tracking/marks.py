@@ -67,7 +67,6 @@ from .pose import THREADS, View, outline_box, weak_prior
 from .track import Track
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 LOOKS = 120
 """Frames learned from at the most: the texture's noise is then a tenth of one frame's, and the cost does not grow with
@@ -118,13 +117,18 @@ def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
 
 
 def learn_marks(
-    view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw, *, saturation_grey: float = np.inf
+    view: View,
+    images: Iterable[tuple[int, NDArray[Any]]],
+    track: Track,
+    throw: Throw,
+    *,
+    saturation_grey: float = np.inf,
 ) -> Marks | None:
     """What the faces of the die look like, or None where no face shows anything that places it.
 
-    `images` are pairs of a row of `track` and its whole frame (height, width) float32, best those of
-    `frames_to_learn_from`; only a window of each is kept. `track` holds poses of single frames from edges, `throw` the
-    flights measured through them. Pixels at `saturation_grey` and above are left out.
+    `images` are pairs of a row of `track` and its whole frame (height, width), best those of `frames_to_learn_from`; only a
+    window of each is kept. `track` holds poses of single frames from edges, `throw` the flights measured through them. Pixels
+    at `saturation_grey` and above are left out.
     """
     looks = _looks(view, images, track, throw)
     if len(looks) < 2 * FEWEST_LOOKS:
@@ -273,7 +277,7 @@ def _windows(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int
     return np.concatenate([low, high], axis=1).astype(np.int64)
 
 
-def _looks(view: View, images: Iterable[tuple[int, Image]], track: Track, throw: Throw) -> list[Look]:
+def _looks(view: View, images: Iterable[tuple[int, NDArray[Any]]], track: Track, throw: Throw) -> list[Look]:
     """Windows round the die on the frames of flights that have enough of them."""
     looks = []
     for row, image in images:

@@ -68,8 +68,8 @@ def adjusted(
     poses = poses_of(looks, marks.flights)
     equations = _equations(optics_of(view, marks), faces_of(view, marks, cut), looks, poses)
     edges = _edges_minus_flights(looks, poses)
-    squared = [q for H, g, _, _ in equations if (q := _whitened_square(H, g)) is not None]
-    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if squared else marks.factor
+    squared = _whitened_squares(np.array([H for H, *_ in equations]), np.array([g for _, g, *_ in equations]))
+    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if len(squared) else marks.factor
     # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
     shared = in_flight[[look.flight for look in looks]][:, None, None] * _contours(view, looks, marks.contour_m)
     informations = np.linalg.inv(np.array([look.edge_covariance for look in looks]) + shared)
@@ -223,13 +223,13 @@ def turn_between(start: Array, end: Array) -> Array:
     return np.asarray(axis * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 1.0))
 
 
-def _whitened_square(H: Array, g: Array) -> float | None:
-    """gᵀ H⁻¹ g: how far, in squared sigmas, the marks of one frame alone want to move its pose; None where they leave a
-    direction open."""
-    unit = np.sqrt(np.diag(H))
-    if not (unit > 0).all():
-        return None
-    values, vectors = np.linalg.eigh(H / np.outer(unit, unit))
-    if values[0] < 1e-6 * values[-1]:
-        return None
-    return float((((g / unit) @ vectors) ** 2 / values).sum())
+def _whitened_squares(H: Array, g: Array) -> Array:
+    """gᵀ H⁻¹ g of normal equations (n, 6, 6) and (n, 6): how far, in squared sigmas, the marks of each frame alone want to move
+    its pose. Without those that leave a direction open."""
+    unit = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
+    shown = np.asarray((unit > 0).all(1))
+    H, g, unit = H[shown], g[shown], unit[shown]
+    values, vectors = np.linalg.eigh(H / (unit[:, :, None] * unit[:, None, :]))
+    closed = values[:, 0] >= 1e-6 * values[:, -1]
+    along = np.einsum("ni,nij->nj", g / unit, vectors)[closed]
+    return np.asarray((along**2 / values[closed]).sum(1))

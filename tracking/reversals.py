@@ -149,7 +149,7 @@ def _followed(view: View, reel: Reel, pose: Pose, moving: Array, k: int, within:
         if onward.misses > 0:
             return seen
     last = int(np.flatnonzero(seen.known)[-1])
-    back = onward.turned_back(seen, last)
+    back = onward.turned_back()
     for start, frames in reel.blocks(settled, stop):
         onward.over(frames, reel.times_s, start, seen)
         if onward.misses > 0:

@@ -104,7 +104,7 @@ def _learned(reel: Reel, view: View, found: Measured, scatter: float) -> Marks |
     edges, throw = _in_flight(found.frames, found.throw), flown(found.throw)
     edges = replace(edges, covariance=scatter * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
-    images = ((int(k), np.asarray(reel.frame(int(k))[0], np.float32)) for k in rows)
+    images = ((int(k), reel.frame(int(k))[0]) for k in rows)
     return learn_marks(view, images, edges, throw, saturation_grey=float(2 ** reel.clips[0].bit_depth - 1))
 
 

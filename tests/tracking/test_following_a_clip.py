@@ -20,7 +20,8 @@ from diethrow.model.simulate import Until, throw_die
 from diethrow.tracking.background import estimate_background
 from diethrow.tracking.beginning import find_beginning
 from diethrow.tracking.bounces import measure_throw
-from diethrow.tracking.chase import Chase
+from diethrow.tracking.chase import Chase, widest_sigma
+from diethrow.tracking.edges import coast
 from diethrow.tracking.follow import NoDieError, follow, look_through
 from diethrow.tracking.parting import spared
 from diethrow.tracking.pose import make_view, refine_pose, share_in_view
@@ -250,6 +251,20 @@ def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
     # The die is eighty pixels tall, and most of what it passed behind is known.
     assert blank[:, (bar.start + bar.stop) // 2].sum() > 40
     assert not np.isnan(view.backgrounds).any()
+
+
+def test_a_motion_carried_back_to_where_it_was_known_is_unsure_of_nothing_there() -> None:
+    rng, below = np.random.default_rng(20261122), 0
+    for _ in range(100):
+        P, A = np.zeros((12, 12)), rng.standard_normal((6, 6))
+        P[6:, 6:] = A @ A.T
+        motion, rotation = np.concatenate([rng.standard_normal(6), 10.0 * rng.standard_normal(3)]), np.eye(3)
+        for dt in (1e-3, -3e-4, -7e-4):
+            rotation = coast(motion, rotation, P, dt)
+        below += bool(np.diag(P)[:3].max() < 0.0)
+        # A millisecond of some metres a second, to the root of rounding.
+        assert 0.0 <= widest_sigma(P, 0) < 1e-3 * 1e-7
+    assert below  # rounding did leave less than nothing
 
 
 def test_twelve_bits_tell_the_same_story_as_eight() -> None:
