@@ -2,7 +2,8 @@
 
 A rounded cube is all points within the radius r of a smaller cube of half edge h - r, so a point p lies
 |max(|p| - (h - r), 0)| - r from its surface, and a ray that goes on by that much never passes through it (Hart, The Visual
-Computer 12, 527, 1996). The surface is dull and of one paint; its shade follows from the exact normal.
+Computer 12, 527, 1996). The surface is of one paint, dull or glossy (Blinn, Computer Graphics 11, 192, 1977); its shade follows
+from the exact normal.
 """
 
 from __future__ import annotations
@@ -17,13 +18,18 @@ from diethrow.model.solids import Die
 
 Array = NDArray[np.float64]
 
+GLOSS_POWER = 80.0
+"""Of the cosine between the normal and the middle of light and eye: a highlight some ten degrees wide."""
 MARCHES = 40
 """Steps along a ray: those that graze a bevel are the slowest, and are within a thousandth of a pixel then."""
 NEAR_M = 1e-7
 
 
-def photograph_rounded(room: Studio, cube: Die, state: State, rng: np.random.Generator | None = None) -> Image:
-    """One frame (height, width) of a rounded cube that does not move; not rounded to grey levels."""
+def photograph_rounded(
+    room: Studio, cube: Die, state: State, rng: np.random.Generator | None = None, *, gloss_grey: float = 0.0
+) -> Image:
+    """One frame (height, width) of a rounded cube that does not move; not rounded to grey levels. A highlight is brighter by
+    `gloss_grey`."""
     camera, (height, width) = room.camera, room.table.shape
     corners = camera.project(cube.solid.vertices @ state.rotation.T + state.position_m)
     low = np.maximum(np.floor(corners.min(0) - 6), 0).astype(int)
@@ -35,7 +41,12 @@ def photograph_rounded(room: Studio, cube: Die, state: State, rng: np.random.Gen
     ray /= np.linalg.norm(ray, axis=1)[:, None]
     eye = (camera.centre_m - state.position_m) @ state.rotation
     normal, hit = _surface(eye, ray, cube.solid.inradius, cube.corner_radius_m)
-    shade = 115.0 + 90.0 * np.maximum(normal @ (LIGHT @ state.rotation), 0.0)
+    light_from = LIGHT @ state.rotation
+    shade = 115.0 + 90.0 * np.maximum(normal @ light_from, 0.0)
+    if gloss_grey:
+        middle = light_from - ray
+        middle /= np.linalg.norm(middle, axis=1)[:, None]
+        shade += gloss_grey * np.maximum((normal * middle).sum(1), 0.0) ** GLOSS_POWER
     size = (len(y), len(x))
     light, cover = (_seen(values.reshape(size), room.blur_px) for values in (shade * hit, hit.astype(float)))
     picture = room.table.astype(float)

@@ -54,7 +54,7 @@ NOTICED_PX, NOTICED_BLUR_PX = 1.0, 0.7
 that is sharp is explained better by the strips of one pixel, for what the blur of its corners does to the edges beside them."""
 PLAIN_PX, PLAIN_FRAMES = 4.0, 8
 """The same of a die so round that so little changes nothing, which fewer frames show already; wider with the blur as well."""
-GAIN, SURE = 0.012, 2.0
+GAIN, SURE = 0.02, 2.0
 """Least fall of ℓ for a die to be taken for rounded, and the standard errors by which a fall lies clearly above or below, and
 above none. `docs/tracking.md` has the table of what sharp and rounded dice show."""
 WINSOR = 3.0
@@ -84,6 +84,9 @@ FEWEST = 6
 """Frames below which nothing is said."""
 STEPS, ENOUGH = 6, 0.01
 """Most steps of a free pose, and the gain [squared sigmas] of the last one."""
+STRIP_SHARE = 0.5
+"""How far strips may differ from their faces where it is asked whether there are any, see `Lens`: no picture denies strips of any
+shade."""
 
 
 class Rounding(StrEnum):
@@ -182,7 +185,7 @@ def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0
         np.minimum(max(first_m, LEAST_PX / px_per_m) * ratios, MOST_SHARE * view.die.solid.inradius),
     )
     radii = np.unique(radii)
-    held, start = view.lens._replace(fine_steps=1, samples=0), rounded(view, max(first_m, LEAST_PX / px_per_m))
+    held, start = _free(view)._replace(fine_steps=1), rounded(view, max(first_m, LEAST_PX / px_per_m))
     apart = _misfits(start, looks, held)[0] - _misfits(start, looks, _free(view))[0]
     levels = np.array([_misfits(rounded(view, r), looks, held)[0] for r in radii]).T
     levels = levels[np.isfinite(levels).all(1) & (apart < ASTRAY)]
@@ -232,7 +235,7 @@ def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotat
 
 def _free(view: View) -> Lens:
     """The lens of a refinement whose pose is free."""
-    return view.lens._replace(fine_steps=STEPS, enough=ENOUGH, samples=0)
+    return view.lens._replace(fine_steps=STEPS, enough=ENOUGH, samples=0, strip_share=STRIP_SHARE)
 
 
 def _misfits(view: View, looks: Looks, lens: Lens) -> tuple[Array, Looks]:

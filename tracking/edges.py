@@ -14,9 +14,10 @@ one face of a sharp die, or beside the background, are much alike, each also kno
 A rounded die is a smaller sharp body with a ball rolled round it. Its contour is that body's contour pushed out by the
 radius, and what lies between a flat face and the contour, or between two flat faces, is a strip on which the surface
 normal turns from one to the other. With u from 0 to 1 along that turn, the strip's intensity is c0 + α u + β u² at the
-contour and c0 (1 - u) + c1 u + γ 4u(1 - u) between two faces: what light from afar on a dull surface gives to second
-order. The strip is drawn in CELLS pieces of equal turn, each between its own two lines of the image; α, β, γ are held
-near zero by a weak prior, because a strip seen too narrow does not show them.
+contour and c0 (1 - u) + c1 u + γ p(u) + δ q(u) between two faces, p = 4u(1 - u) and q the cubic that is nought at both ends
+and in the middle: what light from afar on a dull surface gives to second order, and to third over the wider turn, which
+passes through the light's direction and into the shade. The strip is drawn in CELLS pieces of equal turn, each between its own
+two lines of the image; α, β, γ, δ are held near zero by a weak prior, because a strip seen too narrow does not show them.
 
 Where a clip has few grey levels, rounding to steps s wider than its noise errs alike on all pixels of one grey. The two greys
 beside an edge are each off by s/√12, and the pixels between, which take all levels, by nothing in the mean: it is as if these
@@ -62,8 +63,6 @@ CURVED_PX = 0.005
 """Displacement of an edge by the curvature of its motion within the exposure from which that is taken into account."""
 CELLS = 5
 """Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
-STRIP_SHARE = 0.5
-"""Standard deviation of the prior on α, β, γ, as a share of the mean intensity beside the edge."""
 SLIVER = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
 TUKEY = 4.685
@@ -123,7 +122,8 @@ def _strip_weights() -> Any:
     u = (np.arange(CELLS) + 0.5) / CELLS
     flat, none = np.ones(CELLS), np.zeros(CELLS)
     contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
-    between = np.stack([1.0 - u, u, 4.0 * u * (1.0 - u), none]), np.eye(4)[1]
+    humps = 4.0 * u * (1.0 - u), 6.0 * np.sqrt(3.0) * u * (1.0 - u) * (1.0 - 2.0 * u)
+    between = np.stack([1.0 - u, u, *humps]), np.eye(4)[1]
     return np.stack(
         [np.diff(inside, axis=1, prepend=np.eye(4)[:, :1], append=far[:, None]).T for inside, far in (contour, between)]
     )
@@ -236,6 +236,8 @@ class Lens(NamedTuple):
     rounding_grey: float
     """Step between the grey levels of a clip whose noise is too small for it: rounding then errs alike all along an edge. 0 where
     it does not."""
+    strip_share: float
+    """Standard deviation of the prior on α, β, γ, δ of a rounded strip, as a share of the mean intensity beside the edge."""
 
 
 class Desk(NamedTuple):
@@ -494,8 +496,8 @@ def _shift_alike(n: int, rise: Any, w: Any) -> float:
 @_free
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    weight: float, rounding_grey: float, alike: float, full: bool, view: int, near: int, far: int, H: Any, g: Any,
-    stats: Any,
+    weight: float, rounding_grey: float, strip_share: float, alike: float, full: bool, view: int, near: int, far: int, H: Any,
+    g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
@@ -533,7 +535,7 @@ def _stretch(
         else:
             _four_sums(n, icut, phi, grey, res, w, A, y)
             level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
-            prior = (max(scale, 2.0) / (STRIP_SHARE * level)) ** 2
+            prior = (max(scale, 2.0) / (strip_share * level)) ** 2
             A[2, 2] += prior
             A[3, 3] += prior
         if not _factor(A, K, L, 1e-9):
@@ -904,8 +906,8 @@ def _step(t: float) -> tuple[float, float]:
 @_free
 def _view_equations(
     view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
-    exposure: float, sigma: float, band: float, stride: int, floor_grey: float, rounding_grey: float, full: bool, desk: Desk,
-    H: Any, g: Any, stats: Any,
+    exposure: float, sigma: float, band: float, stride: int, floor_grey: float, rounding_grey: float, strip_share: float,
+    full: bool, desk: Desk, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add what one view says: H (8, 8, lower half) and g (8,) of pose, contour error and blur (the last only where
     `full`), and `stats`.
@@ -990,7 +992,7 @@ def _view_equations(
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
                     desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view],
-                    rounding_grey, (last - first + 1) / (stride * m), full, view,
+                    rounding_grey, strip_share, (last - first + 1) / (stride * m), full, view,
                     f0, f1 if interior else len(desk.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
@@ -1419,7 +1421,7 @@ def look(
             if eyes.weight[view] > 0.0 and sight.size[eyes.camera[view], 0] > 0:
                 _view_equations(
                     view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
-                    lens.floor_grey, lens.rounding_grey, lens.full and fine, desk, H, g, stats,
+                    lens.floor_grey, lens.rounding_grey, lens.strip_share, lens.full and fine, desk, H, g, stats,
                 )  # fmt: skip
         for a in range(COLUMNS):
             for b in range(a):

@@ -36,13 +36,13 @@ from .corners import (
     looks_in_flight,
 )
 from .hints import HandStart, excluded_rows
+from .labelling import labelled_across
 from .lens_blur import BLUR_FRAMES, lens_blur_px
 from .marks_textures import Marks
 from .offsets import Offsets, find_offsets
 from .parting import spared
 from .pose import (
     View,
-    labelled_like,
     make_view,
     rounded,
     share_in_view,
@@ -144,7 +144,7 @@ def look_through(
     view, seen, corners = _first_pass_rounded(view, reel, report, start, unused, rounding)
     throw = _measured(view, reel, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
-        seen = _labelled_across(view, seen, throw, reel.times_s)
+        seen = labelled_across(view, seen, throw, reel.times_s)
         throw = _measured(view, reel, seen)
     offsets = Offsets.none(len(clips))
     marked = Marked(seen, None, None)
@@ -351,21 +351,6 @@ def _every_in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
     if len(reel.clips) > 1:
         return 1
     return seen.every * spared(as_track(view, reel, seen, shown_whole(view, seen) & seen.even), view.die)
-
-
-def _labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> Seen:
-    """The sightings with one labelling throughout: where contacts follow each other too fast for the poses between them
-    to be sure, each flight takes the labelling that turns least from the flight before."""
-    rotation = seen.rotation.copy()
-    relabel = np.eye(3)
-    for k, impact in enumerate(throw.impacts):
-        before = throw.flights[k].at(impact.time_s).rotation @ relabel
-        after = throw.flights[k + 1].at(impact.time_s).rotation
-        relabel = after.T @ labelled_like(view, after, before)
-        end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
-        mine = (times_s > impact.time_s) & (times_s <= end)
-        rotation[mine] = rotation[mine] @ relabel
-    return replace(seen, rotation=rotation)
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

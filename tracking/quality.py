@@ -13,7 +13,7 @@ class Quality:
     fine_steps: int
     """Most Gauss-Newton steps at the lens blur on one frame."""
     chase_steps: int
-    """The same while the die is only followed, where a second pass refines every pose again."""
+    """The same while the die is only followed, where a second pass refines every pose again; twice as many for rounded dice."""
     chase_stride: int
     """One pixel line in so many is walked while the die is only followed."""
     enough: float

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from ..model.motion import Throw
 from ..model.rotations import matrix_from_quat
 from .edges import Eyes, Lens, settle
+from .labelling import angles, labelled_along
 from .offsets import Offsets, eyes_at
-from .pose import THREADS, View, covariances, labelled_like, shares_in_view, sight_boxes
+from .pose import THREADS, View, covariances, shares_in_view, sight_boxes, weak_prior
 from .reel import Frames, Reel, Rows
 from .seen import Seen
 
@@ -76,13 +77,12 @@ class SecondPass:
         for one in tries[1:]:
             other = one.seen(count)
             seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
-        seen.rotation[seen.known] = labelled_like(view, seen.rotation[seen.known], wanted.rotation[seen.known])
-        return seen
+        return labelled_along(view, seen, wanted, first)
 
     def _apart_from(self, flown: Seen) -> Mask:
         """(n,) where the first pass lies further from flights than a refinement is sure to cover."""
         moved = np.linalg.norm(flown.position_m - self.first.position_m, axis=1)
-        turned = _angles(flown.rotation, self.first.rotation)
+        turned = angles(flown.rotation, self.first.rotation)
         return np.asarray(self.first.known & ((turned > APART_RAD) | (moved > APART_REACH * self.view.reach_m)))
 
 
@@ -172,6 +172,7 @@ class _Settling:
 
     def seen(self, count: int) -> Seen:
         """What the pixels bear out of it, as rows of a clip of so many frames."""
+        self._hold_what_is_open()
         seen, good = Seen.empty(count), self._borne_out()
         rows = self.rows[good]
         seen.known[rows] = True
@@ -183,22 +184,23 @@ class _Settling:
         seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
         return seen
 
+    def _hold_what_is_open(self) -> None:
+        """What the pixels of a frame leave open the refinement's own loose prior held, which counts as seen then. Of a
+        tetrahedron with two faces in sight, one of them edge-on, two lines of the contour and those between are all that is
+        seen."""
+        left = np.flatnonzero(self._H.any((1, 2)) & np.isnan(covariances(self._H[:, :6, :6])[:, 0, 0]))
+        self._H[left, :6, :6] += weak_prior(self._view)
+
     def _borne_out(self) -> Mask:
         """(n,) where the pixels bear a refined pose out."""
         gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
-        turned = _angles(self.rotation, self._start.rotation[self.rows])
+        turned = angles(self.rotation, self._start.rotation[self.rows])
         support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
         open_rad = np.sqrt(np.trace(covariances(self._H[:, :6, :6])[:, 3:, 3:], axis1=1, axis2=2))
         near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
         plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
-
-
-def _angles(a: Array, b: Array) -> Array:
-    """(n,) [rad] between rotations (n, 3, 3); NaN where one is not known."""
-    cosine = 0.5 * (np.einsum("nij,nij->n", a, b) - 1.0)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def _motions(throw: Throw, times_s: Array) -> Seen:

@@ -1,0 +1,90 @@
+"""Which of the labellings of a symmetric die a frame has: that of its flight, and where no flight tells it, of its neighbours."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, FPS, studio
+from random_throws import random_quaternion
+
+from diethrow.model.motion import Flight, Impact, State, Throw
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
+from diethrow.model.solids import SHAPES
+from diethrow.tracking.labelling import labelled_across, labelled_along
+from diethrow.tracking.pose import View
+from diethrow.tracking.seen import Seen
+
+FRAMES, STRUCK = 24, 11.5
+"""Frames of a die that spins, and when it strikes the table, in frames."""
+SPIN = np.array([60.0, -90.0, 40.0])
+TIMES_S = np.arange(FRAMES) / FPS
+
+
+def spinning(shape: str, seed: int) -> tuple[View, Seen]:
+    """A die seen on every frame, in one labelling: 4.5 degrees a frame, about another axis from STRUCK on."""
+    rng, view = np.random.default_rng(seed), studio().view(DICE[shape])
+    q, seen = random_quaternion(rng), Seen.empty(FRAMES)
+    for k in range(FRAMES):
+        seen.rotation[k] = matrix_from_quat(q)
+        q = quat_multiply(quat_from_rotvec((SPIN if k < STRUCK else SPIN[::-1]) / FPS), q)
+    seen.position_m[:], seen.known[:] = [0.0, 0.0, 0.02], True
+    return view, seen
+
+
+def relabelled(view: View, seen: Seen, rows: slice, seed: int) -> Seen:
+    """The same with some rows in another labelling, one for all."""
+    rng = np.random.default_rng(seed)
+    other = view.symmetries[rng.integers(1, len(view.symmetries))]
+    rotation = seen.rotation.copy()
+    rotation[rows] = rotation[rows] @ other
+    return replace(seen, rotation=rotation)
+
+
+def through(seen: Seen, *turns: list[float]) -> Throw:
+    """Two flights without spin that meet in an unresolved contact, each turned by a rotation vector (3,) from how the die is seen
+    just before it and just behind."""
+    time_s, flights = STRUCK / FPS, []
+    for row, turn, start_s, end_s in ((11, turns[0], 0.0, time_s), (12, turns[1], time_s, np.inf)):
+        rotation = matrix_from_quat(quat_from_rotvec(turn)) @ seen.rotation[row]
+        still = State(start_s, seen.position_m[row], quat_from_matrix(rotation), np.zeros(3), np.zeros(3))
+        flights.append(Flight(still, end_s))
+    nothing = np.full(3, np.nan)
+    unresolved = Impact(time_s, "unresolved", (), nothing[:2], nothing, np.nan, np.nan, np.nan, np.nan, 0, 0)
+    return Throw(tuple(flights), (unresolved,))
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_frames_that_follow_each_other_keep_their_labelling_wherever_flights_lead(shape: str) -> None:
+    for seed in range(6):
+        view, seen = spinning(shape, seed)
+        astray = through(seen, [0.0, 0.5, 0.0], [0.9, 0.0, -0.4])
+        assert labelled_across(view, seen, astray, TIMES_S).rotation == pytest.approx(seen.rotation, abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_behind_frames_without_a_pose_flights_tell_the_labelling(shape: str) -> None:
+    view, seen = spinning(shape, 1)
+    gap, behind = slice(10, 14), slice(14, FRAMES)
+    known = seen.known.copy()
+    known[gap] = False
+    other = relabelled(view, replace(seen, known=known), slice(12, FRAMES), 2)
+    found = labelled_across(view, other, through(other, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]), TIMES_S)
+    assert found.rotation[:10] == pytest.approx(seen.rotation[:10], abs=1e-12)
+    assert found.rotation[behind] == pytest.approx(seen.rotation[behind], abs=1e-12)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the_first_pass(shape: str) -> None:
+    view, first = spinning(shape, 3)
+    turned = matrix_from_quat(quat_from_rotvec([0.02, -0.03, 0.01]))
+    refined = relabelled(view, replace(first, rotation=turned @ first.rotation), slice(0, FRAMES), 4)
+    wrong = relabelled(view, first, slice(0, FRAMES), 5)
+    right = turned @ first.rotation
+    assert labelled_along(view, refined, first, wrong).rotation == pytest.approx(right, abs=1e-12)
+    astray = replace(first, rotation=matrix_from_quat(quat_from_rotvec([0.24, 0.15, -0.24])) @ first.rotation)
+    assert labelled_along(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)
+    # Without a first pass there is nothing else to go by.
+    unknown = replace(first, known=np.zeros(FRAMES, bool))
+    assert labelled_along(view, refined, astray, unknown).known.all()
