@@ -5,7 +5,7 @@ clip is tracked as if its scene said nothing of them, and each rounded one also 
 
   radius     true radius [mm], and in pixels
   gain       by how much ℓ falls for corners of 1 px against sharp ones, and its standard error, of as many frames as were
-             asked; above 0.012 and two standard errors the die is taken for rounded (`tracking/corners.py`)
+             asked; above 0.02 and two standard errors the die is taken for rounded (`tracking/corners.py`)
   ms         that the question takes, on the threads that there are
   found      radius by the pictures [mm], with its standard error
   given, found, sharp: for each way to track it, median error of rotation [deg], across the picture [px] and along the line of

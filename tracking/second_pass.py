@@ -32,6 +32,10 @@ LEAST_IN_VIEW = 0.3
 """Share of the corners that must lie in view for a frame to be refined from its flight."""
 APART_RAD, APART_REACH = np.radians(1.5), 0.1
 """From how far off, in units of the die's reach the latter, a refinement may lead elsewhere."""
+HELD = (0.01, 0.1, 1.0)
+"""By how much the prior counts in the pose of a frame whose pixels leave a direction open: the first that inverts, its sigmas ten
+times as wide. It is the same flight's on all frames, and where it is none, beside a contact, it must not be found again for
+that."""
 OPEN_RAD = np.radians(6.0)
 """A pose whose turn is less sure than this is no pose."""
 
@@ -172,8 +176,13 @@ class _Settling:
 
     def seen(self, count: int) -> Seen:
         """What the pixels bear out of it, as rows of a clip of so many frames."""
-        self._hold_what_is_open()
-        seen, good = Seen.empty(count), self._borne_out()
+        # Of a tetrahedron with two faces in sight, one of them edge-on, two lines of the contour are all that is seen: what they
+        # leave open the refinement's own loose prior held.
+        left = self._H.any((1, 2)) & self._are_open(self._H)
+        seen, good, pixels = Seen.empty(count), self._borne_out(left), self._H.copy()
+        for share in HELD:
+            rows = np.flatnonzero(left)[self._are_open(self._H[left])]
+            self._H[rows, :6, :6] = pixels[rows, :6, :6] + share * weak_prior(self._view)
         rows = self.rows[good]
         seen.known[rows] = True
         seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = (
@@ -184,20 +193,19 @@ class _Settling:
         seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
         return seen
 
-    def _hold_what_is_open(self) -> None:
-        """What the pixels of a frame leave open the refinement's own loose prior held, which counts as seen then. Of a
-        tetrahedron with two faces in sight, one of them edge-on, two lines of the contour and those between are all that is
-        seen."""
-        left = np.flatnonzero(self._H.any((1, 2)) & np.isnan(covariances(self._H[:, :6, :6])[:, 0, 0]))
-        self._H[left, :6, :6] += weak_prior(self._view)
+    @staticmethod
+    def _are_open(H: Array) -> Mask:
+        """(n,) which normal equations (n, 8, 8) leave a direction open."""
+        return np.asarray(np.isnan(covariances(H[:, :6, :6])[:, 0, 0]))
 
-    def _borne_out(self) -> Mask:
-        """(n,) where the pixels bear a refined pose out."""
+    def _borne_out(self, held: Mask) -> Mask:
+        """(n,) where the pixels bear a refined pose out, or the prior does what they leave open where it `held` it."""
         gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
         turned = angles(self.rotation, self._start.rotation[self.rows])
         support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
-        open_rad = np.sqrt(np.trace(covariances(self._H[:, :6, :6])[:, 3:, 3:], axis1=1, axis2=2))
+        known = self._H[:, :6, :6] + held[:, None, None] * weak_prior(self._view)
+        open_rad = np.sqrt(np.trace(covariances(known)[:, 3:, 3:], axis1=1, axis2=2))
         near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
         plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
