@@ -178,11 +178,16 @@ class _Settling:
         """What the pixels bear out of it, as rows of a clip of so many frames."""
         # Of a tetrahedron with two faces in sight, one of them edge-on, two lines of the contour are all that is seen: what they
         # leave open the refinement's own loose prior held.
-        left = self._H.any((1, 2)) & self._are_open(self._H)
-        seen, good, pixels = Seen.empty(count), self._borne_out(left), self._H.copy()
+        pixels, prior = self._H[:, :6, :6], weak_prior(self._view)
+        known = covariances(pixels)
+        held = np.flatnonzero(self._H.any((1, 2)) & _are_open(known))
+        known[held] = covariances(pixels[held] + prior)
+        seen, good = Seen.empty(count), self._borne_out(known)
         for share in HELD:
-            rows = np.flatnonzero(left)[self._are_open(self._H[left])]
-            self._H[rows, :6, :6] = pixels[rows, :6, :6] + share * weak_prior(self._view)
+            told = pixels[held] + share * prior
+            inverts = ~_are_open(covariances(told))
+            self._H[held[inverts], :6, :6] = told[inverts]
+            held = held[~inverts]
         rows = self.rows[good]
         seen.known[rows] = True
         seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = (
@@ -193,22 +198,22 @@ class _Settling:
         seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
         return seen
 
-    @staticmethod
-    def _are_open(H: Array) -> Mask:
-        """(n,) which normal equations (n, 8, 8) leave a direction open."""
-        return np.asarray(np.isnan(covariances(H[:, :6, :6])[:, 0, 0]))
-
-    def _borne_out(self, held: Mask) -> Mask:
-        """(n,) where the pixels bear a refined pose out, or the prior does what they leave open where it `held` it."""
+    def _borne_out(self, known: Array) -> Mask:
+        """(n,) where the pixels bear a refined pose out, of which so much is `known`: (n, 6, 6) covariances, the prior's share
+        included where pixels leave a direction open."""
         gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
         turned = angles(self.rotation, self._start.rotation[self.rows])
         support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
-        known = self._H[:, :6, :6] + held[:, None, None] * weak_prior(self._view)
-        open_rad = np.sqrt(np.trace(covariances(known)[:, 3:, 3:], axis1=1, axis2=2))
+        open_rad = np.sqrt(np.trace(known[:, 3:, 3:], axis1=1, axis2=2))
         near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
         plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
+
+
+def _are_open(covariance: Array) -> Mask:
+    """(n,) where a direction was left open."""
+    return np.asarray(np.isnan(covariance[:, 0, 0]))
 
 
 def _motions(throw: Throw, times_s: Array) -> Seen:
