@@ -13,7 +13,7 @@ from diethrow.model.motion import Flight, Impact, State, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.solids import SHAPES
 from diethrow.tracking.labelling import labelled_across, labelled_along
-from diethrow.tracking.pose import View
+from diethrow.tracking.pose import View, labelled_like
 from diethrow.tracking.seen import Seen
 
 FRAMES, STRUCK = 24, 11.5
@@ -85,6 +85,7 @@ def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the
     assert labelled_along(view, refined, first, wrong).rotation == pytest.approx(right, abs=1e-12)
     astray = replace(first, rotation=matrix_from_quat(quat_from_rotvec([0.24, 0.15, -0.24])) @ first.rotation)
     assert labelled_along(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)
-    # Without a first pass there is nothing else to go by.
+    # Where the first pass has none there is nothing else to go by.
     unknown = replace(first, known=np.zeros(FRAMES, bool))
-    assert labelled_along(view, refined, astray, unknown).known.all()
+    nearest = labelled_like(view, refined.rotation, astray.rotation)
+    assert labelled_along(view, refined, astray, unknown).rotation == pytest.approx(nearest, abs=1e-12)
