@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from footage_of_throws import DICE, FPS, Image, Spot, photograph, pips, studio
 from numpy.typing import NDArray
+from throws import true_throw
 
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
+from diethrow.tracking.joined import Strike
 from diethrow.tracking.marks import frames_to_learn_from, learn_marks
 from diethrow.tracking.marks_textures import Marks
 from diethrow.tracking.track import TRACKED, Track
@@ -48,39 +51,66 @@ def marked_film() -> dict[int, Image]:
     return filmed(pips(CUBE))
 
 
-def edges_track(flight: Flight, common: Array) -> Track:
-    """Poses as edges would give them: the truth, a common error, and noise."""
+def edges_track(motion: Flight | Throw, common: Array, frames: int = FRAMES) -> Track:
+    """Poses as edges would give them: the truth, an error common to all frames (6,) or of each (frames, 6), and noise."""
     rng = np.random.default_rng(11)
-    times = np.arange(FRAMES) / FPS
-    p, q = flight.poses(times)
-    error = common + SIGMA * rng.standard_normal((FRAMES, 6))
-    covariance = np.tile(np.diag(SIGMA**2), (FRAMES, 1, 1))
+    times = np.arange(frames) / FPS
+    p, q = motion.poses(times)
+    error = common + SIGMA * rng.standard_normal((frames, 6))
+    covariance = np.tile(np.diag(SIGMA**2), (frames, 1, 1))
     return Track(
-        np.arange(FRAMES), times, p - error[:, :3], quat_multiply(quat_from_rotvec(-error[:, 3:]), q), covariance,
-        np.full(FRAMES, TRACKED),
+        np.arange(frames), times, p - error[:, :3], quat_multiply(quat_from_rotvec(-error[:, 3:]), q), covariance,
+        np.full(frames, TRACKED),
     )  # fmt: skip
 
 
 def moved_flight(flight: Flight, common: Array) -> Flight:
     """The flight that runs through poses with a common error, at their middle."""
-    middle = flight.at(0.5 * flight.end_s)
+    middle = flight.at(0.5 * (flight.start.time_s + flight.end_s))
     start = replace(
         middle,
         position_m=middle.position_m - common[:3],
         quaternion=quat_multiply(quat_from_rotvec(-common[3:]), middle.quaternion),
     )
-    return Flight(start, flight.end_s)
+    return Flight(Flight(start, flight.end_s).at(flight.start.time_s), flight.end_s)
 
 
 def learned(film: dict[int, Image], common: Array) -> tuple[Marks | None, Track, Throw]:
     track = edges_track(tossed(), common)
     throw = Throw((moved_flight(tossed(), common),), ())
+    return learned_from(film, track, throw), track, throw
+
+
+def learned_from(film: dict[int, Image], track: Track, throw: Throw) -> Marks | None:
     rows = frames_to_learn_from(track, throw)
-    return (
-        learn_marks(VIEW, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, saturation_grey=255.0),
-        track,
-        throw,
+    return learn_marks(
+        VIEW, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, (), saturation_grey=255.0
     )
+
+
+def struck(frames_after: int) -> Throw:
+    """The same cube, filmed from a frame on which it falls, until so many frames after its corner has struck the table."""
+    return true_throw(CUBE, replace(tossed().at(40 / FPS), time_s=0.0), 0.6, impacts=1, frames_after=frames_after)
+
+
+@cache
+def struck_film() -> list[Image]:
+    """A little past the impact."""
+    throw, rng = struck(5), np.random.default_rng(3)
+    times = np.arange(int(throw.flights[-1].end_s * FPS) + 1) / FPS
+    states = [throw.flights[throw.flight_at(t)].at(t) for t in times]
+    return [np.rint(photograph(ROOM, CUBE, state, rng, pips(CUBE))) for state in states]
+
+
+def learned_along(throw: Throw, strikes: Sequence[Strike | None]) -> Marks:
+    """Of the filmed impact, with what it is known to be, from edges with the common error; the throw may end before the film."""
+    film = struck_film()
+    track = edges_track(throw, COMMON, int(throw.flights[-1].end_s * FPS) + 1)
+    off = replace(throw, flights=tuple(moved_flight(flight, COMMON) for flight in throw.flights))
+    rows = frames_to_learn_from(track, off)
+    marks = learn_marks(VIEW, ((int(k), film[int(k)]) for k in rows), track, off, strikes, saturation_grey=255.0)
+    assert marks is not None
+    return marks
 
 
 @cache

@@ -259,25 +259,31 @@ def _biweights(squares: Array, loose: Array) -> Array:
     return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
 
 
-def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) -> float:
-    """Squared sigmas that the joined link k would cost as that strike, over what it costs free: to the first order, from how
-    far the free motion is off what the strike obeys, and how sure it is there."""
-    before, behind = joined.flights[k].at(joined.links[k].time_s), joined.flights[k + 1].start
+def strike_equations(before: State, behind: State, strike: Strike, table_m: float) -> tuple[Array, Array]:
+    """Rows (4, 25), and what is missed (4,), in sigmas, of what a strike obeys: by the states before and behind, both at the
+    instant of the contact as it stands, and by that instant."""
     jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
     by_end, by_link, miss = np.zeros((1, 4, 12)), np.zeros((1, 4, MOST)), np.zeros((1, 4))
     kernels.strike_rows(
         packed(before)[None], jump[None], np.zeros(1, np.int64), strike.point_m[None], np.array([strike.rounding_m]),
-        np.array([strike.mass_over_inertia]), joined.table_m, CONTACT_SIGMA_M,
-        _lever_sigma(jump[None]), by_end, by_link, miss,
+        np.array([strike.mass_over_inertia]), table_m, CONTACT_SIGMA_M, _lever_sigma(jump[None]), by_end, by_link, miss,
     )  # fmt: skip
     rows = np.zeros((4, 25))
     rows[:, :12], rows[:, 18:24], rows[:, 24] = by_end[0], by_link[0, :, 1:7], by_link[0, :, 0]
     rows[:, 6:12] -= by_link[0, :, 1:7]
+    return rows, miss[0]
+
+
+def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) -> float:
+    """Squared sigmas that the joined link k would cost as that strike, over what it costs free: to the first order, from how
+    far the free motion is off what the strike obeys, and how sure it is there."""
+    before, behind = joined.flights[k].at(joined.links[k].time_s), joined.flights[k + 1].start
+    rows, miss = strike_equations(before, behind, strike, joined.table_m)
     spread = np.eye(4) + rows @ joined.beside[k] @ rows.T
     spread[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
     # By eigenvalues, none of which is below one: a flight that no frame bears out may make some of them overflow a factor.
     values, vectors = np.linalg.eigh(spread)
-    return float(((vectors.T @ miss[0]) ** 2 / np.maximum(values, 1.0)).sum())
+    return float(((vectors.T @ miss) ** 2 / np.maximum(values, 1.0)).sum())
 
 
 def _lever_sigma(jumps: Array) -> Array:

@@ -19,7 +19,8 @@ from the die's size, whatever its edges look like. The appearance of each face i
    its face does not follow the turn of a rigid body about its centre. Flights that meet at their bounces, for every face
    the ways in which its texture may be warped, and the lens blur are adjusted together (bundle adjustment, Gauss-Newton),
    edges entering as weak observations; then the textures are learned again from the adjusted flights. Size, and with it
-   distance, comes from the known distance of the faces from the centre about which the die turns, and from gravity.
+   distance, comes from the known distance of the faces from the centre about which the die turns, from gravity, and from
+   the table that the die's corners strike.
 4. *Refinement.* A frame's residual is taken on its own pixels, never on resampled ones, so that their noise stays
    independent; the light is eliminated by a Schur complement (variable projection). Marks and edges are added up, the
    edges with the common error that the adjusted flights have shown them to have, of which the frames of a flight tell
@@ -38,7 +39,7 @@ Pose increments are (δp, δθ): world position [m], and rotation vector in worl
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -50,7 +51,8 @@ from numpy.typing import NDArray
 from ..model.motion import Throw
 from ..model.rotations import matrix_from_quat
 from .flights import transitions
-from .marks_adjustment import adjusted, contour_covariance, links_between, turn_between
+from .joined import Strike
+from .marks_adjustment import adjusted, bounces_between, contour_covariance, turn_between
 from .marks_kernels import TUKEY, refine_on_marks
 from .marks_textures import (
     FEWEST_LOOKS,
@@ -87,6 +89,9 @@ NEAR_BOUNCE = 1.0
 PLACED_PX = 0.005
 """One sigma of where a picture has a mark: light that falls aslant on its border, the form of a pixel, the curve of a
 sensor move it by some thousandths of a pixel, on all frames alike."""
+PLACED_SHARE = 0.002
+"""The same of a rounded die, as a share of the corners' radius, besides: where its edges are is seen less well, and marks are
+placed on its faces from where the edges put the die."""
 WINDOW_PX = 6.0
 """Margin of a frame's window about the outline."""
 STEPS = 4
@@ -121,20 +126,21 @@ def learn_marks(
     images: Iterable[tuple[int, NDArray[Any]]],
     track: Track,
     throw: Throw,
+    strikes: Sequence[Strike | None],
     *,
     saturation_grey: float = np.inf,
 ) -> Marks | None:
     """What the faces of the die look like, or None where no face shows anything that places it.
 
     `images` are pairs of a row of `track` and its whole frame (height, width), best those of `frames_to_learn_from`; only a
-    window of each is kept. `track` holds poses of single frames from edges, `throw` the flights measured through them. Pixels
-    at `saturation_grey` and above are left out.
+    window of each is kept. `track` holds poses of single frames from edges, `throw` the flights measured through them, and
+    `strikes` (impacts,) what its impacts were. Pixels at `saturation_grey` and above are left out.
     """
     looks = _looks(view, images, track, throw)
     if len(looks) < 2 * FEWEST_LOOKS:
         return None
     grid = face_grid(view, looks, throw)
-    links = links_between(looks, throw)
+    bounces = bounces_between(looks, throw, strikes)
     few = _thinned(looks)
     marks = with_learned_textures(view, few, throw.flights, blank_marks(view, grid, saturation_grey, throw), CUTS[0])
     settled = False
@@ -145,10 +151,10 @@ def learn_marks(
         if not len(marks.marked_faces):
             return None
         chosen = few if wide else looks
-        marks, moved_sigmas = adjusted(view, chosen, links, marks, cut)
+        marks, moved_sigmas = adjusted(view, chosen, bounces, marks, cut)
         if not wide and (moved_sigmas > WILD_SIGMAS).any():
-            marks, looks, links = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
-            chosen = looks
+            marks, looks = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
+            chosen, bounces = looks, bounces_between(looks, throw, strikes)
             if len(looks) < 2 * FEWEST_LOOKS:
                 return None
         marks = with_learned_textures(view, chosen, marks.flights, marks, cut)
@@ -160,12 +166,12 @@ def learn_marks(
 
 def _without_flights(
     marks: Marks, looks: list[Look], wild: NDArray[np.bool_], throw: Throw
-) -> tuple[Marks, list[Look], list[tuple[int, float]]]:
-    """Marks, looks and links without the flights (flights,) that are `wild`, which are as the edges had them again."""
+) -> tuple[Marks, list[Look]]:
+    """Marks and looks without the flights (flights,) that are `wild`, which are as the edges had them again."""
     flights = tuple(throw.flights[k] if wild[k] else flight for k, flight in enumerate(marks.flights))
     shared = tuple(np.full((12, 12), np.nan) if wild[k] else known for k, known in enumerate(marks.shared))
     looks = [look for look in looks if not wild[look.flight]]
-    return replace(marks, flights=flights, shared=shared), looks, links_between(looks, throw)
+    return replace(marks, flights=flights, shared=shared), looks
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,13 +261,13 @@ def edge_information(view: View, marks: Marks, edges: FramePoses, sharing: NDArr
 
 def shared_covariances(view: View, marks: Marks, flight: int, times_s: Array) -> Array:
     """(n, 6, 6) of the poses at `times_s` (n,) that all frames share: what the uncertain places of the textures do to every
-    one of them, and what no frame can show, PLACED_PX. It belongs on top of whatever a fit of many frames says, because it
-    does not shrink with their number. NaN in a flight from which nothing was learned."""
+    one of them, and what no frame can show, PLACED_PX and PLACED_SHARE. It belongs on top of whatever a fit of many frames says,
+    because it does not shrink with their number. NaN in a flight from which nothing was learned."""
     M = transitions(marks.flights[flight], times_s)[:, :6]
     places_m, _ = marks.flights[flight].poses(times_s)
-    distance_m = np.linalg.norm(places_m - view.camera.centre_m, axis=1)[:, None, None]
-    unit = PLACED_PX / view.camera.matrix[0, 0]
-    placed = distance_m**2 * contour_covariance(view, places_m, float(unit))
+    seen_m = PLACED_PX / view.camera.matrix[0, 0] * np.linalg.norm(places_m - view.camera.centre_m, axis=1)
+    placed_m = np.hypot(seen_m, PLACED_SHARE * view.die.corner_radius_m)
+    placed = placed_m[:, None, None] ** 2 * contour_covariance(view, places_m, 1.0)
     return np.asarray(M @ marks.shared[flight] @ np.swapaxes(M, 1, 2) + placed)
 
 

@@ -1,15 +1,18 @@
 """Bundle adjustment: flights and the places of textures on a die's faces, fitted together (see `marks`).
 
-Unknowns are twelve numbers a flight, WARPS for each marked face, the lens blur, and the instant of each bounce. The
-normal equations of single frames come from the pixels; a texture's warps stand for all that learning it again from other
-poses could do to it, so that a step goes to where poses and textures agree, and not only to where the poses agree with
-textures that they have placed themselves.
+Unknowns are twelve numbers a flight, WARPS for each marked face, the lens blur, the height of the table, and the instant of
+each bounce. The normal equations of single frames come from the pixels; a texture's warps stand for all that learning it
+again from other poses could do to it, so that a step goes to where poses and textures agree, and not only to where the poses
+agree with textures that they have placed themselves. Flights meet at their bounces, and where a bounce is an impact at one
+vertex, they obey there what impacts obey (`joined`): how far away the die is, marks tell by its turns and its fall,
+and less well than the table does, which its corner touches.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +20,8 @@ from scipy.optimize import brentq
 
 from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from .flights import moved, transitions
+from .flights import moved, transition
+from .joined import CONTACT_SIGMA_M, TABLE_SIGMA_M, Strike, strike_equations
 from .marks_kernels import BUFFER, SHARED, WARPS, Faces, Optics, mark_equations, new_bench
 from .marks_textures import Look, Marks, Poses, faces_of, optics_of, poses_of
 from .pose import THREADS, View
@@ -37,33 +41,54 @@ quarter of that time its speed."""
 PRIOR_INSTANT_S = 2e-3
 CONTOUR_SHARES = (1e-4, 0.3)
 """Between which the common error of edges is looked for, over the die's edge."""
+TOGETHER = 12
+"""Looks over which edges are taken to err alike: a third of a radian, for a die that spins at 40 rad/s. Asked of single frames,
+whose bevels err by tenths of a degree each, the common error came out at a third of this, and edges of rounded dice drew flights
+along."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 
 
-def links_between(looks: list[Look], throw: Throw) -> list[tuple[int, float]]:
-    """Flight and instant of every bounce that joins two flights which are both looked at."""
-    used = {look.flight for look in looks}
-    return [
-        (k, impact.time_s)
-        for k, impact in enumerate(throw.impacts)
-        if impact.contact != "unresolved" and k in used and k + 1 in used
-    ]
+@dataclass(frozen=True, eq=False)
+class Bounce:
+    """What flights that are looked at have to do with an impact."""
+
+    flights: tuple[int, ...]
+    """Those beside it that are looked at: both, or one."""
+    time_s: float
+    sigma_s: float
+    """How well that instant is known before the marks tell it."""
+    strike: Strike | None
+    """None where the contact was not at one vertex: the flights meet there and obey nothing else."""
 
 
-def adjusted(
-    view: View, looks: list[Look], links: list[tuple[int, float]], marks: Marks, cut: float
-) -> tuple[Marks, Array]:
+def bounces_between(looks: list[Look], throw: Throw, strikes: Sequence[Strike | None]) -> list[Bounce]:
+    """The bounces of a throw, whose impacts were those strikes (impacts,), that tell of flights which are looked at: of both
+    beside it, or of one where the other is too short to be."""
+    used, out = {look.flight for look in looks}, []
+    for k, (impact, strike) in enumerate(zip(throw.impacts, strikes, strict=True)):
+        beside = tuple(i for i in (k, k + 1) if i in used)
+        if impact.contact == "unresolved":
+            continue
+        if len(beside) == 2:
+            out.append(Bounce(beside, impact.time_s, PRIOR_INSTANT_S, strike))
+        elif len(beside) == 1 and strike is not None:
+            out.append(Bounce(beside, impact.time_s, impact.sigma_time_s, strike))
+    return out
+
+
+def adjusted(view: View, looks: list[Look], bounces: list[Bounce], marks: Marks, cut: float) -> tuple[Marks, Array]:
     """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and how far each
     flight was moved, (flights,) in sigmas of what moved most, 0 for one without a look.
 
-    Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, and the instant of each
-    bounce, at which position and orientation go on without a jump.
+    Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, the height of the table, and
+    the instant of each bounce, at which position and orientation go on without a jump.
     """
     used = np.unique([look.flight for look in looks])
     column = {int(k): 12 * i for i, k in enumerate(used)}
     place_of = {int(f): 12 * len(used) + WARPS * i for i, f in enumerate(marks.marked_faces)}
     blur_at = 12 * len(used) + WARPS * len(place_of)
+    table_at = blur_at + SHARED
     in_flight = np.bincount([look.flight for look in looks])
     poses = poses_of(looks, marks.flights)
     equations = _equations(optics_of(view, marks), faces_of(view, marks, cut), looks, poses)
@@ -73,7 +98,7 @@ def adjusted(
     # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
     shared = in_flight[[look.flight for look in looks]][:, None, None] * _contours(view, looks, marks.contour_m)
     informations = np.linalg.inv(np.array([look.edge_covariance for look in looks]) + shared)
-    A = np.diag(_priors(view, len(used), len(place_of), len(links)))
+    A = np.diag(_priors(view, len(used), len(place_of), bounces))
     y = np.zeros(len(A))
     terms = zip(looks, equations, informations, poses.by_start, edges, strict=True)
     for look, (H, g, place, _), E, M, away in terms:
@@ -89,15 +114,17 @@ def adjusted(
             A[s, c] += cross.T
             A[np.ix_(s, s)] += place[f][:, 6:-1] / factor
             y[s] += place[f][:, -1] / factor
-    for i, (k, time_s) in enumerate(links):
-        J, gap = _link_equations(marks.flights[k], marks.flights[k + 1], time_s)
-        s = np.r_[column[k] : column[k] + 12, column[k + 1] : column[k + 1] + 12, blur_at + SHARED + i]
+    for i, bounce in enumerate(bounces):
+        J, gap = _bounce_equations(marks.flights, bounce)
+        s = np.concatenate(
+            [*(np.arange(column[k], column[k] + 12) for k in bounce.flights), [table_at + 1 + i, table_at]]
+        )
         A[np.ix_(s, s)] += J.T @ J
         y[s] += J.T @ gap
     C = _inverse(A)
     step = C @ y
-    # What would be left if the places of the textures were known: the rest of C is common to all frames.
-    sure = np.r_[0 : 12 * len(used), blur_at + SHARED : len(A)]
+    # What would be left if the places of the textures and the table's were known: the rest of C is common to all frames.
+    sure = np.r_[0 : 12 * len(used), table_at + 1 : len(A)]
     own = _inverse(A[np.ix_(sure, sure)])
     flights, common = list(marks.flights), list(marks.shared)
     for k, at in column.items():
@@ -117,25 +144,38 @@ def adjusted(
     return replace(new, contour_m=_contour_error(view, looks, new)), moves
 
 
-def _priors(view: View, flights: int, faces: int, links: int) -> Array:
+def _priors(view: View, flights: int, faces: int, bounces: Sequence[Bounce]) -> Array:
     """Diagonal of the prior's information, in the order of the unknowns."""
     edge = view.die.solid.edge_m
     warp = PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])
     places = np.tile(1.0 / np.append(warp, PRIOR_BLUR) ** 2, faces)
-    return np.concatenate(
-        [np.zeros(12 * flights), places, [1.0 / PRIOR_LENS_PX**2], np.full(links, 1.0 / PRIOR_INSTANT_S**2)]
-    )
+    shared = 1.0 / np.array([PRIOR_LENS_PX, TABLE_SIGMA_M]) ** 2
+    instants = [1.0 / bounce.sigma_s**2 for bounce in bounces]
+    return np.concatenate([np.zeros(12 * flights), places, shared, instants])
 
 
-def _link_equations(before: Flight, after: Flight, time_s: float) -> tuple[Array, Array]:
-    """Rows (6, 25) and right side (6,), in sigmas, of: both flights meet at time_s + δt."""
-    a, b = before.at(time_s), after.at(time_s)
+def _bounce_equations(flights: Sequence[Flight], bounce: Bounce) -> tuple[Array, Array]:
+    """Rows and right side, in sigmas, by the starts of the bounce's flights (12 each), by its instant, and by the height of the
+    table: flights on both sides meet (6 rows), and where it is a strike, they obey it (4). Of one flight alone its corner
+    touches the table (1)."""
+    t, motions = bounce.time_s, [flights[k] for k in bounce.flights]
+    states, onward = [motion.at(t) for motion in motions], [transition(motion, t) for motion in motions]
+    rows, right = np.zeros((0, 26)), np.zeros(0)
+    if bounce.strike is not None:
+        obeyed, miss = strike_equations(states[0], states[-1], bounce.strike, 0.0)
+        by_table = np.array([[-1.0 / CONTACT_SIGMA_M], [0.0], [0.0], [0.0]])
+        rows, right = (
+            np.hstack([obeyed[:, :12] @ onward[0], obeyed[:, 12:24] @ onward[-1], obeyed[:, 24:], by_table]),
+            -miss,
+        )
+    if len(motions) == 1:
+        return np.delete(rows[:1], np.s_[12:24], axis=1), right[:1]
+    a, b = states
     gap = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
     drift = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
-    instant = np.array([time_s])
-    J = np.hstack([transitions(before, instant)[0, :6], -transitions(after, instant)[0, :6], -drift[:, None]])
     sigma = np.array([LINK_M] * 3 + [LINK_RAD] * 3)
-    return J / sigma[:, None], gap / sigma
+    meet = np.hstack([onward[0][:6], -onward[1][:6], -drift[:, None], np.zeros((6, 1))]) / sigma[:, None]
+    return np.vstack([meet, rows]), np.concatenate([gap / sigma, right])
 
 
 def _inverse(A: Array) -> Array:
@@ -169,20 +209,32 @@ def _contours(view: View, looks: list[Look], contour_m: float) -> Array:
 
 def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
     """The length [m] that makes the edges' distance from the flights what their own covariances and `contour_covariance`
-    together expect."""
+    together expect, in means over looks of one flight that follow each other: in a single one it may be hidden by what the
+    frame errs for itself."""
     away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
-    own = np.array([look.edge_covariance for look in looks])
-    unit = _contours(view, looks, 1.0)
+    own = np.linalg.inv(np.array([look.edge_covariance for look in looks]))
+    groups = _following(np.array([look.flight for look in looks]))
+    spreads = np.array([np.linalg.inv(own[rows].sum(0)) for rows in groups])
+    sums = np.array([np.einsum("nij,nj->i", own[rows], away[rows]) for rows in groups])
+    means = np.einsum("gij,gj->gi", spreads, sums)
+    every = _contours(view, looks, 1.0)
+    unit = np.array([every[rows].mean(0) for rows in groups])
 
     def beyond(log_length: float) -> float:
-        spread = own + np.exp(2.0 * log_length) * unit
-        squared = np.einsum("ni,ni->n", away, np.linalg.solve(spread, away[..., None])[..., 0])
+        spread = spreads + np.exp(2.0 * log_length) * unit
+        squared = np.einsum("gi,gi->g", means, np.linalg.solve(spread, means[..., None])[..., 0])
         return float(np.median(squared)) - CHI2_MEDIAN
 
     least, most = np.log(np.array(CONTOUR_SHARES) * view.die.solid.edge_m)
     if beyond(least) <= 0.0:
         return float(np.exp(least))
     return float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01)))
+
+
+def _following(flights: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Rows of looks, of which these are the flights, in groups of TOGETHER at the most that follow each other in one flight."""
+    parts = [np.flatnonzero(flights == k) for k in np.unique(flights)]
+    return [rows for part in parts for rows in np.array_split(part, int(np.ceil(len(part) / TOGETHER)))]
 
 
 def _equations(

@@ -105,7 +105,8 @@ def _learned(reel: Reel, view: View, found: Measured, scatter: float) -> Marks |
     edges = replace(edges, covariance=scatter * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), reel.frame(int(k))[0]) for k in rows)
-    return learn_marks(view, images, edges, throw, saturation_grey=float(2 ** reel.clips[0].bit_depth - 1))
+    strikes = [link.strike for link in found.joined.links[: len(throw.impacts)]]
+    return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** reel.clips[0].bit_depth - 1))
 
 
 def _in_flight(track: Track, throw: Throw) -> Track:

@@ -8,12 +8,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from footage_of_throws import FPS, Image
-from marked_throws import FRAMES, ROOM, VIEW, edges_track, filmed, learned, learned_marks, marked_film, tossed
+from marked_throws import (
+    CUBE,
+    FRAMES,
+    ROOM,
+    SIGMA,
+    VIEW,
+    edges_track,
+    filmed,
+    learned,
+    learned_along,
+    learned_from,
+    learned_marks,
+    marked_film,
+    struck,
+    tossed,
+)
 from numpy.typing import NDArray
 
 from diethrow.model.compiled import compiled
 from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
+from diethrow.tracking.joined import Strike
 from diethrow.tracking.marks import FramePoses, Refining, frames_to_learn_from
 from diethrow.tracking.marks_kernels import soften
 from diethrow.tracking.marks_textures import Marks, undistorted_rays
@@ -91,6 +107,32 @@ def test_the_flight_knows_how_uncertain_the_places_of_its_marks_leave_it() -> No
     assert np.trace(marks.shared[0][:3, :3]) > 0.05 * np.trace(C[:3, :3])
 
 
+@pytest.mark.parametrize("frames_after", [5, 2], ids=["both flights seen", "one flight seen"])
+def test_the_table_that_a_corner_strikes_tells_how_far_away_the_die_is(frames_after: int) -> None:
+    throw = struck(frames_after)
+    vertex, t = throw.impacts[0].vertices[0], throw.impacts[0].time_s
+    strike = Strike(CUBE.solid.vertices[vertex], 0.0, CUBE.mass_kg / CUBE.inertia_kg_m2)
+    # As sure of the instant as edges are; the frames beside it teach nothing, which leaves the shorter flight one.
+    impact = replace(throw.impacts[0], sigma_time_s=0.01 / FPS)
+    throw = replace(throw, impacts=(impact,))
+    depth, sigma = [], []
+    for strikes in ((None,), (strike,)):
+        flight, true = learned_along(throw, strikes).flights[0], throw.flights[0].start
+        miss = np.concatenate(
+            [true.position_m - flight.start.position_m, rotation_between(flight.start.quaternion, true.quaternion)]
+        )
+        assert flight.covariance is not None
+        # One draw of chi-square with six degrees of freedom.
+        assert miss @ np.linalg.solve(flight.covariance[:6, :6], miss) < 22.5
+        depth.append(abs(float(miss[:3] @ ROOM.camera.rotation[2])))
+        sigma.append(float(np.sqrt(flight.covariance[2, 2])))
+    assert depth[1] < 0.5 * depth[0]
+    assert sigma[1] < 0.5 * sigma[0]
+    # A table known to 0.03 mm and a contact to 0.02 mm: three sigmas of both.
+    end = flight.at(t)
+    assert abs(float((end.position_m + end.rotation @ strike.point_m)[2])) < 1.1e-4
+
+
 def test_what_edges_err_alike_is_told_from_what_each_frame_errs() -> None:
     honest, _, _ = learned(marked_film(), np.zeros(6))
     assert honest is not None
@@ -98,6 +140,17 @@ def test_what_edges_err_alike_is_told_from_what_each_frame_errs() -> None:
     # is 0.1 mm there by its turn, and 0.05 mm by its shift and by its distance.
     assert honest.contour_m < 1e-5
     assert 3e-5 < learned_marks()[0].contour_m < 1.5e-4
+
+
+def test_what_edges_err_alike_for_some_frames_is_common_though_sigmas_of_single_frames_cover_it() -> None:
+    slow = 3.0 * SIGMA * np.repeat(np.random.default_rng(12).standard_normal((8, 6)), 12, axis=0)[:FRAMES]
+    track = edges_track(tossed(), slow)
+    # Stated as they scatter about the flight: three sigmas of what each dozen shares, and one of its own.
+    track = replace(track, covariance=10.0 * track.covariance)
+    marks = learned_from(marked_film(), track, Throw((tossed(),), ()))
+    assert marks is not None
+    # 0.03 mm sideways, and 6 mrad, which is 0.08 mm at the die's border.
+    assert 2e-5 < marks.contour_m < 1.5e-4
 
 
 def test_single_frames_lie_within_their_sigmas() -> None:
