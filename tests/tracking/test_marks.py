@@ -186,6 +186,13 @@ def test_plain_faces_teach_nothing() -> None:
     assert learned(film, np.zeros(6))[0] is None
 
 
+def test_a_pattern_that_stays_in_the_picture_is_no_mark_of_the_die() -> None:
+    # Of a sensor, say: where the die hardly moves, even and odd frames have it alike.
+    pattern = 4.0 * np.random.default_rng(5).standard_normal(marked_film()[0].shape)
+    film = {k: np.rint(image + pattern) for k, image in filmed(()).items()}
+    assert learned(film, np.zeros(6))[0] is None
+
+
 def test_without_a_marked_face_in_view_the_edges_stand_with_wider_sigmas() -> None:
     marks = replace(learned_marks()[0], noise_grey=np.zeros(6))
     edges, poses, _ = refined(marks, marked_film(), range(5, 6))
