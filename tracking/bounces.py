@@ -100,7 +100,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         )
     lean = np.zeros((len(track), 6, 0))
     seen = sightings(track, use, LITTLE_SLACK)
-    flying = carried_from(seen, die)
+    # Whether a die falls is asked of frames as sure as they are known to be, where that is known.
+    as_stated = sightings(replace(track, own=None), use, LITTLE_SLACK)
+    flying = carried_from(as_stated, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
         lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
@@ -186,28 +188,32 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: i
     root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor[use]
-    return replace(track, covariance=covariance)
+    return replace(track, covariance=covariance, own=track.covariance)
 
 
 def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Track:
     """The track with slow errors counted as they count in a mean over many frames, and with those that all frames of a
     flight share multiplied by the number of its frames. Of a die that the table carries the table tells them."""
     use = np.flatnonzero(track.tracked)
-    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     spacing_s = float(np.median(np.diff(track.time_s[use])))
     flight = throw.flights_at(track.time_s[use])
     is_flown = np.array([one.covariance is not None for one in throw.flights])
     count = np.where(is_flown, np.bincount(flight, minlength=len(is_flown)), 0)[flight]
+    if track.own is not None:
+        # On a frame that the table carries, the covariance is that of its pose on the table.
+        use, count = use[count > 0], count[count > 0]
+    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
     covariance[use] = slow + count[:, None, None] * floor[use]
-    return replace(track, covariance=covariance)
+    return replace(track, covariance=covariance, own=None)
 
 
 def sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sightings:
-    """Some rows of a track as the fits want them."""
-    poses = (track.time_s[use], track.position_m[use], track.quaternion[use], track.covariance[use])
-    return Sightings.from_poses(*poses, slack=slack)
+    """Some rows of a track as the fits want them: as sure as the pixels of each frame make it. How frames scatter, and what all
+    err alike, fits find by themselves; stated beforehand, it hid weak bounces of rounded dice."""
+    own = track.covariance if track.own is None else track.own
+    return Sightings.from_poses(track.time_s[use], track.position_m[use], track.quaternion[use], own[use], slack=slack)
 
 
 def _filled(floor: Array, use: NDArray[np.int64]) -> Array:

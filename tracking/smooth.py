@@ -53,5 +53,5 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArra
         position[put], quaternion[put] = flight.poses(track.time_s[put])
         covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED
     return replace(
-        track, position_m=position, quaternion=continuous_sign(quaternion), covariance=covariance, status=status
-    )
+        track, position_m=position, quaternion=continuous_sign(quaternion), covariance=covariance, status=status, own=None
+    )  # fmt: skip

@@ -35,6 +35,9 @@ class Track:
     shared: Array | None = None
     """(n, 6, 6) covariance of what all frames err alike because the marks on the faces lie where they were learned; part of
     no frame's own. None where no marks were used."""
+    own: Array | None = None
+    """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are found, where `covariance` has come to say
+    more (`bounces.calibrated`); None where `covariance` is that."""
     contour_sigma_px: float = 0.0
     """One sigma of what the contour may lie too far out on all frames besides: of a radius of the corners that is not known
     but estimated from the pictures."""

@@ -298,3 +298,28 @@ def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_know
     assert found.own.flights[0].covariance is not None
     floor = (flight.covariance - found.own.flights[0].covariance)[:3, :3]
     assert np.abs(shared[even][:, :3, :3] - floor).max(axis=(1, 2)).min() < 1e-15
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_all_frames_err_alike_makes_flights_no_less_sure_of_each_other(seed: int) -> None:
+    """Half a millimetre and two degrees that every frame shares hide neither an instant nor a turn between two frames."""
+    throw, rng = lone(seed)
+    track, camera = seen(throw, rng), studio().camera
+    alike = np.concatenate([4e-4 * np.array([0.6, 0.5, 0.6]), np.radians(2.0) * np.array([0.4, 0.8, -0.4])])
+    shared = np.outer(alike, alike) + np.diag([1e-4**2] * 3 + [np.radians(0.5) ** 2] * 3)
+    before = measure(track, CUBE, camera)
+    sure = calibrated(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
+    again = measure(sure, CUBE, camera)
+    for ours, theirs in zip(again.throw.impacts, before.throw.impacts, strict=True):
+        assert ours.vertices == theirs.vertices
+        assert ours.time_s == pytest.approx(theirs.time_s, abs=1e-3 / FPS)
+        assert ours.sigma_time_s == pytest.approx(theirs.sigma_time_s, rel=0.05)
+    for new, old in zip(again.own.flights, before.own.flights, strict=True):
+        assert new.covariance is not None
+        assert old.covariance is not None
+        np.testing.assert_allclose(np.diag(new.covariance), np.diag(old.covariance), rtol=0.05)
+    # It is in what single frames and smoothed ones are said to err, once.
+    assert np.linalg.eigvalsh(sure.covariance[0] - shared).min() > 0.0
+    told = smooth(again.on_table, again.own, again.floor).covariance
+    assert np.linalg.eigvalsh(told[0] - shared).min() > -1e-12
+    assert np.trace(told[0][:3, :3]) < 1.1 * np.trace(shared[:3, :3])
