@@ -100,8 +100,8 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         )
     lean = np.zeros((len(track), 6, 0))
     seen = sightings(track, use, LITTLE_SLACK)
-    # Whether a die falls is asked of frames as sure as they are known to be, where that is known.
-    as_stated = sightings(replace(track, own=None), use, LITTLE_SLACK)
+    # Whether a die falls is asked with covariances as calibrated, where they are: it is not found by how frames scatter.
+    as_stated = seen if track.own is None else sightings(replace(track, own=None), use, LITTLE_SLACK)
     flying = carried_from(as_stated, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
@@ -126,7 +126,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
     resting = straight
     if flying < len(use):
-        if camera is not None and _tells_the_table(joined):
+        if camera is not None and tells_the_table(joined):
             carried = track.tracked & (track.time_s >= track.time_s[use[flying]])
             resting = on_table(straight, np.flatnonzero(carried), die, joined.table_m, TABLE_SIGMA_M)
         poses, last_s = sightings(resting, use[flying:]), float(seen.time_s[flying - 1])
@@ -153,7 +153,7 @@ def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flyi
     return _filled(floor, use)
 
 
-def _tells_the_table(joined: Joined) -> bool:
+def tells_the_table(joined: Joined) -> bool:
     """Whether impacts tell the height of the table, and it is about where the scene has it."""
     struck = any(link.strike is not None for link in joined.links)
     return struck and abs(joined.table_m) < FAR_SIGMAS * TABLE_SIGMA_M
@@ -188,7 +188,7 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: i
     root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor[use]
-    return replace(track, covariance=covariance, own=track.covariance)
+    return replace(track, covariance=covariance, own=track.covariance if track.own is None else track.own)
 
 
 def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Track:
@@ -200,7 +200,7 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     is_flown = np.array([one.covariance is not None for one in throw.flights])
     count = np.where(is_flown, np.bincount(flight, minlength=len(is_flown)), 0)[flight]
     if track.own is not None:
-        # On a frame that the table carries, the covariance is that of its pose on the table.
+        # A frame that the table carries belongs to no mean: it is as sure as it was said to be, or as the table makes it.
         use, count = use[count > 0], count[count > 0]
     root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
     covariance = track.covariance.copy()

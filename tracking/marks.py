@@ -153,8 +153,11 @@ def learn_marks(
         chosen = few if wide else looks
         marks, moved_sigmas = adjusted(view, chosen, bounces, marks, cut)
         if not wide and (moved_sigmas > WILD_SIGMAS).any():
-            marks, looks = _without_flights(marks, looks, moved_sigmas > WILD_SIGMAS, throw)
-            chosen, bounces = looks, bounces_between(looks, throw, strikes)
+            wild = moved_sigmas > WILD_SIGMAS
+            marks, looks = _without_flights(marks, looks, wild, throw)
+            # What it seemed to strike is as doubtful as the flight.
+            bounces = [bounce for bounce in bounces if not wild[list(bounce.flights)].any()]
+            chosen = looks
             if len(looks) < 2 * FEWEST_LOOKS:
                 return None
         marks = with_learned_textures(view, chosen, marks.flights, marks, cut)

@@ -4,8 +4,8 @@ Unknowns are twelve numbers a flight, WARPS for each marked face, the lens blur,
 each bounce. The normal equations of single frames come from the pixels; a texture's warps stand for all that learning it
 again from other poses could do to it, so that a step goes to where poses and textures agree, and not only to where the poses
 agree with textures that they have placed themselves. Flights meet at their bounces, and where a bounce is an impact at one
-vertex, they obey there what impacts obey (`joined`): how far away the die is, marks tell by its turns and its fall,
-and less well than the table does, which its corner touches.
+vertex, they obey there what impacts obey (`joined`): how far away the die is, marks tell by its turns and its fall, and
+less well than the table does, which its corner touches.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ BLUR_RANGE_PX = (0.3, 4.0)
 LINK_M, LINK_RAD = 1e-5, 5e-4
 """How well flights meet at a bounce: a contact lasts some 0.05 ms, in which a die leaves the corner between its two motions by a
 quarter of that time its speed."""
-PRIOR_INSTANT_S = 2e-3
+PRIOR_INSTANT_S, SURE_INSTANT_S = 2e-3, 1e-6
+"""What marks may move the instant of a bounce by; and how unsure one is at the least that stays as edges have it: a die comes
+down by a micrometre meanwhile."""
 CONTOUR_SHARES = (1e-4, 0.3)
 """Between which the common error of edges is looked for, over the die's edge."""
-TOGETHER = 12
-"""Looks over which edges are taken to err alike: a third of a radian, for a die that spins at 40 rad/s. Asked of single frames,
-whose bevels err by tenths of a degree each, the common error came out at a third of this, and edges of rounded dice drew flights
-along."""
+TOGETHER_RAD = 0.4
+"""Turn of a die over which its edges are taken to err alike. Asked of single frames, whose bevels err by tenths of a degree each,
+their common error came out at a third of what means over such a turn have, and edges of rounded dice drew flights along."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
 
@@ -67,13 +68,11 @@ def bounces_between(looks: list[Look], throw: Throw, strikes: Sequence[Strike | 
     beside it, or of one where the other is too short to be."""
     used, out = {look.flight for look in looks}, []
     for k, (impact, strike) in enumerate(zip(throw.impacts, strikes, strict=True)):
-        beside = tuple(i for i in (k, k + 1) if i in used)
-        if impact.contact == "unresolved":
-            continue
+        beside = tuple(i for i in (k, k + 1) if i in used and impact.contact != "unresolved")
         if len(beside) == 2:
             out.append(Bounce(beside, impact.time_s, PRIOR_INSTANT_S, strike))
-        elif len(beside) == 1 and strike is not None:
-            out.append(Bounce(beside, impact.time_s, impact.sigma_time_s, strike))
+        elif len(beside) == 1 and strike is not None and np.isfinite(impact.sigma_time_s):
+            out.append(Bounce(beside, impact.time_s, max(impact.sigma_time_s, SURE_INSTANT_S), strike))
     return out
 
 
@@ -123,7 +122,7 @@ def adjusted(view: View, looks: list[Look], bounces: list[Bounce], marks: Marks,
         y[s] += J.T @ gap
     C = _inverse(A)
     step = C @ y
-    # What would be left if the places of the textures and the table's were known: the rest of C is common to all frames.
+    # What would be left if the textures' places and the table's height were known: the rest of C is common to all frames.
     sure = np.r_[0 : 12 * len(used), table_at + 1 : len(A)]
     own = _inverse(A[np.ix_(sure, sure)])
     flights, common = list(marks.flights), list(marks.shared)
@@ -164,10 +163,8 @@ def _bounce_equations(flights: Sequence[Flight], bounce: Bounce) -> tuple[Array,
     if bounce.strike is not None:
         obeyed, miss = strike_equations(states[0], states[-1], bounce.strike, 0.0)
         by_table = np.array([[-1.0 / CONTACT_SIGMA_M], [0.0], [0.0], [0.0]])
-        rows, right = (
-            np.hstack([obeyed[:, :12] @ onward[0], obeyed[:, 12:24] @ onward[-1], obeyed[:, 24:], by_table]),
-            -miss,
-        )
+        by_starts = [obeyed[:, :12] @ onward[0], obeyed[:, 12:24] @ onward[-1]]
+        rows, right = np.hstack([*by_starts, obeyed[:, 24:], by_table]), -miss
     if len(motions) == 1:
         return np.delete(rows[:1], np.s_[12:24], axis=1), right[:1]
     a, b = states
@@ -213,7 +210,7 @@ def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
     frame errs for itself."""
     away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
     own = np.linalg.inv(np.array([look.edge_covariance for look in looks]))
-    groups = _following(np.array([look.flight for look in looks]))
+    groups = _alike(looks, marks.flights)
     spreads = np.array([np.linalg.inv(own[rows].sum(0)) for rows in groups])
     sums = np.array([np.einsum("nij,nj->i", own[rows], away[rows]) for rows in groups])
     means = np.einsum("gij,gj->gi", spreads, sums)
@@ -231,10 +228,15 @@ def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
     return float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01)))
 
 
-def _following(flights: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """Rows of looks, of which these are the flights, in groups of TOGETHER at the most that follow each other in one flight."""
-    parts = [np.flatnonzero(flights == k) for k in np.unique(flights)]
-    return [rows for part in parts for rows in np.array_split(part, int(np.ceil(len(part) / TOGETHER)))]
+def _alike(looks: list[Look], flights: Sequence[Flight]) -> list[NDArray[np.int64]]:
+    """Rows of looks in groups that follow each other in one flight, while the die turns by TOGETHER_RAD at the most."""
+    group_of = []
+    for look in looks:
+        start = flights[look.flight].start
+        turned = float(np.linalg.norm(start.omega_rad_s)) * (look.time_s - start.time_s)
+        group_of.append((look.flight, int(turned / TOGETHER_RAD)))
+    _, which = np.unique(np.array(group_of), axis=0, return_inverse=True)
+    return [np.flatnonzero(which.ravel() == k) for k in range(int(which.max()) + 1)]
 
 
 def _equations(

@@ -40,10 +40,10 @@ SIGNAL_TEXELS = 7
 FEWEST_TEXELS = 50
 """Marked texels (about 28 pixels) without which a face is called plain."""
 CLEAR = 50.0
-"""Power of the slopes over that of their noise that FEWEST_TEXELS of some face must exceed, or the die has no marks at all. What
-stays in the picture while the die hardly moves in it, a sensor's pattern or what a codec leaves, is on even frames as on odd
-ones: on plain faces it came to 15 times the noise at the most, on the clearest face of marked dice marks came to 180 at the
-least."""
+"""Power of the slopes over that of their noise that FEWEST_TEXELS of some face must exceed when it is first seen, or the die has
+no marks at all. What stays in the picture while the die hardly moves in it, a sensor's pattern or what a codec leaves, is on even
+frames as on odd ones: on plain faces it came to 15 times the noise at the most, on the clearest face of marked dice marks came to
+180 at the least."""
 UNBOUNDED_GREY = 1e9
 """Noise of a face that no frame has been asked for yet."""
 MOST_TURNS, SAME_RAY = 20, 1e-9
@@ -280,7 +280,7 @@ def _with_textures(
             halves = [np.where(split, total[h, f] / np.where(split, weight[h, f], 1.0), np.nan) for h in (0, 1)]
             marked[f], strength = _marked(*halves)
             noise[f] = UNBOUNDED_GREY if (marked[f] > 0).sum() >= FEWEST_TEXELS else 0.0
-            clear = clear or strength > CLEAR
+            clear = clear or (noise[f] > 0.0 and strength > CLEAR)
         marked[f] = _steep_places(coefficients[f], marked[f])
     if not clear:
         noise[:] = 0.0
@@ -302,8 +302,8 @@ def _filled(texture: Array) -> Array:
 
 
 def _marked(even: Array, odd: Array) -> tuple[NDArray[np.uint8], float]:
-    """Where two textures of independent noise agree on slopes steeper than that noise makes, and a little around; and how many
-    times its power those have that FEWEST_TEXELS exceed."""
+    """Where two textures of independent noise agree on slopes steeper than that noise makes, and a little around; and the
+    ratio of their powers that FEWEST_TEXELS reach."""
     known = (np.isfinite(even) & np.isfinite(odd)).astype(np.uint8)
     # Splines reach over two texels: nothing is looked at so near to what is unknown.
     inner = cv2.erode(known, np.ones((5, 5), np.uint8), borderValue=0)

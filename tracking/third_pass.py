@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
-from .bounces import Measured, NoFlightError, measure
+from .bounces import Measured, NoFlightError, measure, tells_the_table
 from .flights import transition
 from .lean import shared_lean, without_lean
 from .marks import FramePoses, Refining, frames_to_learn_from, learn_marks
@@ -105,7 +105,9 @@ def _learned(reel: Reel, view: View, found: Measured, scatter: float) -> Marks |
     edges = replace(edges, covariance=scatter * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), reel.frame(int(k))[0]) for k in rows)
-    strikes = [link.strike for link in found.joined.links[: len(throw.impacts)]]
+    # A table that is not where the scene has it tells no distance.
+    told = tells_the_table(found.joined)
+    strikes = [link.strike if told else None for link in found.joined.links[: len(throw.impacts)]]
     return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** reel.clips[0].bit_depth - 1))
 
 

@@ -37,7 +37,7 @@ class Track:
     no frame's own. None where no marks were used."""
     own: Array | None = None
     """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are found, where `covariance` has come to say
-    more (`bounces.calibrated`); None where `covariance` is that."""
+    more (`bounces.calibrated`); None where `covariance` is that. In no file."""
     contour_sigma_px: float = 0.0
     """One sigma of what the contour may lie too far out on all frames besides: of a radius of the corners that is not known
     but estimated from the pictures."""

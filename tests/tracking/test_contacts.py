@@ -23,7 +23,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, inner_vertices, make_die, symmetry_rotations
-from diethrow.tracking.bounces import measure, measure_throw
+from diethrow.tracking.bounces import measure, measure_throw, tells_the_table
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
 from diethrow.tracking.joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, strike_cost
 from diethrow.tracking.links import Rules, settle
@@ -396,6 +396,9 @@ def test_a_table_at_another_height_than_stated_does_not_bend_the_flights() -> No
     lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.004]))
     plain, found = measure(track, CUBE), measure(lifted, CUBE)
     assert found.joined.table_m == pytest.approx(0.004, abs=5e-4)
+    assert tells_the_table(plain.joined)
+    # Neither what rests on it nor what strikes it is put where the scene has the table.
+    assert not tells_the_table(found.joined)
     assert found.throw.impacts[0].time_s == pytest.approx(plain.throw.impacts[0].time_s, abs=0.02 / FPS)
 
 
