@@ -25,7 +25,17 @@ from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, inner_vertices, make_die, symmetry_rotations
 from diethrow.tracking.bounces import measure, measure_throw, tells_the_table
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
-from diethrow.tracking.joined import TABLE_SIGMA_M, Joined, Link, Strike, fit_joined, strike_cost
+from diethrow.tracking.joined import (
+    LEVER_RAD_S,
+    LEVER_SHARE,
+    TABLE_SIGMA_M,
+    Joined,
+    Link,
+    Strike,
+    fit_joined,
+    strike_cost,
+    strike_equations,
+)
 from diethrow.tracking.links import Rules, settle
 from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
 from diethrow.tracking.smooth import smooth
@@ -94,6 +104,35 @@ def test_what_a_strike_costs_is_known_before_it_is_fitted(die: Die) -> None:
             assert told == pytest.approx(found, rel=0.2, abs=0.5)
         else:
             assert min(told, found) > 100.0
+
+
+@pytest.mark.parametrize("die", [CUBE, ROUND], ids=["sharp", "round"])
+def test_what_a_strike_obeys_changes_as_its_rows_say(die: Die) -> None:
+    """By the states on both sides and by the instant, which carries both on; central differences."""
+    throw, _ = bounced(die, LAWS["friction"], 3, 40)
+    t, (before, behind) = throw.impacts[0].time_s, throw.flights
+    strike = strike_at(die, throw.impacts[0].vertices[0])
+    # A little beside what the impact obeys, so that no term is zero.
+    a, b = moved(before.at(t), np.full(12, 1e-4)), moved(behind.at(t), np.full(12, -2e-4))
+    rows, miss = strike_equations(a, b, strike, 0.0)
+    steps = np.concatenate([np.tile(np.repeat([1e-7, 1e-6, 1e-5, 1e-3], 3), 2), [1e-8]])
+
+    def missed(change: Array) -> Array:
+        sides = [Flight(moved(s, c), np.inf).at(t + change[24]) for s, c in ((a, change[:12]), (b, change[12:24]))]
+        # The tolerance of the spin is set by the jump as it stands.
+        new, scale = strike_equations(sides[0], sides[1], strike, 0.0)[1], np.ones(4)
+        scale[1:] = lever(sides) / lever([a, b])
+        return np.asarray(new * scale)
+
+    def lever(sides: list[State]) -> float:
+        return LEVER_SHARE * float(np.linalg.norm(sides[1].omega_rad_s - sides[0].omega_rad_s)) + LEVER_RAD_S
+
+    for k, step in enumerate(steps):
+        change = np.zeros(25)
+        change[k] = step
+        slope = (missed(change) - missed(-change)) / (2.0 * step)
+        np.testing.assert_allclose(rows[:, k], slope, rtol=1e-3, atol=1e-4 * np.abs(rows[:, k]).max() + 1e-6)
+    assert np.abs(miss).max() > 0.1
 
 
 def test_a_strike_makes_nothing_less_sure_and_keeps_its_sigma_true() -> None:
