@@ -100,7 +100,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         )
     lean = np.zeros((len(track), 6, 0))
     seen = sightings(track, use, LITTLE_SLACK)
-    # Whether a die falls is asked with covariances as calibrated, where they are: it is not found by how frames scatter.
+    # Whether a die falls is asked with covariances as calibrated, where they are: unlike the fits, that finds no scatter itself.
     as_stated = seen if track.own is None else sightings(replace(track, own=None), use, LITTLE_SLACK)
     flying = carried_from(as_stated, die)
     prior = sigma = np.zeros(0)

@@ -38,7 +38,7 @@ ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
 opposite contours of a sharp die err by some hundredths of a pixel each, and there are several of them. A bevel of radius r
 is seen some 1.4 r wide, and what shade it has between its two faces' is the light's affair: where on it an edge seems to
 be varies from one edge to the next and as the die turns, and little of that is left in a flight. Nine plain dice rounded by
-1 to 4 px have median squared errors of 0.7 to 5.2 sigmas where 5.35 are expected; with a share of 0.1, of 0.1 to 0.5."""
+1 to 4 px have a median NEES of 0.7 to 5.2 where 5.35 is expected; with a share of 0.1 seven of them had 0.1 to 1.0."""
 TURN_SHARE = 0.75
 """The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
 SHARED = 6
