@@ -11,7 +11,8 @@ from diethrow.model.impacts import SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die
+from diethrow.model.solids import Die, inner_vertices
+from diethrow.tracking.joined import Strike
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -34,6 +35,12 @@ def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_aft
     last = whole.flights[-1]
     end_s = min(last.end_s, last.start.time_s + frames_after / FPS)
     return Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
+
+
+def strike_at(die: Die, vertex: int) -> Strike:
+    """An impact at one vertex of that die."""
+    point = inner_vertices(die.solid, die.corner_radius_m)[vertex]
+    return Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)
 
 
 def frame_covariance(rng: np.random.Generator, n: int, scale: float = 1.0) -> Array:

@@ -10,7 +10,7 @@ import pytest
 from footage_of_throws import studio
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from throws import FPS, frame_covariance, initial_errors, random_release, seen, true_throw
+from throws import FPS, frame_covariance, initial_errors, random_release, seen, strike_at, true_throw
 
 from diethrow.model.impacts import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.motion import Flight, State, Throw
@@ -22,7 +22,7 @@ from diethrow.model.rotations import (
     rotation_between,
 )
 from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, inner_vertices, make_die, symmetry_rotations
+from diethrow.model.solids import Die, make_die, symmetry_rotations
 from diethrow.tracking.bounces import measure, measure_throw, tells_the_table
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
 from diethrow.tracking.joined import (
@@ -51,11 +51,6 @@ OCTA = make_die("octahedron", 0.016, 0.003)
 
 def sightings(track: Track) -> Sightings:
     return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
-
-
-def strike_at(die: Die, vertex: int) -> Strike:
-    point = inner_vertices(die.solid, die.corner_radius_m)[vertex]
-    return Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:

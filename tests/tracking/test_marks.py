@@ -25,11 +25,11 @@ from marked_throws import (
     tossed,
 )
 from numpy.typing import NDArray
+from throws import strike_at
 
 from diethrow.model.compiled import compiled
 from diethrow.model.motion import Impact, Throw
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
-from diethrow.tracking.joined import Strike
 from diethrow.tracking.marks import FramePoses, Refining, frames_to_learn_from
 from diethrow.tracking.marks_kernels import soften
 from diethrow.tracking.marks_textures import Marks, undistorted_rays
@@ -111,7 +111,7 @@ def test_the_flight_knows_how_uncertain_the_places_of_its_marks_leave_it() -> No
 def test_the_table_that_a_corner_strikes_tells_how_far_away_the_die_is(frames_after: int) -> None:
     throw = struck(frames_after)
     vertex, t = throw.impacts[0].vertices[0], throw.impacts[0].time_s
-    strike = Strike(CUBE.solid.vertices[vertex], 0.0, CUBE.mass_kg / CUBE.inertia_kg_m2)
+    strike = strike_at(CUBE, vertex)
     # As sure of the instant as edges are; the frames beside it teach nothing, which leaves the shorter flight one.
     impact = replace(throw.impacts[0], sigma_time_s=0.01 / FPS)
     throw = replace(throw, impacts=(impact,))
