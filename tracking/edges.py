@@ -63,6 +63,9 @@ CURVED_PX = 0.005
 """Displacement of an edge by the curvature of its motion within the exposure from which that is taken into account."""
 CELLS = 5
 """Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
+LIGHT_DEGREE = 4
+LIGHT = (LIGHT_DEGREE + 1) ** 2
+"""Degree of the polynomial of the normal that says how bright a surface looks, and number of its coefficients."""
 SLIVER = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
 TUKEY = 4.685
@@ -238,6 +241,9 @@ class Lens(NamedTuple):
     it does not."""
     strip_share: float
     """Standard deviation of the prior on α, β, γ, δ of a rounded strip, as a share of the mean intensity beside the edge."""
+    light: Any
+    """(views, LIGHT + 2) how bright a surface looks by where it turns, see `light`: coefficients of `_brightness`, the least of
+    it that is believed, and how far strips may differ from it, in the place of `strip_share`; 0 where nothing is known."""
 
 
 class Desk(NamedTuple):
@@ -251,6 +257,9 @@ class Desk(NamedTuple):
     J: Any
     across: Any
     lines: Any
+    strip: Any
+    """(CELLS + 1, 4) what each line of a rounded strip adds to the basis functions."""
+    turned: Any
     hull: Any
     phi: Any
     slope: Any
@@ -292,8 +301,8 @@ def new_desk(shape: Shape, eyes: Eyes) -> Desk:
     views = eyes.camera.shape[0]
     return Desk(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
-        np.zeros(3), np.zeros(CELLS + 1), np.zeros((ne, 3)), np.zeros((4, BUFFER)), np.zeros((4, BUFFER)),
-        np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
+        np.zeros(3), np.zeros(CELLS + 1), np.zeros((CELLS + 1, 4)), np.zeros(3), np.zeros((ne, 3)), np.zeros((4, BUFFER)),
+        np.zeros((4, BUFFER)), np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
         np.zeros(BUFFER), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
         np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
         np.zeros(4), np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
@@ -721,19 +730,24 @@ def _share_greys(desk: Desk, step: Any) -> None:
 
 
 @_free
-def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines: Any) -> None:
-    """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
-    whose normals divide the turn from n0 to n1, or to the contour, into equal parts. `aw` is the derivative of d by a
-    world displacement."""
+def _strip_turn(aw: Any, n0: Any, n1: Any, interior: bool, turned: Any) -> float:
+    """The angle through which the normal turns on a rounded strip, from n0 to n1 or to the contour, and in `turned` (3,) the
+    direction it turns to, at a right angle to n0. `aw` is the derivative of d by a world displacement."""
     size = sqrt(aw[0] * aw[0] + aw[1] * aw[1] + aw[2] * aw[2])
-    along, across = 0.0, 0.0
     e0, e1, e2 = (n1[0], n1[1], n1[2]) if interior else (aw[0] / size, aw[1] / size, aw[2] / size)
     along = n0[0] * e0 + n0[1] * e1 + n0[2] * e2
-    angle = acos(min(1.0, max(-1.0, along)))
     e0, e1, e2 = e0 - along * n0[0], e1 - along * n0[1], e2 - along * n0[2]
     across = sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, 1e-30))
+    turned[0], turned[1], turned[2] = e0 / across, e1 / across, e2 / across
+    return acos(min(1.0, max(-1.0, along)))
+
+
+@_free
+def _strip_lines(aw: Any, n0: Any, turned: Any, angle: float, radius: float, lines: Any) -> None:
+    """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
+    whose normals divide the turn into equal parts."""
     d0 = radius * (aw[0] * n0[0] + aw[1] * n0[1] + aw[2] * n0[2])
-    d1 = radius * (aw[0] * e0 + aw[1] * e1 + aw[2] * e2) / across
+    d1 = radius * (aw[0] * turned[0] + aw[1] * turned[1] + aw[2] * turned[2])
     c, s = cos(angle / CELLS), sin(angle / CELLS)
     lines[0] = d0
     for j in range(1, CELLS + 1):
@@ -741,6 +755,50 @@ def _strip_lines(aw: Any, n0: Any, n1: Any, interior: bool, radius: float, lines
         lines[j] = d0
     for j in range(1, CELLS + 1):
         lines[j] = max(lines[j], lines[j - 1])
+
+
+@_free
+def _brightness(light: Any, x: float, y: float, z: float) -> float:
+    """How bright a surface of normal (x, y, z) looks."""
+    total, k, a = 0.0, np.int64(0), 1.0
+    for i in range(LIGHT_DEGREE + 1):
+        b = a
+        for j in range(LIGHT_DEGREE + 1 - i):
+            total += light[k] * b
+            k += 1
+            if i + j < LIGHT_DEGREE:
+                total += light[k] * b * z
+                k += 1
+            b *= y
+        a *= x
+    return max(total, light[k])
+
+
+@_free
+def _strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool, strip: Any) -> None:
+    """In `strip` (CELLS + 1, 4) what each line adds to the basis functions, of a strip that the light shades."""
+    kind = 1 if interior else 0
+    for j in range(CELLS + 1):
+        for a in range(4):
+            strip[j, a] = _STRIP[kind, j, a]
+    if not light[LIGHT + 1] > 0.0:
+        return
+    first = _brightness(light, n0[0], n0[1], n0[2])
+    c, s = cos(angle), sin(angle)
+    last = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
+    near, far = 1.0, 0.0
+    for j in range(CELLS):
+        u = (j + 0.5) / CELLS
+        c, s = cos(u * angle), sin(u * angle)
+        here = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
+        if interior:
+            shade = here / ((1.0 - u) * first + u * last)
+            strip[j, 0], strip[j, 1] = (1.0 - u) * shade - near, u * shade - far
+            near, far = near + strip[j, 0], far + strip[j, 1]
+        else:
+            strip[j, 0] = here / first - near
+            near += strip[j, 0]
+    strip[CELLS, 0], strip[CELLS, 1] = -near, 1.0 - far
 
 
 @_free
@@ -845,7 +903,7 @@ def _room_beside(others: Any, count: int, line: int, at: float) -> float:
 
 @_free
 def _rounded_basis(
-    d: float, ib: float, shade: float, interior: bool, lines: Any, full: bool, phi: Any, slope: Any, spread: Any, n: int
+    d: float, ib: float, shade: float, strip: Any, lines: Any, full: bool, phi: Any, slope: Any, spread: Any, n: int
 ) -> None:
     """Basis functions of the intensities of pixel n at distance d from a rounded edge, with their derivatives by d and,
     where `full`, by the blur 1 / ib.
@@ -853,14 +911,13 @@ def _rounded_basis(
     A cell's share is the difference of two steps; summed by parts, each of the CELLS + 1 lines is looked up once and
     weighs what the basis function changes by there.
     """
-    kind = 1 if interior else 0
     f0, f1, f2, f3 = 1.0, 0.0, 0.0, 0.0
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
     for j in range(CELLS + 1):
         t = (d - lines[j]) * ib
         a, p = _step(t)
-        v0, v1, v2, v3 = _STRIP[kind, j, 0], _STRIP[kind, j, 1], _STRIP[kind, j, 2], _STRIP[kind, j, 3]
+        v0, v1, v2, v3 = strip[j, 0], strip[j, 1], strip[j, 2], strip[j, 3]
         f0, f1, f2, f3 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a
         p *= ib
         s0, s1, s2, s3 = s0 + v0 * p, s1 + v1 * p, s2 + v2 * p, s3 + v3 * p
@@ -907,7 +964,7 @@ def _step(t: float) -> tuple[float, float]:
 def _view_equations(
     view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
     exposure: float, sigma: float, band: float, stride: int, floor_grey: float, rounding_grey: float, strip_share: float,
-    full: bool, desk: Desk, H: Any, g: Any, stats: Any,
+    light: Any, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add what one view says: H (8, 8, lower half) and g (8,) of pose, contour error and blur (the last only where
     `full`), and `stats`.
@@ -936,6 +993,7 @@ def _view_equations(
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
     curved = speed2 * exposure * exposure / 24.0 * _reach(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
     lines[:] = 0.0
+    share = light[view, LIGHT + 1] if light[view, LIGHT + 1] > 0.0 else strip_share
     desk.shared[view] = 0.0
     desk.by_shared[view] = 0.0
     desk.pull[view] = 0.0
@@ -992,7 +1050,7 @@ def _view_equations(
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
                     desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view],
-                    rounding_grey, strip_share, (last - first + 1) / (stride * m), full, view,
+                    rounding_grey, share, (last - first + 1) / (stride * m), full, view,
                     f0, f1 if interior else len(desk.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
@@ -1014,7 +1072,10 @@ def _view_equations(
             rx, ry, rz = Px + s * Qx, Py + s * Qy, Pz + s * Qz
             qx, qy, qz = ry * aw[2] - rz * aw[1], rz * aw[0] - rx * aw[2], rx * aw[1] - ry * aw[0]
             if not sharp:
-                _strip_lines(aw, normal[f0], normal[f1], interior, radius, lines)
+                angle = _strip_turn(aw, normal[f0], normal[f1], interior, desk.turned)
+                _strip_lines(aw, normal[f0], desk.turned, angle, radius, lines)
+                if m == 0:
+                    _strip_shades(light[view], normal[f0], desk.turned, angle, interior, desk.strip)
             low, high = min(lines[0], 0.0), max(lines[CELLS], 0.0)
             blur, bend = sigma, 0.0
             if exposure > 0.0:
@@ -1063,7 +1124,7 @@ def _view_equations(
                         # The row's blur grows with the lens blur by σ / blur.
                         spread[0, i] = d * ib * sigma * ib
                 else:
-                    _rounded_basis(d, ib, shade, interior, lines, full, phi, slope, spread, i)
+                    _rounded_basis(d, ib, shade, desk.strip, lines, full, phi, slope, spread, i)
                 grey[i] = value
                 d += step
                 i += 1
@@ -1421,7 +1482,7 @@ def look(
             if eyes.weight[view] > 0.0 and sight.size[eyes.camera[view], 0] > 0:
                 _view_equations(
                     view, sight, backgrounds, eyes, shape, p, Q, vel, omega, lens.exposure, sigma, band, lens.stride,
-                    lens.floor_grey, lens.rounding_grey, lens.strip_share, lens.full and fine, desk, H, g, stats,
+                    lens.floor_grey, lens.rounding_grey, lens.strip_share, lens.light, lens.full and fine, desk, H, g, stats,
                 )  # fmt: skip
         for a in range(COLUMNS):
             for b in range(a):

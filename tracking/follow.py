@@ -38,6 +38,7 @@ from .corners import (
 from .hints import HandStart, excluded_rows
 from .labelling import labelled_across
 from .lens_blur import BLUR_FRAMES, lens_blur_px
+from .light import lit
 from .marks_textures import Marks
 from .offsets import Offsets, find_offsets
 from .parting import spared
@@ -149,7 +150,7 @@ def look_through(
     offsets = Offsets.none(len(clips))
     marked = Marked(seen, None, None)
     if quality.second_pass:
-        view = with_reflections(view)
+        view = lit(with_reflections(view), reel.frame, seen)
         view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
         report.at_least(len(reel))
         if throw is not None:

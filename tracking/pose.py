@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, inner_vertices, symmetry_rotations
 from .camera import Camera
-from .edges import BLUR, COLUMNS, WINDOW_PX, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
+from .edges import BLUR, COLUMNS, LIGHT, WINDOW_PX, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -50,6 +50,8 @@ class View:
     shape: Shape
     eyes: Eyes
     """The cameras, and behind them the cameras as the table mirrors them where it does."""
+    light: Array
+    """(views, LIGHT + 2) what is known of the light, see `edges`; zero where that is nothing."""
     rounding_grey: float = 0.0
     """Step between the grey levels of the clip where rounding errs alike on pixels of one grey; 0 where it does not."""
 
@@ -82,6 +84,7 @@ class View:
             self.exposure_s, self.blur_px, floor_grey, self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
             quality.judging_pixels, quality.band_px, self.rounding_grey, STRIP_SHARE,
+            self.light,
         )  # fmt: skip
 
     @property
@@ -207,9 +210,10 @@ def make_view(
     it hides, and counts as a view of its own after `with_reflections`. The other numbers are those of the `View`."""
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
+    eyes = _eyes(cameras, mirror)
     return View(
         cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), _eyes(cameras, mirror), rounding_grey,
+        symmetry_rotations(die.solid), _shape_of(die), eyes, np.zeros((len(eyes.camera), LIGHT + 2)), rounding_grey,
     )  # fmt: skip
 
 

@@ -1,0 +1,113 @@
+"""Laws of the light that faces show: it foretells how bright bevels are, and single frames err less for it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, LIGHT, Image, studio
+from random_throws import random_quaternion
+from rounded_dice import photograph_rounded
+
+from diethrow.model.motion import State
+from diethrow.model.rotations import quat_from_matrix, rotation_between
+from diethrow.tracking.edges import LIGHT as COEFFICIENTS
+from diethrow.tracking.light import basis, lit
+from diethrow.tracking.pose import View, refine_pose
+from diethrow.tracking.seen import Seen
+
+ROOM = replace(studio(), noise_grey=2.0)
+ROUND = replace(DICE["cube"], corner_radius_m=0.6e-3)
+LEARNED, ASKED = 40, 24
+
+
+def states(count: int, seed: int) -> list[State]:
+    """Any orientations, in the middle of the picture."""
+    rng, none = np.random.default_rng(seed), np.zeros(3)
+    return [
+        State(0.0, np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018]), random_quaternion(rng), none, none)
+        for _ in range(count)
+    ]
+
+
+def at_poses(some: list[State]) -> Seen:
+    """The poses of a die at rest, one a frame."""
+    seen = Seen.empty(len(some))
+    seen.known[:] = True
+    seen.position_m[:], seen.rotation[:] = [s.position_m for s in some], [s.rotation for s in some]
+    seen.motion[:] = 0.0
+    return seen
+
+
+@cache
+def pictures(gloss_grey: float, count: int, seed: int) -> tuple[Image, ...]:
+    """Of the rounded cube at rest in those orientations."""
+    return tuple(
+        photograph_rounded(ROOM, ROUND, state, np.random.default_rng([seed, k]), gloss_grey=gloss_grey)
+        for k, state in enumerate(states(count, seed))
+    )
+
+
+def lit_view(gloss_grey: float) -> View:
+    """The view with the light learned from frames that nothing else is asked of."""
+    shown = pictures(gloss_grey, LEARNED, 1)
+    return lit(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(states(LEARNED, 1)))
+
+
+def test_the_faces_foretell_how_bright_any_surface_looks() -> None:
+    light = lit_view(0.0).light[0]
+    assert light[COEFFICIENTS + 1] > 0.0
+    sight = ROOM.camera.rotation[2]
+    normals = np.random.default_rng(3).normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    normals = normals[normals @ sight < 0.0]  # those that a contour, at the least, shows
+    true = 115.0 + 90.0 * np.maximum(normals @ LIGHT, 0.0)
+    told = basis(normals) @ light[:COEFFICIENTS]
+    scale = told @ true / (told @ told)
+    assert np.sqrt(np.mean((scale * told / true - 1.0) ** 2)) < 0.03
+
+
+@pytest.mark.parametrize("gloss_grey", [0.0, 60.0])
+def test_a_rounded_die_errs_less_where_the_light_is_known(gloss_grey: float) -> None:
+    plain, light = ROOM.view(ROUND), lit_view(gloss_grey)
+    at, shown = states(ASKED, 2), pictures(gloss_grey, ASKED, 2)
+    aside, turned, squared = [], [], []
+    for view in (plain, light):
+        poses = [
+            refine_pose(view, image, one.position_m, one.rotation, coarse=0)
+            for image, one in zip(shown, at, strict=True)
+        ]
+        moved = np.array([pose.position_m - one.position_m for pose, one in zip(poses, at, strict=True)])
+        wrong = np.array(
+            [
+                rotation_between(one.quaternion, quat_from_matrix(pose.rotation))
+                for pose, one in zip(poses, at, strict=True)
+            ]
+        )
+        aside.append(np.median(np.linalg.norm(moved @ ROOM.camera.rotation[:2].T, axis=1)))
+        turned.append(np.median(np.linalg.norm(wrong, axis=1)))
+        errors = np.hstack([moved, wrong])
+        squared.append(np.median([e @ pose.information @ e for e, pose in zip(errors, poses, strict=True)]))
+    assert aside[1] < 0.25 * aside[0]
+    assert turned[1] < 0.9 * turned[0]
+    # Several times nearer to the truth, poses are as many times as sure.
+    assert squared[1] < 1.5 * squared[0]
+
+
+def test_faces_of_several_paints_tell_nothing_of_the_light() -> None:
+    """Their greys are no function of where they turn; bevels are left to themselves, as they are without."""
+    shown = [image * (1.0 if k % 2 else 0.5) for k, image in enumerate(pictures(0.0, LEARNED, 1))]
+    view = ROOM.view(ROUND)
+    assert not lit(view, lambda k: shown[k][None], at_poses(states(LEARNED, 1))).light.any()
+
+
+def test_too_few_faces_tell_nothing_of_the_light() -> None:
+    shown = pictures(0.0, LEARNED, 1)
+    assert not lit(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(states(8, 1))).light.any()
+
+
+def test_a_sharp_die_has_no_bevels_to_be_lit() -> None:
+    view = ROOM.view(DICE["cube"])
+    assert lit(view, lambda _: pytest.fail("no picture is asked for"), at_poses(states(LEARNED, 1))) is view
