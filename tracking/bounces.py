@@ -18,7 +18,17 @@ from .camera import Camera
 from .flights import Sightings
 from .joined import TABLE_SIGMA_M, Joined, Link
 from .lean import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
-from .links import FAR_SIGMAS, UNKNOWN_TABLE_M, Rules, join_flights, normal_velocity, normal_velocity_rows, settle
+from .links import (
+    FAR_SIGMAS,
+    MOST_FRAMES,
+    UNKNOWN_TABLE_M,
+    Rules,
+    explains_better,
+    join_flights,
+    normal_velocity,
+    normal_velocity_rows,
+    settle,
+)
 from .parting import FEWEST, part_flights, sane_rows, spared
 from .quick import instant_s
 from .rest import Carried, carried_from, low_from, on_table, resting_vertices
@@ -28,6 +38,12 @@ Array = NDArray[np.float64]
 
 LITTLE_SLACK = 0.1
 """Of the usual slack, where the scatter of the frames is measured: what keeps a frame that states no error in bounds."""
+WIDER = 4.0
+"""Factor on the sigmas of frames with which a track is parted into flights once more. Contacts close to each other are opened,
+joined and removed one after the other, and a little decides which: where that leads astray with sigmas of one size, it may not
+with another."""
+FEW_LOST = 0.05
+"""Share of frames on no flight that leaves no doubt about a chain: some lie beside impacts."""
 BORNE_OUT = 0.5
 """Share of its frames that a flight must go through."""
 SAMPLES, SEED = 2000, 20120404
@@ -115,8 +131,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
         ahead = slice(0, flying)
         some = sightings(track, use[ahead][:: spared(track, die, use[ahead])])
-        rough = join_flights(some, part_flights(some, die), die)
-        joined = settle(seen.rows(ahead), rough, die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
+        joined = _settled(some, seen.rows(ahead), die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
@@ -134,6 +149,29 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
     return Measured(throw, straight, resting, joined, use[:flying], floor, own)
+
+
+def _settled(some: Sightings, seen: Sightings, die: Die, rules: Rules) -> Joined:
+    """The chain of flights through frames, which are parted on `some` of them. Where it leaves a doubt, a chain that wider sigmas
+    lead to is asked for as well, and the one that explains the frames better is taken."""
+    frames, joined = settle(seen, join_flights(some, part_flights(some, die), die), die, rules)
+    if _is_beyond_doubt(frames, joined):
+        return joined
+    wide = replace(some, whitener=some.whitener / WIDER)
+    relabelled, other = settle(seen, join_flights(wide, part_flights(wide, die), die), die, rules)
+    better = explains_better(_labelled_as(seen, relabelled), other, _labelled_as(seen, frames), joined, rules)
+    return other if better else joined
+
+
+def _is_beyond_doubt(seen: Sightings, joined: Joined) -> bool:
+    """Whether every link is an impact at a vertex, most frames of each flight lie on it, and few on none."""
+    struck = all(link.strike is not None for link in joined.links)
+    lost = float((joined.weights == 0.0).mean())
+    return struck and lost < FEW_LOST and not bool((joined.borne_out(seen.time_s) < MOST_FRAMES).any())
+
+
+def _labelled_as(seen: Sightings, relabelled: Sightings) -> Sightings:
+    return replace(seen, quaternion=relabelled.quaternion)
 
 
 def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:

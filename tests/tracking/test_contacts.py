@@ -23,6 +23,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.simulate import Until, throw_die
 from diethrow.model.solids import Die, make_die, symmetry_rotations
+from diethrow.tracking import bounces
 from diethrow.tracking.bounces import measure, measure_throw, tells_the_table
 from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
 from diethrow.tracking.joined import (
@@ -36,7 +37,8 @@ from diethrow.tracking.joined import (
     strike_cost,
     strike_equations,
 )
-from diethrow.tracking.links import Rules, settle
+from diethrow.tracking.links import Rules, explains_better, settle
+from diethrow.tracking.parting import part_flights
 from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
 from diethrow.tracking.smooth import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
@@ -448,7 +450,7 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
     poses = sightings(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
     links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
     chain = fit_joined(poses, [throw.flights[0].start, behind.start, behind.start], links)
-    settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M))
+    _, settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M))
     assert [link.is_open for link in settled.links] == [True]
     # It is told of where the motion before comes down to the table, which its many frames know to a tenth of a frame.
     assert abs(settled.links[0].time_s - t) < 0.3 / FPS
@@ -457,6 +459,53 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
         sigma = np.sqrt(np.diag(transition(fitted, t) @ fitted.covariance @ transition(fitted, t).T))
         # Twelve numbers, the largest of which is seldom beyond three sigmas.
         assert np.abs(errors / sigma).max() < 4.0
+
+
+def chains_of(throw: Throw, track: Track) -> dict[str, Joined]:
+    """The chain of the true impacts of a throw of two, and what else may be made of its frames."""
+    strikes = [strike_at(CUBE, impact.vertices[0]) for impact in throw.impacts]
+    links = [Link(impact.time_s, strike=strike) for impact, strike in zip(throw.impacts, strikes, strict=True)]
+    starts = [flight.start for flight in throw.flights]
+    middle_s = 0.5 * (throw.impacts[0].time_s + throw.impacts[1].time_s)
+    some = {
+        "true": (starts, links),
+        "opened": (starts, [links[0], Link(links[1].time_s, is_open=True)]),
+        "one left out": (starts[:2], links[:1]),
+        "one too many": (
+            [*starts[:2], throw.flights[1].at(middle_s), starts[2]],
+            [links[0], Link(middle_s, is_open=True), links[1]],
+        ),
+    }
+    return {name: fit_joined(sightings(track), *guess) for name, guess in some.items()}
+
+
+@pytest.mark.parametrize("seed", [2, 4, 7])
+def test_the_true_impacts_explain_the_frames_best(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
+    track = seen(throw, rng)
+    chains, poses, rules = chains_of(throw, track), sightings(track), Rules(np.zeros(0), TABLE_SIGMA_M)
+    for name, other in chains.items():
+        assert not explains_better(poses, other, poses, chains["true"], rules)
+        assert name == "true" or explains_better(poses, chains["true"], poses, other, rules)
+
+
+def test_flights_that_a_first_parting_gets_wrong_are_parted_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(4)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
+    track = seen(throw, rng)
+    plain, partings = measure_throw(track, CUBE), []
+
+    def wrong_at_first(some: Sightings, die: Die) -> list[NDArray[np.int64]]:
+        partings.append(part_flights(some, die))
+        return partings[-1] if len(partings) > 1 else [np.arange(len(some))]
+
+    monkeypatch.setattr(bounces, "part_flights", wrong_at_first)
+    found = measure_throw(track, CUBE)
+    assert len(partings) == 2
+    assert [impact.vertices for impact in found.impacts] == [impact.vertices for impact in plain.impacts]
+    for one, other in zip(found.impacts, throw.impacts, strict=True):
+        assert abs(one.time_s - other.time_s) < 0.1 / FPS
 
 
 @pytest.mark.parametrize("seed", [901, 911, 926])
