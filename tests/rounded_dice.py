@@ -26,10 +26,11 @@ NEAR_M = 1e-7
 
 
 def photograph_rounded(
-    room: Studio, cube: Die, state: State, rng: np.random.Generator | None = None, *, gloss_grey: float = 0.0
-) -> Image:
+    room: Studio, cube: Die, state: State, rng: np.random.Generator | None = None, *, gloss_grey: float = 0.0,
+    paint: Array | None = None,
+) -> Image:  # fmt: skip
     """One frame (height, width) of a rounded cube that does not move; not rounded to grey levels. A highlight is brighter by
-    `gloss_grey`."""
+    `gloss_grey`; `paint` (6,) is the reflectance of the faces, and of their bevels half-way."""
     camera, (height, width) = room.camera, room.table.shape
     corners = camera.project(cube.solid.vertices @ state.rotation.T + state.position_m)
     low = np.maximum(np.floor(corners.min(0) - 6), 0).astype(int)
@@ -43,6 +44,10 @@ def photograph_rounded(
     normal, hit = _surface(eye, ray, cube.solid.inradius, cube.corner_radius_m)
     light_from = LIGHT @ state.rotation
     shade = 115.0 + 90.0 * np.maximum(normal @ light_from, 0.0)
+    if paint is not None:
+        along = np.abs(normal).argmax(1)
+        outward = np.take_along_axis(normal, along[:, None], 1) * np.eye(3)[along]
+        shade *= paint[np.argmax(outward @ cube.solid.normals.T, axis=1)]
     if gloss_grey:
         middle = light_from - ray
         middle /= np.linalg.norm(middle, axis=1)[:, None]

@@ -68,8 +68,8 @@ and so does the pose drawn into a shadow."""
 class Rating:
     """How well pictures and motion bear a runner out."""
 
-    cost: float
-    """What the pictures leave over on the mean."""
+    misfit: float
+    """How badly the pictures are explained, on the mean."""
     unevenness: float = 0.0
     """How unevenly the die would move, in units of what none does."""
     since: int = 0
@@ -79,7 +79,7 @@ class Rating:
     @property
     def badness(self) -> float:
         """What the runners are ordered by."""
-        return self.cost + self.unevenness
+        return self.misfit + self.unevenness
 
 
 @dataclass(eq=False)
@@ -252,13 +252,13 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
             return (
                 _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
             )
-        least = min(rating.cost for _, rating in even)
+        least = min(rating.misfit for _, rating in even)
         for runner, rating in even:
             runner.rating = rating
-        near = [r for r, rating in even if rating.cost < least + BEHIND]
+        near = [r for r, rating in even if rating.misfit < least + BEHIND]
         runners = _apart(view, sorted(near, key=lambda r: r.rating.badness))
-        uneven = [rating.cost for _, rating in rated if rating.unevenness >= 1.0]
-        cheaper = sum(cost < runners[0].rating.cost - CHEAPER for cost in uneven)
+        uneven = [rating.misfit for _, rating in rated if rating.unevenness >= 1.0]
+        cheaper = sum(misfit < runners[0].rating.misfit - CHEAPER for misfit in uneven)
         if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
     return _winner(view, reel, k, runners, cheaper)
@@ -285,7 +285,7 @@ def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Ru
     seen = Seen.empty(min(STAGES[-1], len(reel) - k))
     seen.put(0, pose, np.zeros(6))
     chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
-    return Runner(chase, seen, Rating(pose.cost))
+    return Runner(chase, seen, Rating(pose.misfit))
 
 
 def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rating | None:
@@ -306,8 +306,8 @@ def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rat
 
 def _rating(view: View, seen: Seen, times_s: Array, since: int, until: int) -> Rating:
     """The rating of a run from row `since` to before `until`."""
-    cost = float(seen.cost[since:until][seen.known[since:until]].mean())
-    return Rating(cost, _unevenness(view, seen, times_s, since, until), since, until)
+    misfit = float(seen.misfit[since:until][seen.known[since:until]].mean())
+    return Rating(misfit, _unevenness(view, seen, times_s, since, until), since, until)
 
 
 def _unevenness(view: View, seen: Seen, times_s: Array, since: int, until: int) -> float:

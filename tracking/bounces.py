@@ -1,7 +1,7 @@
 """The bounces of a track: flights found, joined, and each contact named.
 
 What lies behind the last flight on the table is set aside (`rest`), the rest of the track is parted into flights
-(`parting`), and what stands between them is found out (`links`). Each contact is then named, with its instant, its
+(`parting`), and what stands between them is found out (`links`), in two ways where one leaves a doubt. Each contact is then named, with its instant, its
 vertices and the restitution that it shows; what cannot be told apart is an unresolved contact.
 """
 
@@ -23,6 +23,7 @@ from .links import (
     MOST_FRAMES,
     UNKNOWN_TABLE_M,
     Rules,
+    Settled,
     explains_better,
     join_flights,
     normal_velocity,
@@ -154,24 +155,22 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
 def _settled(some: Sightings, seen: Sightings, die: Die, rules: Rules) -> Joined:
     """The chain of flights through frames, which are parted on `some` of them. Where it leaves a doubt, a chain that wider sigmas
     lead to is asked for as well, and the one that explains the frames better is taken."""
-    frames, joined = settle(seen, join_flights(some, part_flights(some, die), die), die, rules)
-    if _is_beyond_doubt(frames, joined):
-        return joined
+    found = settle(seen, join_flights(some, part_flights(some, die), die), die, rules)
+    if _is_beyond_doubt(found, die):
+        return found.joined
     wide = replace(some, whitener=some.whitener / WIDER)
-    relabelled, other = settle(seen, join_flights(wide, part_flights(wide, die), die), die, rules)
-    better = explains_better(_labelled_as(seen, relabelled), other, _labelled_as(seen, frames), joined, rules)
-    return other if better else joined
+    other = settle(seen, join_flights(wide, part_flights(wide, die), die), die, rules)
+    return other.joined if explains_better(seen, other, found) else found.joined
 
 
-def _is_beyond_doubt(seen: Sightings, joined: Joined) -> bool:
-    """Whether every link is an impact at a vertex, most frames of each flight lie on it, and few on none."""
-    struck = all(link.strike is not None for link in joined.links)
-    lost = float((joined.weights == 0.0).mean())
-    return struck and lost < FEW_LOST and not bool((joined.borne_out(seen.time_s) < MOST_FRAMES).any())
-
-
-def _labelled_as(seen: Sightings, relabelled: Sightings) -> Sightings:
-    return replace(seen, quaternion=relabelled.quaternion)
+def _is_beyond_doubt(found: Settled, die: Die) -> bool:
+    """Whether every link is an impact, at a vertex where the die lets that be told, and most frames of each flight lie on it, and
+    few on none. Of a flight without frames that is not known."""
+    joined = found.joined
+    if any(link.is_open or (die.is_spherical_top and link.strike is None) for link in joined.links):
+        return False
+    borne_out = bool((joined.borne_out(found.seen.time_s) >= MOST_FRAMES).all())
+    return borne_out and float((joined.weights == 0.0).mean()) < FEW_LOST
 
 
 def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:

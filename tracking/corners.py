@@ -234,8 +234,9 @@ def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotat
 
 
 def _free(view: View) -> Lens:
-    """The lens of a refinement whose pose is free."""
-    return view.lens._replace(fine_steps=STEPS, enough=ENOUGH, samples=0, strip_share=STRIP_SHARE)
+    """The lens of a refinement whose pose is free, and of strips of any shade: what faces show of the light is no matter here."""
+    dark = np.zeros_like(view.light)
+    return view.lens._replace(fine_steps=STEPS, enough=ENOUGH, samples=0, strip_share=STRIP_SHARE, light=dark)
 
 
 def _misfits(view: View, looks: Looks, lens: Lens) -> tuple[Array, Looks]:

@@ -19,6 +19,10 @@ and in the middle: what light from afar on a dull surface gives to second order,
 passes through the light's direction and into the shade. The strip is drawn in CELLS pieces of equal turn, each between its own
 two lines of the image; α, β, γ, δ are held near zero by a weak prior, because a strip seen too narrow does not show them.
 
+Where the clip shows how bright a surface looks by where it turns (`light`), B(u) along the strip, c0 B(u)/B(0) takes the place of
+c0, and the straight line between two faces is multiplied by B(u) over what lies straight between B(0) and B(1). α, β, γ, δ then
+are no larger than what faces differ from B.
+
 Where a clip has few grey levels, rounding to steps s wider than its noise errs alike on all pixels of one grey. The two greys
 beside an edge are each off by s/√12, and the pixels between, which take all levels, by nothing in the mean: it is as if these
 were off by e = s/√24 from the others, and the whole edge is shifted by e Σ|I'| / Σ I'², some 0.7 σ s/|c1 b - c0|. Its stretches
@@ -64,7 +68,7 @@ CURVED_PX = 0.005
 CELLS = 5
 """Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
 LIGHT_DEGREE = 4
-LIGHT = (LIGHT_DEGREE + 1) ** 2
+LIGHT_TERMS = (LIGHT_DEGREE + 1) ** 2
 """Degree of the polynomial of the normal that says how bright a surface looks, and number of its coefficients."""
 SLIVER = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
@@ -242,8 +246,8 @@ class Lens(NamedTuple):
     strip_share: float
     """Standard deviation of the prior on α, β, γ, δ of a rounded strip, as a share of the mean intensity beside the edge."""
     light: Any
-    """(views, LIGHT + 2) how bright a surface looks by where it turns, see `light`: coefficients of `_brightness`, the least of
-    it that is believed, and how far strips may differ from it, in the place of `strip_share`; 0 where nothing is known."""
+    """(views, LIGHT_TERMS + 2) how bright a surface looks by where it turns, see `light`: coefficients of `_brightness`
+    [grey], the least of it that is believed, and one sigma by which strips differ from it; 0 where nothing is known."""
 
 
 class Desk(NamedTuple):
@@ -505,8 +509,8 @@ def _shift_alike(n: int, rise: Any, w: Any) -> float:
 @_free
 def _stretch(
     desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    weight: float, rounding_grey: float, strip_share: float, alike: float, full: bool, view: int, near: int, far: int, H: Any,
-    g: Any, stats: Any,
+    weight: float, rounding_grey: float, strip_share: float, strip_grey: float, alike: float, full: bool, view: int,
+    near: int, far: int, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
 
@@ -543,8 +547,11 @@ def _stretch(
             y[1] += known_far * usual[far, 0]
         else:
             _four_sums(n, icut, phi, grey, res, w, A, y)
-            level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
-            prior = (max(scale, 2.0) / (strip_share * level)) ** 2
+            if strip_grey > 0.0:
+                prior = (scale / strip_grey) ** 2
+            else:
+                level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
+                prior = (max(scale, 2.0) / (strip_share * level)) ** 2
             A[2, 2] += prior
             A[3, 3] += prior
         if not _factor(A, K, L, 1e-9):
@@ -781,7 +788,7 @@ def _strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool
     for j in range(CELLS + 1):
         for a in range(4):
             strip[j, a] = _STRIP[kind, j, a]
-    if not light[LIGHT + 1] > 0.0:
+    if not light[LIGHT_TERMS + 1] > 0.0:
         return
     first = _brightness(light, n0[0], n0[1], n0[2])
     c, s = cos(angle), sin(angle)
@@ -993,7 +1000,7 @@ def _view_equations(
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
     curved = speed2 * exposure * exposure / 24.0 * _reach(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
     lines[:] = 0.0
-    share = light[view, LIGHT + 1] if light[view, LIGHT + 1] > 0.0 else strip_share
+    strip_grey = light[view, LIGHT_TERMS + 1]
     desk.shared[view] = 0.0
     desk.by_shared[view] = 0.0
     desk.pull[view] = 0.0
@@ -1050,7 +1057,7 @@ def _view_equations(
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 _stretch(
                     desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view],
-                    rounding_grey, share, (last - first + 1) / (stride * m), full, view,
+                    rounding_grey, strip_share, strip_grey, (last - first + 1) / (stride * m), full, view,
                     f0, f1 if interior else len(desk.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
@@ -1267,7 +1274,8 @@ def picture_cost(
     """How badly the drawn die explains its surroundings, as the mean over `samples` pixels of truncated squared sigmas,
     and the share of the die's own pixels that differ from the background.
 
-    Inside a face the image should be that face's mean grey; outside it should be the background, or a darker shade of it.
+    Inside a face the image should be that face's mean grey; outside it should be the background, or a darker shade of it. Of a
+    rounded die faces end at its contour, short of where those of a sharp one would.
     The surroundings are the outline's box and `margin` [px] about it, so rivals near each other see the same pixels.
     """
     score, number, inside, differs = 0.0, 0.0, 0.0, 0.0
@@ -1276,6 +1284,7 @@ def picture_cost(
         mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
         if mirrored or sight.size[camera, 0] == 0 or not _place(shape, eyes, view, pos, R, desk):
             continue
+        contour, ball_px = _contour(shape, eyes, view, pos, desk)
         if not _draw_outer(shape, eyes, view, pos, R, desk):
             return 1e9, 0.0
         x0, y0 = sight.corner[camera, 0], sight.corner[camera, 1]
@@ -1287,8 +1296,9 @@ def picture_cost(
         if high_x - low_x < 4 or high_y - low_y < 4:
             continue
         a, b, c = _box_score(
-            sight.pixels[camera], backgrounds[camera], x0, y0, low_x, low_y, high_x, high_y, shape, desk, noise, samples
-        )
+            sight.pixels[camera], backgrounds[camera], x0, y0, low_x, low_y, high_x, high_y, shape, desk, contour, ball_px,
+            noise, samples,
+        )  # fmt: skip
         score += a
         number += 1.0
         inside += b
@@ -1326,21 +1336,25 @@ def score_many(
     corner_x, corner_y = np.int64(0), np.int64(0)
     for k in range(positions.shape[0]):
         score[k], differs[k] = 1e9, 0.0
-        placed = _place(shape, eyes, corner_x, positions[k], rotations[k], desk)
-        if placed and _draw_outer(shape, eyes, corner_x, positions[k], rotations[k], desk):
+        if not _place(shape, eyes, corner_x, positions[k], rotations[k], desk):
+            continue
+        contour, ball_px = _contour(shape, eyes, corner_x, positions[k], desk)
+        if _draw_outer(shape, eyes, corner_x, positions[k], rotations[k], desk):
             total, inside, other = _box_score(
-                image, background, corner_x, corner_y, low_x, low_y, high_x, high_y, shape, desk, noise, samples
-            )
+                image, background, corner_x, corner_y, low_x, low_y, high_x, high_y, shape, desk, contour, ball_px,
+                noise, samples,
+            )  # fmt: skip
             score[k], differs[k] = total, other / max(inside, 1.0)
 
 
 @_inner
 def _box_score(
     image: Any, background: Any, x0: int, y0: int, low_x: int, low_y: int, high_x: int, high_y: int, shape: Shape,
-    desk: Desk, noise: float, samples: int,
+    desk: Desk, contour: int, ball_px: float, noise: float, samples: int,
 ) -> tuple[float, float, float]:  # fmt: skip
     """Mean of the truncated squared sigmas over about `samples` pixels of a box, pixels on the die, and those of them that
-    differ from the background; pixels whose background is NaN do not count."""
+    differ from the background; pixels whose background is NaN do not count. No face reaches beyond the outline of the inner
+    body, of so many lines as `contour`, widened by `ball_px`; corners of the outline stay sharp."""
     stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
     nf, most = shape.face_edges.shape
     lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
@@ -1363,7 +1377,7 @@ def _box_score(
                         hit = False
                         break
                 if hit:
-                    if isnan(background[y, x]):
+                    if isnan(background[y, x]) or (contour > 0 and not _within(desk.hull, contour, x, y, ball_px)):
                         break
                     label[i, j] = f
                     total[f] += image[y - y0, x - x0]
@@ -1406,6 +1420,18 @@ def _box_score(
             else:
                 score += min(difference * difference * iv, SHADOW_CUT if difference < 0.0 else FACE_CUT)
     return score / max(judged, 1.0), inside, differs
+
+
+@_free
+def _contour(shape: Shape, eyes: Eyes, view: int, pos: Any, desk: Desk) -> tuple[int, float]:
+    """Lines on the desk's hull of the outline of a rounded die's inner body as placed, their number, and how far beyond them its
+    contour lies in the picture; none of a sharp die, whose faces end there."""
+    if shape.radius == 0.0:
+        return 0, 0.0
+    depth = eyes.translation[view, 2]
+    for b in range(3):
+        depth += eyes.rotation[view, 2, b] * pos[b]
+    return _hull(shape, desk), shape.radius * eyes.matrix[view, 0, 0] / depth
 
 
 @_free

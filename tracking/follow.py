@@ -1,9 +1,9 @@
 """From a clip to a track: the die found, followed through its bounces, and every frame's pose refined.
 
 First pass (`chase`): from the first frame on which the die is wholly seen, forwards to the end and backwards to where it
-came in. Then the bounces are found, each flight is fitted, and the lens blur is estimated. Second pass (`second_pass`): every
-frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what is printed on the faces. The poses
-are those of single frames: nothing is smoothed here (`smooth`).
+came in. Then the bounces are found, each flight is fitted, and the lens blur is estimated, of a rounded die the light as well.
+Second pass (`second_pass`): every frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what is
+printed on the faces. The poses are those of single frames: nothing is smoothed here (`smooth`).
 """
 
 from __future__ import annotations

@@ -44,8 +44,8 @@ within the uncertainty of the instant, makes some tens."""
 SLIGHT = 25.0
 """Squared sigmas that a link must explain. It has seven numbers, of which the rules leave three free; chance gives those more
 than that once in 70 000 cases, and there are not as many places for a link in a clip."""
-PRICE = SLIGHT / 7.0
-"""Squared sigmas that each number of a chain must explain where chains are compared."""
+PRICE = SLIGHT / 3.0
+"""The same for each number that the rules leave free, where chains are compared."""
 STRIKE_ROWS = 4
 """Numbers of a link that a strike tells."""
 PLAIN = 4.0
@@ -245,10 +245,21 @@ class Rules:
         return self.fit(seen, [flight.start for flight in joined.flights], links, scatter)
 
 
-def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> tuple[Sightings, Joined]:
-    """The frames, relabelled where need be, and the chain with each joined link an impact at the vertex that explains it best, or
-    free where none does, and with the frames' own scatter. The scatter is that about flights joined anyhow: what an impact that
-    is none would do to them must show as a cost, not as scatter."""
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A chain of flights with its links named."""
+
+    seen: Sightings
+    """The frames, relabelled where need be."""
+    joined: Joined
+    rules: Rules
+    """Those that were given, or wider ones where the clip is not as they say."""
+
+
+def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Settled:
+    """The chain with each joined link an impact at the vertex that explains it best, or free where none does, and with the
+    frames' own scatter. The scatter is that about flights joined anyhow: what an impact that is none would do to them must
+    show as a cost, not as scatter."""
     found = rules.again(seen, joined, joined.links, None)
     if (np.abs(found.shared) > FAR_SIGMAS * rules.shared_sigma).any():
         # A contour is not off by as much: the size of the die, the clock or the camera is not that of this clip, and a
@@ -264,18 +275,23 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> tuple[Sig
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
     found = _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
-    return seen, _at_first_touches(seen, found, die, rules)
+    return Settled(seen, _at_first_touches(seen, found, die, rules), rules)
 
 
-def explains_better(seen: Sightings, one: Joined, other_seen: Sightings, other: Joined, rules: Rules) -> bool:
-    """Whether a chain of flights explains the same frames better than another, each with its own labelling of them: with the
-    scatter of the one about which they scatter less, and a price on each number."""
-    scatter = min((one.scatter, other.scatter), key=lambda each: float(np.log(each.variance).sum()))
+def explains_better(seen: Sightings, one: Settled, other: Settled) -> bool:
+    """Whether a chain of flights explains some frames better than another, each with its own labelling of them: by the wider
+    rules of the two, with the scatter of the one about which they scatter less, and at a price for each number."""
+    scatter = min((one.joined.scatter, other.joined.scatter), key=lambda each: float(np.log(each.variance).sum()))
+    table_sigma_m = max(one.rules.table_sigma_m, other.rules.table_sigma_m)
+    shared_sigma = min(one.rules.shared_sigma, other.rules.shared_sigma, key=len)
+    rules = Rules(shared_sigma, table_sigma_m)
+    lean = seen.lean[:, :, : len(shared_sigma)]
     costs = []
-    for frames, chain in ((seen, one), (other_seen, other)):
-        fitted = rules.again(frames, chain, chain.links, scatter)
-        told = sum(STRIKE_ROWS for link in chain.links if link.strike is not None)
-        costs.append(fitted.cost + PRICE * (sum(link.size for link in chain.links) - told))
+    for each in (one, other):
+        frames = replace(seen, quaternion=each.seen.quaternion).leaning(lean)
+        told = sum(STRIKE_ROWS for link in each.joined.links if link.strike is not None)
+        numbers = sum(link.size for link in each.joined.links) - told
+        costs.append(rules.again(frames, each.joined, each.joined.links, scatter).cost + PRICE * numbers)
     return costs[0] < costs[1]
 
 

@@ -22,7 +22,7 @@ so the frame of a late camera is that of a synchronised camera in another place 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,17 +123,11 @@ def _alone(view: View, c: int) -> View:
     camera = view.cameras[c]
     background = view.backgrounds[c, : camera.height_px, : camera.width_px]
     mirror = bool((view.eyes.partner >= 0).any())
-    return make_view(
-        camera,
-        view.die,
-        background,
-        view.noise_grey,
-        view.exposure_s,
-        view.blur_px,
-        rounding_grey=view.rounding_grey,
-        mirror=mirror,
-        quality=view.quality,
-    )
+    alone = make_view(
+        camera, view.die, background, view.noise_grey, view.exposure_s, view.blur_px, rounding_grey=view.rounding_grey,
+        mirror=mirror, quality=view.quality,
+    )  # fmt: skip
+    return replace(alone, light=view.light[view.eyes.camera == c])
 
 
 def _rows_in_flight(times_s: Array, throw: Throw) -> NDArray[np.int64]:

@@ -12,7 +12,21 @@ from numpy.typing import NDArray
 
 from ..model.solids import Die, inner_vertices, symmetry_rotations
 from .camera import Camera
-from .edges import BLUR, COLUMNS, LIGHT, WINDOW_PX, Desk, Eyes, Lens, Screen, Shape, Sight, look, new_desk, score_many
+from .edges import (
+    BLUR,
+    COLUMNS,
+    LIGHT_TERMS,
+    WINDOW_PX,
+    Desk,
+    Eyes,
+    Lens,
+    Screen,
+    Shape,
+    Sight,
+    look,
+    new_desk,
+    score_many,
+)
 from .quality import STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -51,7 +65,7 @@ class View:
     eyes: Eyes
     """The cameras, and behind them the cameras as the table mirrors them where it does."""
     light: Array
-    """(views, LIGHT + 2) what is known of the light, see `edges`; zero where that is nothing."""
+    """(views, LIGHT_TERMS + 2) what is known of the light, see `edges`; zero where that is nothing."""
     rounding_grey: float = 0.0
     """Step between the grey levels of the clip where rounding errs alike on pixels of one grey; 0 where it does not."""
 
@@ -162,10 +176,21 @@ class Pose:
     """(8,) what the kernels counted."""
 
     @property
+    def misfit(self) -> float:
+        """How badly the picture is explained as a whole and at the edges: see `misfits`."""
+        return float(misfits(np.array([self.cost]), self.stats[None])[0])
+
+    @property
     def covariance(self) -> Array | None:
         """(6, 6), or None where the pixels leave a direction open."""
         found = covariances(self.information[None])[0]
         return None if np.isnan(found[0, 0]) else found
+
+
+def misfits(cost: Array, stats: Array) -> Array:
+    """(n,) how badly pictures are explained: `cost` (n,) of each as a whole, and the mean logarithm of the noise that their edges
+    leave over, from what the kernels counted (n, 8). Faces of nearly one grey cost a picture little wherever they part."""
+    return np.asarray(cost + stats[:, 6] / np.maximum(stats[:, 2], 1.0))
 
 
 def covariances(information: Array) -> Array:
@@ -213,7 +238,7 @@ def make_view(
     eyes = _eyes(cameras, mirror)
     return View(
         cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), eyes, np.zeros((len(eyes.camera), LIGHT + 2)), rounding_grey,
+        symmetry_rotations(die.solid), _shape_of(die), eyes, np.zeros((len(eyes.camera), LIGHT_TERMS + 2)), rounding_grey,
     )  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def _left(view: View, reel: Reel, seen: Seen, other: Seen, run: slice) -> float:
     either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
     both = seen.known & other.known
     covered = both[run].sum() >= COVERED * seen.known[run].sum()
-    if not covered or both.sum() < SETTLE or other.cost[both].mean() > seen.cost[both].mean() + NEARLY:
+    if not covered or both.sum() < SETTLE or other.misfit[both].mean() > seen.misfit[both].mean() + NEARLY:
         return np.inf
     rows = np.flatnonzero(both)[:: WINDOW // 2]
     ours, theirs = (float(np.median(_strains(as_track(view, reel, one, both), rows))) for one in (seen, other))
@@ -131,7 +131,7 @@ def _reversal(view: View, reel: Reel, seen: Seen, k: int) -> Pose | None:
         return None
     picture, here = np.asarray(reel.frame(k), np.float32), (seen.position_m[k], seen.rotation[k])
     pose = refine_pose(view, picture, here[0], rotation, coarse=2, roughly=True)
-    if pose.covariance is None or pose.cost > seen.cost[k] + NEARLY:
+    if pose.covariance is None or pose.misfit > seen.misfit[k] + NEARLY:
         return None
     return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
 

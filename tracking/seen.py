@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from .parting import PLENTY
-from .pose import Pose, View, contour_leans, covariances, shares_in_view
+from .pose import Pose, View, contour_leans, covariances, misfits, shares_in_view
 from .reel import Reel
 from .track import LOST, TRACKED, Track
 
@@ -64,6 +64,11 @@ class Seen:
     def support(self) -> Array:
         """(n,) share of the contour that shows a clear step."""
         return np.asarray(self.stats[:, 4] / np.maximum(self.stats[:, 3], 1e-9))
+
+    @property
+    def misfit(self) -> Array:
+        """(n,) how badly each picture is explained, as a whole and at the edges."""
+        return misfits(self.cost, self.stats)
 
     def put(self, k: int, pose: Pose, motion: Array) -> None:
         """Write one frame."""

@@ -37,7 +37,7 @@ from diethrow.tracking.joined import (
     strike_cost,
     strike_equations,
 )
-from diethrow.tracking.links import Rules, explains_better, settle
+from diethrow.tracking.links import UNKNOWN_TABLE_M, Rules, Settled, explains_better, settle
 from diethrow.tracking.parting import part_flights
 from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
 from diethrow.tracking.smooth import smooth
@@ -450,7 +450,7 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
     poses = sightings(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
     links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
     chain = fit_joined(poses, [throw.flights[0].start, behind.start, behind.start], links)
-    _, settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M))
+    settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M)).joined
     assert [link.is_open for link in settled.links] == [True]
     # It is told of where the motion before comes down to the table, which its many frames know to a tenth of a frame.
     assert abs(settled.links[0].time_s - t) < 0.3 / FPS
@@ -484,10 +484,26 @@ def test_the_true_impacts_explain_the_frames_best(seed: int) -> None:
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
     track = seen(throw, rng)
-    chains, poses, rules = chains_of(throw, track), sightings(track), Rules(np.zeros(0), TABLE_SIGMA_M)
+    poses, rules = sightings(track), Rules(np.zeros(0), TABLE_SIGMA_M)
+    chains = {name: Settled(poses, joined, rules) for name, joined in chains_of(throw, track).items()}
     for name, other in chains.items():
-        assert not explains_better(poses, other, poses, chains["true"], rules)
-        assert name == "true" or explains_better(poses, chains["true"], poses, other, rules)
+        assert not explains_better(poses, other, chains["true"])
+        assert name == "true" or explains_better(poses, chains["true"], other)
+
+
+def test_a_table_that_is_not_where_it_is_said_to_be_denies_no_impact() -> None:
+    """Chains are compared by the rules that were found to hold."""
+    rng = np.random.default_rng(4)
+    throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
+    track = seen(throw, rng)
+    lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.002]))
+    poses, told, found = sightings(lifted), Rules(np.zeros(0), TABLE_SIGMA_M), Rules(np.zeros(0), UNKNOWN_TABLE_M)
+    starts = [flight.start for flight in throw.flights]
+    struck = [Link(impact.time_s, strike=strike_at(CUBE, impact.vertices[0])) for impact in throw.impacts]
+    opened = [Link(impact.time_s, is_open=True) for impact in throw.impacts]
+    true = Settled(poses, found.fit(poses, starts, struck), found)
+    assert true.joined.table_m == pytest.approx(0.002, abs=2e-4)
+    assert explains_better(poses, true, Settled(poses, told.fit(poses, starts, opened), told))
 
 
 def test_flights_that_a_first_parting_gets_wrong_are_parted_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, Moving, film, studio
+from footage_of_throws import DICE, Moving, Spot, film, photograph, studio
 from random_throws import random_quaternion
 
 from diethrow.model.motion import Flight, State
@@ -38,6 +38,31 @@ def test_the_reversal_exchanges_near_and_far_and_is_its_own(shape: str) -> None:
         again = reversed_in_depth(view, position, reversal)
         assert again is not None
         assert labelled_like(view, again, rotation) == pytest.approx(rotation, abs=1e-12)
+
+
+def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> None:
+    """A tetrahedron of one bright face and three as dark as the table."""
+    room, die = replace(studio(), noise_grey=2.0), DICE["tetrahedron"]
+    view, dark = room.view(die), [Spot(f, die.solid.vertices[list(die.solid.faces[f])], 0.6) for f in (1, 2, 3)]
+    gaps = []
+    for k in range(60):
+        rng, position = np.random.default_rng([4, k]), np.array([0.0, 0.0, 0.02])
+        state = State(0.0, position, random_quaternion(rng), np.zeros(3), np.zeros(3))
+        toward = view.camera.centre_m - position
+        if state.rotation @ die.solid.normals[0] @ toward < 0.5 * np.linalg.norm(toward):
+            continue  # its bright face is not what the camera sees
+        picture, other = (
+            photograph(room, die, state, rng, tuple(dark)),
+            reversed_in_depth(view, position, state.rotation),
+        )
+        assert other is not None
+        true = refine_pose(view, picture, position, state.rotation, coarse=0)
+        wrong = refine_pose(view, picture, position, other, coarse=2)
+        gaps.append((wrong.cost - true.cost, wrong.misfit - true.misfit))
+    whole, both = np.array(gaps).T
+    assert len(gaps) > 10
+    assert both.min() > 0.0
+    assert np.median(both - whole) > 0.2
 
 
 def spinning_triangle() -> tuple[View, Reel, Flight]:
