@@ -1,8 +1,8 @@
 """The bounces of a track: flights found, joined, and each contact named.
 
 What lies behind the last flight on the table is set aside (`rest`), the rest of the track is parted into flights
-(`parting`), and what stands between them is found out (`links`), in two ways where one leaves a doubt. Each contact is then named, with its instant, its
-vertices and the restitution that it shows; what cannot be told apart is an unresolved contact.
+(`parting`), and what stands between them is found out (`links`), in two ways where one leaves a doubt. Each contact is then
+named, with its instant, its vertices and the restitution that it shows; what cannot be told apart is an unresolved contact.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 First pass (`chase`): from the first frame on which the die is wholly seen, forwards to the end and backwards to where it
 came in. Then the bounces are found, each flight is fitted, and the lens blur is estimated, of a rounded die the light as well.
-Second pass (`second_pass`): every frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what is
-printed on the faces. The poses are those of single frames: nothing is smoothed here (`smooth`).
+Second pass (`second_pass`): every frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what
+is printed on the faces. The poses are those of single frames: nothing is smoothed here (`smooth`).
 """
 
 from __future__ import annotations

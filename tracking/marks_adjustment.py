@@ -22,6 +22,7 @@ from ..model.motion import Flight, Throw
 from ..model.rotations import matrix_from_quat, rotation_between
 from .flights import moved, transition
 from .joined import CONTACT_SIGMA_M, TABLE_SIGMA_M, Strike, strike_equations
+from .lean import ASIDE_SHARE
 from .marks_kernels import BUFFER, SHARED, WARPS, Faces, Optics, mark_equations, new_bench
 from .marks_textures import Look, Marks, Poses, faces_of, optics_of, poses_of
 from .pose import THREADS, View
@@ -207,7 +208,8 @@ def _contours(view: View, looks: list[Look], contour_m: float) -> Array:
 def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
     """The length [m] that makes the edges' distance from the flights what their own covariances and `contour_covariance`
     together expect, in means over looks of one flight that follow each other: in a single one it may be hidden by what the
-    frame errs for itself."""
+    frame errs for itself. No less than what the edges of a rounded die are known to be off aside (`lean`): what they err alike
+    through all flights moves the marks with it, and is not seen here."""
     away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
     own = np.linalg.inv(np.array([look.edge_covariance for look in looks]))
     groups = _alike(looks, marks.flights)
@@ -223,9 +225,10 @@ def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
         return float(np.median(squared)) - CHI2_MEDIAN
 
     least, most = np.log(np.array(CONTOUR_SHARES) * view.die.solid.edge_m)
+    known = ASIDE_SHARE * view.die.corner_radius_m
     if beyond(least) <= 0.0:
-        return float(np.exp(least))
-    return float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01)))
+        return max(float(np.exp(least)), known)
+    return max(float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01))), known)
 
 
 def _alike(looks: list[Look], flights: Sequence[Flight]) -> list[NDArray[np.int64]]:
