@@ -43,6 +43,9 @@ WIDER = 4.0
 """Factor on the sigmas of frames with which a track is parted into flights once more. Contacts close to each other are opened,
 joined and removed one after the other, and a little decides which: where that leads astray with sigmas of one size, it may not
 with another."""
+MANY = 12
+"""Links of a chain beyond which it is not asked for twice: a die that bounces on until it rattles to rest leaves doubts whatever
+the sigmas, and stories of what happened there take most of the time."""
 FEW_LOST = 0.05
 """Share of frames on no flight that leaves no doubt about a chain: some lie beside impacts."""
 BORNE_OUT = 0.5
@@ -156,7 +159,7 @@ def _settled(some: Sightings, seen: Sightings, die: Die, rules: Rules) -> Joined
     """The chain of flights through frames, which are parted on `some` of them. Where it leaves a doubt, a chain that wider sigmas
     lead to is asked for as well, and the one that explains the frames better is taken."""
     found = settle(seen, join_flights(some, part_flights(some, die), die), die, rules)
-    if _is_beyond_doubt(found, die):
+    if _is_beyond_doubt(found, die) or len(found.joined.links) > MANY:
         return found.joined
     wide = replace(some, whitener=some.whitener / WIDER)
     other = settle(seen, join_flights(wide, part_flights(wide, die), die), die, rules)
