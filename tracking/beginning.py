@@ -113,14 +113,19 @@ def find_beginning(
     """The chase from the first frame that shows the die whole, and what it has seen so far; None where no die is found.
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at. Where no start is borne out with
-    the lens blur of the view, they are looked for in a sharper picture.
+    the lens blur of the view, they are looked for in a sharper picture; and on the first frame asked where others are believed
+    only because they meet.
     """
-    unsure: list[tuple[int, Runner]] = []
-    for blur_px in (view.blur_px, SHARPER * view.blur_px):
-        found, others = _borne_out(replace(view, blur_px=blur_px), reel, unused, reached)
-        if found is not None:
-            return _begun(found[1], reel, found[0], unused)
+    sharper = replace(view, blur_px=SHARPER * view.blur_px)
+    found, unsure = _borne_out(view, reel, unused, reached)
+    if found is not None and not found[1].sure:
+        first = best_start(sharper, reel, unsure[0][0], unused)
+        found = (unsure[0][0], first) if first is not None and first.sure else found
+    if found is None:
+        found, others = _borne_out(sharper, reel, unused, reached)
         unsure += others
+    if found is not None:
+        return _begun(found[1], reel, found[0], unused)
     if not unsure:
         return None
     k, chosen = min(unsure, key=lambda pair: (pair[1].rivals, -pair[1].support))

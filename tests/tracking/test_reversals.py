@@ -62,7 +62,7 @@ def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> Non
     whole, both = np.array(gaps).T
     assert len(gaps) > 10
     assert both.min() > 0.0
-    assert np.median(both - whole) > 0.2
+    assert np.median(both - whole) > 0.1
 
 
 def spinning_triangle() -> tuple[View, Reel, Flight]:
