@@ -46,17 +46,18 @@ EVEN, OPINIONS = 0.5, 3
 """Unevenness below which a start is taken at once; above it, as of small dice, and where it has rivals, starts on so many
 frames are asked at least."""
 SHARPER = 0.6
-"""Factor on the lens blur with which starts are looked for again where none is borne out: with twice the true one none was, of a
-tetrahedron of 27 pixels an edge, and with this the first frame is sure. A blur several times too small does no harm."""
+"""Factor on the lens blur with which starts are looked for again where none is borne out, or none is sure by itself: with twice
+the true one none was, of a tetrahedron of 27 pixels an edge, and with this the first frame is sure. A blur several times too
+small does no harm."""
 STAGES = (4, 8, 16, 32, 64)
 """Frames over which the starts race each other; a start must be followed over the second to be believed. From the third on only
 the second half of the frames counts."""
 BEHIND = 0.3
-"""By how much the pictures may cost a start more than the best and leave it in the race. How evenly it moves does not count
+"""By how much worse than the best a start may explain the pictures and stay in the race. How evenly it moves does not count
 before the third stage: right starts take some frames to settle."""
 CHEAPER = 0.1
-"""By how much less the pictures cost one that moves unevenly where it shows that the winner is not the die: among starts that are
-all wrong one may move evenly. A right one costs hardly more than those that its own frames draw astray."""
+"""By how much better one that moves unevenly explains the pictures where it shows that the winner is not the die: among starts
+that are all wrong one may move evenly. A right one is hardly worse than those that its own frames draw astray."""
 MET = 0.2
 """Distance of corners, in edges, within which starts from different frames have met: the distance of a small die scatters."""
 UNEVEN_EDGE, UNEVEN_RAD = 0.1, np.radians(1.5)

@@ -37,8 +37,9 @@ ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
 """One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
 opposite contours of a sharp die err by some hundredths of a pixel each, and there are several of them. A bevel of radius r
 is seen some 1.4 r wide, and what shade it has between its two faces' is the light's affair: where on it an edge seems to
-be varies from one edge to the next and as the die turns, and little of that is left in a flight. Nine plain dice rounded by
-1 to 4 px have a median NEES of 0.7 to 5.2 where 5.35 is expected; with a share of 0.1 seven of them had 0.1 to 1.0."""
+be varies from one edge to the next and as the die turns, and little of that is left in a flight. Where the light was
+not told, nine plain dice rounded by 1 to 4 px had a median NEES of 0.7 to 5.2 where 5.35 is expected; with a share of 0.1 seven
+of them had 0.1 to 1.0. Where it is (`light`) twelve have 0.2 to 2.3: half the share would do there."""
 TURN_SHARE = 0.75
 """The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
 SHARED = 6

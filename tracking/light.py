@@ -148,6 +148,7 @@ def _polynomial(A: Array, shade: Array) -> tuple[Array, Array]:
 
 
 def _scale(left: Array) -> float:
+    """Standard deviation of what is left (n,), by its median size."""
     return max(1.4826 * float(np.median(np.abs(left))), LEAST_MISFIT)
 
 

@@ -34,7 +34,7 @@ STRAINED, WINDOW = 1.5, 24
 """Mean square, in sigmas, of how far so many poses lie off one motion, from which on they may be those of no die in flight: or an
 impact is among them."""
 NEARLY = 0.15
-"""By how much more the pictures may cost a reversal: where a die shows one face, single pictures hardly tell the two apart."""
+"""By how much worse a reversal may explain the pictures: where a die shows one face, single ones hardly tell the two apart."""
 RELIEVED, FLYING = 0.5, 8.0
 """Share of the strain that the reversal may leave at the most, and how much: dice in flight are followed with less. Of a die that
 rests, or that an impact turns, all is strained whatever its pose."""
