@@ -39,10 +39,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.analyze import Analysis, analyze
-from diethrow.model.motion import Impact
+from diethrow.analysis import Analysis
+from diethrow.commands.clip.analyze import analyze
+from diethrow.files.scene import Scene, read_scene
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotvec_from_quat
-from diethrow.scene import Scene, read_scene
+from diethrow.model.throw.motion import Impact
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]

@@ -15,7 +15,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from diethrow.batch import run_batch
+from diethrow.commands.clip.batch import run_batch
 
 SAMPLE = Path(__file__).parents[1] / "data_samples" / "cube_wood_photron"
 

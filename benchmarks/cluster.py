@@ -17,8 +17,8 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
+from diethrow.commands.model.odds import OddsPlan, odds
 from diethrow.executors import cluster_at
-from diethrow.odds import OddsPlan, odds
 
 
 def main() -> None:

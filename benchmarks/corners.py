@@ -27,13 +27,13 @@ from unittest.mock import patch
 from accuracy import read_truth, truth_folder
 from tracker import errors, print_rows
 
-from diethrow.analyze import track_scene
-from diethrow.scene import Scene, read_scene
-from diethrow.tracking import corners
-from diethrow.tracking.corners import PLAIN_PX, Rounding
-from diethrow.tracking.pose import View
+from diethrow.commands.clip.track import track_scene
+from diethrow.files.scene import Scene, read_scene
+from diethrow.tracking.clip_parameters import corner_radius
+from diethrow.tracking.clip_parameters.corner_radius import PLAIN_PX, Rounding
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Looks
 from diethrow.tracking.quality import FAST, STANDARD, Quality
-from diethrow.tracking.seen import Looks
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,7 +67,7 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
     sharp = replace(scene, die=replace(scene.die, corner_radius_m=0.0))
     name = folder.resolve().name
     asked: dict[str, Any] = {}
-    with patch.object(corners, "gain_of_rounding", noting(asked)):
+    with patch.object(corner_radius, "gain_of_rounding", noting(asked)):
         # Of a sharp die only the first pass tells anything here: the others go as if nobody had asked.
         found = tracked_as(replace(sharp, rounding=Rounding.LOOKED_AT), STANDARD if true_m else FAST)
     gain, sigma = asked["gain"]
@@ -93,7 +93,7 @@ def tracked_as(scene: Scene, quality: Quality) -> Any:
 
 def noting(asked: dict[str, Any]) -> Any:
     """`gain_of_rounding` that notes its last answer about the radius that is just noticed, and how long all of them took."""
-    original = corners.gain_of_rounding
+    original = corner_radius.gain_of_rounding
 
     def noted(view: View, looks: Looks, radius_px: float) -> tuple[float, float]:
         began = time.perf_counter()
@@ -101,7 +101,7 @@ def noting(asked: dict[str, Any]) -> Any:
         asked["ms"] = asked.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)
         if radius_px < PLAIN_PX or "gain" not in asked:
             asked["gain"] = answer
-        asked.setdefault("px_per_m", corners.scale_px_per_m(view, looks))
+        asked.setdefault("px_per_m", corner_radius.scale_px_per_m(view, looks))
         return answer
 
     return noted

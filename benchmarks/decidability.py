@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.chaos import decidable_many
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.simulate import EXACT, Precision
-from diethrow.model.solids import make_die
+from diethrow.model import engine
+from diethrow.model.die.die import make_die
+from diethrow.model.ensembles.chaos import decidable_many
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.simulate import EXACT, Precision
 
 Array = NDArray[np.float64]
 CHI = (0.1, 0.3, 0.5, 0.7)
@@ -57,9 +57,9 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
 
     def land(block: Array) -> NDArray[np.int64]:
         landed = np.empty((len(block), 3), np.int64)
-        settings = kernels.Precision(precision.root_m, precision.switch, precision.turn_rad)
-        law = kernels.law_of(kernels.SMOOTH, np.array([chi]))
-        kernels.land_many(body_of(CUBE), law, kernels.LEVEL, settings, block, 10_000_000, landed)
+        settings = engine.Precision(precision.root_m, precision.switch, precision.turn_rad)
+        law = engine.law_of(engine.SMOOTH, np.array([chi]))
+        engine.land_many(body_of(CUBE), law, engine.LEVEL, settings, block, 10_000_000, landed)
         return landed[:, 0]
 
     parts, spent = in_blocks(land, starts)

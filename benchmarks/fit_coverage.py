@@ -25,12 +25,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from throws import initial_errors, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.physics import Physics, course
-from diethrow.fitting.sightings import pose_errors, sight, whitened_jacobian
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.motion import Throw
-from diethrow.model.solids import Die, make_die
-from diethrow.model.tables import LEVEL
+from diethrow.fitting.estimation.observations import pose_errors, sight, whitened_jacobian
+from diethrow.fitting.throw.physics import Physics, course
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.laws.tables import LEVEL
+from diethrow.model.throw.motion import Throw
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]

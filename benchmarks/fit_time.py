@@ -19,11 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from throws import FPS, random_release, roughly_measured, seen
 
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
-from diethrow.model.motion import Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import make_die
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.throw.motion import Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

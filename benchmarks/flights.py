@@ -25,13 +25,13 @@ import numpy as np
 from footage_of_throws import studio
 from numpy.typing import NDArray
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State, Throw
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import make_die
-from diethrow.tracking.bounces import calibrated, measure
-from diethrow.tracking.smooth import smooth
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.throw.measurement import calibrated, measure
+from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import TRACKED, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

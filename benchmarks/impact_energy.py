@@ -17,11 +17,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from diethrow.model import kernels
-from diethrow.model.solids import SHAPES, make_die
+from diethrow.model import engine
+from diethrow.model.die.die import make_die
+from diethrow.model.die.solid import SHAPES
 
 Array = NDArray[np.float64]
-ENDINGS = {"newton": kernels.NEWTON, "poisson": kernels.POISSON, "stronge": kernels.STRONGE}
+ENDINGS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
 BODIES = (*SHAPES, "rod", "disc")
 
 
@@ -56,7 +57,7 @@ def impulses(six: Array, chi: Array, mu: Array, ending: int, velocity: Array, ou
     for i in range(six.shape[0]):
         matrix = (six[i, 0], six[i, 1], six[i, 2], six[i, 3], six[i, 4], six[i, 5])
         c = velocity[i]
-        out[i, 0], out[i, 1], out[i, 2] = kernels.friction_impulse(matrix, chi[i], mu[i], ending, c[0], c[1], c[2])
+        out[i, 0], out[i, 1], out[i, 2] = engine.friction_impulse(matrix, chi[i], mu[i], ending, c[0], c[1], c[2])
 
 
 def main(count: int, seed: int) -> None:

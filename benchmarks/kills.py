@@ -54,7 +54,7 @@ def main() -> int:
 
 def batch(scenes: list[Path], out: Path, workers: int) -> list[str]:
     """The command."""
-    words = [sys.executable, "-m", "diethrow.cli", "batch", *map(str, scenes), "--out", str(out)]
+    words = [sys.executable, "-m", "diethrow", "batch", *map(str, scenes), "--out", str(out)]
     return [*words, "--only-track", "--quality", "fast", "--workers", str(workers)]
 
 

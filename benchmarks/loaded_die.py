@@ -20,9 +20,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.loaded import LOAD
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.solids import make_die
+from diethrow.fitting.free.loaded_die import LOAD
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import make_die
 
 CUBE = make_die("cube", 0.016, 0.0048)
 OFF_M = 2e-4

@@ -35,12 +35,12 @@ from footage_of_throws import DICE, Studio, photograph, pips, studio
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.analyze import open_footage, track_only, track_scene
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State, Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.scene import read_scene
-from diethrow.tracking.footage_photron import unpack_12bit
+from diethrow.commands.clip.track import open_footage, track_only, track_scene
+from diethrow.files.scene import read_scene
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.footage.photron import unpack_12bit
 from diethrow.tracking.quality import QUALITIES
 
 SIDE_PX, FOCAL_PX = 512, 2000.0

@@ -17,18 +17,18 @@ import numpy as np
 from footage_files import write_photron
 from numpy.typing import NDArray
 
-from diethrow.film import Shot, scene_text, write_clip
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
-from diethrow.model.motion import State, Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, make_die
-from diethrow.outputs import whole_folder
-from diethrow.replay.film import Effort
-from diethrow.replay.film_set import Look, lamp_beside
-from diethrow.replay.sensor import Sensor
+from diethrow.commands.model.film import Shot, scene_text, write_clip
+from diethrow.files.outputs import whole_folder
+from diethrow.files.truth import visibility
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.replay.render.film import Effort
+from diethrow.replay.render.film_set import Look, lamp_beside
+from diethrow.replay.render.sensor import Sensor
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.clip import open_clip
-from diethrow.truth import visibility
+from diethrow.tracking.footage.clip import open_clip
 
 Array = NDArray[np.float64]
 

@@ -17,8 +17,8 @@ import numpy as np
 from footage_files import write_photron, write_video
 from numpy.typing import NDArray
 
-from diethrow.tracking.background import load_background
-from diethrow.tracking.clip import open_clip
+from diethrow.tracking.footage.background import load_background
+from diethrow.tracking.footage.clip import open_clip
 
 FPS = 1500
 X264 = {"preset": "veryslow", "crf": "6.7", "tune": "psnr", "g": "60"}

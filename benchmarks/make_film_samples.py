@@ -20,9 +20,9 @@ import numpy as np
 from footage_files import write_video
 from make_data_samples import X264
 
-from diethrow.film import FilmSettings, film
-from diethrow.plan import read_plan
-from diethrow.tracking.clip import open_clip
+from diethrow.commands.model.film import FilmSettings, film
+from diethrow.files.plan import read_plan
+from diethrow.tracking.footage.clip import open_clip
 
 FPS = 1500.0
 FILMS = {

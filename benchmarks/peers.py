@@ -45,10 +45,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State, Throw
+from diethrow.model import engine
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_conjugate,
@@ -57,8 +56,10 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotvec_from_quat,
 )
-from diethrow.model.simulate import IMPACT_CAP, Until, throw_die
-from diethrow.model.solids import make_die
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import IMPACT_CAP, Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 
@@ -155,8 +156,8 @@ def print_speed(engines: dict[str, MakeEngine], chi: float, rounds: int, starts:
     theirs: dict[str, list[float]] = {name: [] for name in worlds}
     for _ in range(rounds):
         ours.append(len(many) / cpu_seconds(partial(our_faces, many, chi)))
-        for name, engine in worlds.items():
-            seconds = cpu_seconds(partial(landed_faces, engine, starts))
+        for name, world in worlds.items():
+            seconds = cpu_seconds(partial(landed_faces, world, starts))
             theirs[name].append(len(starts) / seconds)
     print(
         f"\nThrows a second on one core, χ {chi:g}, engines at {COARSEST_S * 1e3:g} ms; median (range) of {rounds} rounds"
@@ -183,8 +184,8 @@ def our_faces(starts: Array, chi: float) -> NDArray[np.int64]:
     """(n,) rows of the faces on which the throws land."""
     law = SmoothImpact(chi)
     landed = np.empty((len(starts), 3), np.int64)
-    kernels.land_many(
-        BODY, kernels.law_of(law.code, law.parameters), kernels.LEVEL, kernels.FINE, starts, IMPACT_CAP, landed
+    engine.land_many(
+        BODY, engine.law_of(law.code, law.parameters), engine.LEVEL, engine.FINE, starts, IMPACT_CAP, landed
     )
     return landed[:, 0]
 
@@ -208,13 +209,13 @@ def half_a_step_earlier(start: Array, step_s: float) -> Array:
 def face_at_rest(engine: Engine) -> int:
     """Follow an engine until the die cannot leave its lowest face; its row, or -1 for none in time."""
     steps = round(LOOK_S / engine.step_s)
-    law = kernels.law_of(kernels.SMOOTH, np.array([0.0]))
+    law = engine.law_of(engine.SMOOTH, np.array([0.0]))
     for _ in range(round(LONGEST_S / LOOK_S)):
         engine.advance(steps)
         state = engine.state()
         # The centre falls through every barrier before the die rests, and this looks at less than the whole energy.
         if 0.5 * state[9] ** 2 + GRAVITY_M_S2 * state[2] < GRAVITY_M_S2 * BODY.radius:
-            face = kernels.decided_face(BODY, law, kernels.LEVEL, state)
+            face = engine.decided_face(BODY, law, engine.LEVEL, state)
             if face >= 0:
                 return int(face)
     return -1

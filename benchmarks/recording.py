@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 import replay_records as made
 
+from diethrow.files.records import simulated_track
 from diethrow.fitting.results import Fit
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State
-from diethrow.model.simulate import Until, throw_die
-from diethrow.records import simulated_track
-from diethrow.replay.record import Record
-from diethrow.replay.recording import write_recording
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.motion import State
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.replay.elements.record import Record
+from diethrow.replay.recording.recording import write_recording
 from diethrow.tracking.track import Track
 
 FPS = 1500.0

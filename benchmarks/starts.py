@@ -30,13 +30,14 @@ from accuracy import WRONG_DEG, WRONG_M, Truth, angles_rad, read_truth, rotation
 from numpy.typing import NDArray
 from tracker import print_rows
 
-from diethrow.analyze import RunError, track_scene
-from diethrow.scene import Scene, read_scene
-from diethrow.tracking import follow
-from diethrow.tracking.beginning import best_start, find_beginning
-from diethrow.tracking.pose import View
-from diethrow.tracking.reel import Reel
-from diethrow.tracking.seen import Seen
+from diethrow.analysis import RunError
+from diethrow.commands.clip.track import track_scene
+from diethrow.files.scene import Scene, read_scene
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.sequence import track_clip
+from diethrow.tracking.sequence.initialisation import best_start, find_beginning
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -111,7 +112,7 @@ def prepared(scene: Scene) -> tuple[View, Reel, Mask]:
         kept.append((view, reel, unused))
 
     # Tracking prepares it, and gives up where no beginning is found.
-    with patch.object(follow, "find_beginning", keep), suppress(RunError):
+    with patch.object(track_clip, "find_beginning", keep), suppress(RunError):
         track_scene(scene)
     if not kept:
         raise ValueError("the scene gives its first pose by hand: take [start] out")

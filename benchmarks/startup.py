@@ -64,9 +64,9 @@ def _first_run(alone: bool) -> None:
 
     clock = _CompileClock()
     event.register("numba:compile", clock.listener)
-    from diethrow.analyze import analyze
-    from diethrow.compiling import model_ahead
-    from diethrow.scene import read_scene
+    from diethrow.cli.compiling import model_ahead
+    from diethrow.commands.clip.analyze import analyze
+    from diethrow.files.scene import read_scene
 
     begin, begin_cpu = time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as out, nullcontext() if alone else model_ahead():

@@ -39,11 +39,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.simulate import EXACT, IMPACT_CAP, Precision
-from diethrow.model.solids import SHAPES, Die, make_die
+from diethrow.model import engine
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.solid import SHAPES
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.simulate import EXACT, IMPACT_CAP, Precision
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -62,11 +63,11 @@ FEW = 1000
 SAME_EVENT_S = 1e-4
 """[s] last events nearer than this are taken for the same."""
 ENDINGS = {
-    "rest": kernels.RESTED,
-    "spinning": kernels.SPINNING,
-    "spun long": kernels.SPUN_LONG,
-    "balanced": kernels.BALANCED,
-    "cap": kernels.IMPACT_CAP,
+    "rest": engine.RESTED,
+    "spinning": engine.SPINNING,
+    "spun long": engine.SPUN_LONG,
+    "balanced": engine.BALANCED,
+    "cap": engine.IMPACT_CAP,
 }
 
 
@@ -155,11 +156,11 @@ def land(die: Die, chi: float, starts: Array, precision: Precision = EXACT) -> C
     """(n, 3) face, impacts and ending of every throw, on this thread."""
     law = SmoothImpact(chi)
     landed = np.empty((len(starts), 3), np.int64)
-    kernels.land_many(
+    engine.land_many(
         body_of(die),
-        kernels.law_of(law.code, law.parameters),
-        kernels.LEVEL,
-        kernels.Precision(precision.root_m, precision.switch, precision.turn_rad),
+        engine.law_of(law.code, law.parameters),
+        engine.LEVEL,
+        engine.Precision(precision.root_m, precision.switch, precision.turn_rad),
         starts,
         IMPACT_CAP,
         landed,
@@ -331,12 +332,12 @@ def changed(one: Counts, other: Counts) -> str:
 
 def ends(chi: float, starts: Array, precision: Precision) -> list[tuple[float, Array]]:
     """Time [s] and state (13,) of the last event of each throw of the cube."""
-    body, law = body_of(CUBE), kernels.law_of(kernels.SMOOTH, np.array([chi]))
-    fine = kernels.Precision(precision.root_m, precision.switch, precision.turn_rad)
+    body, law = body_of(CUBE), engine.law_of(engine.SMOOTH, np.array([chi]))
+    fine = engine.Precision(precision.root_m, precision.switch, precision.turn_rad)
     results = []
     for start in starts:
-        _, _, _, time_s, state, _, _ = kernels.run_throw(
-            body, law, kernels.LEVEL, fine, start, 0.0, inf, np.iinfo(np.int64).max, True, IMPACT_CAP, False
+        _, _, _, time_s, state, _, _ = engine.run_throw(
+            body, law, engine.LEVEL, fine, start, 0.0, inf, np.iinfo(np.int64).max, True, IMPACT_CAP, False
         )
         results.append((time_s, state))
     return results
@@ -366,10 +367,10 @@ def print_energy(sizes: Sizes) -> bool:
 
 def energy_error(die: Die, start: Array) -> float:
     """Relative change of kinetic and potential energy, the table as zero height."""
-    law = kernels.law_of(kernels.SMOOTH, np.array([1.0]))
-    fine = kernels.FINE
-    _, impacts, _, _, state, _, _ = kernels.run_throw(
-        body_of(die), law, kernels.LEVEL, fine, start, 0.0, inf, ENERGY_IMPACTS, False, IMPACT_CAP, False
+    law = engine.law_of(engine.SMOOTH, np.array([1.0]))
+    fine = engine.FINE
+    _, impacts, _, _, state, _, _ = engine.run_throw(
+        body_of(die), law, engine.LEVEL, fine, start, 0.0, inf, ENERGY_IMPACTS, False, IMPACT_CAP, False
     )
     assert impacts == ENERGY_IMPACTS
     before, after = energy_J(die, start), energy_J(die, state)
@@ -379,7 +380,7 @@ def energy_error(die: Die, start: Array) -> float:
 def energy_J(die: Die, state: Array) -> float:
     """Kinetic and potential."""
     kinetic = 0.5 * die.mass_kg * state[7:10] @ state[7:10] + 0.5 * die.inertia_kg_m2 * state[10:] @ state[10:]
-    return float(kinetic + die.mass_kg * kernels.LEVEL.g * state[2])
+    return float(kinetic + die.mass_kg * engine.LEVEL.g * state[2])
 
 
 def print_endings(sizes: Sizes) -> bool:
@@ -396,7 +397,7 @@ def print_endings(sizes: Sizes) -> bool:
             run = timed(die, chi, starts, sizes.threads)
             count = np.bincount(run.landed[:, 2], minlength=9)
             assert sum(count[code] for code in ENDINGS.values()) == sizes.endings
-            capped |= bool(count[kernels.IMPACT_CAP])
+            capped |= bool(count[engine.IMPACT_CAP])
             shares = "".join(f"{100 * count[code] / sizes.endings:10.3f}" for code in ENDINGS.values())
             most, rate = run.landed[:, 1].max(), run.by_cpu
             print(f"{shape:13} {chi:4.1f}{shares}{most:10d}{rate:10.0f}", flush=True)

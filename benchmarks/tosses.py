@@ -29,22 +29,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from diethrow.fitting.crowd import Entry, entry_of
-from diethrow.fitting.joint import fit_jointly
-from diethrow.fitting.joint_effects import EFFECTS, load_before_bounces
-from diethrow.fitting.outset import Outset, outset_of
-from diethrow.fitting.physics import LOAD, Physics
-from diethrow.fitting.prediction import simulated_poses
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.impacts import impulse_N_s
-from diethrow.model.motion import GRAVITY_M_S2, Flight, State
+from diethrow.files.records import read_track
+from diethrow.files.scene import read_scene
+from diethrow.fitting.dataset.data_set import Entry, entry_of
+from diethrow.fitting.dataset.joint_effects import EFFECTS, load_before_bounces
+from diethrow.fitting.dataset.joint_fit import fit_jointly
+from diethrow.fitting.predict.prediction import simulated_poses
+from diethrow.fitting.predict.release_state import Outset, outset_of
+from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.model import engine
+from diethrow.model.die.die import Die
+from diethrow.model.laws.tables import LEVEL
 from diethrow.model.rotations import rotation_between
-from diethrow.model.solids import Die
-from diethrow.model.tables import LEVEL
-from diethrow.model.touch import Touch
-from diethrow.records import read_track
-from diethrow.scene import read_scene
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.impulse import impulse_N_s
+from diethrow.model.throw.motion import Flight, State
+from diethrow.model.throw.touch import Touch
+from diethrow.model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 
@@ -233,7 +234,7 @@ def others(entries: Sequence[Entry], k: int, folds: int) -> list[Entry]:
 
 
 def told(entry: Entry, physics: Physics) -> tuple[Array, Array]:
-    return simulated_poses(physics, entry.outset.of_die(physics.body).state, entry.times_s, kernels.FINE)
+    return simulated_poses(physics, entry.outset.of_die(physics.body).state, entry.times_s, engine.FINE)
 
 
 TIMES_S = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, np.inf)

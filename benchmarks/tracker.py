@@ -61,8 +61,10 @@ from accuracy import (
 from footage_of_throws import DICE, Studio, greys, photograph, studio
 from numpy.typing import NDArray
 
-from diethrow.analyze import Tracking, open_footage, track_scene
-from diethrow.model.motion import Impact, State
+from diethrow.analysis import Tracking
+from diethrow.commands.clip.track import open_footage, track_scene
+from diethrow.files.scene import Scene, read_scene
+from diethrow.model.die.die import Die
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_matrix,
@@ -70,10 +72,10 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.solids import Die
-from diethrow.scene import Scene, read_scene
-from diethrow.tracking.clip import Clip, Frame
-from diethrow.tracking.pose import make_view, refine_pose
+from diethrow.model.throw.motion import Impact, State
+from diethrow.tracking.footage.clip import Clip, Frame
+from diethrow.tracking.picture.view import make_view
+from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import QUALITIES, STANDARD, Quality
 
 Array = NDArray[np.float64]

@@ -26,17 +26,27 @@ from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 from peers import DIE, ENGINES, Engine, cpu_seconds, installed, landed_faces, our_faces, releases
 
-from diethrow.analyze import RunError
+from diethrow.analysis import RunError
+from diethrow.commands.clip.trade import (
+    LADDER,
+    STEPS_S,
+    TOLERANCES_M,
+    WORK,
+    Run,
+    named,
+    setting_of,
+    track_and_fit,
+    with_front,
+)
 from diethrow.executors import one_thread
-from diethrow.model.ensembles import Stage
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.simulate import Precision
-from diethrow.model.stepping import stepped_landings
-from diethrow.replay.trade_page import Setting, speed_against_doubt
-from diethrow.scene import Scene, read_scene
-from diethrow.tracking.coarser import WHOLE, Coarseness
+from diethrow.files.scene import Scene, read_scene
+from diethrow.model.ensembles.landings import Stage
+from diethrow.model.ensembles.stepping import stepped_landings
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.simulate import Precision
+from diethrow.replay.pages.trade import Setting, speed_against_doubt
+from diethrow.tracking.footage.decimation import WHOLE, Coarseness
 from diethrow.tracking.quality import QUALITIES, Quality
-from diethrow.trade import LADDER, STEPS_S, TOLERANCES_M, WORK, Run, named, setting_of, track_and_fit, with_front
 
 Faces = NDArray[np.int64]
 

@@ -3,9 +3,9 @@
 `fit_throw` gives χ and the initial conditions with intervals; `apparent_restitution` looks at a single bounce.
 """
 
-from .impulses import Bounce as Bounce
-from .impulses import apparent_restitution as apparent_restitution
+from .free import Bounce as Bounce
+from .free import apparent_restitution as apparent_restitution
 from .results import Effect as Effect
 from .results import Fit as Fit
 from .results import Parameter as Parameter
-from .whole_throw import fit_throw as fit_throw
+from .throw import fit_throw as fit_throw

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..model.impacts import Restitution
-from ..model.motion import State, Throw
+from ..model.laws import Restitution
+from ..model.throw import State, Throw
 
 Array = NDArray[np.float64]
 

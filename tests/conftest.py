@@ -20,9 +20,9 @@ from diethrow.executors import one_thread
 @pytest.fixture(autouse=True)
 def kernels_are_compiled_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
     """Which test meets a cold cache is chance, and many count the lines of what is said."""
-    monkeypatch.setattr("diethrow.compiling.announced", lambda say: nullcontext())
-    monkeypatch.setattr("diethrow.compiling.model_ahead", nullcontext)
-    monkeypatch.setattr("diethrow.compiling.is_compiled", lambda: True)
+    monkeypatch.setattr("diethrow.cli.compiling.announced", lambda say: nullcontext())
+    monkeypatch.setattr("diethrow.cli.compiling.model_ahead", nullcontext)
+    monkeypatch.setattr("diethrow.cli.compiling.is_compiled", lambda: True)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.model.motion import Flight, State
-from diethrow.model.solids import SHAPES, Die, Solid, make_die
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.solid import SHAPES, Solid
+from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.pose import View, make_view
+from diethrow.tracking.picture.view import View, make_view
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from footage_files import noisy_frames, write_cine, write_photron, write_tiff
 
-from diethrow.model.motion import State
-from diethrow.plan import read_plan
-from diethrow.records import read_bounces, read_parameters, read_track, write_track
-from diethrow.scene import read_scene
-from diethrow.tracking.clip import open_clip
+from diethrow.files.plan import read_plan
+from diethrow.files.records import read_bounces, read_parameters, read_track, write_track
+from diethrow.files.scene import read_scene
+from diethrow.model.throw.motion import State
+from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.track import TRACKED, Track
 
 SAMPLES = Path(__file__).parents[1] / "data_samples"

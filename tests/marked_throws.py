@@ -11,11 +11,11 @@ from footage_of_throws import DICE, FPS, Image, Spot, photograph, pips, studio
 from numpy.typing import NDArray
 from throws import true_throw
 
-from diethrow.model.motion import Flight, State, Throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.tracking.joined import Strike
-from diethrow.tracking.marks import frames_to_learn_from, learn_marks
-from diethrow.tracking.marks_textures import Marks
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.marks.learning import frames_to_learn_from, learn_marks
+from diethrow.tracking.marks.textures import Marks
+from diethrow.tracking.throw.joint_flights import Strike
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.tracking.boards import CHARUCO, Board, BoardView, make_board
+from diethrow.tracking.calibration.boards import CHARUCO, Board, BoardView, make_board
 from diethrow.tracking.camera import Camera
 
 Array = NDArray[np.float64]

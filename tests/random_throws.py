@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from diethrow.model.motion import State
-from diethrow.model.solids import SHAPES, Die, make_die
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.solid import SHAPES
+from diethrow.model.throw.motion import State
 
 DICE = {shape: make_die(shape, 0.02, 0.016) for shape in SHAPES}
 """The five isohedral dice, of the size and mass of the paper's cube."""

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.fitting.growing import Estimate
+from diethrow.fitting.predict.sequential import Estimate
 from diethrow.fitting.results import Effect, Fit, Parameter
-from diethrow.model.motion import Flight, Impact, State, Throw, energy_J
+from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import continuous_sign, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.solids import Die, make_die
-from diethrow.replay.record import Record
+from diethrow.model.throw.motion import Flight, Impact, State, Throw, energy_J
+from diethrow.replay.elements.record import Record
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.clip import Frame
+from diethrow.tracking.footage.clip import Frame
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ import numpy as np
 from footage_of_throws import FINER, LIGHT, Image, Studio
 from numpy.typing import NDArray
 
-from diethrow.model.motion import State
-from diethrow.model.solids import Die
+from diethrow.model.die.die import Die
+from diethrow.model.throw.motion import State
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from rerun.chunk import RrdReader
 
-from diethrow.viewer import viewer_program
+from diethrow.commands.results.viewer import viewer_program
 
 
 def rows(path: Path, entity: str, component: str, timeline: str = "t") -> list[tuple[int, Any]]:

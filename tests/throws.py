@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.die import Die
+from diethrow.model.die.solid import inner_vertices
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, inner_vertices
-from diethrow.tracking.joined import Strike
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.throw.joint_flights import Strike
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]

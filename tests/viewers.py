@@ -30,7 +30,7 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from diethrow.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
+from diethrow.commands.results.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
 
 NEEDED = "DIETHROW_NEEDS_VIEWERS"
 WINDOW = (960, 640)

@@ -7,7 +7,7 @@ from typing import Any
 
 import typer
 
-from diethrow.cli import app
+from diethrow.cli.app import app
 
 
 def write(folder: Path) -> None:

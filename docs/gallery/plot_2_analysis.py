@@ -11,8 +11,9 @@ from pathlib import Path
 import matplotlib.image as image
 import matplotlib.pyplot as plt
 
-from diethrow.analyze import Shown, analyze
-from diethrow.scene import read_scene
+from diethrow.analysis import Shown
+from diethrow.commands.clip.analyze import analyze
+from diethrow.files.scene import read_scene
 
 root = Path.cwd()
 while not (root / "data_samples").is_dir():

@@ -1,6 +1,6 @@
 """Experiment against simulation for high-speed footage of thrown dice.
 
-The whole way from a clip to a replay is `diethrow.analyze.analyze`; its steps are `diethrow.tracking`,
+The whole way from a clip to a replay is `diethrow.commands.clip.analyze.analyze`; its steps are `diethrow.tracking`,
 `diethrow.fitting`, `diethrow.model` and `diethrow.replay`. The names here are loaded when they are first used, so that
 `import diethrow` stays quick.
 """
@@ -11,15 +11,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .model.impacts import SmoothImpact
-    from .model.motion import Flight, Impact, State, Throw
-    from .model.simulate import Until, throw_die
-    from .model.solids import Die, Solid, make_die
-    from .plan import Plan, read_plan
-    from .scene import Scene, read_scene
-    from .settings import SceneError
-    from .tracking.camera import Camera
-    from .tracking.track import Track
+    from .files.plan import Plan as Plan
+    from .files.plan import read_plan as read_plan
+    from .files.scene import Scene as Scene
+    from .files.scene import read_scene as read_scene
+    from .files.settings import SceneError as SceneError
+    from .model.die import Die as Die
+    from .model.die import Solid as Solid
+    from .model.die import make_die as make_die
+    from .model.laws import SmoothImpact as SmoothImpact
+    from .model.throw import Flight as Flight
+    from .model.throw import Impact as Impact
+    from .model.throw import State as State
+    from .model.throw import Throw as Throw
+    from .model.throw import Until as Until
+    from .model.throw import throw_die as throw_die
+    from .tracking.camera import Camera as Camera
+    from .tracking.track import Track as Track
 
 __version__ = "0.1.0"
 
@@ -44,13 +52,12 @@ __all__ = [
 ]
 
 _NAMES_OF = {
-    "model.impacts": ("SmoothImpact",),
-    "model.motion": ("Flight", "Impact", "State", "Throw"),
-    "model.simulate": ("Until", "throw_die"),
-    "model.solids": ("Die", "Solid", "make_die"),
-    "plan": ("Plan", "read_plan"),
-    "scene": ("Scene", "read_scene"),
-    "settings": ("SceneError",),
+    "model.laws": ("SmoothImpact",),
+    "model.throw": ("Flight", "Impact", "State", "Throw", "Until", "throw_die"),
+    "model.die": ("Die", "Solid", "make_die"),
+    "files.plan": ("Plan", "read_plan"),
+    "files.scene": ("Scene", "read_scene"),
+    "files.settings": ("SceneError",),
     "tracking.camera": ("Camera",),
     "tracking.track": ("Track",),
 }

@@ -11,10 +11,10 @@ import throws
 from throws import random_release, seen, true_throw
 
 from diethrow.fitting.results import Fit
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.motion import Throw
-from diethrow.model.solids import make_die
-from diethrow.tracking.bounces import NoFlightError, measure
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import make_die
+from diethrow.model.throw.motion import Throw
+from diethrow.tracking.throw.measurement import NoFlightError, measure
 from diethrow.tracking.track import Track
 
 Told = Callable[[str], None]

@@ -11,7 +11,7 @@ import pytest
 import tifffile
 from footage_files import noisy_frames, write_photron, write_pictures, write_tiff
 
-from diethrow.tracking.clip import open_clip, scan_notices
+from diethrow.tracking.footage.clip import open_clip, scan_notices
 
 Told = Callable[[str], None]
 

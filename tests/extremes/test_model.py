@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model.ensembles import Stage
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
-from diethrow.model.motion import State, energy_J
-from diethrow.model.simulate import Ending, Until, throw_die
-from diethrow.model.stepping import stepped_landings
+from diethrow.model.ensembles.landings import Stage
+from diethrow.model.ensembles.stepping import stepped_landings
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.simulate import Ending, Until, throw_die
 
 Told = Callable[[str], None]
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import replay_records as made
 
-from diethrow.records import read_track, write_track
-from diethrow.replay.recording import write_recording
-from diethrow.replay.report import write_report
+from diethrow.files.records import read_track, write_track
+from diethrow.replay.pages.report import write_report
+from diethrow.replay.recording.recording import write_recording
 from diethrow.tracking.track import LOST, TRACKED, Track
 
 Told = Callable[[str], None]

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State, Throw
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.tracking import start
-from diethrow.tracking.bounces import NoFlightError, measure_throw
-from diethrow.tracking.follow import NoDieError, follow
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.pose import initial_pose
 from diethrow.tracking.quality import FAST
+from diethrow.tracking.sequence.track_clip import NoDieError, follow
+from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
 from diethrow.tracking.track import Track
 
 Told = Callable[[str], None]
@@ -110,11 +110,11 @@ def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Told) -> No
 
 def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch, happened: Told) -> None:
     """A die found in a picture made smaller, as those above 800 px across are, is refined on the whole one."""
-    monkeypatch.setattr(start, "LARGEST_PX", 60)
-    monkeypatch.setattr(start, "SEARCHED_PX", 40)
+    monkeypatch.setattr(initial_pose, "LARGEST_PX", 60)
+    monkeypatch.setattr(initial_pose, "SEARCHED_PX", 40)
     throw = thrown()
     truth = throw.at(0.0)
-    found = start.find_start(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
+    found = initial_pose.find_start(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
     away_mm = [1e3 * float(np.linalg.norm(pose.position_m - truth.position_m)) for _, pose in found]
     # The depth of a die 80 px across is known to some tenths of a millimetre from one frame.
     assert min(away_mm) < 1.0
@@ -276,7 +276,7 @@ class Live:
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        for index in range(start, len(self) if stop is None else stop):
+        for index in range(initial_pose, len(self) if stop is None else stop):
             yield self.frame(index)
 
     def metadata(self) -> dict[str, Any]:

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import diethrow.batch
-import diethrow.outputs
-from diethrow.batch import Batch, Standing, Task, is_finished, run_batch, tasks_of
-from diethrow.cli import app
+import diethrow.commands.clip.batch
+import diethrow.files.outputs
+from diethrow.cli.app import app
+from diethrow.commands.clip.batch import Batch, Standing, Task, is_finished, run_batch, tasks_of
 from diethrow.executors import Processes, WorkerLostError
-from diethrow.outputs import OutputBusyError, OutputExistsError, locked
+from diethrow.files.outputs import OutputBusyError, OutputExistsError, locked
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
 
@@ -136,7 +136,7 @@ def test_a_finished_clip_is_done_again_only_where_something_changed(
     with (moved / "clip.mraw").open("r+b") as pixels:
         pixels.write(b"\1")
     assert not is_finished(Task(moved / "scene.toml", whole.folder, "track", "fast"))
-    monkeypatch.setattr(diethrow.batch, "__version__", "0.0.0")
+    monkeypatch.setattr(diethrow.commands.clip.batch, "__version__", "0.0.0")
     assert not is_finished(whole)
 
 
@@ -148,7 +148,7 @@ def test_a_clip_whose_worker_dies_is_tried_elsewhere_and_given_up_in_the_end(
     assert (len(batch.results), batch.failures, dying_twice.calls) == (1, (), 3)
     always = InLine(lambda number: True)
     (failure,) = track(scenes[:1], tmp_path / "always", always).failures
-    assert (failure.kind, failure.attempts, always.calls) == ("worker", diethrow.batch.ATTEMPTS, 3)
+    assert (failure.kind, failure.attempts, always.calls) == ("worker", diethrow.commands.clip.batch.ATTEMPTS, 3)
     assert "SIGKILL" in failure.reason
 
 
@@ -190,7 +190,7 @@ def test_a_batch_replaces_no_folder_that_is_not_its_own(scenes: list[Path], tmp_
 def test_two_batches_on_one_folder_exclude_each_other(
     scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(diethrow.outputs, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(diethrow.files.outputs, "PATIENCE_S", 0.0)
     with locked(tmp_path / "out"), pytest.raises(OutputBusyError, match="another run is writing"):
         track(scenes, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -281,7 +281,7 @@ def test_kills_cost_no_more_than_the_clips_in_hand(scenes: list[Path], done: Pat
     """Two of the kills that `benchmarks/kills.py` makes two hundred of."""
     out = tmp_path / "out"
     good = [scenes[0], scenes[2]]
-    words = [sys.executable, "-m", "diethrow.cli", "batch", *map(str, good), "--out", str(out)]
+    words = [sys.executable, "-m", "diethrow", "batch", *map(str, good), "--out", str(out)]
     words += ["--only-track", "--quality", "fast", "--workers", "1"]
     rng = np.random.default_rng(7)
     stamps: dict[str, int] = {}

@@ -13,8 +13,8 @@ from footage_files import write_cine
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.scene import read_scene
+from diethrow.cli.app import app
+from diethrow.files.scene import read_scene
 
 OPTIONS = ("--square-mm", "10", "--marker-mm", "7.5")
 

@@ -14,8 +14,8 @@ from footage_of_throws import DICE, film, studio
 from random_throws import random_quaternion
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.cli.app import app
+from diethrow.model.throw.motion import Flight, State, Throw
 
 ROOM = replace(studio(), noise_grey=2.0)
 FRAMES = 40

@@ -15,13 +15,13 @@ import pytest
 from typer.testing import CliRunner
 
 import diethrow
-import diethrow.analyze
-from diethrow.cli import app
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.simulate import Until, throw_die
-from diethrow.plan import read_plan
-from diethrow.records import read_bounces, read_simulated, simulated_track, write_track
-from diethrow.scene import read_scene
+import diethrow.commands.clip.analyze
+from diethrow.cli.app import app
+from diethrow.files.plan import read_plan
+from diethrow.files.records import read_bounces, read_simulated, simulated_track, write_track
+from diethrow.files.scene import read_scene
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import TRACKED, Track
 
 CAMERA = """\
@@ -217,7 +217,7 @@ def test_a_stopped_run_leaves_no_folder(empty_scene: Path, tmp_path: Path) -> No
 
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(KeyboardInterrupt):
-        diethrow.analyze.analyze(read_scene(empty_scene), tmp_path / "out", progress=stop)
+        diethrow.commands.clip.analyze.analyze(read_scene(empty_scene), tmp_path / "out", progress=stop)
     assert sorted(tmp_path.rglob("*")) == before
 
 
@@ -235,7 +235,7 @@ def test_ctrl_c_ends_with_status_130(
             raise SystemError("returned a result with an exception set") from inner
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diethrow.analyze.look_through", stopped)
+    monkeypatch.setattr("diethrow.commands.clip.track.look_through", stopped)
     before = sorted(tmp_path.rglob("*"))
     status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert (status, said) == (130, "diethrow: stopped; no output was left behind\n")

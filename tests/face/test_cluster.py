@@ -16,12 +16,12 @@ import pytest
 from throws import random_release, seen
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.fitting.physics import Physics
-from diethrow.model.simulate import Until
-from diethrow.model.solids import make_die
-from diethrow.model.tables import LEVEL
-from diethrow.records import write_track
+from diethrow.cli.app import app
+from diethrow.files.records import write_track
+from diethrow.fitting.throw.physics import Physics
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.tables import LEVEL
+from diethrow.model.throw.simulate import Until
 
 pytest.importorskip("distributed")
 

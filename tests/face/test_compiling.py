@@ -16,11 +16,12 @@ import pytest
 from numba import njit
 from typer.testing import CliRunner
 
-from diethrow import compiling
-from diethrow.batch import Batch
-from diethrow.cli import app
-from diethrow.compiling import SENTENCE, announced, compile_model, model_ahead
-from diethrow.model import kernels
+from diethrow.cli import compiling
+from diethrow.cli.app import app
+from diethrow.cli.compiling import SENTENCE, announced, compile_model, model_ahead
+from diethrow.commands.clip.batch import Batch
+from diethrow.model import engine
+from diethrow.model.engine import derivatives
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 
@@ -42,7 +43,7 @@ def fresh() -> Callable[[float], float]:
     def twice(x: float) -> float:
         return 2.0 * x
 
-    twice.__module__ = "diethrow.model.kernels"
+    twice.__module__ = "diethrow.model.engine.flight"
     kernel = njit(twice)
     kernel._cache = _Kept()
     return kernel  # type: ignore[no-any-return]
@@ -52,7 +53,7 @@ def test_compilation_is_announced_once_and_only_of_what_is_kept(fresh: Callable[
     def thrice(x: float) -> float:
         return 3.0 * x
 
-    thrice.__module__ = "diethrow.model.kernels"
+    thrice.__module__ = "diethrow.model.engine.flight"
     said: list[str] = []
     with announced(said.append):
         assert njit(thrice)(1.0) == 3.0  # compiled in every run: no word of it
@@ -100,14 +101,14 @@ def test_on_one_core_nobody_else_compiles(fresh: Callable[[float], float], monke
 def test_the_model_is_compiled_in_the_ways_that_a_fit_asks_for() -> None:
     """Smooth, with friction, and through the air: what `selection` tries."""
     compile_model()
-    kinds = {(each[1].instance_class, each[3].instance_class) for each in kernels.run_tangent.signatures}
-    smooth, rough = kernels.SmoothLaw, kernels.RoughLaw
-    assert kinds >= {(smooth, kernels.Vacuum), (rough, kernels.Vacuum), (smooth, kernels.Air)}
-    assert any(each[1].instance_class is smooth for each in kernels.run_throw.signatures)
+    kinds = {(each[1].instance_class, each[3].instance_class) for each in derivatives.run_tangent.signatures}
+    smooth, rough = engine.SmoothLaw, engine.RoughLaw
+    assert kinds >= {(smooth, engine.Vacuum), (rough, engine.Vacuum), (smooth, engine.Air)}
+    assert any(each[1].instance_class is smooth for each in engine.run_throw.signatures)
 
 
 def test_an_empty_cache_is_told_from_a_full_one(tmp_path: Path) -> None:
-    asked = "from diethrow.compiling import is_compiled; print(is_compiled())"
+    asked = "from diethrow.cli.compiling import is_compiled; print(is_compiled())"
     empty = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     told = subprocess.run([sys.executable, "-c", asked], env=empty, capture_output=True, text=True, check=True)
     assert told.stdout.strip() == "False"
@@ -116,6 +117,6 @@ def test_an_empty_cache_is_told_from_a_full_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize("cold", [True, False])
 def test_a_batch_says_once_that_its_workers_compile(cold: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiling, "is_compiled", lambda: not cold)
-    monkeypatch.setattr("diethrow.batch.run_batch", lambda *_, **__: Batch((), (), 0))
+    monkeypatch.setattr("diethrow.commands.clip.batch.run_batch", lambda *_, **__: Batch((), (), 0))
     said = CliRunner().invoke(app, ["batch", "a.toml", "b.toml", "--out", "out"]).stderr
     assert said.count(SENTENCE) == cold

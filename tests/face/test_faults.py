@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_cine, write_photron, write_pictures, write_tiff
 
-import diethrow.provenance
-from diethrow.analyze import track_only
-from diethrow.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
-from diethrow.provenance import READ_AT_ONCE_BYTES, InputChangedError, files_read, sha256, steady
-from diethrow.scene import read_scene
-from diethrow.tracking.clip import clip_files, open_clip
+import diethrow.files.provenance
+from diethrow.commands.clip.track import track_only
+from diethrow.files.outputs import OutputBusyError, OutputPlaceError, locked, whole_file, whole_folder
+from diethrow.files.provenance import READ_AT_ONCE_BYTES, InputChangedError, files_read, sha256, steady
+from diethrow.files.scene import read_scene
+from diethrow.tracking.footage.clip import clip_files, open_clip
 from diethrow.tracking.quality import FAST
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
@@ -100,7 +100,7 @@ def test_a_second_large_input_that_changes_before_its_turn_is_refused(
             may_go_on.set()
             assert inputs.files
 
-    monkeypatch.setattr(diethrow.provenance, "sha256", waits)
+    monkeypatch.setattr(diethrow.files.provenance, "sha256", waits)
     with pytest.raises(InputChangedError, match=r"right\.mraw changed"):
         rewritten()
 
@@ -120,7 +120,7 @@ def test_a_run_that_ends_early_reads_no_further(tmp_path: Path, monkeypatch: pyt
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
         return sha256(path, stop)
 
-    monkeypatch.setattr(diethrow.provenance, "sha256", refuse)
+    monkeypatch.setattr(diethrow.files.provenance, "sha256", refuse)
     with pytest.raises(OSError, match=r"scene\.toml cannot be read"), steady([clip, scene]):
         pytest.fail("the work was begun")
     assert not [thread.name for thread in threading.enumerate() if thread.name.startswith("inputs")]
@@ -147,7 +147,7 @@ def test_an_input_that_cannot_be_read_is_one_sentence(tmp_path: Path, monkeypatc
     def refuse(path: Path, stop: object) -> str:
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
 
-    monkeypatch.setattr(diethrow.provenance, "sha256", refuse)
+    monkeypatch.setattr(diethrow.files.provenance, "sha256", refuse)
     with pytest.raises(OSError, match=r"clip\.avi cannot be read \(permission denied\); wanted a file that"):
         files_read([tmp_path / "clip.avi"])
 
@@ -211,7 +211,7 @@ def test_a_killed_run_leaves_no_lock_and_the_next_one_sweeps_up(
         assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         with monkeypatch.context() as impatient:
-            impatient.setattr("diethrow.outputs.PATIENCE_S", 0.0)
+            impatient.setattr("diethrow.files.outputs.PATIENCE_S", 0.0)
             with pytest.raises(OutputBusyError, match="another run is writing"), whole_folder(out):
                 pytest.fail("two runs write one folder")
         holder.kill()
@@ -235,7 +235,7 @@ def test_a_run_that_was_killed_between_two_renamings_has_lost_nothing(tmp_path: 
 
 
 def test_a_file_and_its_lock_exclude_each_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.outputs.PATIENCE_S", 0.0)
+    monkeypatch.setattr("diethrow.files.outputs.PATIENCE_S", 0.0)
     with locked(tmp_path / "a.csv"), pytest.raises(OutputBusyError), whole_file(tmp_path / "a.csv"):
         pytest.fail("two runs write one file")
     assert list(tmp_path.iterdir()) == []

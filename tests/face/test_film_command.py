@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diethrow.analyze import open_footage
-from diethrow.cli import app
-from diethrow.film import FilmSettings, camera_for, shot_of
-from diethrow.plan import read_plan
-from diethrow.scene import read_scene
-from diethrow.tracking.background import load_background
-from diethrow.truth import visibility
+from diethrow.cli.app import app
+from diethrow.commands.clip.track import open_footage
+from diethrow.commands.model.film import FilmSettings, camera_for, shot_of
+from diethrow.files.plan import read_plan
+from diethrow.files.scene import read_scene
+from diethrow.files.truth import visibility
+from diethrow.tracking.footage.background import load_background
 
 with_mitsuba = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"

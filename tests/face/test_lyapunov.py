@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diethrow.cli import app
+from diethrow.cli.app import app
 
 FEW = ("--impacts", "400", "--orbits", "2", "--leave-out", "50")
 THROW = """\

@@ -14,15 +14,16 @@ from matplotlib.figure import Figure
 from skimage.color import deltaE_ciede2000, rgb2lab
 from typer.testing import CliRunner
 
-from diethrow.basins import BasinsPlan, axes_of, basins, fixed_from
-from diethrow.cli import app
-from diethrow.model.basins import Axis
-from diethrow.model.ensembles import ENDING_OF_INDEX, Share, Tally, wilson_interval
-from diethrow.model.simulate import Ending
-from diethrow.odds import OddsPlan, odds
-from diethrow.replay.maps import basin_map, colours_of, face_odds
-from diethrow.replay.palette import FACE_COLOURS, NOWHERE, OPEN, TOP
-from diethrow.workfile import WorkFile
+from diethrow.cli.app import app
+from diethrow.commands.model.basins import BasinsPlan, axes_of, basins, fixed_from
+from diethrow.commands.model.odds import OddsPlan, odds
+from diethrow.files.work_file import WorkFile
+from diethrow.model.ensembles.basins import Axis
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX
+from diethrow.model.ensembles.odds import Share, Tally, wilson_interval
+from diethrow.model.throw.simulate import Ending
+from diethrow.replay.elements.palette import FACE_COLOURS, NOWHERE, OPEN, TOP
+from diethrow.replay.figures.maps import basin_map, colours_of, face_odds
 
 PLAN = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 40.0, throws=500, after=2)
 SMALL = BasinsPlan(Axis("z0", 0.1, 0.4, 20), Axis("omega_eta", 0.0, 50.0, 30))
@@ -111,7 +112,7 @@ def test_odds_that_were_stopped_go_on_to_the_same_counts(tmp_path: Path) -> None
 
 
 def test_a_map_that_was_stopped_goes_on_to_the_same_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.basins.CHUNK_PIXELS", 80)
+    monkeypatch.setattr("diethrow.commands.model.basins.CHUNK_PIXELS", 80)
     whole, _ = basins(SMALL, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         basins(SMALL, tmp_path / "out", progress=StopAt(12))
@@ -141,7 +142,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diethrow.odds.tally_throws", stopped)
+    monkeypatch.setattr("diethrow.commands.model.odds.tally_throws", stopped)
     status, _, said = invoke("odds", "--out", tmp_path / "out")
     assert (status, said) == (
         130,
@@ -176,7 +177,7 @@ def test_a_work_file_is_written_now_and_then_and_replaced_whole(
     with work.keeping() as keep:
         keep({"a": np.arange(3)})
     assert work.read() is None  # nothing went wrong, and it was not yet time
-    monkeypatch.setattr("diethrow.workfile.EVERY_S", 0.0)
+    monkeypatch.setattr("diethrow.files.work_file.EVERY_S", 0.0)
     with work.keeping() as keep:
         for k in range(3):
             keep({"a": np.arange(k)})
@@ -215,7 +216,7 @@ def test_a_basin_is_written_whole(tmp_path: Path) -> None:
 
 
 def test_predictability_is_measured_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.basins.BALL_THROWS", 60)
+    monkeypatch.setattr("diethrow.commands.model.basins.BALL_THROWS", 60)
     words = ("--pixels", 5, 5, "--chi", 0.05, "--predictability", "--samples", 200, "--out", tmp_path / "out")
     status, said, notes = invoke("basins", *words)
     assert status == 0, notes

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from diethrow.outputs import OutputExistsError, whole_folder
+from diethrow.files.outputs import OutputExistsError, whole_folder
 
 
 def write(folder: Path, text: str, *, force: bool = False) -> None:

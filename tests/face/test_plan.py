@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
+from diethrow.files.plan import read_plan
+from diethrow.files.settings import SceneError
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws.tables import Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
-from diethrow.model.tables import Table
-from diethrow.plan import read_plan
-from diethrow.settings import SceneError
 
 PLAN = """\
 [die]

@@ -10,11 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diethrow.fitting.results import Effect, Fit, Parameter
-from diethrow.model.motion import Flight, Impact, State, Throw
-from diethrow.model.rotations import euler_from_quat, matrix_from_quat, quat_from_rotvec
-from diethrow.model.solids import SHAPES, isohedral_solid
-from diethrow.records import (
+from diethrow.files.records import (
     BOUNCE_COLUMNS,
     SIGMA_COLUMNS,
     SIMULATED_COLUMNS,
@@ -34,6 +30,10 @@ from diethrow.records import (
     write_track,
     write_vertices,
 )
+from diethrow.fitting.results import Effect, Fit, Parameter
+from diethrow.model.die.solid import SHAPES, isohedral_solid
+from diethrow.model.rotations import euler_from_quat, matrix_from_quat, quat_from_rotvec
+from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
 

@@ -13,11 +13,11 @@ import replay_records as made
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
-import diethrow.viewer
-from diethrow.cli import app
-from diethrow.replay.recording import write_recording
-from diethrow.replays import COLUMNS, find_recordings, join
-from diethrow.viewer import NOBODY, TALKATIVE, open_viewer, silent_environment
+import diethrow.commands.results.viewer
+from diethrow.cli.app import app
+from diethrow.commands.results.replays import COLUMNS, find_recordings, join
+from diethrow.commands.results.viewer import NOBODY, TALKATIVE, open_viewer, silent_environment
+from diethrow.replay.recording.recording import write_recording
 
 
 def invoke(*words: object) -> tuple[int, str, str]:
@@ -134,7 +134,7 @@ def test_the_viewer_is_opened_on_loopback_without_statistics(throws: Path, monke
         asked.append((command, env))
         return subprocess.CompletedProcess(command, 0, "", "")
 
-    monkeypatch.setattr(diethrow.viewer.subprocess, "run", run)
+    monkeypatch.setattr(diethrow.commands.results.viewer.subprocess, "run", run)
     monkeypatch.setenv(TALKATIVE[0], "1")
     assert invoke(throws / "a", "--open")[0] == 0
     ((command, environment),) = asked
@@ -148,7 +148,7 @@ def test_the_viewer_is_opened_on_loopback_without_statistics(throws: Path, monke
 
 def test_a_viewer_that_does_not_open_says_why(throws: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     script = "import sys; print('no screen here', file=sys.stderr); sys.exit(3)"
-    monkeypatch.setattr(diethrow.viewer, "viewer_program", lambda: [sys.executable, "-c", script])
+    monkeypatch.setattr(diethrow.commands.results.viewer, "viewer_program", lambda: [sys.executable, "-c", script])
     with pytest.raises(OSError, match=r"status 3 \(no screen here\)"):
         open_viewer([throws / "a" / "replay.rrd"])
     with pytest.raises(FileNotFoundError, match="no such recording"):

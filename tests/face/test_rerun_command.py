@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.repeat import compare
+from diethrow.cli.app import app
+from diethrow.commands.results.repeat import compare
 
 SAMPLE = Path(__file__).parents[2] / "data_samples"
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.scene import SceneError, read_scene
-from diethrow.tracking.corners import Rounding
+from diethrow.cli.app import app
+from diethrow.files.scene import SceneError, read_scene
+from diethrow.tracking.clip_parameters.corner_radius import Rounding
 
 SCENE = """\
 [clip]

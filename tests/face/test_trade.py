@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diethrow import trade as trades
-from diethrow.replay.trade_page import Setting, Trade, fastest_within, trade_page
-from diethrow.scene import read_scene
-from diethrow.tracking.coarser import Coarseness
-from diethrow.trade import read_trade, setting_for, trade
+from diethrow.commands.clip import trade as trades
+from diethrow.commands.clip.trade import read_trade, setting_for, trade
+from diethrow.files.scene import read_scene
+from diethrow.replay.pages.trade import Setting, Trade, fastest_within, trade_page
+from diethrow.tracking.footage.decimation import Coarseness
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood" / "scene.toml"
 

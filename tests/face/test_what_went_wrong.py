@@ -10,8 +10,8 @@ import pytest
 from footage_files import write_video
 from typer.testing import CliRunner
 
-from diethrow.cli import app
-from diethrow.outputs import OutputPlaceError, whole_folder
+from diethrow.cli.app import app
+from diethrow.files.outputs import OutputPlaceError, whole_folder
 
 SCENE = """\
 [clip]

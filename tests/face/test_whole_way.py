@@ -12,10 +12,10 @@ import pytest
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from diethrow.cli import app
+from diethrow.cli.app import app
+from diethrow.files.records import read_bounces, read_fit, read_simulated, read_track, read_vertices
+from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.records import read_bounces, read_fit, read_simulated, read_track, read_vertices
-from diethrow.scene import read_scene
 from diethrow.tracking.track import ABSENT, LOST, TRACKED
 
 ROOT = Path(__file__).parents[2]

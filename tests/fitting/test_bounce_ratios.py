@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.flights import fit_flights, moved_state
-from diethrow.fitting.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
-from diethrow.fitting.sightings import sight
-from diethrow.model.impacts import CoulombImpact
-from diethrow.model.motion import Flight, Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import make_die
+from diethrow.fitting.estimation.observations import sight
+from diethrow.fitting.free.flights import fit_flights, moved_state
+from diethrow.fitting.free.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.impact_laws import CoulombImpact
+from diethrow.model.throw.motion import Flight, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 
 CUBE = make_die("cube", 0.016, 0.0048)
 SIGMA = np.repeat([5e-6, 5e-4, 2e-3, 0.3], 3)

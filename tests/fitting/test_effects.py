@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.flights import fit_flights
-from diethrow.fitting.loaded import LOAD, load_in_flight
-from diethrow.fitting.physics import EFFECTS, Physics
+from diethrow.fitting.estimation.observations import sight
+from diethrow.fitting.free.flights import fit_flights
+from diethrow.fitting.free.loaded_die import LOAD, load_in_flight
 from diethrow.fitting.results import Fit
-from diethrow.fitting.scales import as_tracked
-from diethrow.fitting.sightings import sight
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
-from diethrow.model.motion import State, Throw
+from diethrow.fitting.throw.clock_and_scale import as_tracked
+from diethrow.fitting.throw.physics import EFFECTS, Physics
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws.tables import LEVEL, Table
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, make_die
-from diethrow.model.tables import LEVEL, Table
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.flights import fit_flights, flight_jacobian, left_jacobian, moved_state
-from diethrow.fitting.intervals import correlation_length, profile_interval
-from diethrow.fitting.landing import resting_face
-from diethrow.fitting.robust import condensed, huber, triangle
-from diethrow.fitting.sightings import sight, whiteners
-from diethrow.model.motion import Flight, State
+from diethrow.fitting.estimation.intervals import correlation_length, profile_interval
+from diethrow.fitting.estimation.observations import sight, whiteners
+from diethrow.fitting.estimation.robust import condensed, huber, triangle
+from diethrow.fitting.free.flights import fit_flights, flight_jacobian, left_jacobian, moved_state
+from diethrow.fitting.throw.landing import resting_face
+from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.solids import make_die
+from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.track import TRACKED, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

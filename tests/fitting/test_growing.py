@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.growing import Estimate, estimates, physics_of_fit
+from diethrow.fitting.predict.sequential import Estimate, estimates, physics_of_fit
 from diethrow.fitting.results import Fit
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.motion import Throw
-from diethrow.model.solids import make_die
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import make_die
+from diethrow.model.throw.motion import Throw
 
 CUBE = make_die("cube", 0.016, 0.0048)
 CHI = 0.58

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, seen
 
-from diethrow.fitting.crowd import Entry, entry_of
-from diethrow.fitting.joint import JointFit, fit_jointly
-from diethrow.fitting.joint_effects import clock_before_bounces, load_before_bounces, refuted_by_flights
-from diethrow.fitting.physics import LOAD, Physics
-from diethrow.fitting.prediction import simulated_poses
+from diethrow.fitting.dataset.data_set import Entry, entry_of
+from diethrow.fitting.dataset.joint_effects import clock_before_bounces, load_before_bounces, refuted_by_flights
+from diethrow.fitting.dataset.joint_fit import JointFit, fit_jointly
+from diethrow.fitting.predict.prediction import simulated_poses
+from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.tables import LEVEL
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.model.simulate import Until
-from diethrow.model.solids import make_die
-from diethrow.model.tables import LEVEL
+from diethrow.model.throw.simulate import Until
 from diethrow.tracking.track import TRACKED, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

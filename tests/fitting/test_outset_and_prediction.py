@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 from throws import initial_errors, random_release, seen
 
-from diethrow.fitting.outset import first_bounce_row, outset_before
-from diethrow.fitting.physics import LOAD, Physics
-from diethrow.fitting.prediction import SURE, decided_at, foretell, simulated_poses
+from diethrow.fitting.predict.prediction import SURE, decided_at, foretell, simulated_poses
+from diethrow.fitting.predict.release_state import first_bounce_row, outset_before
 from diethrow.fitting.results import Parameter
-from diethrow.model import kernels
-from diethrow.model.motion import GRAVITY_M_S2, State, Throw, energy_J
+from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.model import engine
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.tables import LEVEL, Table
 from diethrow.model.rotations import matrix_from_quat, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import make_die
-from diethrow.model.tables import LEVEL, Table
+from diethrow.model.throw.motion import State, Throw, energy_J
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048, corner_radius_m=0.0005)
@@ -47,7 +48,7 @@ def test_poses_without_objects_are_those_of_the_throw(name: str) -> None:
     release, throw = thrown(name)
     times = np.linspace(0.0, 0.35, 300)
     # To rest, so that held contact is in it; both run the same kernel with the same precision.
-    positions, quaternions = simulated_poses(physics(name), release, times, kernels.FINE)
+    positions, quaternions = simulated_poses(physics(name), release, times, engine.FINE)
     expected_positions, expected_quaternions = throw.poses(times)
     assert any(impact.contact == "held" for impact in throw.impacts)
     assert positions == pytest.approx(expected_positions, abs=1e-12)
@@ -166,7 +167,7 @@ def test_a_loaded_die_is_foretold_as_the_model_of_tops_throws_it(table: Table) -
     expected = throw.poses(times)
     for mu, slack in ((0.0, 1e-10), (1e-9, 1e-6)):
         # Without friction both are exact, by other equations; a trace of it is a trace of a difference.
-        positions, _ = simulated_poses(Physics(CUBE, table, {**LOADED, "mu": mu}), release, times, kernels.FINE)
+        positions, _ = simulated_poses(Physics(CUBE, table, {**LOADED, "mu": mu}), release, times, engine.FINE)
         assert positions == pytest.approx(expected[0], abs=slack)
 
 
@@ -175,7 +176,7 @@ def test_a_loaded_die_that_rubs_ends_on_a_face_and_no_higher_than_it_fell() -> N
     times = np.linspace(0.0, 1.0, 200)
     for seed in range(4):
         release = random_release(CUBE, np.random.default_rng(seed))
-        positions, quaternions = simulated_poses(rubbing, release, times, kernels.FINE)
+        positions, quaternions = simulated_poses(rubbing, release, times, engine.FINE)
         rotations = matrix_from_quat(quaternions)
         face = int(np.argmin(rotations[-1, 2] @ CUBE.solid.normals.T))
         assert rotations[-1, 2] @ CUBE.solid.normals[face] == pytest.approx(-1.0, abs=1e-8)

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen
 
-from diethrow.fitting.flights import fit_flights
-from diethrow.fitting.shaking import SHAKE, shakes_seen
-from diethrow.fitting.sightings import sight
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import make_die
-from diethrow.model.tables import LEVEL, Table
+from diethrow.fitting.estimation.observations import sight
+from diethrow.fitting.free.flights import fit_flights
+from diethrow.fitting.free.shaken_table import SHAKE, shakes_seen
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import make_die
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.throw.motion import Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

@@ -16,10 +16,10 @@ from throws import (
 )
 
 from diethrow.fitting.results import Fit
-from diethrow.fitting.whole_throw import fit_throw
-from diethrow.model.motion import Impact, Throw
+from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
-from diethrow.model.solids import Die, make_die
+from diethrow.model.throw.motion import Impact, Throw
 from diethrow.tracking.track import ABSENT, LOST, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

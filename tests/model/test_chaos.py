@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_quaternion, random_release
 
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.chaos import decidable_many, decided_by_double, growth, largest_exponent
-from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact
-from diethrow.model.motion import State
+from diethrow.model import engine
+from diethrow.model.die.die import make_die
+from diethrow.model.engine import derivatives
+from diethrow.model.ensembles.chaos import decidable_many, decided_by_double, growth, largest_exponent
+from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws.tables import LEVEL, Table
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
@@ -16,10 +17,10 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.simulate import EXACT, Ending, Precision, Until, checked_release, throw_die
-from diethrow.model.solids import make_die
-from diethrow.model.tables import LEVEL, Table
-from diethrow.model.touch import unpacked_state
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.motion import State
+from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, checked_release, throw_die
+from diethrow.model.throw.touch import unpacked_state
 
 SHAKEN = Table(amplitude_m=0.002, frequency_hz=25.0, phase_rad=0.7)
 CUBE = DICE["cube"]
@@ -53,17 +54,17 @@ def apart(a: State, b: State) -> np.ndarray:
 
 def units(die, table=LEVEL) -> np.ndarray:
     """(12,) R, 1 rad, √(g R), √(g/R)."""
-    return kernels.scales_of(body_of(die), table.plane)
+    return derivatives.scales_of(body_of(die), table.plane)
 
 
 def logged(die, start: State, law, table: Table, impacts: int | None):
     """Log and knots of a throw, as the kernels write them, and its derivatives after each event."""
-    packed, of_law = checked_release(die, start, table), kernels.law_of(law.code, law.parameters)
-    _, _, _, _, _, log, knots = kernels.run_throw(
+    packed, of_law = checked_release(die, start, table), engine.law_of(law.code, law.parameters)
+    _, _, _, _, _, log, knots = engine.run_throw(
         body_of(die),
         of_law,
         table.plane,
-        kernels.FINE,
+        engine.FINE,
         packed,
         start.time_s,
         np.inf,
@@ -72,7 +73,7 @@ def logged(die, start: State, law, table: Table, impacts: int | None):
         10**7,
         True,
     )
-    maps, exponents = kernels.run_growth(body_of(die), of_law, table.plane, packed, start.time_s, log, knots)
+    maps, exponents = derivatives.run_growth(body_of(die), of_law, table.plane, packed, start.time_s, log, knots)
     assert not exponents.any()
     return log, maps
 
@@ -171,11 +172,11 @@ def spectrum(die, law, table: Table, impacts: int) -> tuple[np.ndarray, np.ndarr
     """Logarithms of the growth (impacts, 12) and the instants (impacts,)."""
     logs, clock = np.empty((impacts, 12)), np.empty(impacts)
     tangent = np.random.default_rng(1).normal(size=(12, 12)) * units(die, table)[:, None]
-    kernels.run_exponents(
+    derivatives.run_exponents(
         body_of(die),
-        kernels.law_of(law.code, law.parameters),
+        engine.law_of(law.code, law.parameters),
         table.plane,
-        kernels.FINE,
+        engine.FINE,
         checked_release(die, paper_start(), table),
         0.0,
         tangent,
@@ -235,9 +236,9 @@ def test_a_point_that_bounces_for_ever_has_no_chaos():
     body = body_of(CUBE)._replace(vertices=np.zeros((1, 3)))
     start = np.array([0, 0, 0.3, 1, 0, 0, 0, 0.1, 0, 0, 1.0, 2.0, 3.0])
     logs, clock = np.empty((4000, 1)), np.empty(4000)
-    tangent = np.random.default_rng(2).normal(size=(12, 1)) * kernels.scales_of(body, kernels.LEVEL)[:, None]
-    law = kernels.law_of(kernels.SMOOTH, np.array([1.0]))
-    kernels.run_exponents(body, law, kernels.LEVEL, kernels.FINE, start, 0.0, tangent, logs, clock)
+    tangent = np.random.default_rng(2).normal(size=(12, 1)) * derivatives.scales_of(body, engine.LEVEL)[:, None]
+    law = engine.law_of(engine.SMOOTH, np.array([1.0]))
+    derivatives.run_exponents(body, law, engine.LEVEL, engine.FINE, start, 0.0, tangent, logs, clock)
     # A difference in energy shifts the bounces in proportion to time: ln(4000)/4000.
     assert abs(logs[10:].sum()) / 4000 < 2 * np.log(4000) / 4000
 

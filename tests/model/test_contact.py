@@ -7,15 +7,18 @@ import pytest
 from random_throws import DICE, random_quaternion, random_release
 from scipy.integrate import quad, solve_ivp
 
-from diethrow.model import bodies, kernels
-from diethrow.model.contact import Held
-from diethrow.model.history import in_axes
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
+from diethrow.model import engine
+from diethrow.model.die.die import Die, die_from_solid
+from diethrow.model.die.solid import convex_solid
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws.tables import Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.simulate import EXACT, Ending, Precision, Until, throw_die
-from diethrow.model.solids import Die, convex_solid, die_from_solid
-from diethrow.model.tables import Table
+from diethrow.model.throw import body
+from diethrow.model.throw.held_contact import Held
+from diethrow.model.throw.history import in_axes
+from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 G = GRAVITY_M_S2
 UP = np.array([0.0, 0.0, 1.0])
@@ -336,11 +339,11 @@ def many_releases(rng, die, n: int, fastest_rad_s: float) -> np.ndarray:
     return np.hstack([positions, quaternions, rng.normal(scale=0.5, size=(n, 3)), axes])
 
 
-def landed(die, chi: float, starts: np.ndarray, precision: kernels.Precision = kernels.FINE) -> np.ndarray:
+def landed(die, chi: float, starts: np.ndarray, precision: engine.Precision = engine.FINE) -> np.ndarray:
     """Face row, impacts and ending (n, 3)."""
     table = np.empty((len(starts), 3), np.int64)
-    law = kernels.law_of(kernels.SMOOTH, np.array([chi]))
-    kernels.land_many(bodies.body_of(die), law, kernels.LEVEL, precision, starts, 3_000_000, table)
+    law = engine.law_of(engine.SMOOTH, np.array([chi]))
+    engine.land_many(body.body_of(die), law, engine.LEVEL, precision, starts, 3_000_000, table)
     return table
 
 
@@ -348,9 +351,9 @@ def landed(die, chi: float, starts: np.ndarray, precision: kernels.Precision = k
 @pytest.mark.parametrize("chi", [0.0, 0.1, 0.5, 0.9])
 def test_thousands_of_throws_rest_or_spin_and_none_runs_into_the_cap(die, chi):
     table = landed(die, chi, many_releases(np.random.default_rng(75), die, 1000, 300.0))
-    assert set(table[:, 2]) <= {kernels.RESTED, kernels.SPINNING, kernels.SPUN_LONG}
-    np.testing.assert_array_equal(table[:, 0] >= 0, table[:, 2] == kernels.RESTED)
-    assert np.mean(table[:, 2] == kernels.SPUN_LONG) < 0.05
+    assert set(table[:, 2]) <= {engine.RESTED, engine.SPINNING, engine.SPUN_LONG}
+    np.testing.assert_array_equal(table[:, 0] >= 0, table[:, 2] == engine.RESTED)
+    assert np.mean(table[:, 2] == engine.SPUN_LONG) < 0.05
 
 
 @each_die
@@ -360,7 +363,7 @@ def test_the_face_depends_neither_on_the_slowest_bounce_nor_on_the_step(die, chi
     starts = many_releases(np.random.default_rng(76), die, 400, 60.0)
     usual = landed(die, chi, starts)[:, 0]
     for switch, turn in ((1e-6, 0.3), (1e-10, 0.3), (1e-8, 0.1), (1e-8, 0.4)):
-        assert np.mean(landed(die, chi, starts, kernels.Precision(0.0, switch, turn))[:, 0] != usual) <= lost
+        assert np.mean(landed(die, chi, starts, engine.Precision(0.0, switch, turn))[:, 0] != usual) <= lost
 
 
 @each_die
@@ -446,4 +449,4 @@ def test_a_top_on_a_gently_shaking_table_is_given_up_as_one():
     release = replace(release, position_m=release.position_m + table.amplitude_m * UP)
     result = throw_die(die, release, SmoothImpact(0.3), table=table)
     assert (result.ending, result.landed_face) == (Ending.SPUN_LONG, None)
-    assert result.end.time_s >= kernels.PATIENCE * np.sqrt(die.solid.circumradius / G)
+    assert result.end.time_s >= engine.PATIENCE * np.sqrt(die.solid.circumradius / G)

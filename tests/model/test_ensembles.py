@@ -10,35 +10,31 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import binomtest, chi2
 
-from diethrow.model.basins import Axis, Window, map_rows, outcomes
-from diethrow.model.bodies import body_of
-from diethrow.model.ensembles import (
-    BLOCK,
-    CONDITIONS,
-    ENDING_OF_INDEX,
-    Conditions,
-    PaperConditions,
-    Stage,
-    Tally,
-    UniformConditions,
-    drawn_states,
-    in_order,
-    states_of,
-    tally_throws,
-    wilson_interval,
-)
-from diethrow.model.impacts import CoulombImpact, SmoothImpact
-from diethrow.model.predictability import (
+from diethrow.model.die.die import loaded_die, make_die
+from diethrow.model.die.solid import SHAPES
+from diethrow.model.ensembles.basins import Axis, Window, map_rows, outcomes
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX, Stage, drawn_states, in_order
+from diethrow.model.ensembles.odds import Tally, tally_throws, wilson_interval
+from diethrow.model.ensembles.predictability import (
     GROUPS,
     fairness_by_dynamics,
     final_state_sensitivity,
     uncertainty_exponent,
 )
+from diethrow.model.ensembles.releases import (
+    BLOCK,
+    CONDITIONS,
+    Conditions,
+    PaperConditions,
+    UniformConditions,
+    states_of,
+)
+from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws.tables import Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
-from diethrow.model.simulate import Ending, Until, throw_die
-from diethrow.model.solids import SHAPES, loaded_die, make_die
-from diethrow.model.tables import Table
-from diethrow.model.touch import unpacked_state
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.simulate import Ending, Until, throw_die
+from diethrow.model.throw.touch import unpacked_state
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,10 @@ import pytest
 from random_throws import DICE, random_release
 from scipy.optimize import brentq
 
-from diethrow.model.contact import Held
-from diethrow.model.impacts import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
+from diethrow.model.die.die import Die, loaded_die, make_die
+from diethrow.model.die.solid import isohedral_solid
+from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws.tables import Table
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
@@ -18,9 +19,10 @@ from diethrow.model.rotations import (
     quat_from_rotvec,
     quat_multiply,
 )
-from diethrow.model.simulate import Ending, Precision, ThrowResult, Until, throw_die
-from diethrow.model.solids import Die, isohedral_solid, loaded_die, make_die
-from diethrow.model.tables import Table
+from diethrow.model.throw.held_contact import Held
+from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.simulate import Ending, Precision, ThrowResult, Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 G = GRAVITY_M_S2
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_quaternion
 
-from diethrow.model import kernels
-from diethrow.model.bodies import body_of
-from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact, impulse_N_s
-from diethrow.model.motion import GRAVITY_M_S2, State
+from diethrow.model import engine
+from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws.tables import LEVEL
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.tables import LEVEL
-from diethrow.model.touch import Touch
+from diethrow.model.throw.body import body_of
+from diethrow.model.throw.impulse import impulse_N_s
+from diethrow.model.throw.motion import State
+from diethrow.model.throw.touch import Touch
+from diethrow.model.world import GRAVITY_M_S2
 
-ENDINGS = {"newton": kernels.NEWTON, "poisson": kernels.POISSON, "stronge": kernels.STRONGE}
+ENDINGS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
 each_ending = pytest.mark.parametrize("ending", ENDINGS.values(), ids=ENDINGS.keys())
 
 
@@ -23,11 +25,11 @@ def contacts(seed: int, n: int):
     for k in range(n):
         die = DICE[list(DICE)[k % 5]]
         arm = matrix_from_quat(random_quaternion(rng)) @ die.solid.vertices[0]
-        matrix = kernels.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *arm)
+        matrix = engine.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *arm)
         if k % 3 == 2:
             axes = matrix_from_quat(random_quaternion(rng))
             inertia = die.inertia_kg_m2 * 10.0 ** rng.uniform(-1.5, 1.5, 3)
-            matrix = kernels.contact_matrix(die.mass_kg, axes @ np.diag(1.0 / inertia) @ axes.T, *arm)
+            matrix = engine.contact_matrix(die.mass_kg, axes @ np.diag(1.0 / inertia) @ axes.T, *arm)
         velocity = rng.normal(size=3)
         velocity[:2] *= 10.0 ** (rng.uniform(-6, 3) if k % 2 else rng.uniform(-1, 1))
         velocity[2] = -abs(velocity[2])
@@ -52,16 +54,16 @@ def test_the_contact_matrix_says_how_a_unit_impulse_changes_the_velocity_of_the_
         arm, root = rng.normal(size=3), rng.normal(size=(3, 3))
         inertia = root @ root.T + 0.1 * np.eye(3)
         columns = [e / 2.0 + np.cross(np.linalg.solve(inertia, np.cross(arm, e)), arm) for e in np.eye(3)]
-        matrix = full(kernels.contact_matrix(2.0, np.linalg.inv(inertia), *arm))
+        matrix = full(engine.contact_matrix(2.0, np.linalg.inv(inertia), *arm))
         np.testing.assert_allclose(matrix, np.array(columns).T, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
-        top = kernels.contact_matrix_of_top(2.0, 0.3, *arm)
-        np.testing.assert_allclose(top, kernels.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(top))
+        top = engine.contact_matrix_of_top(2.0, 0.3, *arm)
+        np.testing.assert_allclose(top, engine.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(top))
 
 
 def test_strongs_restitution_never_creates_energy():
     for matrix, chi, mu, c in contacts(2, 4000):
         for x in (chi, 0.0, 1.0):
-            energy, change = energies(matrix, c, np.array(kernels.friction_impulse(matrix, x, mu, kernels.STRONGE, *c)))
+            energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, x, mu, engine.STRONGE, *c)))
             # Rounding of the matrices of rods (condition up to 1e5) in the sum that tests it.
             assert change <= 1e-14 * energy
 
@@ -70,7 +72,7 @@ def test_newtons_restitution_can_create_energy():
     """The reason for Stronge's; a test that could not see creation would prove nothing."""
     created = []
     for matrix, _, mu, c in contacts(3, 2000):
-        energy, change = energies(matrix, c, np.array(kernels.friction_impulse(matrix, 1.0, mu, kernels.NEWTON, *c)))
+        energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, 1.0, mu, engine.NEWTON, *c)))
         created.append(change / energy)
     assert max(created) > 0.02
 
@@ -78,7 +80,7 @@ def test_newtons_restitution_can_create_energy():
 @each_ending
 def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
     for matrix, chi, mu, c in contacts(4, 2000):
-        sx, sy, sz = kernels.friction_impulse(matrix, chi, mu, ending, *c)
+        sx, sy, sz = engine.friction_impulse(matrix, chi, mu, ending, *c)
         assert sz > 0.0
         assert np.hypot(sx, sy) <= mu * sz * (1 + 1e-14)
         # The end is w ≥ 0; a velocity is a sum of terms of this size.
@@ -90,15 +92,15 @@ def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
 def test_without_friction_the_impulse_is_the_smooth_one_to_the_last_digit(ending):
     for matrix, chi, _, c in contacts(5, 200):
         smooth = (0.0, 0.0, -(1.0 + chi) * c[2] / matrix[5])
-        assert kernels.friction_impulse(matrix, chi, 0.0, ending, *c) == smooth
-        nearly = kernels.friction_impulse(matrix, chi, 1e-12, ending, *c)
+        assert engine.friction_impulse(matrix, chi, 0.0, ending, *c) == smooth
+        nearly = engine.friction_impulse(matrix, chi, 1e-12, ending, *c)
         # Friction of 1e-12 may count by the ratio of slip to normal velocity, 1e3, and of the matrix, 1e2.
         np.testing.assert_allclose(nearly, smooth, atol=1e-6 * smooth[2])
 
 
 def test_newtons_restitution_reverses_the_normal_velocity():
     for matrix, chi, mu, c in contacts(6, 1000):
-        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, kernels.NEWTON, *c))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, engine.NEWTON, *c))
         terms = abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
         assert (c + full(matrix) @ impulse)[2] == pytest.approx(-chi * c[2], abs=1e-13 * terms)
 
@@ -114,7 +116,7 @@ def test_routh_slip_that_goes_on_has_the_impulse_of_the_cone(ending):
     a, b, mu, chi, slip, w = 1.0, 0.3, 0.2, 0.6, 5.0, -1.0
     p = -(1 + chi) * w / (a - mu * b)
     expected = (-mu * p, 0.0, p)
-    np.testing.assert_allclose(kernels.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-15)
+    np.testing.assert_allclose(engine.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-15)
 
 
 def stopped_impulse(b: float, mu: float, chi: float, slip: float, w: float, ending: int) -> np.ndarray:
@@ -128,9 +130,9 @@ def stopped_impulse(b: float, mu: float, chi: float, slip: float, w: float, endi
     compression = stop - w1 / slope
     work = 0.5 * (w + w1) * stop - 0.5 * w1**2 / slope
     more = {
-        kernels.NEWTON: -chi * w / slope,
-        kernels.POISSON: chi * compression,
-        kernels.STRONGE: chi * np.sqrt(-2.0 * work / slope),
+        engine.NEWTON: -chi * w / slope,
+        engine.POISSON: chi * compression,
+        engine.STRONGE: chi * np.sqrt(-2.0 * work / slope),
     }[ending]
     return np.array([-mu * stop + tangential * (compression + more - stop), 0.0, compression + more])
 
@@ -139,7 +141,7 @@ def stopped_impulse(b: float, mu: float, chi: float, slip: float, w: float, endi
 @pytest.mark.parametrize(("b", "mu"), [(0.3, 0.5), (-0.3, 0.5), (-0.6, 0.4), (-0.6, 0.0401)])
 def test_routh_slip_that_stops_sticks_or_turns_back(b, mu, ending):
     """Sticks where |b| ≤ μ (T = 1), else it sets out the other way."""
-    got = kernels.friction_impulse(planar(b), 0.7, mu, ending, 0.1, 0.0, -1.0)
+    got = engine.friction_impulse(planar(b), 0.7, mu, ending, 0.1, 0.0, -1.0)
     np.testing.assert_allclose(got, stopped_impulse(b, mu, 0.7, 0.1, -1.0, ending), rtol=1e-14, atol=1e-15)
 
 
@@ -151,27 +153,27 @@ def test_routh_slip_that_stops_only_in_restitution(ending):
     compression, w1 = -w / slide, w + slide * stop
     assert w1 > 0.0
     end = {
-        kernels.NEWTON: stop + (-chi * w - w1) / stick,
-        kernels.POISSON: (1 + chi) * compression,
-        kernels.STRONGE: stop - w1 / stick + np.sqrt(w1**2 + stick * (chi**2 * w**2 - w1**2) / slide) / stick,
+        engine.NEWTON: stop + (-chi * w - w1) / stick,
+        engine.POISSON: (1 + chi) * compression,
+        engine.STRONGE: stop - w1 / stick + np.sqrt(w1**2 + stick * (chi**2 * w**2 - w1**2) / slide) / stick,
     }[ending]
     expected = [-mu * stop - b * (end - stop), 0.0, end]
     np.testing.assert_allclose(
-        kernels.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-14, atol=1e-15
+        engine.friction_impulse(planar(b), chi, mu, ending, slip, 0.0, w), expected, rtol=1e-14, atol=1e-15
     )
 
 
 @each_ending
 def test_a_jam_drives_the_contact_in_until_the_slip_stops(ending):
     """b = 0.9, μ = 2: w' = 1 - 1.8 < 0 while it slides (s' = 0.9 - 2), and 1 - 0.81 once it sticks."""
-    got = kernels.friction_impulse(planar(0.9), 0.5, 2.0, ending, 0.4, 0.0, -1.0)
+    got = engine.friction_impulse(planar(0.9), 0.5, 2.0, ending, 0.4, 0.0, -1.0)
     np.testing.assert_allclose(got, stopped_impulse(0.9, 2.0, 0.5, 0.4, -1.0, ending), rtol=1e-14, atol=1e-15)
 
 
 @each_ending
 def test_a_contact_without_slip_sticks_or_sets_out_along_its_one_direction(ending):
     for matrix, chi, mu, c in contacts(7, 500):
-        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, 0.0, 0.0, c[2]))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, 0.0, 0.0, c[2]))
         M = full(matrix)
         after = M @ impulse
         hold = np.linalg.solve(M[:2, :2], -M[:2, 2])
@@ -183,7 +185,7 @@ def test_a_contact_without_slip_sticks_or_sets_out_along_its_one_direction(endin
         # Straight from the start: the restitutions agree.
         assert after[2] + c[2] == pytest.approx(-chi * c[2], rel=1e-11)
         # And the smallest slip changes nothing.
-        nudged = kernels.friction_impulse(matrix, chi, mu, ending, *(1e-12 * c[:2] / np.linalg.norm(c[:2])), c[2])
+        nudged = engine.friction_impulse(matrix, chi, mu, ending, *(1e-12 * c[:2] / np.linalg.norm(c[:2])), c[2])
         np.testing.assert_allclose(nudged, impulse, atol=1e-9 * np.abs(impulse).max())
 
 
@@ -197,7 +199,7 @@ def plainest_impulse(cases, ending: int, steps: int) -> np.ndarray:
     hold = np.linalg.solve(M[:, :2, :2], -M[:, :2, 2][..., None])[..., 0]
     held = np.linalg.norm(hold, axis=1) <= mu
     S, down, up = np.zeros_like(c), np.zeros(len(c)), np.zeros(len(c))
-    dp = np.array([kernels.friction_impulse(*case[:3], ending, *case[3])[2] for case in cases]) / steps
+    dp = np.array([engine.friction_impulse(*case[:3], ending, *case[3])[2] for case in cases]) / steps
     open_ = np.ones(len(c), bool)
 
     def force(v, stuck):
@@ -213,13 +215,13 @@ def plainest_impulse(cases, ending: int, steps: int) -> np.ndarray:
         push = dp[:, None] * force(middle[:, :2], stuck) * open_[:, None]
         after = c + np.einsum("kij,kj->ki", M, push)
         w = 0.5 * (c[:, 2] + after[:, 2])
-        weight = push[:, 2] if ending == kernels.POISSON else push[:, 2] * np.abs(w)
+        weight = push[:, 2] if ending == engine.POISSON else push[:, 2] * np.abs(w)
         down, up = down + weight * (w < 0), up + weight * (w >= 0)
         c, S = after, S + push
-        if ending == kernels.NEWTON:
+        if ending == engine.NEWTON:
             open_ &= c[:, 2] < -chi * incoming
         else:
-            open_ &= (c[:, 2] < 0) | (up < (chi if ending == kernels.POISSON else chi**2) * down)
+            open_ &= (c[:, 2] < 0) | (up < (chi if ending == engine.POISSON else chi**2) * down)
         if not open_.any():
             return S
     raise AssertionError("the plainest integration did not come to an end in twice the impulse expected")
@@ -232,7 +234,7 @@ def test_the_plainest_integration_in_1e5_steps_agrees(ending):
         (matrix, chi, float(rng.uniform(0.05, 2.0)), np.array([*rng.normal(size=2) * rng.choice([0.3, 3.0]), c[2]]))
         for matrix, chi, _, c in contacts(9, 45)
     ]
-    exact = np.array([kernels.friction_impulse(*case[:3], ending, *case[3]) for case in cases])
+    exact = np.array([engine.friction_impulse(*case[:3], ending, *case[3]) for case in cases])
     plain = plainest_impulse(cases, ending, 100_000)
     # The end falls within a step, 1e-5, and where it sticks the slip was cut short by some steps.
     errors = np.abs(plain - exact).max(1) / np.abs(exact).max(1)
@@ -243,9 +245,9 @@ def test_the_plainest_integration_in_1e5_steps_agrees(ending):
 @each_ending
 def test_units_do_not_matter(ending):
     for matrix, chi, mu, c in contacts(10, 300):
-        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *c))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *c))
         scaled = tuple(1e9 * m for m in matrix)
-        other = np.array(kernels.friction_impulse(scaled, chi, mu, ending, *(1e-7 * c)))
+        other = np.array(engine.friction_impulse(scaled, chi, mu, ending, *(1e-7 * c)))
         # A rounding of the inputs; near a jam or its stop it grows.
         np.testing.assert_allclose(other * 1e16, impulse, atol=1e-10 * np.abs(impulse).max())
 
@@ -256,9 +258,9 @@ def test_turning_everything_about_the_vertical_turns_the_impulse(ending):
     for matrix, chi, mu, c in contacts(12, 300):
         angle = rng.uniform(0, 2 * np.pi)
         turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
-        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *c))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *c))
         turned = tuple((turn @ full(matrix) @ turn.T)[np.triu_indices(3)])
-        other = np.array(kernels.friction_impulse(turned, chi, mu, ending, *(turn @ c)))
+        other = np.array(engine.friction_impulse(turned, chi, mu, ending, *(turn @ c)))
         np.testing.assert_allclose(other, turn @ impulse, atol=1e-9 * np.abs(impulse).max())
 
 
@@ -275,12 +277,12 @@ def test_impacts_at_the_ends_of_what_can_be_asked(ending):
         (0.3, 0.5, (1e-300, 1e-300, -1e-290)),
         (0.3, 0.5, (0.0, 0.0, -1e150)),
     ):
-        impulse = np.array(kernels.friction_impulse(matrix, chi, mu, ending, *velocity))
+        impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *velocity))
         assert np.isfinite(impulse).all()
         assert impulse[2] > 0.0
     for resting in ((1.0, 2.0, 0.0), (1.0, 2.0, 1e-3), (1.0, 2.0, -0.0)):
-        assert kernels.friction_impulse(matrix, 0.5, 0.3, ending, *resting) == (0.0, 0.0, 0.0)
-    assert np.isnan(kernels.friction_impulse(matrix, 0.5, 0.3, ending, np.nan, 0.0, -1.0)).all()
+        assert engine.friction_impulse(matrix, 0.5, 0.3, ending, *resting) == (0.0, 0.0, 0.0)
+    assert np.isnan(engine.friction_impulse(matrix, 0.5, 0.3, ending, np.nan, 0.0, -1.0)).all()
 
 
 def test_a_grazing_impact_slides_and_its_impulse_vanishes_with_its_speed():
@@ -288,7 +290,7 @@ def test_a_grazing_impact_slides_and_its_impulse_vanishes_with_its_speed():
         ux, uy = c[:2] / np.linalg.norm(c[:2])
         slope = matrix[5] - 0.05 * (matrix[2] * ux + matrix[4] * uy)
         p = (1 + chi) * 1e-9 / slope
-        got = kernels.friction_impulse(matrix, chi, 0.05, kernels.STRONGE, ux, uy, -1e-9)
+        got = engine.friction_impulse(matrix, chi, 0.05, engine.STRONGE, ux, uy, -1e-9)
         # The slip turns by p M/s, 1e-9 times the anisotropy of the matrix.
         np.testing.assert_allclose(got, (-0.05 * p * ux, -0.05 * p * uy, p), atol=1e-6 * p)
 
@@ -308,9 +310,9 @@ def test_the_laws_ask_the_kernel_for_the_velocity_of_their_contact():
     for die in DICE.values():
         touch = touch_of(die, 15)
         c = touch.state.velocity_m_s + np.cross(touch.state.omega_rad_s, touch.arm_m)
-        matrix = kernels.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *touch.arm_m)
+        matrix = engine.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *touch.arm_m)
         for name, ending in ENDINGS.items():
-            expected = kernels.friction_impulse(matrix, 0.4, 0.25, ending, *c)
+            expected = engine.friction_impulse(matrix, 0.4, 0.25, ending, *c)
             # c is summed in another order.
             np.testing.assert_allclose(impulse_N_s(die, touch, CoulombImpact(0.4, 0.25, name)), expected, rtol=1e-12)
 
@@ -359,7 +361,7 @@ def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_veloc
     """Velocities (steps, 6) of a cube on its feet."""
     velocity, impulses, rows = np.array(velocity, float), np.zeros((len(feet), 3)), []
     for _ in range(steps):
-        kernels.friction_step(
+        engine.friction_step(
             velocity, feet, CUBE.mass_kg, CUBE.inertia_kg_m2, mu, h * np.array(gravity), table_velocity, impulses
         )
         rows.append(velocity.copy())
@@ -417,7 +419,7 @@ def test_held_contact_never_gains_energy_and_never_sinks(touching):
         before = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 10.0 ** rng.uniform(-4, 0)
         push, mu, velocity = 1e-3 * rng.normal(size=3), rng.uniform(0.0, 0.8), before.copy()
         impulses = np.zeros((touching, 3))
-        sweeps = kernels.friction_step(velocity, FEET[:touching], mass, inertia, mu, push, 0.0, impulses)
+        sweeps = engine.friction_step(velocity, FEET[:touching], mass, inertia, mu, push, 0.0, impulses)
         weights = np.array([mass] * 3 + [inertia] * 3)
         gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
         assert gained <= 1e-13 * (weights @ before**2 + mass * push @ push)
@@ -434,7 +436,7 @@ def test_held_contact_never_gains_energy_and_never_sinks(touching):
 
 def test_one_contact_is_solved_exactly():
     for matrix, _, mu, c in contacts(18, 2000):
-        impulse = np.array(kernels.held_impulse(matrix, mu, *c))
+        impulse = np.array(engine.held_impulse(matrix, mu, *c))
         after = c + full(matrix) @ impulse
         terms = np.abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
         friction = np.linalg.norm(impulse[:2])
@@ -454,8 +456,8 @@ def test_a_die_in_millimetres_slides_as_in_metres():
         velocity = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 1e-2
         small, push = velocity * [1, 1, 1, 1e3, 1e3, 1e3] * 1e-3, 1e-4 * rng.normal(size=3)
         a, b = np.zeros((4, 3)), np.zeros((4, 3))
-        kernels.friction_step(velocity, FEET, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
-        kernels.friction_step(small, 1e-3 * FEET, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
+        engine.friction_step(velocity, FEET, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
+        engine.friction_step(small, 1e-3 * FEET, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
         np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
 
 
@@ -465,8 +467,8 @@ def test_a_die_at_rest_that_is_followed_for_no_time_stays_where_it_is():
     lying = np.zeros((1, 13))
     lying[0, 2], lying[0, 3] = 0.5 * DICE["cube"].solid.edge_m, 1.0
     law = CoulombImpact(chi=0.3, mu=0.2)
-    kernels.poses_of_throws(
-        body_of(DICE["cube"]), kernels.law_of(law.code, law.parameters), LEVEL.plane, kernels.Precision(0.0, 1e-4, 1.0, 1e-4),
+    engine.poses_of_throws(
+        body_of(DICE["cube"]), engine.law_of(law.code, law.parameters), LEVEL.plane, engine.Precision(0.0, 1e-4, 1.0, 1e-4),
         lying, np.zeros(1), np.zeros(1), np.array([0, 1]), 10**7, poses,
     )  # fmt: skip
     np.testing.assert_array_equal(poses, lying[:, :7])

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, Flight, Throw, energy_J
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
+from diethrow.model.throw.motion import Flight, Throw, energy_J
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 RNG_SEED = 7
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model import bodies, simulate
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
+from diethrow.model.die.die import make_die
+from diethrow.model.die.solid import lowest_face
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
@@ -17,8 +17,10 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.simulate import Ending, Until, throw_die
-from diethrow.model.solids import lowest_face, make_die
+from diethrow.model.throw import body, simulate
+from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.simulate import Ending, Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 
@@ -160,7 +162,7 @@ def test_a_decided_face_stays_the_lowest_however_long_the_die_rattles_on(die, ch
 
 @each_die
 def test_a_die_with_just_too_much_energy_is_undecided_and_with_just_too_little_is_decided(die):
-    barrier = bodies.edge_barriers_m(die.solid, die.solid.vertices)[0]
+    barrier = body.edge_barriers_m(die.solid, die.solid.vertices)[0]
     normal = die.solid.normals[0]
     x = np.cross(normal, die.solid.vertices[die.solid.faces[0][0]])
     x /= np.linalg.norm(x)

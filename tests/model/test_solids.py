@@ -6,24 +6,19 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_quaternion
 
-from diethrow.model.bodies import edge_barriers_m
-from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.solids import (
+from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
+from diethrow.model.die.solid import (
     SHAPES,
-    Die,
     convex_solid,
-    die_from_solid,
-    die_symmetries,
     inner_vertices,
-    inversion_rotation,
     isohedral_solid,
-    loaded_die,
     lowest_face,
-    make_die,
-    symmetry_rotations,
     truncated_dipyramid,
     unit_inertia,
 )
+from diethrow.model.die.symmetry import die_symmetries, inversion_rotation, symmetry_rotations
+from diethrow.model.rotations import matrix_from_quat
+from diethrow.model.throw.body import edge_barriers_m
 
 EDGE_M = 0.02
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diethrow.model.ensembles import Stage, UniformConditions, drawn_states
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.solids import make_die
-from diethrow.model.stepping import stepped_landings
+from diethrow.model.die.die import make_die
+from diethrow.model.ensembles.landings import Stage, drawn_states
+from diethrow.model.ensembles.releases import UniformConditions
+from diethrow.model.ensembles.stepping import stepped_landings
+from diethrow.model.laws.impact_laws import SmoothImpact
 
 CUBE = make_die("cube", 0.02, 0.016)
 

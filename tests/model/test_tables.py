@@ -8,13 +8,14 @@ import pytest
 from random_throws import DICE, lowest_vertex_m, random_release
 from scipy.optimize import brentq
 
-from diethrow.model import kernels
-from diethrow.model.contact import Held
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, Flight, State, energy_J
+from diethrow.model import engine
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws.tables import LEVEL, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.simulate import Ending, Until, throw_die
-from diethrow.model.tables import LEVEL, Table
+from diethrow.model.throw.held_contact import Held
+from diethrow.model.throw.motion import Flight, State, energy_J
+from diethrow.model.throw.simulate import Ending, Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 G = GRAVITY_M_S2
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
@@ -321,7 +322,7 @@ def test_a_tilt_turns_the_kernels_gravity_and_keeps_its_size():
     assert np.hypot(np.hypot(plane.gx, plane.gy), plane.g) == pytest.approx(G, rel=1e-15)
     assert plane.g == pytest.approx(G * np.cos(0.4), rel=1e-15)
     assert np.arctan2(plane.gy, plane.gx) == pytest.approx(1.1, rel=1e-14)
-    assert LEVEL.plane == kernels.LEVEL
+    assert LEVEL.plane == engine.LEVEL
     assert lowest_vertex_m(DICE["cube"], State(0.0, np.ones(3), np.array([1.0, 0, 0, 0]), *np.zeros((2, 3)))) == (
         pytest.approx(0.99)
     )

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.tangent import propagate
+from diethrow.model.throw.motion import State
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.tangent import propagate
 
 CHI = 0.6
 IMPACTS = 4

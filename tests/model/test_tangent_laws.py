@@ -7,14 +7,16 @@ import pytest
 from random_throws import random_release
 from scipy.integrate import solve_ivp
 
-from diethrow.model import kernels
-from diethrow.model.impacts import CoulombImpact, RestitutionBySpeed, SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State
+from diethrow.model import engine
+from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
+from diethrow.model.die.solid import truncated_dipyramid
+from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws.tables import LEVEL, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, die_from_solid, loaded_die, make_die, truncated_dipyramid
-from diethrow.model.tables import LEVEL, Table
-from diethrow.model.tangent import PARAMETERS, Propagation, propagate
+from diethrow.model.throw.motion import State
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.tangent import PARAMETERS, Propagation, propagate
+from diethrow.model.world import GRAVITY_M_S2
 
 LAWS = {
     "smooth": SmoothImpact(0.6),
@@ -129,7 +131,7 @@ def assert_derivatives(model: Model, names: tuple[str, ...], seed: int, rtol: fl
 
 def names_of(law) -> tuple[str, ...]:
     """The parameters that a law has."""
-    names = ("chi", "mu") if law.code in (kernels.COULOMB, kernels.COULOMB_BY_SPEED) else ("chi",)
+    names = ("chi", "mu") if law.code in (engine.COULOMB, engine.COULOMB_BY_SPEED) else ("chi",)
     return (*names, "speed_scale_m_s") if isinstance(law, RestitutionBySpeed) else names
 
 
@@ -256,13 +258,13 @@ def test_air_that_does_not_brake_changes_nothing():
 @pytest.mark.parametrize("chi", [0.0, 0.5])
 def test_the_gradient_of_an_impulse_is_that_of_larger_differences_on_every_course_of_the_slip(mu, contact, chi):
     mass, inertia, arm = 0.016, 1.07e-6, (0.006, -0.003, -0.012)
-    gradient, law = np.empty((3, 10)), kernels.RoughLaw(kernels.COULOMB, np.array([chi, mu, float(kernels.STRONGE)]))
-    found = kernels.impulse_gradient(law, mass, inertia, arm, np.array(contact), np.ones(2), gradient)
+    gradient, law = np.empty((3, 10)), engine.RoughLaw(engine.COULOMB, np.array([chi, mu, float(engine.STRONGE)]))
+    found = engine.impulse_gradient(law, mass, inertia, arm, np.array(contact), np.ones(2), gradient)
     given = np.array([*arm, *contact, chi, mu, inertia])
 
     def impulse(x: np.ndarray) -> np.ndarray:
-        matrix = kernels.contact_matrix_of_top(mass, x[8], *x[:3])
-        return np.array(kernels.friction_impulse(matrix, x[6], x[7], kernels.STRONGE, *x[3:6]))
+        matrix = engine.contact_matrix_of_top(mass, x[8], *x[:3])
+        return np.array(engine.friction_impulse(matrix, x[6], x[7], engine.STRONGE, *x[3:6]))
 
     np.testing.assert_allclose(found, impulse(given), rtol=1e-12)
     for k in range(9):

@@ -7,23 +7,16 @@ import pytest
 from random_throws import DICE, random_quaternion, random_release
 from scipy.integrate import quad, solve_ivp
 
-from diethrow.model import tops
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.kernels import (
-    IMPACTS_REACHED,
-    LEVEL,
-    RESTED,
-    SPINNING,
-    TIME_REACHED,
-    Law,
-    Plane,
-    SmoothLaw,
-)
-from diethrow.model.motion import GRAVITY_M_S2, State, energy_J
+from diethrow.model import throw
+from diethrow.model.die.die import die_from_solid, loaded_die
+from diethrow.model.die.solid import convex_solid, isohedral_solid, truncated_dipyramid
+from diethrow.model.engine.types import IMPACTS_REACHED, LEVEL, RESTED, SPINNING, TIME_REACHED, Law, Plane, SmoothLaw
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
-from diethrow.model.simulate import throw_die
-from diethrow.model.solids import convex_solid, die_from_solid, isohedral_solid, loaded_die, truncated_dipyramid
-from diethrow.model.tops import body_state, centre_of_mass_state, throw_top
+from diethrow.model.throw.asymmetric_throw import body_state, centre_of_mass_state, throw_top
+from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.simulate import throw_die
+from diethrow.model.world import GRAVITY_M_S2
 
 LOADED = loaded_die(isohedral_solid("cube", 0.02), 0.011, 0.005, [0.003, 0.002, 0.008])
 BOX = die_from_solid(
@@ -367,4 +360,4 @@ def test_a_throw_the_path_cannot_follow_is_refused_by_name():
         throw_top(LOADED, below, smooth(0.5), plane=LEVEL)
     deep = loaded_die(isohedral_solid("cube", 0.02), 0.001, 1.0, [0.0, 0.0, 0.0099], corner_radius_m=0.001)
     with pytest.raises(ValueError, match="wanted it deeper inside the cube"):
-        tops.top_from_die(deep)
+        throw.top_from_die(deep)

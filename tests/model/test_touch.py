@@ -5,9 +5,10 @@ import pytest
 from random_throws import DICE, random_quaternion, random_release
 from scipy.optimize import brentq, minimize_scalar
 
-from diethrow.model.motion import GRAVITY_M_S2, Flight, State
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.touch import next_touch
+from diethrow.model.throw.motion import Flight, State
+from diethrow.model.throw.touch import next_touch
+from diethrow.model.world import GRAVITY_M_S2
 
 SHAPES = list(DICE)
 

@@ -8,18 +8,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.solid import SHAPES, Solid, convex_solid, inner_vertices
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
-from diethrow.model.solids import SHAPES, Die, Solid, convex_solid, inner_vertices, make_die
-from diethrow.replay.film import Effort, Studio, film_light
-from diethrow.replay.film_set import Look, lamp_beside
-from diethrow.replay.lens import optics_of, undistorted
-from diethrow.replay.sensor import Sensor, expose, fixed_pattern, rounded
-from diethrow.replay.skin import PIPS, TILE_PX, die_mesh, face_frame, face_paint
-from diethrow.replay.surfaces import SURFACES, table_paint
-from diethrow.replay.windows import blend, rounded_up
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.replay.render.film import Effort, Studio, film_light
+from diethrow.replay.render.film_set import Look, lamp_beside
+from diethrow.replay.render.lens import optics_of, undistorted
+from diethrow.replay.render.sensor import Sensor, expose, fixed_pattern, rounded
+from diethrow.replay.render.skin import PIPS, TILE_PX, die_mesh, face_frame, face_paint
+from diethrow.replay.render.surfaces import SURFACES, table_paint
+from diethrow.replay.render.windows import blend, rounded_up
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.pose import make_view, refine_pose
+from diethrow.tracking.picture.view import make_view
+from diethrow.tracking.pose.refine import refine_pose
 
 Array = NDArray[np.float64]
 

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from diethrow.analyze import open_footage
+from diethrow.commands.clip.track import open_footage
+from diethrow.files.plan import read_plan
+from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.simulate import Until, throw_die
-from diethrow.plan import read_plan
-from diethrow.scene import read_scene
-from diethrow.tracking.background import load_background
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.footage.background import load_background
 
 ROOT = Path(__file__).parents[2]
 SAMPLES = ("cube_mirror", "icosahedron_cork", "tetrahedron_wood")

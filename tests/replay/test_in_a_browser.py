@@ -13,10 +13,10 @@ import pytest
 import replay_records as made
 from browser import Page, opened
 
-from diethrow.replay.embedded import viewer_files
-from diethrow.replay.recording import write_recording, write_throw_recording
-from diethrow.replay.report import write_report
-from diethrow.replay.throw_page import throw_page
+from diethrow.replay.pages.embedded_viewer import viewer_files
+from diethrow.replay.pages.report import write_report
+from diethrow.replay.pages.throw import throw_page
+from diethrow.replay.recording.recording import write_recording, write_throw_recording
 
 PHONE_PX = 390
 HOSTILE = "</script></style><script>window.fooled = 1</script><img src=x onerror='window.fooled = 1'>"

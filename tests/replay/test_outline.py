@@ -7,9 +7,9 @@ import pytest
 import replay_records as made
 from scipy.spatial import ConvexHull
 
+from diethrow.model.die.solid import SHAPES, isohedral_solid
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.solids import SHAPES, isohedral_solid
-from diethrow.replay.outline import outlines
+from diethrow.replay.elements.outline import outlines
 
 
 @pytest.mark.parametrize("shape", SHAPES)

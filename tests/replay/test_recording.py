@@ -17,11 +17,12 @@ from rerun.chunk import RrdReader
 from rrd_files import entities, rows, verify
 
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.replay import recording, scenery, video
-from diethrow.replay.palette import MEASURED, SIMULATED
-from diethrow.replay.record import residuals
-from diethrow.replay.recording import write_recording, write_throw_recording
-from diethrow.replay.together import properties_of
+from diethrow.replay.elements import video
+from diethrow.replay.elements.palette import MEASURED, SIMULATED
+from diethrow.replay.elements.record import residuals
+from diethrow.replay.recording import recording, scenery
+from diethrow.replay.recording.recording import write_recording, write_throw_recording
+from diethrow.replay.recording.several_throws import properties_of
 from diethrow.tracking.track import ABSENT
 
 

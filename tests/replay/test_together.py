@@ -10,10 +10,10 @@ import pytest
 import replay_records as made
 from rrd_files import entities, rows, verify
 
-from diethrow.model.motion import Throw
-from diethrow.replay.palette import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
-from diethrow.replay.recording import write_recording, write_throw_recording
-from diethrow.replay.together import Source, join_recordings, recoloured
+from diethrow.model.throw.motion import Throw
+from diethrow.replay.elements.palette import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
+from diethrow.replay.recording.recording import write_recording, write_throw_recording
+from diethrow.replay.recording.several_throws import Source, join_recordings, recoloured
 
 LATER_FRAMES = 5
 EXACT_NS = round(1e9 * made.IMPACT_S)

@@ -17,9 +17,9 @@ import viewers
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from diethrow.replay.recording import write_recording
-from diethrow.replay.together import Source, join_recordings
-from diethrow.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
+from diethrow.commands.results.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
+from diethrow.replay.recording.recording import write_recording
+from diethrow.replay.recording.several_throws import Source, join_recordings
 
 TABS = ["Replay", "Bounces", "Residuals", "Fit"]
 HARMLESS = ("Software rasterizer", "adapter backend", "expect poor performance")

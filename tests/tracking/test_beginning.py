@@ -11,20 +11,20 @@ import pytest
 from footage_of_throws import DICE, FPS, Studio, film, studio
 from random_throws import random_quaternion
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State, Throw
+from diethrow.files.scene import read_scene
+from diethrow.model.die.symmetry import symmetry_rotations
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import symmetry_rotations
-from diethrow.scene import read_scene
-from diethrow.tracking.background import load_background
-from diethrow.tracking.beginning import best_start, find_beginning
-from diethrow.tracking.clip import open_clip
-from diethrow.tracking.follow import follow
-from diethrow.tracking.pose import View
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.footage.background import load_background
+from diethrow.tracking.footage.clip import open_clip
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Seen
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.reel import Reel
-from diethrow.tracking.seen import Seen
+from diethrow.tracking.sequence.initialisation import best_start, find_beginning
+from diethrow.tracking.sequence.track_clip import follow
 
 ROOT = Path(__file__).parents[2]
 

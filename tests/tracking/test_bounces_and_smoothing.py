@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from throws import FPS, random_release, seen, true_throw
 
-from diethrow.model.motion import Flight, Impact, State, Throw
+from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.solids import Die, make_die
-from diethrow.tracking.bounces import NoFlightError, measure, measure_throw
-from diethrow.tracking.flights import moved
-from diethrow.tracking.smooth import smooth
+from diethrow.model.throw.motion import Flight, Impact, State, Throw
+from diethrow.tracking.throw.flights import moved
+from diethrow.tracking.throw.measurement import NoFlightError, measure, measure_throw
+from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]

@@ -22,10 +22,10 @@ from pictures_of_boards import (
 )
 
 from diethrow.model.rotations import quat_from_matrix, rotation_between
-from diethrow.tracking.boards import Board, BoardView, find_boards, make_board
-from diethrow.tracking.calibrate import Calibration, calibrate
+from diethrow.tracking.calibration.boards import Board, BoardView, find_boards, make_board
+from diethrow.tracking.calibration.intrinsics import Calibration, calibrate
+from diethrow.tracking.calibration.table_board import table_pose
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.table_pose import table_pose
 
 TRUTH = np.array([MATRIX[0, 0], MATRIX[1, 1], MATRIX[0, 2], MATRIX[1, 2], *DISTORTION])
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diethrow.tracking.chains import MOST, Stages, solve_chain, spread_along
+from diethrow.tracking.throw.chain_solver import MOST, Stages, solve_chain, spread_along
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.clip import open_clip
-from diethrow.tracking.coarser import WHOLE, Coarseness
+from diethrow.tracking.footage.clip import open_clip
+from diethrow.tracking.footage.decimation import WHOLE, Coarseness
 
 CLIP = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron" / "clip.cihx"
 

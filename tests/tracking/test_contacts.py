@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from throws import FPS, frame_covariance, initial_errors, random_release, seen, strike_at, true_throw
 
-from diethrow.model.impacts import CoulombImpact, ImpactLaw, SmoothImpact
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.die.symmetry import symmetry_rotations
+from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_matrix,
@@ -21,12 +22,11 @@ from diethrow.model.rotations import (
     quat_multiply,
     rotation_between,
 )
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, make_die, symmetry_rotations
-from diethrow.tracking import bounces
-from diethrow.tracking.bounces import measure, measure_throw, tells_the_table
-from diethrow.tracking.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
-from diethrow.tracking.joined import (
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.throw import measurement
+from diethrow.tracking.throw.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
+from diethrow.tracking.throw.joint_flights import (
     LEVER_RAD_S,
     LEVER_SHARE,
     TABLE_SIGMA_M,
@@ -37,10 +37,11 @@ from diethrow.tracking.joined import (
     strike_cost,
     strike_equations,
 )
-from diethrow.tracking.links import UNKNOWN_TABLE_M, Rules, Settled, explains_better, settle
-from diethrow.tracking.parting import part_flights
-from diethrow.tracking.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
-from diethrow.tracking.smooth import smooth
+from diethrow.tracking.throw.links import UNKNOWN_TABLE_M, Rules, Settled, explains_better, settle
+from diethrow.tracking.throw.measurement import measure, measure_throw, tells_the_table
+from diethrow.tracking.throw.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
+from diethrow.tracking.throw.segmentation import part_flights
+from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -516,7 +517,7 @@ def test_flights_that_a_first_parting_gets_wrong_are_parted_again(monkeypatch: p
         partings.append(part_flights(some, die))
         return partings[-1] if len(partings) > 1 else [np.arange(len(some))]
 
-    monkeypatch.setattr(bounces, "part_flights", wrong_at_first)
+    monkeypatch.setattr(measurement, "part_flights", wrong_at_first)
     found = measure_throw(track, CUBE)
     assert len(partings) == 2
     assert [impact.vertices for impact in found.impacts] == [impact.vertices for impact in plain.impacts]

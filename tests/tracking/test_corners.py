@@ -13,13 +13,12 @@ from random_throws import random_quaternion
 from replay_records import ArrayClip
 from rounded_dice import photograph_rounded
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import State, Throw
+from diethrow.model.die.solid import SHAPES
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import SHAPES
-from diethrow.tracking import follow as following
-from diethrow.tracking.corners import (
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.clip_parameters.corner_radius import (
     Corners,
     Looks,
     Rounding,
@@ -30,10 +29,11 @@ from diethrow.tracking.corners import (
     look_rounded,
     noticed_px,
 )
-from diethrow.tracking.follow import Followed, look_through
-from diethrow.tracking.pose import refine_pose
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.seen import Seen
+from diethrow.tracking.sequence import track_clip as following
+from diethrow.tracking.sequence.track_clip import Followed, look_through
 
 ROOM = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.tracking.background import load_background
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.clip import Clip, open_clip
+from diethrow.tracking.footage.background import load_background
+from diethrow.tracking.footage.clip import Clip, open_clip
 
 ROOT = Path(__file__).parents[2]
 TRUTH = ROOT / "tests" / "data" / "cube_wood"

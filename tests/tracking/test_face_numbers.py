@@ -12,9 +12,11 @@ from footage_of_throws import DICE, PIPS
 from marked_throws import CUBE, learned_marks
 from numpy.typing import NDArray
 
-from diethrow.model.solids import Die, Solid, lowest_face, numbered_solid, symmetry_rotations
-from diethrow.tracking.faces import FaceNumbers, count_pips, read_faces, with_numbers
-from diethrow.tracking.marks_textures import FaceGrid, Marks, face_axes
+from diethrow.model.die.die import Die
+from diethrow.model.die.solid import Solid, lowest_face, numbered_solid
+from diethrow.model.die.symmetry import symmetry_rotations
+from diethrow.tracking.marks.face_numbers import FaceNumbers, count_pips, read_faces, with_numbers
+from diethrow.tracking.marks.textures import FaceGrid, Marks, face_axes
 
 Array = NDArray[np.float64]
 

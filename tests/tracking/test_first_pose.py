@@ -12,11 +12,12 @@ import pytest
 from footage_of_throws import DICE, REACH_M, photograph, studio
 from random_throws import random_quaternion
 
-from diethrow.model.motion import State
+from diethrow.model.die.die import Die
+from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
-from diethrow.model.solids import SHAPES, Die
-from diethrow.tracking.pose import labelled_like, make_view
-from diethrow.tracking.segment import (
+from diethrow.model.throw.motion import State
+from diethrow.tracking.picture.mirror_silhouette import shadowless_scores
+from diethrow.tracking.picture.segmentation import (
     DITHERED,
     Blob,
     background_noise,
@@ -27,8 +28,9 @@ from diethrow.tracking.segment import (
     without_rims,
     without_shadow,
 )
-from diethrow.tracking.silhouette import shadowless_scores
-from diethrow.tracking.start import FACTORS, _trials, die_blobs, find_start
+from diethrow.tracking.picture.view import make_view
+from diethrow.tracking.pose.initial_pose import FACTORS, _trials, die_blobs, find_start
+from diethrow.tracking.pose.refine import labelled_like
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 

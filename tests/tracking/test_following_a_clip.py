@@ -13,21 +13,23 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, Flight, State, Throw
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
-from diethrow.model.simulate import Until, throw_die
-from diethrow.tracking.background import estimate_background
-from diethrow.tracking.beginning import find_beginning
-from diethrow.tracking.bounces import measure_throw
-from diethrow.tracking.chase import Chase, widest_sigma
-from diethrow.tracking.edges import coast
-from diethrow.tracking.follow import NoDieError, follow, look_through
-from diethrow.tracking.parting import spared
-from diethrow.tracking.pose import make_view, refine_pose, share_in_view
-from diethrow.tracking.reel import Reel
-from diethrow.tracking.seen import Seen, longest_leap
-from diethrow.tracking.smooth import smooth
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
+from diethrow.tracking.footage.background import estimate_background
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.picture.view import make_view, share_in_view
+from diethrow.tracking.pose.frame_poses import Seen, longest_leap
+from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.sequence.frame_to_frame import Chase, widest_sigma
+from diethrow.tracking.sequence.initialisation import find_beginning
+from diethrow.tracking.sequence.motion_filter import coast
+from diethrow.tracking.sequence.track_clip import NoDieError, follow, look_through
+from diethrow.tracking.throw.measurement import measure_throw
+from diethrow.tracking.throw.segmentation import spared
+from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -104,8 +106,8 @@ TIMES_FASTER = 6
 @pytest.fixture
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
-    monkeypatch.setattr("diethrow.tracking.seen.PLENTY", FRAMES)
-    monkeypatch.setattr("diethrow.tracking.parting.PLENTY", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.pose.frame_poses.PLENTY", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.throw.segmentation.PLENTY", FRAMES)
 
 
 @pytest.mark.usefixtures("few_are_plenty")

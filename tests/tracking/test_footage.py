@@ -11,7 +11,7 @@ import pytest
 from footage_files import noisy_frames, write_cine, write_photron, write_pictures, write_tiff, write_video
 from numpy.typing import NDArray
 
-from diethrow.tracking.clip import open_clip, scan_notices
+from diethrow.tracking.footage.clip import open_clip, scan_notices
 
 COUNT = 23
 

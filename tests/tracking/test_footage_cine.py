@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_cine
 
-from diethrow.tracking.clip import open_clip
-from diethrow.tracking.footage_cine import linear_levels, unpack_10bit
+from diethrow.tracking.footage.cine import linear_levels, unpack_10bit
+from diethrow.tracking.footage.clip import open_clip
 
 FRAMES = noisy_frames(9, bits=12)
 

@@ -10,8 +10,8 @@ import pytest
 import tifffile
 from footage_files import noisy_frames, write_pictures, write_tiff
 
-from diethrow.tracking.background import estimate_background, load_background
-from diethrow.tracking.clip import open_clip
+from diethrow.tracking.footage.background import estimate_background, load_background
+from diethrow.tracking.footage.clip import open_clip
 
 FRAMES = noisy_frames(12)
 

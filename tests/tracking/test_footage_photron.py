@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_photron
 
-from diethrow.tracking.clip import Filling, open_clip
-from diethrow.tracking.footage_photron import unpack_12bit
+from diethrow.tracking.footage.clip import Filling, open_clip
+from diethrow.tracking.footage.photron import unpack_12bit
 
 FRAMES = noisy_frames(9, bits=12)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_video
 
-from diethrow.tracking.clip import Clip, open_clip
+from diethrow.tracking.footage.clip import Clip, open_clip
 
 MJPEG_RANGE, VIDEO_RANGE = 2, 1
 # Every level of grey as a 4 × 4 patch: large enough that a lossy codec at its finest keeps it to a level or two.

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from throws import random_release, seen, true_throw
 
-from diethrow.model.motion import Throw
+from diethrow.model.die.die import make_die
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec
-from diethrow.model.solids import make_die
-from diethrow.tracking.gravity import fall_notices, measure_fall
+from diethrow.model.throw.motion import Throw
+from diethrow.tracking.check.gravity import fall_notices, measure_fall
 from diethrow.tracking.track import LOST, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)

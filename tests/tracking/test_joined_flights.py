@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from throws import FPS, initial_errors, random_release, seen, true_throw
 
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.solids import make_die
-from diethrow.tracking.flights import (
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.throw.flights import (
     SLACK_POSITION_M,
     SLACK_ROTATION_RAD,
     Sightings,
@@ -23,7 +23,7 @@ from diethrow.tracking.flights import (
     scaled_inverse,
     transition,
 )
-from diethrow.tracking.joined import Joined, Link, fit_joined
+from diethrow.tracking.throw.joint_flights import Joined, Link, fit_joined
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]

@@ -9,12 +9,13 @@ import pytest
 from footage_of_throws import DICE, FPS, studio
 from random_throws import random_quaternion
 
-from diethrow.model.motion import Flight, Impact, State, Throw
+from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.solids import SHAPES
-from diethrow.tracking.labelling import labelled_across, labelled_along
-from diethrow.tracking.pose import View, labelled_like
-from diethrow.tracking.seen import Seen
+from diethrow.model.throw.motion import Flight, Impact, State, Throw
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.refine import labelled_like
+from diethrow.tracking.sequence.labelling import labelled_across, labelled_along
 
 FRAMES, STRUCK = 24, 11.5
 """Frames of a die that spins, and when it strikes the table, in frames."""

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from rounded_dice import photograph_rounded
 
-from diethrow.model.motion import State
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.tracking.edges import LIGHT_TERMS
-from diethrow.tracking.light import basis, lit
-from diethrow.tracking.pose import View, refine_pose
-from diethrow.tracking.seen import Seen
+from diethrow.model.throw.motion import State
+from diethrow.tracking.clip_parameters.light import basis, lit
+from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.refine import refine_pose
 
 Array = NDArray[np.float64]
 

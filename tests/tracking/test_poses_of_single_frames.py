@@ -11,18 +11,11 @@ from footage_of_throws import DICE, Studio, photograph, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
-from diethrow.model.motion import State
+from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
-from diethrow.model.solids import SHAPES
-from diethrow.tracking.pose import (
-    Pose,
-    labelled_like,
-    outline_box,
-    picture_scores,
-    refine_pose,
-    share_in_view,
-    visible_faces,
-)
+from diethrow.model.throw.motion import State
+from diethrow.tracking.picture.view import outline_box, picture_scores, share_in_view, visible_faces
+from diethrow.tracking.pose.refine import Pose, labelled_like, refine_pose
 
 Array = NDArray[np.float64]
 

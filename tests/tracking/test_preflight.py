@@ -11,15 +11,16 @@ from footage_of_throws import DICE, FPS, film, studio
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import GRAVITY_M_S2, State, Throw
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import Die, make_die
+from diethrow.model.die.die import Die, make_die
+from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.throw.motion import State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.gravity import Fall
-from diethrow.tracking.preflight import Backdrop, Preflight, Sight, Timing, preflight
+from diethrow.tracking.check.clip_quality import Backdrop, Preflight, Sight, Timing, preflight
+from diethrow.tracking.check.gravity import Fall
+from diethrow.tracking.check.verdicts import Finding, Verdict, judge
 from diethrow.tracking.track import LOST, TRACKED, Track
-from diethrow.tracking.verdicts import Finding, Verdict, judge
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.3, blur_px=0.8)
 CUBE = DICE["cube"]

@@ -11,9 +11,9 @@ import pytest
 from footage_files import noisy_frames, write_photron
 from replay_records import ArrayClip
 
-from diethrow.tracking.clip import open_clip
-from diethrow.tracking.footage import Frame
-from diethrow.tracking.reel import Reel
+from diethrow.tracking.footage.clip import open_clip
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.reader import Frame
 
 COUNT = 150
 
@@ -57,7 +57,7 @@ def test_blocks_hold_every_frame_once_and_in_order() -> None:
 
 
 def test_a_block_that_is_held_is_not_written_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    monkeypatch.setattr("diethrow.tracking.footage.frame_blocks.KEPT_BYTES", 0)
     clip = clip_of(11, 1000)
     reel, plain = Reel([clip]), np.array(list(clip.frames()))
     held = [(first, frames[3:5, 0]) for first, frames in reel.blocks()]
@@ -107,7 +107,7 @@ def test_frames_of_two_cameras_are_stacked_and_the_smaller_is_padded() -> None:
 def test_boxes_hold_what_the_frames_have_there_and_empty_ones_are_passed_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    monkeypatch.setattr("diethrow.tracking.footage.frame_blocks.KEPT_BYTES", 0)
     levels = noisy_frames(COUNT, bits=12)
     clip = open_clip(write_photron(tmp_path / "x.cihx", levels, stored_bits=12))
     rng = np.random.default_rng(1)
@@ -123,7 +123,7 @@ def test_boxes_hold_what_the_frames_have_there_and_empty_ones_are_passed_over(
 
 
 def test_a_clip_that_cannot_fill_frames_shows_those_without_a_box_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.tracking.reel.KEPT_BYTES", 0)
+    monkeypatch.setattr("diethrow.tracking.footage.frame_blocks.KEPT_BYTES", 0)
     clip, boxes = clip_of(12, 1000), np.zeros((1000, 1, 4), np.int64)
     boxes[::9, 0, 2:] = 5
     parts = list(Reel([clip]).looked_at(boxes))

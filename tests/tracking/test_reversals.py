@@ -9,13 +9,14 @@ import pytest
 from footage_of_throws import DICE, Moving, Spot, film, photograph, studio
 from random_throws import random_quaternion
 
-from diethrow.model.motion import Flight, State
+from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
-from diethrow.model.solids import SHAPES
-from diethrow.tracking.pose import View, labelled_like, refine_pose
-from diethrow.tracking.reel import Reel
-from diethrow.tracking.reversals import put_right, reversed_in_depth
-from diethrow.tracking.seen import Seen
+from diethrow.model.throw.motion import Flight, State
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.refine import labelled_like, refine_pose
+from diethrow.tracking.sequence.depth_reversal import put_right, reversed_in_depth
 
 FRAMES = 48
 NONE_UNUSED = np.zeros(FRAMES, bool)

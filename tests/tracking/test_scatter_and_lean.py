@@ -10,11 +10,11 @@ from footage_of_throws import studio
 from numpy.typing import NDArray
 from throws import FPS, blurred_in_time, random_release, seen, true_throw
 
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
-from diethrow.model.solids import make_die
-from diethrow.tracking.bounces import calibrated, measure
-from diethrow.tracking.flights import (
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.check.gravity import fall_notices, measure_fall
+from diethrow.tracking.throw.flights import (
     Scatter,
     Sightings,
     chain_meats,
@@ -26,10 +26,10 @@ from diethrow.tracking.flights import (
     packed,
     seen_minus_motion,
 )
-from diethrow.tracking.gravity import fall_notices, measure_fall
-from diethrow.tracking.lean import SIZE_PX, shared_lean, shared_sigma
-from diethrow.tracking.scatter import estimate_scatter
-from diethrow.tracking.smooth import smooth
+from diethrow.tracking.throw.measurement import calibrated, measure
+from diethrow.tracking.throw.residual_correlation import estimate_scatter
+from diethrow.tracking.throw.shared_bias import SIZE_PX, shared_lean, shared_sigma
+from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, Track
 
 Array = NDArray[np.float64]

@@ -9,13 +9,13 @@ import pytest
 from footage_of_throws import DICE, film, studio
 from numpy.typing import NDArray
 
-from diethrow.model.motion import Flight, State
 from diethrow.model.rotations import quat_from_matrix, rotation_between
-from diethrow.tracking.offsets import Offsets
-from diethrow.tracking.pose import covariances
-from diethrow.tracking.reel import Reel
-from diethrow.tracking.second_pass import SecondPass
-from diethrow.tracking.seen import Seen
+from diethrow.model.throw.motion import Flight, State
+from diethrow.tracking.clip_parameters.clock_offsets import Offsets
+from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.refine import covariances
+from diethrow.tracking.sequence.refine_on_edges import SecondPass
 
 Array = NDArray[np.float64]
 

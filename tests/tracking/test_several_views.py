@@ -10,17 +10,18 @@ from footage_of_throws import DICE, FPS, ArrayClip, Studio, film, photograph, pi
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
-from diethrow.model.impacts import SmoothImpact
-from diethrow.model.motion import Flight, State, Throw
+from diethrow.model.die.symmetry import symmetry_rotations
+from diethrow.model.laws.impact_laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
-from diethrow.model.simulate import Until, throw_die
-from diethrow.model.solids import symmetry_rotations
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.faces import read_faces
-from diethrow.tracking.follow import follow, look_through
-from diethrow.tracking.offsets import eyes_at
-from diethrow.tracking.pose import MIRRORED, Pose, View, make_view, refine_pose, stacked, with_reflections
+from diethrow.tracking.clip_parameters.clock_offsets import eyes_at
+from diethrow.tracking.marks.face_numbers import read_faces
+from diethrow.tracking.picture.view import MIRRORED, View, make_view, stacked, with_reflections
+from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
+from diethrow.tracking.sequence.track_clip import follow, look_through
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

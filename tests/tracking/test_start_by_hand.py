@@ -10,17 +10,13 @@ from footage_of_throws import DICE, FPS, film, photograph, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
-from diethrow.model.motion import Flight, State, Throw
-from diethrow.model.rotations import (
-    quat_from_matrix,
-    quat_from_rotvec,
-    quat_multiply,
-    rotation_between,
-)
-from diethrow.tracking.follow import follow
-from diethrow.tracking.hints import Click, HandStart, excluded_rows
-from diethrow.tracking.pose import Pose, View, labelled_like, visible_faces
-from diethrow.tracking.start_by_hand import poses_from_clicks, start_by_hand
+from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.picture.view import View, visible_faces
+from diethrow.tracking.pose.by_hand import poses_from_clicks, start_by_hand
+from diethrow.tracking.pose.manual_input import Click, HandStart, excluded_rows
+from diethrow.tracking.pose.refine import Pose, labelled_like
+from diethrow.tracking.sequence.track_clip import follow
 from diethrow.tracking.track import LOST, TRACKED
 
 Array = NDArray[np.float64]

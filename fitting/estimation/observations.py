@@ -1,0 +1,140 @@
+"""What a fit sees: the frames that show the die in free flight, each with its weight.
+
+A residual is what was seen minus what the model says: position [m], then rotation vector [rad] from the model's
+orientation to the one seen, in world axes. It is whitened with W, where Wᵀ W is the inverse of the frame's 6 × 6
+covariance, so that its six numbers have unit variance and no correlation when covariance and model are right.
+
+A frame is an average over its exposure, which lasts at most one frame interval. So a frame nearer than half an interval
+to an impact may blend two flights, shows the die in no pose that it ever had, and is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.rotations import rotation_between
+from ...model.throw import Throw
+from ...tracking.track import Track
+
+Array = NDArray[np.float64]
+
+UNRESOLVED_FRAMES = 1.5
+"""Frames on either side of an unresolved contact that may lie between the impacts hidden in it."""
+
+_FLOOR = np.array([1e-7] * 3 + [1e-6] * 3)
+"""Smallest sigma [m, rad] ever estimated: a track printed with seven digits has no less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sightings:
+    """Frames with a pose, in free flight, in order of time."""
+
+    time_s: Array
+    """(n,) mid-exposure."""
+    position_m: Array
+    """(n, 3)."""
+    quaternion: Array
+    """(n, 4) wxyz."""
+    whitener: Array
+    """(n, 6, 6) W with Wᵀ W the inverse covariance; NaN where the track has no usable covariance."""
+    flight: NDArray[np.int64]
+    """(n,) index of the measured flight that holds the frame."""
+    interval_s: float
+    """Of the frames of the track."""
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Sightings:
+        """Only the chosen ones, by mask or by index."""
+        return replace(
+            self,
+            time_s=self.time_s[chosen],
+            position_m=self.position_m[chosen],
+            quaternion=self.quaternion[chosen],
+            whitener=self.whitener[chosen],
+            flight=self.flight[chosen],
+        )
+
+    def count(self, flight: int) -> int:
+        """Frames of one flight."""
+        return int((self.flight == flight).sum())
+
+
+def sight(track: Track, measured: Throw) -> Sightings:
+    """The usable frames of a track: tracked, finite, and clear of every measured impact.
+
+    Raises ValueError where the columns of the track have different lengths.
+    """
+    n = len(track)
+    columns = (track.time_s, track.position_m, track.quaternion, track.covariance)
+    shapes = [np.shape(column) for column in columns]
+    if shapes != [(n,), (n, 3), (n, 4), (n, 6, 6)]:
+        raise ValueError(f"track columns of shapes {shapes}: wanted ({n},), ({n}, 3), ({n}, 4) and ({n}, 6, 6)")
+    interval = float(np.median(np.diff(track.time_s))) if n > 1 else 0.0
+    poses = np.hstack([track.position_m, track.quaternion])
+    usable = track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s)
+    for impact in measured.impacts:
+        frames = UNRESOLVED_FRAMES if impact.contact == "unresolved" else 0.5
+        usable &= np.abs(track.time_s - impact.time_s) >= frames * interval
+    times = track.time_s[usable]
+    flights = measured.flights_at(times)
+    weights = whiteners(track.covariance[usable])
+    seen = Sightings(times, track.position_m[usable], track.quaternion[usable], weights, flights, interval)
+    return seen.where(np.argsort(times, kind="stable"))
+
+
+def whiteners(covariance: Array) -> Array:
+    """W (n, 6, 6) of covariances (n, 6, 6), NaN where one is not finite or not positive definite."""
+    found = np.full(covariance.shape, np.nan)
+    for k, matrix in enumerate(covariance):
+        if not np.isfinite(matrix).all():
+            continue
+        sigma = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
+        if not (sigma > 0.0).all():
+            continue
+        # Judged as a correlation matrix, where metres and radians no longer hide what is singular.
+        values = np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))
+        if values[0] > 1e-9:
+            found[k] = np.linalg.inv(np.linalg.cholesky(matrix))
+    return found
+
+
+def with_noise(sightings: Sightings, missing: NDArray[np.bool_], sigma_m: float, sigma_rad: float) -> Sightings:
+    """The same frames, with isotropic noise where `missing` (n,)."""
+    sigma = np.maximum([sigma_m] * 3 + [sigma_rad] * 3, _FLOOR)
+    filled = sightings.whitener.copy()
+    filled[missing] = np.diag(1.0 / sigma)
+    return replace(sightings, whitener=filled)
+
+
+def pose_errors(sightings: Sightings, positions: Array, quaternions: Array) -> Array:
+    """Seen minus modelled (n, 6): position [m], rotation vector [rad], world axes; not whitened."""
+    return np.hstack([sightings.position_m - positions, rotation_between(quaternions, sightings.quaternion)])
+
+
+def whitened(sightings: Sightings, errors: Array) -> Array:
+    """Errors (n, 6) in units of their sigmas."""
+    return np.einsum("nij,nj->ni", sightings.whitener, errors)
+
+
+def whitened_jacobian(sightings: Sightings, errors: Array, jacobian: Array) -> Array:
+    """Derivative (n, 6, m) of the whitened errors, from that of the modelled poses (n, 6, m).
+
+    A modelled pose turned by δ leaves log(exp(e) exp(-δ)) = e - J⁻¹ δ, with J⁻¹ = 1 + [e]×/2 + [e]×²/12 + O(e⁴)
+    (the inverse right Jacobian; for the 0.5 rad of the worst first guess the next term is 1e-4).
+    """
+    cross = cross_matrices(errors[:, 3:])
+    turn = np.eye(3) + cross / 2.0 + cross @ cross / 12.0
+    seen = np.concatenate([jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
+    return -sightings.whitener @ seen
+
+
+def cross_matrices(vectors: Array) -> Array:
+    """[v]× (..., 3, 3) of vectors (..., 3)."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)

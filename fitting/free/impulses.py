@@ -1,0 +1,305 @@
+"""Bounce by bounce: what two neighbouring flights say of the impact between them, with no law of impact.
+
+The vertex that touches stands at r from the centre, and its vertical velocity is u = v_z + ω_x r_y - ω_y r_x. With u
+before and u' after, at the instant when the first flight brings the vertex to the table, the apparent restitution is
+
+    χ = -u'/u.
+
+A ratio of two measured numbers has no standard error where the lower one may be zero; its interval is Fieller's
+(J. R. Stat. Soc. B 16, 175, 1954): all χ for which u' + χ u does not differ from zero at the level asked for. It may
+be unbounded, and is then reported as NaN.
+
+The impulse is S = m Δv, whatever made it, and with it come the tangential impulse over the normal one, |S_t|/S_z, which
+no Coulomb friction lets exceed μ and sliding makes equal to it, and the energy lost, E - E'. The ratio's interval is
+Fieller's along the measured direction of S_t, and begins at 0 where S_t may be nothing; that of the energy is by linear
+propagation, since it is a smooth function of both states.
+
+What the smooth impact (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8) adds to this is that the impulse is
+vertical: v_x, v_y and ω_z stay, and J Δω = m Δv_z (r × ẑ). These five numbers, in sigmas, say whether it holds.
+
+Where the corners are rounded, the contact is the lowest point of a sphere inscribed at the corner, and r ends there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2, norm
+from scipy.stats import t as student
+
+from ...model.die import Die
+from ...model.rotations import matrix_from_quat
+from ...model.throw import Flight, Impact, State, energy_J
+from .flights import FreeFlights, flight_jacobian, moved_state
+
+Array = NDArray[np.float64]
+
+_SMOOTH, _CHANGE, _LOST = slice(2, 7), [2, 3, 7], 8
+"""Of `_impact_numbers`: what a smooth impact sets to zero, the change of velocity, and the energy lost."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bounce:
+    """One impact, as the flights on either side have it. Sigmas and bounds are NaN for flights without covariance."""
+
+    time_s: float
+    """When the flight before brings the contact point to the table."""
+    vertex: int
+    chi: float
+    """Apparent restitution."""
+    chi_low: float
+    chi_high: float
+    """Fieller's interval; NaN where it is unbounded."""
+    chi_sigma: float
+    """By linear propagation."""
+    normal_velocity_before_m_s: float
+    normal_velocity_after_m_s: float
+    impulse_N_s: Array
+    """(3,) on the die, world axes: m Δv."""
+    impulse_covariance: Array
+    """(3, 3) [N² s²]."""
+    impulse_ratio: float
+    """Tangential impulse over normal impulse; NaN where the normal one is not upwards."""
+    impulse_ratio_low: float
+    impulse_ratio_high: float
+    energy_lost_J: float
+    energy_lost_low_J: float
+    energy_lost_high_J: float
+    energy_before_J: float
+    energy_after_J: float
+    smooth_sigmas: float
+    """Root mean square of the five numbers that the smooth impact sets to zero, each in sigmas, uncorrelated."""
+
+
+def apparent_restitution(
+    die: Die, before: Flight, after: Flight, time_s: float, vertex: int, *, level: float = 0.95
+) -> Bounce:
+    """What happened at an impact near `time_s` at a vertex, from the flights on either side and their covariances.
+
+    Raises ValueError for a vertex that the die does not have.
+    """
+    if not 0 <= vertex < len(die.solid.vertices):
+        raise ValueError(f"vertex = {vertex}: wanted an index from 0 to {len(die.solid.vertices) - 1}")
+    touch_s = _touch_time(die, before, time_s, vertex)
+    values = _impact_numbers(die, before, after, touch_s, vertex)
+    covariance = _covariance(die, before, after, touch_s, vertex)
+    u, u_after = float(values[0]), float(values[1])
+    low, high = fieller(u, u_after, covariance[:2, :2], level)
+    gradient = np.array([u_after / u**2, -1.0 / u])
+    z = float(norm.ppf(0.5 + level / 2.0))
+    impulse, of_impulse = die.mass_kg * values[_CHANGE], die.mass_kg**2 * covariance[np.ix_(_CHANGE, _CHANGE)]
+    ratio, ratio_low, ratio_high = _impulse_ratio(impulse, of_impulse, level)
+    lost, lost_sigma = float(values[_LOST]), float(np.sqrt(covariance[_LOST, _LOST]))
+    state, next_state = before.at(touch_s), after.at(touch_s)
+    return Bounce(
+        time_s=touch_s,
+        vertex=vertex,
+        chi=-u_after / u,
+        chi_low=low,
+        chi_high=high,
+        chi_sigma=float(np.sqrt(gradient @ covariance[:2, :2] @ gradient)),
+        normal_velocity_before_m_s=u,
+        normal_velocity_after_m_s=u_after,
+        impulse_N_s=impulse,
+        impulse_covariance=of_impulse,
+        impulse_ratio=ratio,
+        impulse_ratio_low=ratio_low,
+        impulse_ratio_high=ratio_high,
+        energy_lost_J=lost,
+        energy_lost_low_J=lost - z * lost_sigma,
+        energy_lost_high_J=lost + z * lost_sigma,
+        energy_before_J=energy_J(die, state),
+        energy_after_J=energy_J(die, next_state),
+        smooth_sigmas=_root_mean_square(values[_SMOOTH], covariance[_SMOOTH, _SMOOTH]),
+    )
+
+
+def measure_bounces(
+    die: Die, free: FreeFlights, impacts: Sequence[Impact], begin: int = 0, end: int | None = None
+) -> tuple[Bounce | None, ...]:
+    """Every impact at one known vertex between two flights that could be fitted; None for the others. Of them all those
+    from `begin` up to `end`.
+
+    The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
+    interval of its own, that one is kept: it knows that the flights meet there, and needs no height of the table.
+    """
+    bounces: list[Bounce | None] = []
+    scale = max(1.0, free.variance)
+    for impact, before, after in list(zip(impacts, free.flights, free.flights[1:], strict=False))[begin:end]:
+        if before is None or after is None or impact.contact != "vertex" or len(impact.vertices) != 1:
+            bounces.append(None)
+            continue
+        pair = (_scaled(before.flight, scale), _scaled(after.flight, scale))
+        bounces.append(_as_measured(apparent_restitution(die, *pair, impact.time_s, impact.vertices[0]), impact))
+    return tuple(bounces)
+
+
+def fieller(u: float, u_after: float, covariance: Array, level: float) -> tuple[float, float]:
+    """Bounds of -u_after/u from the covariance (2, 2) of both; (NaN, NaN) where the interval is unbounded.
+
+    They solve (u' + χ u)² = z² (C₂₂ + 2 χ C₁₂ + χ² C₁₁).
+    """
+    z2 = float(norm.ppf(0.5 + level / 2.0)) ** 2
+    a = u**2 - z2 * covariance[0, 0]
+    b = u * u_after - z2 * covariance[0, 1]
+    c = u_after**2 - z2 * covariance[1, 1]
+    discriminant = b * b - a * c
+    if not (a > 0.0 and discriminant >= 0.0):
+        return np.nan, np.nan
+    root = np.sqrt(discriminant)
+    return float((-b - root) / a), float((-b + root) / a)
+
+
+def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[float, float, float]:
+    """|S_t|/S_z and its bounds; NaN where the impulse does not point up."""
+    tangential, upward = float(np.hypot(impulse[0], impulse[1])), float(impulse[2])
+    if not upward > 0.0:
+        return np.nan, np.nan, np.nan
+    along = np.array([impulse[0], impulse[1], 0.0]) / tangential if tangential > 0.0 else np.array([1.0, 0.0, 0.0])
+    turn = np.stack([np.array([0.0, 0.0, 1.0]), -along])
+    low, high = fieller(upward, -tangential, turn @ covariance @ turn.T, level)
+    if np.isfinite(low):
+        # Errors have two directions to make a length of nothing: along the measured one alone 0 would be missed thrice
+        # as often as stated.
+        squared = float(impulse[:2] @ np.linalg.pinv(covariance[:2, :2], hermitian=True) @ impulse[:2])
+        low = 0.0 if squared <= chi2.ppf(level, 2) else max(0.0, low)
+    return tangential / upward, low, high
+
+
+def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95) -> tuple[float, float, float] | None:
+    """One χ for several bounces, with its interval; None where no bounce has a bounded interval of its own.
+
+    Weighted mean with a scatter between bounces beside their own errors (DerSimonian & Laird, Control. Clin. Trials 7,
+    177, 1986), its standard error by Knapp & Hartung (Stat. Med. 22, 2693, 2003) and Student's t, and never smaller
+    than the errors of the bounces themselves allow. A single bounce keeps its own interval.
+    """
+    used = [b for b in bounces if b is not None and np.isfinite(b.chi_low) and -0.5 < b.chi < 1.5]
+    if not used:
+        return None
+    if len(used) == 1:
+        return used[0].chi, used[0].chi_low, used[0].chi_high
+    chi, variance = np.array([b.chi for b in used]), np.array([b.chi_sigma**2 for b in used])
+    weight = 1.0 / variance
+    excess = float(weight @ (chi - weight @ chi / weight.sum()) ** 2) - (len(used) - 1)
+    between = max(0.0, excess / float(weight.sum() - (weight**2).sum() / weight.sum()))
+    weight = 1.0 / (variance + between)
+    mean = float(weight @ chi / weight.sum())
+    scatter = float(weight @ (chi - mean) ** 2) / (len(used) - 1)
+    sigma = np.sqrt(max(1.0, scatter) / weight.sum())
+    # One scatter from few bounces is itself uncertain; without any scatter the errors are known and normal.
+    reach = float(student.ppf(0.5 + level / 2.0, len(used) - 1) if between > 0.0 else norm.ppf(0.5 + level / 2.0))
+    return mean, mean - reach * sigma, mean + reach * sigma
+
+
+def _as_measured(bounce: Bounce, impact: Impact) -> Bounce:
+    """The bounce with the χ that tracking has measured (95 %), if it has."""
+    if not np.isfinite([impact.chi, impact.chi_low, impact.chi_high]).all() or impact.chi_high <= impact.chi_low:
+        return bounce
+    sigma = (impact.chi_high - impact.chi_low) / (2.0 * float(norm.ppf(0.975)))
+    return replace(bounce, chi=impact.chi, chi_low=impact.chi_low, chi_high=impact.chi_high, chi_sigma=sigma)
+
+
+def _scaled(flight: Flight, variance: float) -> Flight:
+    covariance = None if flight.covariance is None else flight.covariance * variance
+    return Flight(flight.start, flight.end_s, covariance)
+
+
+def contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
+    """From the centre to the point that touches (3,) [m], world axes, for a vertex turned to the table."""
+    inset = 1.0 - die.corner_radius_m / die.solid.inradius
+    return np.asarray(rotation @ die.solid.vertices[vertex] * inset - np.array([0.0, 0.0, die.corner_radius_m]))
+
+
+def normal_velocity(state: State, arm: Array) -> float:
+    return float(state.velocity_m_s[2] + state.omega_rad_s[0] * arm[1] - state.omega_rad_s[1] * arm[0])
+
+
+def _touch_time(die: Die, before: Flight, near_s: float, vertex: int) -> float:
+    """When the flight brings the contact point to the table: Newton from the measured instant, within 2 ms of it."""
+    t = near_s
+    for _ in range(8):
+        state = before.at(t)
+        arm = contact_arm(die, state.rotation, vertex)
+        u = normal_velocity(state, arm)
+        if u >= 0.0:
+            return near_s
+        step = -(float(state.position_m[2]) + float(arm[2])) / u
+        t += step
+        if abs(t - near_s) > 2e-3:
+            return near_s
+        if abs(step) < 1e-12:
+            break
+    return t
+
+
+def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vertex: int) -> Array:
+    """(9,): u, u', the five numbers that a smooth impact sets to zero, the rise of v_z, and the energy lost [J].
+
+    The instant shifts to where the (varied) flight before touches; one Newton step is exact to the first order.
+    """
+    state = before.at(time_s)
+    arm = contact_arm(die, state.rotation, vertex)
+    state = before.at(time_s - (float(state.position_m[2]) + float(arm[2])) / normal_velocity(state, arm))
+    arm = contact_arm(die, state.rotation, vertex)
+    later = after.at(state.time_s)
+    # Either orientation is an estimate of the same: each velocity is taken with the arm of its own flight.
+    arm_after = contact_arm(die, matrix_from_quat(later.quaternion), vertex)
+    dv, dw = later.velocity_m_s - state.velocity_m_s, later.omega_rad_s - state.omega_rad_s
+    lever = die.mass_kg / die.inertia_kg_m2 * float(dv[2])
+    return np.array(
+        [
+            normal_velocity(state, arm),
+            normal_velocity(later, arm_after),
+            dv[0],
+            dv[1],
+            dw[0] - lever * arm[1],
+            dw[1] + lever * arm[0],
+            dw[2],
+            dv[2],
+            energy_J(die, state) - energy_J(die, replace(later, position_m=state.position_m)),
+        ]
+    )
+
+
+def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: int) -> Array:
+    """Covariance (9, 9) of `_impact_numbers`, by central differences over both states; NaN without covariances."""
+    if before.covariance is None or after.covariance is None:
+        return np.full((9, 9), np.nan)
+    total = np.zeros((9, 9))
+    at_touch = [_carried(flight, time_s) for flight in (before, after)]
+    for which, flight in enumerate(at_touch):
+        assert flight.covariance is not None
+        steps = np.repeat([1e-7, 1e-6, 1e-4, 1e-2], 3)
+        gradient = np.empty((9, 12))
+        for k, step in enumerate(steps):
+            change = np.zeros(12)
+            change[k] = step
+            ends = []
+            for sign in (1.0, -1.0):
+                pair = list(at_touch)
+                pair[which] = Flight(moved_state(flight.start, sign * change), flight.end_s)
+                ends.append(_impact_numbers(die, pair[0], pair[1], time_s, vertex))
+            gradient[:, k] = (ends[0] - ends[1]) / (2.0 * step)
+        total += gradient @ flight.covariance @ gradient.T
+    return total
+
+
+def _carried(flight: Flight, time_s: float) -> Flight:
+    """The same flight with its state and covariance at another instant, so that small steps there stay small."""
+    assert flight.covariance is not None
+    poses = flight_jacobian(flight.start, np.array([time_s]))[0]
+    carry = np.eye(12)
+    carry[:6] = poses
+    return Flight(flight.at(time_s), flight.end_s, carry @ flight.covariance @ carry.T)
+
+
+def _root_mean_square(values: Array, covariance: Array) -> float:
+    """√(xᵀ C⁻¹ x / n)."""
+    if not np.isfinite(covariance).all():
+        return float("nan")
+    sigma = np.sqrt(np.diag(covariance))
+    scaled = np.linalg.solve(covariance / np.outer(sigma, sigma), values / sigma)
+    return float(np.sqrt(max(0.0, float((values / sigma) @ scaled)) / len(values)))

@@ -1,0 +1,82 @@
+"""A clock or a length scale that the track has wrong: from the track's units to true ones, and back.
+
+A second of the track is `clock_scale` true seconds, a true metre `length_scale` metres of the track. The model lives on
+the true clock, in true metres; what is drawn beside the track, or compared with it, is given back as the track has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.throw import Flight, Impact, State, Throw
+from .physics import Physics
+
+Array = NDArray[np.float64]
+
+
+def in_true_units(physics: Physics, state: State) -> State:
+    """A state on the track's clock and in its metres, by the scales of the physics."""
+    clock, length = physics.clock, physics.length
+    return State(
+        clock * state.time_s,
+        state.position_m / length,
+        state.quaternion,
+        state.velocity_m_s / (clock * length),
+        state.omega_rad_s / clock,
+    )
+
+
+def as_tracked(physics: Physics, throw: Throw) -> Throw:
+    """The throw on the track's clock and in its metres; itself where no scale is fitted."""
+    clock, length = physics.clock, physics.length
+    if clock == 1.0 and length == 1.0:
+        return throw
+    flights = tuple(_scaled(flight, clock, length) for flight in throw.flights)
+    return Throw(flights, tuple(_scaled_impact(impact, clock, length) for impact in throw.impacts))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ScaledFlight(Flight):
+    """A flight as another clock and another metre have it; gravity is then another, too."""
+
+    true: Flight
+    clock: float
+    length: float
+
+    def at(self, time_s: float) -> State:
+        """The state at any instant."""
+        return _tracked_state(self.true.at(self.clock * time_s), self.clock, self.length)
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        positions, quaternions = self.true.poses(self.clock * np.asarray(times_s, float))
+        return self.length * positions, quaternions
+
+
+def _scaled(flight: Flight, clock: float, length: float) -> ScaledFlight:
+    start = _tracked_state(flight.start, clock, length)
+    return ScaledFlight(start=start, end_s=flight.end_s / clock, true=flight, clock=clock, length=length)
+
+
+def _tracked_state(state: State, clock: float, length: float) -> State:
+    return State(
+        state.time_s / clock,
+        length * state.position_m,
+        state.quaternion,
+        clock * length * state.velocity_m_s,
+        clock * state.omega_rad_s,
+    )
+
+
+def _scaled_impact(impact: Impact, clock: float, length: float) -> Impact:
+    """Impulses and energies stay as they are: they are the model's, in true units."""
+    return replace(
+        impact,
+        time_s=impact.time_s / clock,
+        point_m=length * impact.point_m,
+        normal_velocity_before_m_s=clock * length * impact.normal_velocity_before_m_s,
+        normal_velocity_after_m_s=clock * length * impact.normal_velocity_after_m_s,
+    )

@@ -1,0 +1,384 @@
+"""What a throw obeys: die, table, and the numbers of the laws in use, each of them free or held.
+
+The plainest model is the paper's: a smooth impact with one χ. Everything else is an effect with numbers of its own, and
+an effect that is not in use has none: it costs no parameter, no time and no line in the result.
+
+| effect | parameters | off at |
+| --- | --- | --- |
+| friction | `mu`, Coulomb, along the normal impulse (`model.impacts.CoulombImpact`) | 0 |
+| fading restitution | `chi_fade_s_per_m` = 1/u_s of `model.impacts.RestitutionBySpeed` | 0 |
+| fading friction | `mu_fade_s_per_m` = 1/u_s of `model.impacts.FrictionBySpeed`; joint fits alone | 0 |
+| rounded corners | `corner_radius_m` | 0 |
+| inertia | `inertia_kg_m2` | that of the homogeneous die |
+| loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
+| tilted table | `tilt_x_rad`, `tilt_y_rad`: its normal turned about the world's x and y | 0 |
+| oscillating table | `table_amplitude_m`, `table_frequency_hz`, `table_phase_rad`: z = A sin(2πft + phase) | 0 |
+| air drag | `drag_per_m`: dv/dt = -k |v| v | 0 |
+| clock | `clock_scale`: true seconds in a second of the track | 1 |
+| length scale | `length_scale`: metres of the track in a true metre | 1 |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model import engine
+from ...model.die import Die
+from ...model.laws import (
+    CoulombImpact,
+    FrictionBySpeed,
+    ImpactLaw,
+    Restitution,
+    RestitutionBySpeed,
+    SmoothImpact,
+    Table,
+)
+from ...model.throw import Propagation, State, Throw, ThrowResult, Until, body_of, checked_release, propagate, throw_die
+from ..free import LOAD, SHAKE
+
+Array = NDArray[np.float64]
+
+EFFECTS: dict[str, tuple[str, ...]] = {
+    "friction": ("mu",),
+    "fading restitution": ("chi_fade_s_per_m",),
+    "rounded corners": ("corner_radius_m",),
+    "inertia": ("inertia_kg_m2",),
+    "loaded die": LOAD,
+    "tilted table": ("tilt_x_rad", "tilt_y_rad"),
+    "oscillating table": SHAKE,
+    "air drag": ("drag_per_m",),
+    "clock": ("clock_scale",),
+    "length scale": ("length_scale",),
+}
+"""The parameters of every effect that a fit may free."""
+
+ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
+"""Effects that no fit of one throw has together: a displaced centre of mass has derivatives for smooth impacts without air
+alone (`model.tangent`). Joint fits, which need none, have it with friction."""
+
+RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
+
+_OFF = {"clock_scale": 1.0, "length_scale": 1.0}
+
+_BOUNDS = {
+    "chi": (0.0, 1.0),
+    "mu": (0.0, 3.0),
+    "chi_fade_s_per_m": (0.0, 100.0),
+    "mu_fade_s_per_m": (0.0, 100.0),
+    "tilt_x_rad": (-0.3, 0.3),
+    "tilt_y_rad": (-0.3, 0.3),
+    "drag_per_m": (0.0, 10.0),
+    "table_amplitude_m": (0.0, 0.05),
+    "table_frequency_hz": (0.1, 1000.0),
+    "table_phase_rad": (-100.0, 100.0),
+    "clock_scale": (0.8, 1.25),
+    "length_scale": (0.8, 1.25),
+}
+
+LEAST_OF_CALIBRATION = {
+    "clock_scale": 1e-3,
+    "length_scale": 1e-3,
+    "tilt_x_rad": 2e-3,
+    "tilt_y_rad": 2e-3,
+    "table_amplitude_m": 2e-5,
+    "table_frequency_hz": np.inf,  # what does not move has no frequency
+    "table_phase_rad": np.inf,
+}
+"""Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
+of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
+
+_LEAST_SHARE = 1e-3
+"""The same of a centre of mass, as a share of an edge: the corners of a real die are not truer than that."""
+
+_SOME: dict[str, tuple[dict[str, float], ...]] = {
+    "friction": ({"mu": 0.1}, {"mu": 0.4}, {"mu": 1.0}),
+    "fading restitution": ({"chi_fade_s_per_m": 1.0},),
+}
+"""Values of an effect, from small to large among those that scenes have, from which a fit may find its way."""
+
+_SLOW_FADE_S_PER_M = 1e-6
+"""Where the law needs a finite speed scale although nothing fades yet."""
+
+
+QUICK = engine.Precision(0.0, 1e-4, 1.0, 1e-4)
+"""For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
+`benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
+change, and they take a fifth of the time."""
+
+
+@lru_cache(maxsize=64)
+def kernel_body(die: Die) -> engine.Body:
+    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
+    return body_of(die)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What a throw left to itself did, in short."""
+
+    struck: NDArray[np.int64]
+    """(k,) the vertex of every event; -1 where nothing strikes and only what is held changes. Empty unless kept."""
+    landed_face: int | None
+    """Number of the face decided on; None without one."""
+
+
+@dataclass(frozen=True, eq=False)
+class Physics:
+    """The die, the table, and the parameters in use."""
+
+    die: Die
+    table: Table
+    values: Mapping[str, float]
+    """By name; `chi` first, then those of the effects in use."""
+    held: frozenset[str] = field(default=frozenset())
+    """Parameters in use that a fit leaves alone."""
+    restitution: Restitution = "stronge"
+    """What χ means where something rubs; see `model.impacts.CoulombImpact`. All mean the same as long as no slip stops
+    or turns within an impact."""
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the parameters that a fit moves, in the order of its unknowns."""
+        return tuple(name for name in self.values if name not in self.held)
+
+    @property
+    def clock(self) -> float:
+        """True seconds in a second of the track."""
+        return self.values.get("clock_scale", 1.0)
+
+    @property
+    def length(self) -> float:
+        """Metres of the track in a true metre."""
+        return self.values.get("length_scale", 1.0)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects whose parameters are in use."""
+        return tuple(effect for effect, names in EFFECTS.items() if names[0] in self.values)
+
+    def is_noticeable(self, effect: str) -> bool:
+        """Whether an effect in use is larger than what calibration leaves open."""
+        return any(abs(self.values[name] - self.off(name)) > self.least(name) for name in EFFECTS[effect])
+
+    def goes_with(self, effect: str) -> bool:
+        """Whether an effect can be taken in beside those in use."""
+        return not any(
+            (effect in others and alone in self.effects) or (effect == alone and others.intersection(self.effects))
+            for alone, others in ALONE.items()
+        )
+
+    def least(self, name: str) -> float:
+        """Departure that the calibration leaves open."""
+        if name in LOAD:
+            return _LEAST_SHARE * self.die.solid.edge_m
+        return LEAST_OF_CALIBRATION.get(name, 0.0)
+
+    def bounds(self, name: str) -> tuple[float, float]:
+        """What the law allows."""
+        if name in LOAD:
+            return -0.5 * self.die.solid.inradius, 0.5 * self.die.solid.inradius
+        if name == "corner_radius_m":
+            return 0.0, 0.9 * self.die.solid.inradius
+        if name == "inertia_kg_m2":
+            return 0.2 * self.die.inertia_kg_m2, 3.0 * self.die.inertia_kg_m2
+        return _BOUNDS[name]
+
+    def off(self, name: str) -> float:
+        """The value at which a parameter does nothing."""
+        if name == "corner_radius_m":
+            return self.die.corner_radius_m
+        if name in SHAKE:
+            return float(getattr(self.table, name.removeprefix("table_")))
+        return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _OFF.get(name, 0.0)
+
+    def with_values(self, **values: float) -> Physics:
+        """The same with other values, each kept within its bounds."""
+        kept = {name: float(np.clip(value, *self.bounds(name))) for name, value in values.items()}
+        return replace(self, values={**self.values, **kept})
+
+    def with_effect(self, effect: str) -> Physics:
+        """The same with one effect more, still at the values where it does nothing."""
+        return self.with_values(**{name: self.off(name) for name in EFFECTS[effect]})
+
+    def without_effect(self, effect: str) -> Physics:
+        """The same with one effect less."""
+        return replace(self, values={n: value for n, value in self.values.items() if n not in EFFECTS[effect]})
+
+    def with_some_of(self, effect: str) -> list[Physics]:
+        """The same with a little and with much of one effect, for fits that find no way from none of it."""
+        wider = self.with_effect(effect)
+        return [wider.with_values(**values) for values in _SOME.get(effect, ())]
+
+    def with_other_restitutions(self) -> list[Physics]:
+        """The same with the other kinds of restitution; none where nothing rubs and all mean the same."""
+        if "mu" not in self.values:
+            return []
+        return [replace(self, restitution=kind) for kind in RESTITUTIONS if kind != self.restitution]
+
+    def holding(self, name: str, value: float) -> Physics:
+        """The same with one parameter held at a value."""
+        return replace(self.with_values(**{name: value}), held=self.held | {name})
+
+    def moved(self, change: Array) -> Physics:
+        """The same with the free parameters displaced by (k,)."""
+        names = self.free
+        return self.with_values(**{name: self.values[name] + float(d) for name, d in zip(names, change, strict=True)})
+
+    @cached_property
+    def law(self) -> ImpactLaw:
+        """The law of impact."""
+        chi = self.values["chi"]
+        law = CoulombImpact(chi, self.values["mu"], self.restitution) if "mu" in self.values else SmoothImpact(chi)
+        fade = self.values.get("chi_fade_s_per_m")
+        faded = law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
+        if "mu_fade_s_per_m" not in self.values or isinstance(law, SmoothImpact):
+            return faded
+        assert not isinstance(faded, SmoothImpact)
+        return FrictionBySpeed(faded, 1.0 / max(self.values["mu_fade_s_per_m"], _SLOW_FADE_S_PER_M))
+
+    @cached_property
+    def body(self) -> Die:
+        """The die with the fitted radius, inertia and centre of mass."""
+        die = self.die
+        if "corner_radius_m" in self.values:
+            die = replace(die, corner_radius_m=self.values["corner_radius_m"])
+        if "inertia_kg_m2" in self.values:
+            die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"])
+        if LOAD[0] in self.values:
+            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in LOAD]))
+        return die
+
+    @cached_property
+    def plane(self) -> Table:
+        """The table with the fitted tilt and motion."""
+        table = self.table
+        if SHAKE[0] in self.values:
+            amplitude, frequency, phase = (self.values[name] for name in SHAKE)
+            table = replace(table, amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase)
+        if "tilt_x_rad" in self.values:
+            x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
+            # A turn about x by a leans the normal towards -y; about y by b towards x.
+            table = replace(table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
+        return table
+
+    def throw(self, start: State, until: Until) -> ThrowResult:
+        """The throw that the die makes by itself. Raises ValueError for a start below the table."""
+        return throw_die(self.body, start, self.law, until=until, table=self.plane)
+
+    def can_release(self, start: State) -> bool:
+        """Whether a throw can begin so: not below the table, where fits through prescribed vertices, and draws from
+        them, may lie."""
+        return self._packed(start) is not None
+
+    def after(self, start: State, vertices: tuple[int, ...]) -> State:
+        """Where the last flight of a throw through prescribed vertices begins."""
+        drag = self.values.get("drag_per_m", 0.0)
+        return propagate(
+            self.body, start, self.law, [], vertices=vertices, table=self.plane, parameters=(), drag_per_m=drag
+        ).last_start
+
+    def run(
+        self,
+        start: State,
+        *,
+        end_s: float = np.inf,
+        impacts: int,
+        keep: bool,
+        precision: engine.Precision = engine.FINE,
+    ) -> Run | None:
+        """The throw left to itself, in short; None for a start below the table.
+
+        The event loop without the values of a `Throw`, which take ten times as long.
+        """
+        packed = self._packed(start)
+        if packed is None:
+            return None
+        if not self.body.is_spherical_top:
+            return self._run_top(start, end_s, impacts)
+        _, _, face, _, _, log, _ = engine.run_throw(
+            kernel_body(self.body),
+            engine.law_of(self.law.code, self.law.parameters),
+            self.plane.plane,
+            precision,
+            packed,
+            float(start.time_s),
+            end_s - float(start.time_s),
+            np.iinfo(np.int64).max,
+            end_s == np.inf,
+            impacts,
+            keep,
+        )
+        return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)
+
+    def _run_top(self, start: State, end_s: float, impacts: int) -> Run:
+        """The same of a loaded die."""
+        until = Until() if end_s == np.inf else Until(time_s=end_s, impacts=impacts)
+        result = self.throw(start, until)
+        struck = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
+        return Run(np.array(struck, int), result.landed_face)
+
+    def _packed(self, start: State) -> Array | None:
+        """A start as the event loop takes it (13,); None where a vertex lies below the table."""
+        try:
+            return checked_release(self.body, start, self.plane)
+        except ValueError:
+            return None
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Poses of a throw at the times of frames, as the track has them, with derivatives."""
+
+    positions_m: Array
+    """(n, 3)."""
+    quaternions: Array
+    """(n, 4) wxyz."""
+    jacobian: Array
+    """(n, 6, 12 + k) by the start (position, rotation vector, velocity, angular velocity) and the free parameters."""
+    way: Propagation
+    """On the true clock and in true metres."""
+
+    @property
+    def throw(self) -> Throw:
+        """On the true clock and in true metres."""
+        return self.way.throw
+
+
+def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, ...]) -> Course:
+    """The throw through prescribed vertices as frames at `times_s` (n,) on the track's clock see it.
+
+    `start` is true: its time is that of the track times the clock scale.
+    """
+    clock, length = physics.clock, physics.length
+    names = tuple(name for name in physics.free if name not in _OFF)
+    passed = tuple("speed_scale_m_s" if name == "chi_fade_s_per_m" else name for name in names)
+    way = propagate(
+        physics.body,
+        start,
+        physics.law,
+        clock * times_s,
+        vertices=vertices,
+        table=physics.plane,
+        parameters=passed,
+        drag_per_m=physics.values.get("drag_per_m", 0.0),
+    )
+    columns = list(np.moveaxis(way.jacobian[:, :, :12], 2, 0))
+    by_name = dict(zip(names, np.moveaxis(way.jacobian[:, :, 12:], 2, 0), strict=True))
+    if "chi_fade_s_per_m" in by_name:
+        # The law is written in the speed scale, the inverse of the fade.
+        by_name["chi_fade_s_per_m"] = (
+            -by_name["chi_fade_s_per_m"] / max(physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M) ** 2
+        )
+    if "clock_scale" in physics.free:
+        by_name["clock_scale"] = times_s[:, None] * way.throw.rates(clock * times_s)
+    if "length_scale" in physics.free:
+        by_name["length_scale"] = np.hstack([way.positions_m / length, np.zeros((len(times_s), 3))])
+    jacobian = np.stack([*columns, *(by_name[name] for name in physics.free)], axis=2)
+    if length != 1.0:
+        jacobian[:, :3] *= length
+    return Course(length * way.positions_m, way.quaternions, jacobian, way)

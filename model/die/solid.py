@@ -1,0 +1,291 @@
+"""A die as geometry and mass: a convex polyhedron, its faces, edges and inertia.
+
+The five isohedral dice are homogeneous and sharp, and so spherical tops (Kapitaniak et al., Chaos 22, 047504, 2012):
+their inertia tensor is a multiple of the identity. Here it is not typed in but integrated over the volume, which the
+tests compare with the paper's formulas. Any other convex solid (the paper's truncated dipyramids among them) and a
+die with a load in it are dice too: they carry an inertia tensor and, where it is not the centroid, a centre of mass.
+
+The body frame has its origin at the centroid. Face k carries the number k + 1; on the cube opposite faces add up to
+seven and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import ConvexHull
+
+Array = NDArray[np.float64]
+
+SHAPES = ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A convex polyhedron, in its body frame."""
+
+    name: str
+    vertices: Array
+    """(n, 3) [m], origin at the centroid of the homogeneous solid."""
+    faces: tuple[tuple[int, ...], ...]
+    """Vertex indices of each face, counter-clockwise seen from outside."""
+    normals: Array
+    """(faces, 3) outward unit normals."""
+    offsets: Array
+    """(faces,) [m], distance of each face plane from the origin."""
+    edges: NDArray[np.int64]
+    """(e, 2) vertex indices."""
+    edge_faces: NDArray[np.int64]
+    """(e, 2) the two faces that meet in each edge: the first runs along the edge as written, the second against."""
+
+    @property
+    def circumradius(self) -> float:
+        """[m] distance of the farthest vertex from the centroid."""
+        return float(np.linalg.norm(self.vertices, axis=1).max())
+
+    @property
+    def edge_m(self) -> float:
+        """[m] length of the first edge: of every edge, on the five dice."""
+        return float(np.linalg.norm(np.subtract(*self.vertices[self.edges[0]])))
+
+    @property
+    def inradius(self) -> float:
+        """[m] distance of the nearest face plane from the centroid."""
+        return float(self.offsets.min())
+
+
+def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: float) -> Solid:
+    """A dipyramid over a regular polygon with both tips cut off (the paper's Fig. 2): 2n congruent side faces.
+
+    `sides` is n, the corners of the polygon in the plane z = 0; `radius_m` its circumscribed circle; the tips of the
+    uncut dipyramid stand at ±`half_height_m` on the z axis; `cut` in [0, 1) is the part of each tip's height that the
+    planes z = ±(1 - cut) half_height_m take away, 0 for the plain dipyramid. Faces 1 to n are the upper side faces,
+    counter-clockwise seen from above and beginning at the x axis, n + 1 to 2n the lower ones below them, and where the
+    tips are cut 2n + 1 is the upper and 2n + 2 the lower cut.
+    """
+    if sides < 3:
+        raise ValueError(f"sides = {sides}: wanted a polygon of three sides or more")
+    check_positive("radius_m", radius_m)
+    check_positive("half_height_m", half_height_m)
+    if cut != 0.0 and not 1e-6 <= cut <= 1.0 - 1e-6:
+        # Smaller faces could not be told from a vertex, or the solid from a disc, within rounding.
+        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from 1e-6 to 1 - 1e-6")
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
+    height = (1.0 - cut) * half_height_m
+    if cut == 0.0:
+        ends = np.array([[0.0, 0.0, height], [0.0, 0.0, -height]])
+    else:
+        ends = np.vstack([ring * cut + [0.0, 0.0, height], ring * cut - [0.0, 0.0, height]])
+    hull = convex_solid(np.vstack([ring, ends]), f"dipyramid-{2 * sides}" + (f"-cut-{cut:g}" if cut else ""))
+    middle = 2.0 * np.pi * (np.arange(sides) + 0.5) / sides
+    apothem = radius_m * np.cos(np.pi / sides)
+    outward = np.column_stack([half_height_m * np.cos(middle), half_height_m * np.sin(middle), np.full(sides, apothem)])
+    wanted = [*outward, *(outward * [1.0, 1.0, -1.0])]
+    if cut:
+        wanted += [np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])]
+    return _renumbered(hull, [int(np.argmax(hull.normals @ n)) for n in wanted])
+
+
+def inner_vertices(solid: Solid, radius_m: float) -> Array:
+    """Corners (n, 3) [m] of the solid whose face planes are moved in by `radius_m`, in the order of `vertices`.
+
+    A die with rounded corners is all points within that radius of this inner solid. Raises ValueError where the radius
+    is below 0 or leaves no solid, where a face would vanish, and where more than three faces meet in a corner that
+    would split into several.
+    """
+    if not 0.0 <= radius_m < solid.inradius:
+        raise ValueError(
+            f"corner_radius_m = {radius_m}: wanted 0 or more, and less than the inscribed radius {solid.inradius:.6g}"
+        )
+    if np.ptp(solid.offsets) <= 1e-12 * solid.inradius:
+        # All faces touch one sphere about the centroid: moving them in is the same as shrinking the solid.
+        return solid.vertices * (1.0 - radius_m / solid.inradius)
+    moved = solid.offsets - radius_m
+    corners = np.empty_like(solid.vertices)
+    for i in range(len(corners)):
+        meeting = [k for k, face in enumerate(solid.faces) if i in face]
+        corners[i] = np.linalg.lstsq(solid.normals[meeting], moved[meeting], rcond=None)[0]
+        gap = float(np.abs(solid.normals[meeting] @ corners[i] - moved[meeting]).max())
+        if gap > 1e-9 * solid.circumradius:
+            raise ValueError(
+                f"corner_radius_m = {radius_m} on a {solid.name}: the {len(meeting)} faces that meet in vertex {i} "
+                "would no longer meet in one point; wanted a radius of 0, or a solid with three faces at that vertex"
+            )
+    if (corners @ solid.normals.T - moved).max() > 1e-9 * solid.circumradius:
+        raise ValueError(
+            f"corner_radius_m = {radius_m} on a {solid.name}: a face would vanish; wanted a smaller radius"
+        )
+    return corners
+
+
+def isohedral_solid(shape: str, edge_m: float) -> Solid:
+    """A regular solid with the given edge length [m]. Raises ValueError for a shape that is not in SHAPES."""
+    if shape not in SHAPES:
+        raise ValueError(f"shape = {shape!r}: wanted one of {', '.join(SHAPES)}")
+    unit = _unit_solid(shape)
+    return Solid(
+        unit.name, unit.vertices * edge_m, unit.faces, unit.normals, unit.offsets * edge_m, unit.edges, unit.edge_faces
+    )
+
+
+def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
+    """The convex hull of points (n, 3) [m] as a solid about its centroid; coplanar facets become one face.
+
+    Raises ValueError where the points do not span a volume.
+    """
+    points = np.asarray(points, float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
+        raise ValueError(f"vertices of shape {points.shape}: wanted at least four finite points (n, 3)")
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    if spread[2] < 1e-9 * spread[0]:
+        raise ValueError("vertices lie in one plane: wanted points that span a volume")
+    hull = ConvexHull(points)
+    kept = np.sort(hull.vertices)
+    vertices = points[kept]
+    vertices = vertices - _centroid(vertices, _merged_faces(vertices)[0])
+    faces, normals = _merged_faces(vertices)
+    offsets = np.array([float((vertices[list(f)] @ n).mean()) for f, n in zip(faces, normals, strict=True)])
+    edges, edge_faces = _edges(faces)
+    return Solid(name, vertices, faces, normals, offsets, edges, edge_faces)
+
+
+def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
+    """The same solid with its faces in the order of the numbers that they carry: `numbers` (faces,) of the faces as they are,
+    1, 2, … each once. Vertices stay as they are. Raises ValueError for anything else."""
+    if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
+        raise ValueError(
+            f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once, one a face"
+        )
+    return _renumbered(solid, [int(k) for k in np.argsort(numbers)])
+
+
+def unit_inertia(solid: Solid) -> Array:
+    """Inertia tensor (3, 3) [m²] about the centroid of the homogeneous solid, for a mass of 1 kg.
+
+    Volume integral over the tetrahedra spanned by the origin and the triangulated faces:
+    ∫ x xᵀ dV = V/20 (Σ pᵢ pᵢᵀ + s sᵀ), with s the sum of the corners.
+    """
+    second = np.zeros((3, 3))
+    volume = 0.0
+    for face in solid.faces:
+        a = solid.vertices[face[0]]
+        for j in range(1, len(face) - 1):
+            b, c = solid.vertices[face[j]], solid.vertices[face[j + 1]]
+            part = float(a @ np.cross(b, c)) / 6.0
+            total = a + b + c
+            second += part / 20.0 * (np.outer(a, a) + np.outer(b, b) + np.outer(c, c) + np.outer(total, total))
+            volume += part
+    second /= volume
+    return np.asarray(np.trace(second) * np.eye(3) - second)
+
+
+def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
+    """Number (1, 2, …) of the face that looks down most: the largest -ẑ·nᵢ. `rotation` (3, 3) is body to world."""
+    return int(np.argmin(solid.normals @ np.asarray(rotation)[2])) + 1
+
+
+def check_positive(name: str, value: float) -> None:
+    """Raise ValueError, naming the quantity, unless it is finite and above 0."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+
+
+def _renumbered(solid: Solid, order: list[int]) -> Solid:
+    """The same solid with its faces in the given order."""
+    faces = tuple(solid.faces[k] for k in order)
+    edges, edge_faces = _edges(faces)
+    return Solid(solid.name, solid.vertices, faces, solid.normals[order], solid.offsets[order], edges, edge_faces)
+
+
+def plane_axes(u: Array, v: Array) -> Array:
+    """Right-handed axes (3, 3), in columns: along u, and across it in the plane of u and v."""
+    x = u / np.linalg.norm(u)
+    z = np.cross(u, v)
+    z = z / np.linalg.norm(z)
+    return np.column_stack([x, np.cross(z, x), z])
+
+
+@cache
+def _unit_solid(shape: str) -> Solid:
+    """The regular solid of edge 1, with its faces in numbered order."""
+    golden = (1.0 + np.sqrt(5.0)) / 2.0
+    signs = np.array([-1.0, 1.0])
+    cube = np.array([(x, y, z) for z in signs for y in signs for x in signs])
+    if shape == "tetrahedron":
+        corners = np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)], float)
+    elif shape == "cube":
+        corners = cube
+    elif shape == "octahedron":
+        corners = np.array([(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)], float)
+    elif shape == "icosahedron":
+        ring = [(0.0, s, t * golden) for s in signs for t in signs]
+        corners = np.array([np.roll(p, k) for k in range(3) for p in ring])
+    else:
+        ring = [(0.0, s / golden, t * golden) for s in signs for t in signs]
+        corners = np.vstack([cube, [np.roll(p, k) for k in range(3) for p in ring]])
+    solid = convex_solid(corners, shape)
+    edge = solid.edge_m
+    order = _cube_order(solid) if shape == "cube" else list(range(len(solid.faces)))
+    ordered = _renumbered(solid, order)
+    return Solid(
+        shape,
+        solid.vertices / edge,
+        ordered.faces,
+        ordered.normals,
+        ordered.offsets / edge,
+        ordered.edges,
+        ordered.edge_faces,
+    )
+
+
+def _cube_order(solid: Solid) -> list[int]:
+    """Faces as on the Western die: 1 +z, 2 +x, 3 +y, 4 -y, 5 -x, 6 -z."""
+    wanted = np.array([(0, 0, 1), (1, 0, 0), (0, 1, 0), (0, -1, 0), (-1, 0, 0), (0, 0, -1)])
+    return [int(np.argmax(solid.normals @ n)) for n in wanted]
+
+
+def _merged_faces(vertices: Array) -> tuple[tuple[tuple[int, ...], ...], Array]:
+    """Faces of the hull of `vertices`, coplanar triangles merged, each counter-clockwise from outside."""
+    hull = ConvexHull(vertices)
+    size = float(np.ptp(vertices, axis=0).max())
+    faces: list[tuple[int, ...]] = []
+    normals: list[Array] = []
+    for equation in hull.equations:
+        normal = equation[:3]
+        if any(normal @ other > 1.0 - 1e-9 for other in normals):
+            continue
+        on = np.flatnonzero(np.abs(vertices @ normal + equation[3]) < 1e-9 * size)
+        middle = vertices[on].mean(0)
+        u = vertices[on[0]] - middle
+        spokes = vertices[on] - middle
+        angles = np.arctan2(spokes @ np.cross(normal, u), spokes @ u)
+        faces.append(tuple(int(i) for i in on[np.argsort(angles)]))
+        normals.append(normal)
+    return tuple(faces), np.array(normals)
+
+
+def _centroid(vertices: Array, faces: tuple[tuple[int, ...], ...]) -> Array:
+    """Centroid of the solid, from tetrahedra about the mean vertex (well conditioned far from the origin)."""
+    origin = vertices.mean(0)
+    volume, moment = 0.0, np.zeros(3)
+    for face in faces:
+        a = vertices[face[0]] - origin
+        for j in range(1, len(face) - 1):
+            b, c = vertices[face[j]] - origin, vertices[face[j + 1]] - origin
+            part = float(a @ np.cross(b, c)) / 6.0
+            volume += part
+            moment += part * (a + b + c) / 4.0
+    return np.asarray(origin + moment / volume)
+
+
+def _edges(faces: tuple[tuple[int, ...], ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Edges (e, 2) and their two faces (e, 2), in the order in which they are met."""
+    runs_along = {(f[j], f[(j + 1) % len(f)]): k for k, f in enumerate(faces) for j in range(len(f))}
+    once = [pair for pair in runs_along if pair[0] < pair[1]]
+    sides = [(runs_along[a, b], runs_along[b, a]) for a, b in once]
+    return np.array(once, np.int64), np.array(sides, np.int64)

@@ -1,0 +1,428 @@
+"""model.engine.derivatives.rounding."""
+
+from __future__ import annotations
+
+from math import inf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...compiled import compiled, inner
+from ..event_loop import run_throw
+from ..flight import advance, arm_of, first_touch, spin_of, swing, table_acceleration, table_height, table_velocity
+from ..held_contact import clearance, spun
+from ..log import copy_columns, copy_to, energy_per_mass, rubs
+from ..types import (
+    BALANCED,
+    NO_LIMIT,
+    NONE,
+    ONE,
+    ROUNDING,
+    SMOOTH,
+    TWELVE,
+    YES,
+    ZERO,
+    Array,
+    Body,
+    Law,
+    Plane,
+    Precision,
+)
+from .growth import (
+    MOST_BRANCHES,
+    MOST_COLUMNS,
+    SAFETY,
+    SLIGHT,
+    UNCERTAIN,
+    carried,
+    compressed,
+    difference,
+    is_held,
+    scales_of,
+    settle_tangent,
+    size_of,
+    strike,
+    strike_tangent,
+)
+from .impact_tangent import delay, flight_tangent
+
+
+@inner
+def add_rounding(
+    body: Body, plane: Plane, state: Array, time: float, height: float, k: int, errors: Array, columns: int
+) -> int:
+    """Two more columns: an error `height` [m] of the touch, and one of rounding in all the rest, signs by k."""
+    errors[:, columns] = 0.0
+    errors[2, columns] = height
+    unit, speed = 2.220446049250313e-16, 0.0
+    for m in range(3):
+        speed = max(speed, abs(state[7 + m]))
+    spin = spin_of(state)
+    bits = k * 2654435761 + 1013904223
+    for m in range(12):
+        bits = (bits * 1664525 + 1013904223) % 4294967296
+        sign = unit if bits >= 2147483648 else -unit
+        if m < 3:
+            errors[m, columns + 1] = 0.0 if m < 2 else sign * (abs(state[2]) + body.radius)
+        elif m < 6:
+            errors[m, columns + 1] = 2.0 * sign
+        elif m < 9:
+            errors[m, columns + 1] = sign * speed
+        else:
+            errors[m, columns + 1] = sign * spin
+    return columns + 2
+
+
+@inner
+def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
+    """Root of the sum of squares of the errors that matter, in units of `scale`: not where the die is on the table,
+    nor, where nothing rubs, how fast it drifts."""
+    square = 0.0
+    for k in range(2, 12):
+        if (k == 6 or k == 7) and law.code == SMOOTH:
+            continue
+        for c in range(columns):
+            square += (errors[k, c] / scale[k]) * (errors[k, c] / scale[k])
+    return sqrt(square)
+
+
+@inner
+def approach(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
+    """Vertical velocity [m/s] of a vertex relative to the table."""
+    arm = arm_of(body.vertices[vertex], state)
+    return float(state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time))
+
+
+@inner
+def struck_in_turn(
+    body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
+) -> None:
+    """The state after two vertices have struck together, `first` first, and again as long as they still come down."""
+    copy_to(out, state)
+    vertex = first
+    for _ in range(40):
+        if approach(body, plane, out, time, vertex) < 0.0:
+            strike(body, law, plane, time, vertex, out)
+        vertex = other if vertex == first else first
+        if approach(body, plane, out, time, vertex) >= 0.0:
+            break
+
+
+@inner
+def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
+    """How far [m] from the table a touch may be found, after dt [s] of motion from `state`: as in `first_touch`."""
+    turned = body.radius * (1.0 + spin_of(state) * dt)
+    size = abs(state[2]) + (abs(state[9]) + plane.g * dt) * dt + turned
+    if plane.amplitude != 0.0:
+        size += plane.amplitude * (1.0 + abs(plane.rate * (time + dt) + plane.phase))
+    return precision.root + ROUNDING * size
+
+
+@inner
+def other_orders(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    state: Array,
+    time: float,
+    hit: int,
+    i: int,
+    j: int,
+    floor: float,
+    size: float,
+    scale: Array,
+    errors: Array,
+    columns: int,
+    states: Array,
+    times: Array,
+    seeds: Array,
+    gaps: Array,
+    known: int,
+) -> tuple[int, int]:
+    """Which other vertices may touch before `hit` does, as far as the errors tell. Where the order makes a slight
+    difference, or one below the `size` that the errors have already, it joins the errors; where it makes a larger one
+    it becomes a branch. i and j are held (-1: none).
+
+    Returns the number of columns and the number of branches, more than MOST_BRANCHES where there was no room.
+    """
+    arm = arm_of(body.vertices[hit], state)
+    u = approach(body, plane, state, time, hit)
+    reach = 2.0 / plane.g
+    z_table = table_height(plane, time)
+    heights, tilts, delays = 0.0, 0.0, 0.0
+    for c in range(columns):
+        heights += errors[2, c] * errors[2, c]
+        tilts += errors[3, c] * errors[3, c] + errors[4, c] * errors[4, c]
+        late = delay(errors, c, arm, u, reach)
+        delays += late * late
+    heights, tilts, delays = sqrt(heights), sqrt(tilts), sqrt(delays)
+    fresh = columns
+    first, last = np.empty(13), np.empty(13)
+    room, dtime = np.empty((12, MOST_COLUMNS)), np.empty(MOST_COLUMNS)
+    for k in range(body.vertices.shape[0]):
+        if k == hit or is_held(k, i, j):
+            continue
+        other = arm_of(body.vertices[k], state)
+        h = state[2] + other[2] - z_table
+        v = approach(body, plane, state, time, k)
+        if v >= 0.0 or h > SAFETY * (heights + body.radius * tilts - v * delays) + floor:
+            continue
+        square = 0.0
+        for c in range(columns):
+            lift = errors[2, c] + errors[3, c] * other[1] - errors[4, c] * other[0]
+            lift += v * delay(errors, c, arm, u, reach)
+            square += lift * lift
+        limit = SAFETY * sqrt(square) + floor
+        if h > limit:
+            continue
+        struck_in_turn(body, law, plane, state, time, hit, k, first)
+        struck_in_turn(body, law, plane, state, time, k, hit, last)
+        if fresh == errors.shape[1]:
+            return fresh, MOST_BRANCHES + 1
+        difference(last, first, 1.0, errors, fresh)
+        if size_of(errors, fresh, scale) <= max(SLIGHT, size):
+            fresh += 1
+            continue
+        if known >= MOST_BRANCHES:
+            return fresh, MOST_BRANCHES + 1
+        copy_columns(room, errors, columns)
+        strike_tangent(body, law, plane, time, k, state, i, j, YES, scale, room, columns, dtime)
+        seeds[known] = 0.0
+        used = compressed(room, columns, np.empty((12, MOST_COLUMNS)))
+        copy_columns(seeds[known], room, used)
+        states[known] = state
+        strike(body, law, plane, time, k, states[known])
+        times[known], gaps[known] = time, h / limit if limit > 0.0 else 0.0
+        known += 1
+    return fresh, known
+
+
+@inner
+def grazed(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    hit: int,
+    floor: float,
+    errors: Array,
+    columns: int,
+) -> int:
+    """Look for a vertex that passed the table within its error during a flight of dt [s] from `state` and rose again.
+
+    `errors` are those at the end of the flight. Had it touched, then no faster than it falls through its error, and what
+    that impulse does to the velocities joins as a column. Returns the number of columns.
+    """
+    heights, tilts = 0.0, 0.0
+    for c in range(columns):
+        heights += errors[2, c] * errors[2, c]
+        tilts += errors[3, c] * errors[3, c] + errors[4, c] * errors[4, c]
+    band = SAFETY * (sqrt(heights) + body.radius * sqrt(tilts)) + floor
+    spin, terms = spin_of(state), np.empty((body.vertices.shape[0], 4))
+    swing(body.vertices, state, spin, terms)
+    low, k, _, _ = first_touch(terms, state[2], state[9], spin, body.radius, plane, time, band, dt)
+    there = state.copy()
+    advance(there, spin, dt, plane)
+    if k < 0 or k == hit or approach(body, plane, there, time + dt, k) < 0.0:
+        return columns
+    high = dt
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        copy_to(there, state)
+        advance(there, spin, middle, plane)
+        if approach(body, plane, there, time + middle, k) < 0.0:
+            low = middle
+        else:
+            high = middle
+    early = np.empty((12, columns))
+    end = there.copy()
+    advance(end, spin, dt - high, plane)
+    flight_tangent(errors, columns, end, spin, high - dt, early)
+    x, y, z = arm_of(body.vertices[k], there)
+    square = 0.0
+    for c in range(columns):
+        lift = early[2, c] + early[3, c] * y - early[4, c] * x
+        square += lift * lift
+    deep = SAFETY * sqrt(square) + floor - clearance(body.vertices[k], there, table_height(plane, time + high))
+    if deep <= 0.0:
+        return columns
+    rising = abs(spun(there, (x, y, z)) - plane.g - table_acceleration(plane, time + high))
+    speed = sqrt(2.0 * max(rising, plane.g) * deep)
+    s = (1.0 + law.parameters[0]) * speed / (1.0 / body.mass + (x * x + y * y) / body.inertia)
+    kick = np.zeros((12, 1))
+    kick[8, 0], kick[9, 0], kick[10, 0] = s / body.mass, y * s / body.inertia, -x * s / body.inertia
+    flight_tangent(kick, ONE, there, spin, dt - high, early)
+    for k in range(12):
+        errors[k, columns] = early[k, 0]
+    return columns + 1
+
+
+@inner
+def follow_errors(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    start: Array,
+    start_time: float,
+    log: Array,
+    knots: Array,
+    end: Array,
+    face: int,
+    states: Array,
+    times: Array,
+    seeds: Array,
+    gaps: Array,
+    branch: int,
+    known: int,
+) -> tuple[float, float, int]:
+    """Carry the errors of a logged throw to its end. `states`, `times`, `seeds` and `gaps` hold its branches, of which
+    this is number `branch`; new ones are added.
+
+    Returns the error at the end in units of `scales_of`, the margin (how many times larger the errors might have been
+    at least), and the number of branches. A margin of 1 or less ends the search at once.
+    """
+    scale = scales_of(body, plane)
+    errors, moved = np.empty((12, MOST_COLUMNS)), np.empty((12, MOST_COLUMNS))
+    dtime, rates = np.empty(MOST_COLUMNS), np.empty((12, 6))
+    copy_columns(errors, seeds[branch], TWELVE)
+    columns = compressed(errors, TWELVE, moved)
+    state, time, i, j, knot, margin, size = start.copy(), start_time, NONE, NONE, ZERO, inf, 0.0
+    while knot < knots.shape[0] and knots[knot, 0] < 0.0:
+        knot += 1
+    for k in range(log.shape[0]):
+        row = log[k]
+        errors, moved, columns, knot = carried(
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, YES, scale, errors, moved, columns, rates
+        )
+        floor = touch_rounding(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
+        if columns + 3 + body.vertices.shape[0] > MOST_COLUMNS:
+            columns = compressed(errors, columns, moved)
+        hit = int(row[1])
+        if i < 0 and row[0] > time:
+            columns = grazed(body, law, plane, state, time, row[0] - time, hit, floor, errors, columns)
+        copy_to(state, row[2:15])
+        time = row[0]
+        if hit >= 0:
+            # A finer tolerance finds the touch at this instant or later: the height left is the whole error.
+            missed = abs(clearance(body.vertices[hit], state, table_height(plane, time))) + floor - precision.root
+            own = columns
+            columns = add_rounding(body, plane, state, time, -missed, k, errors, columns)
+            columns, known = other_orders(
+                body,
+                law,
+                plane,
+                state,
+                time,
+                hit,
+                i,
+                j,
+                floor,
+                size,
+                scale,
+                errors,
+                columns,
+                states,
+                times,
+                seeds,
+                gaps,
+                known,
+            )
+            if known > MOST_BRANCHES:
+                return size, 0.0, known
+            strike_tangent(body, law, plane, time, hit, state, i, j, YES, scale, errors, columns, dtime)
+            errors[2, own] += missed  # the table, not the die, is what stands too high by this
+            i, j = NONE, NONE
+        else:
+            i, j = int(row[21]), int(row[22])
+            columns = add_rounding(body, plane, state, time, 0.0, k, errors, columns)
+            if i >= 0 and j != -3:
+                settle_tangent(body, plane, state, time, i, j, scale, errors, columns)
+        for m in range(6):
+            state[7 + m] = row[15 + m]
+        size = error_size(law, errors, columns, scale)
+        margin = min(margin, UNCERTAIN / size)
+        if not margin > 1.0:
+            return size, margin, known
+    if face >= 0 and (i < 0 or j != -2) and plane.amplitude == 0.0:
+        square, per_mass = 0.0, body.inertia / body.mass
+        for c in range(columns):
+            change = plane.g * errors[2, c] + end[9] * errors[8, c]
+            change += per_mass * (end[10] * errors[9, c] + end[11] * errors[10, c])
+            if rubs(law):
+                change += end[7] * errors[6, c] + end[8] * errors[7, c] + per_mass * end[12] * errors[11, c]
+            square += change * change
+        spare = plane.g * body.barriers[face] - energy_per_mass(body, plane, end)
+        if rubs(law):
+            spare -= 0.5 * (end[7] * end[7] + end[8] * end[8] + per_mass * end[12] * end[12])
+        if square > 0.0 and spare > 0.0:
+            margin = min(margin, spare / (SAFETY * sqrt(square)))
+    return size, margin, known
+
+
+@compiled(nogil=True)
+def decide(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    start: Array,
+    start_time: float,
+    start_error: Array,
+    impact_cap: int,
+) -> tuple[int, int, int, float, float]:
+    """A throw to its decision, with what its errors may make of it; see `chaos`. `start_error` (12,) are those of the
+    start. Returns the face row (-1: none), impacts, ending, the error at the end, and the margin (above 1: decidable).
+    """
+    states, times, gaps = np.empty((MOST_BRANCHES + 1, 13)), np.empty(MOST_BRANCHES + 1), np.empty(MOST_BRANCHES + 1)
+    seeds = np.zeros((MOST_BRANCHES + 1, 12, 12))
+    for k in range(12):
+        seeds[0, k, k] = start_error[k]
+    states[0], times[0] = start, start_time
+    face, impacts, ending, error, margin = -1, 0, -1, 0.0, inf
+    branch, known = ZERO, ONE
+    while branch < known:
+        code, count, landed, _, end, log, knots = run_throw(
+            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, YES, impact_cap, YES
+        )
+        if branch == 0:
+            face, impacts, ending = landed, count, code
+        elif landed != face or (face < 0 and code != ending):
+            return face, impacts, ending, error, min(margin, gaps[branch])
+        if code == BALANCED:
+            return face, impacts, ending, inf, 0.0
+        size, spare, known = follow_errors(
+            body, law, plane, precision, states[branch], times[branch], log, knots, end, landed,
+            states, times, seeds, gaps, branch, known,
+        )  # fmt: skip
+        if branch == 0:
+            error = size
+        margin = min(margin, spare)
+        if not margin > 1.0:
+            return face, impacts, ending, error, margin
+        branch += 1
+    return face, impacts, ending, error, margin
+
+
+@compiled(nogil=True)
+def decide_many(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    starts: Array,
+    start_error: Array,
+    impact_cap: int,
+    landed: NDArray[np.int64],
+    figures: Array,
+) -> None:
+    """`decide` from every row of `starts` (n, 13). Fills `landed` (n, 3): face row or -1, impacts, ending; and
+    `figures` (n, 2): error at the end, margin."""
+    for k in range(starts.shape[0]):
+        face, impacts, ending, error, margin = decide(
+            body, law, plane, precision, starts[k], 0.0, start_error, impact_cap
+        )
+        landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
+        figures[k, 0], figures[k, 1] = error, margin

@@ -1,0 +1,301 @@
+"""model.engine.derivatives.throw_tangent."""
+
+from __future__ import annotations
+
+from math import cos, inf, sin, sqrt
+from typing import Any
+
+import numpy as np
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from ...compiled import compiled, inner
+from ..air import AIR_STEP_S, FLOW, Air, Vacuum, drift, start_flow
+from ..event_loop import slow_contact
+from ..flight import (
+    advance,
+    first_touch,
+    spin_of,
+    swing,
+    table_acceleration,
+    table_height,
+    table_velocity,
+    touch_of_vertex,
+)
+from ..impact import INPUTS, Sources
+from ..log import copy_to, grown, log_event
+from ..types import (
+    CHATTER,
+    COULOMB_BY_SPEED,
+    FINE,
+    IMPACT_CAP,
+    NO_TOUCH,
+    NONE,
+    ROUNDING,
+    ROW,
+    SMOOTH_BY_SPEED,
+    TIME_REACHED,
+    Array,
+    Body,
+    Law,
+    Plane,
+)
+from .growth import strike
+from .impact_tangent import flight_tangent, impact_tangent
+
+
+@inner
+def fly_in_vacuum(
+    air: Vacuum,
+    plane: Plane,
+    state: Array,
+    spin: float,
+    dt: float,
+    tangent: Array,
+    sources: Sources,
+    flow: Array,
+    pose: Array,
+    moved: Array,
+) -> None:
+    """`fly` along a parabola; `flow` is not used."""
+    copy_to(pose, state)
+    advance(pose, spin, dt, plane)
+    flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
+    for p in range(sources.gravity.shape[0]):
+        for k in range(3):
+            moved[k, 12 + p] += 0.5 * sources.gravity[p, k] * dt * dt
+            moved[6 + k, 12 + p] += sources.gravity[p, k] * dt
+
+
+@inner
+def fly_in_air(
+    air: Air,
+    plane: Plane,
+    state: Array,
+    spin: float,
+    dt: float,
+    tangent: Array,
+    sources: Sources,
+    flow: Array,
+    pose: Array,
+    moved: Array,
+) -> None:
+    """`fly` against drag; `flow` goes on from where the last call left it."""
+    drift(air.drag, plane, flow, dt - flow[48])
+    copy_to(pose, state)
+    advance(pose, spin, dt, plane)  # for its attitude
+    for k in range(3):
+        pose[k], pose[7 + k] = flow[k], flow[3 + k]
+    flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
+    for j in range(tangent.shape[1]):
+        for k in range(3):
+            place, speed = tangent[k, j], 0.0
+            for m in range(3):
+                place += flow[12 + 6 * m + k] * tangent[6 + m, j]
+                speed += flow[15 + 6 * m + k] * tangent[6 + m, j]
+            if j >= 12:
+                p = j - 12
+                place += flow[6 + k] * air.by_drag[p]
+                speed += flow[9 + k] * air.by_drag[p]
+                for m in range(3):
+                    place += flow[30 + 6 * m + k] * sources.gravity[p, m]
+                    speed += flow[33 + 6 * m + k] * sources.gravity[p, m]
+            moved[k, j], moved[6 + k, j] = place, speed
+
+
+def fly(
+    air: Vacuum | Air,
+    plane: Plane,
+    state: Array,
+    spin: float,
+    dt: float,
+    tangent: Array,
+    sources: Sources,
+    flow: Array,
+    pose: Array,
+    moved: Array,
+) -> None:
+    """The state and its derivatives `dt` [s] after the start of a flight, into `pose` (13,) and `moved` (12, 12 + m)."""
+    if isinstance(air, Air):
+        fly_in_air(air, plane, state, spin, dt, tangent, sources, flow, pose, moved)
+    else:
+        fly_in_vacuum(air, plane, state, spin, dt, tangent, sources, flow, pose, moved)
+
+
+@overload(fly, strict=False)
+def _fly_of(
+    air: Any, plane: Any, state: Any, spin: Any, dt: Any, tangent: Any, sources: Any, flow: Any, pose: Any, moved: Any
+) -> Any:
+    """The branch of `fly` that the type of the air asks for, chosen when it is compiled."""
+    chosen = fly_in_air if air.instance_class is Air else fly_in_vacuum
+    return chosen.py_func
+
+
+@inner
+def touch_in_vacuum(
+    air: Vacuum, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
+) -> tuple[float, int, float, float]:
+    """`touch_ahead` of a parabola."""
+    if limit < inf:
+        return first_touch(terms, state[2], state[9], spin, radius, plane, clock, 0.0, limit)
+    dt, found, velocity, acceleration = touch_of_vertex(terms, state[2], state[9], spin, radius, plane, clock)
+    return dt, 0 if found else -1, velocity, acceleration
+
+
+@inner
+def touch_in_air(
+    air: Air, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
+) -> tuple[float, int, float, float]:
+    """`touch_ahead` against drag: the flight is integrated step by step, none longer than the parabola that bounds the
+    height of each vertex from below (or, backwards, from above) allows."""
+    flow, g = np.empty(FLOW), plane.g
+    start_flow(state, flow)
+    shake = plane.amplitude * plane.rate * plane.rate
+    t, alone, back = 0.0, limit == inf, False
+    below = -1e-12 * radius
+    while True:
+        c, s = cos(spin * t), sin(spin * t)
+        speed = sqrt(flow[3] * flow[3] + flow[4] * flow[4] + flow[5] * flow[5]) + 2.0 * g * AIR_STEP_S
+        push = air.drag * speed * speed + shake
+        size = abs(flow[2]) + radius * (1.0 + spin * abs(t))
+        size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
+        h_tol = ROUNDING * size
+        v_tol = ROUNDING * (speed + spin * radius * (1.0 + spin * abs(t)) + plane.amplitude * plane.rate)
+        hit, hit_v, hit_a, step = -1, 0.0, 0.0, 2.0 * AIR_STEP_S
+        for i in range(terms.shape[0]):
+            a, b = terms[i, 0], terms[i, 1]
+            h = flow[2] + a * c + b * s + terms[i, 2] - table_height(plane, clock + t)
+            v = flow[5] + spin * (b * c - a * s) - table_velocity(plane, clock + t)
+            if alone and t == 0.0 and h < below and v < 0.0:
+                back = True
+            swing_most = spin * spin * terms[i, 3]
+            if back:
+                if h >= -h_tol:
+                    return t, i, v, -g
+                bound = max(swing_most + push - g, 1e-3 * g)
+                root = sqrt(v * v - 2.0 * bound * h)
+                step = min(step, 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound)
+                continue
+            bound = g + swing_most + push
+            if h > h_tol:
+                root = sqrt(v * v + 2.0 * bound * h)
+                step = min(step, (v + root) / bound if v > 0.0 else 2.0 * h / (root - v))
+            elif v > v_tol:
+                step = min(step, 2.0 * v / bound)
+            elif hit < 0 or v < hit_v:
+                hit, hit_v = i, v if v < -v_tol else 0.0
+                hit_a = -g - spin * spin * (a * c + b * s) - table_acceleration(plane, clock + t)
+                if alone and h < below:
+                    return t, -1, hit_v, hit_a
+        if hit >= 0:
+            return t, hit, hit_v, hit_a
+        if back and t < -sqrt(2.0 * radius / g):
+            return t, -1, 0.0, 0.0
+        if t + step > limit:
+            return limit, -1, 0.0, 0.0
+        step = -step if back else step
+        drift(air.drag, plane, flow, step)
+        t += step
+
+
+def touch_ahead(
+    air: Vacuum | Air,
+    plane: Plane,
+    state: Array,
+    terms: Array,
+    spin: float,
+    radius: float,
+    clock: float,
+    limit: float,
+) -> tuple[float, int, float, float]:
+    """The first touch of the vertices of `terms` up to `limit` [s], as `first_touch`; where that is infinite, the touch
+    of the one vertex in `terms`, as `touch_of_vertex`. Time, row (-1: none), velocity, acceleration."""
+    if isinstance(air, Air):
+        return touch_in_air(air, plane, state, terms, spin, radius, clock, limit)
+    return touch_in_vacuum(air, plane, state, terms, spin, radius, clock, limit)
+
+
+@overload(touch_ahead, strict=False)
+def _touch_ahead_of(
+    air: Any, plane: Any, state: Any, terms: Any, spin: Any, radius: Any, clock: Any, limit: Any
+) -> Any:
+    """The branch of `touch_ahead` that the type of the air asks for, chosen when it is compiled."""
+    chosen = touch_in_air if air.instance_class is Air else touch_in_vacuum
+    return chosen.py_func
+
+
+@compiled
+def run_tangent(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    air: Vacuum | Air,
+    start: Array,
+    start_time: float,
+    times: Array,
+    sequence: NDArray[np.int64],
+    free: bool,
+    impact_cap: int,
+    seed: Array,
+    sources: Sources,
+) -> tuple[int, Array, Array, Array, Array]:
+    """The event loop with derivatives. `times` (n,) ascending; `sequence` is used unless `free`; `seed` (12, 12 + m)
+    are the derivatives of the start, `sources` those of what else the m parameters change.
+
+    Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their derivatives (n, 6, 12 + m),
+    the log (k, ROW) with absolute times, and the derivatives (k, 12 + m) of the impacts' instants.
+    """
+    n, columns = times.shape[0], seed.shape[1]
+    poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
+    log, dtimes = np.empty((16, ROW)), np.empty((16, columns))
+    state, before, pose = start.copy(), np.empty(13), np.empty(13)
+    tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, INPUTS))
+    flow = np.empty(FLOW)
+    wanted = np.zeros(2)
+    by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED
+    wanted[0] = 1.0 if by_speed or np.any(sources.chi) else 0.0
+    wanted[1] = 1.0 if np.any(sources.mu) else 0.0
+    terms = np.empty((body.vertices.shape[0], 4))
+    slow = slow_contact(law, plane, FINE, body.radius)
+    last = times[n - 1] if n > 0 else start_time
+    time, done, impacts, ending = start_time, 0, 0, TIME_REACHED
+    while True:
+        spin = spin_of(state)
+        swing(body.vertices, state, spin, terms)
+        start_flow(state, flow)
+        hit, dt = NONE, 0.0
+        if free:
+            dt, hit, velocity, acceleration = touch_ahead(
+                air, plane, state, terms, spin, body.radius, time, last - time
+            )
+            if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):
+                hit, ending = -1, CHATTER
+            elif hit >= 0 and impacts >= impact_cap:
+                hit, ending = -1, IMPACT_CAP
+        elif impacts < sequence.shape[0]:
+            hit = sequence[impacts]
+            dt, found, velocity, _ = touch_ahead(air, plane, state, terms[hit : hit + 1], spin, body.radius, time, inf)
+            if found < 0 or velocity >= 0.0:
+                hit, ending = -1, NO_TOUCH
+        while done < n and (hit < 0 or times[done] < time + dt):
+            fly(air, plane, state, spin, times[done] - time, tangent, sources, flow, pose, moved)
+            for k in range(7):
+                poses[done, k] = pose[k]
+            for k in range(6):
+                for m in range(columns):
+                    jacobian[done, k, m] = moved[k, m]
+            done += 1
+        if hit < 0:
+            return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
+        if impacts == log.shape[0]:
+            log, dtimes = grown(log), grown(dtimes)
+        fly(air, plane, state, spin, dt, tangent, sources, flow, before, moved)
+        tangent, moved = moved, tangent
+        copy_to(state, before)
+        time += dt
+        impact_tangent(
+            body, law, plane, time, hit, state, air.drag, sources, wanted, tangent, gradient, dtimes[impacts]
+        )
+        strike(body, law, plane, time, hit, state)
+        log_event(log[impacts], time, hit, before, state, -1.0, NONE)
+        impacts += 1

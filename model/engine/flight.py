@@ -1,0 +1,217 @@
+"""model.engine.flight."""
+
+from __future__ import annotations
+
+from math import cos, inf, sin, sqrt
+
+from ..compiled import compiled, inner
+from .types import ROUNDING, Array, Plane
+
+
+@compiled
+def table_height(plane: Plane, time: float) -> float:
+    """Height [m] of the table."""
+    return 0.0 if plane.amplitude == 0.0 else plane.amplitude * sin(plane.rate * time + plane.phase)
+
+
+@compiled
+def table_velocity(plane: Plane, time: float) -> float:
+    """Vertical velocity [m/s] of the table."""
+    return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
+
+
+@inner
+def table_acceleration(plane: Plane, time: float) -> float:
+    """Vertical acceleration [m/s²] of the table."""
+    return -plane.rate * plane.rate * table_height(plane, time)
+
+
+@compiled
+def spin_of(state: Array) -> float:
+    """|ω| [rad/s]; scaled, so that 1e-200 is not lost in its square."""
+    largest = max(abs(state[10]), abs(state[11]), abs(state[12]))
+    if largest == 0.0:
+        return 0.0
+    x, y, z = state[10] / largest, state[11] / largest, state[12] / largest
+    return float(largest * sqrt(x * x + y * y + z * z))
+
+
+@inner
+def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
+    """Unit axis of the spin; any axis serves where there is none."""
+    if spin == 0.0:
+        return 0.0, 0.0, 1.0
+    return state[10] / spin, state[11] / spin, state[12] / spin
+
+
+@compiled
+def arm_of(vertex: Array, state: Array) -> tuple[float, float, float]:
+    """The vertex (3,) of the body frame, seen from the centre, in world axes."""
+    w, x, y, z = state[3], state[4], state[5], state[6]
+    bx, by, bz = vertex[0], vertex[1], vertex[2]
+    # v + 2 w (q × v) + 2 q × (q × v)
+    tx, ty, tz = 2.0 * (y * bz - z * by), 2.0 * (z * bx - x * bz), 2.0 * (x * by - y * bx)
+    return bx + w * tx + y * tz - z * ty, by + w * ty + z * tx - x * tz, bz + w * tz + x * ty - y * tx
+
+
+@compiled
+def swing(vertices: Array, state: Array, spin: float, terms: Array) -> None:
+    """Fill `terms` (n, 4) with A, B, C and √(A² + B²): a vertex stands A cos ωt + B sin ωt + C above the centre."""
+    ux, uy, uz = axis_of(state, spin)
+    for i in range(vertices.shape[0]):
+        x, y, z = arm_of(vertices[i], state)
+        along = (x * ux + y * uy + z * uz) * uz
+        a, b = z - along, ux * y - uy * x
+        terms[i, 0], terms[i, 1], terms[i, 2], terms[i, 3] = a, b, along, sqrt(a * a + b * b)
+
+
+@compiled
+def first_touch(
+    terms: Array,
+    height: float,
+    velocity: float,
+    spin: float,
+    radius: float,
+    plane: Plane,
+    clock: float,
+    tolerance: float,
+    limit: float,
+) -> tuple[float, int, float, float]:
+    """The first instant at which a vertex of `terms` meets the table from above, no later than `limit` [s].
+
+    `clock` [s] is the time of the start of the flight, for a table that moves. Returns the time [s] from the start of
+    the flight, the row of the vertex (-1: the limit came first), and its vertical velocity (0 where it is only
+    rounding) and acceleration there, relative to the table. Of vertices that touch together the fastest is returned,
+    the first of equals. See `touch` for why no touch can be missed.
+    """
+    t = 0.0
+    g = plane.g
+    moving = plane.amplitude != 0.0
+    shake = plane.amplitude * plane.rate * plane.rate  # the table's largest acceleration
+    z_table, v_table, a_table, j_table = 0.0, 0.0, 0.0, 0.0
+    v_table_tol, a_table_tol = 0.0, 0.0
+    while True:
+        c, s = cos(spin * t), sin(spin * t)
+        centre, rise = height + (velocity - 0.5 * g * t) * t, velocity - g * t
+        turned = 1.0 + spin * t  # the phase ωt is rounded as well
+        h_tol = tolerance + ROUNDING * (abs(height) + (abs(velocity) + g * t) * t + radius * turned)
+        if moving:
+            phase = plane.rate * (clock + t) + plane.phase
+            z_table, v_table = plane.amplitude * sin(phase), plane.amplitude * plane.rate * cos(phase)
+            a_table, j_table = -plane.rate * plane.rate * z_table, -plane.rate * plane.rate * v_table
+            rounded = ROUNDING * plane.amplitude * (1.0 + abs(phase))
+            h_tol += rounded
+            v_table_tol, a_table_tol = rounded * plane.rate, rounded * plane.rate * plane.rate
+        v_tol = v_table_tol + ROUNDING * (abs(velocity) + g * t + spin * radius * turned)
+        a_tol = a_table_tol + ROUNDING * (g + spin * spin * radius * turned)
+        hit, hit_v, hit_a, step = -1, 0.0, 0.0, inf
+        for i in range(terms.shape[0]):
+            a, b, amplitude = terms[i, 0], terms[i, 1], terms[i, 3]
+            h = centre + a * c + b * s + terms[i, 2] - z_table
+            v = rise + spin * (b * c - a * s) - v_table
+            bound = g + spin * spin * amplitude + shake
+            if h > h_tol:
+                root = sqrt(v * v + 2.0 * bound * h)
+                # Two forms of one root: each free of cancellation for its sign of v.
+                ahead = (v + root) / bound if v > 0.0 else 2.0 * h / (root - v)
+                if moving and h + z_table > plane.amplitude:
+                    # Nor before the highest that the table reaches; longer far up, where `shake` is large.
+                    bound, v, h = bound - shake, v + v_table, h + z_table - plane.amplitude
+                    root = sqrt(v * v + 2.0 * bound * h)
+                    ahead = max(ahead, (v + root) / bound if v > 0.0 else 2.0 * h / (root - v))
+            elif v > v_tol:
+                ahead = 2.0 * v / bound
+            else:
+                acceleration = -g - spin * spin * (a * c + b * s) - a_table
+                jerk = spin * spin * spin * (a * s - b * c) - j_table
+                third = spin * spin * spin * amplitude + shake * plane.rate
+                fourth = spin * spin * spin * spin * amplitude + shake * plane.rate * plane.rate
+                if v >= -v_tol and acceleration >= -a_tol and jerk > ROUNDING * third:
+                    ahead = max(3.0 * max(acceleration, 0.0) / third, 4.0 * jerk / fourth)
+                elif v < -v_tol or acceleration <= a_tol:
+                    v = v if v < -v_tol else 0.0
+                    if hit < 0 or v < hit_v:
+                        hit, hit_v, hit_a = i, v, acceleration
+                    continue
+                else:
+                    ahead = 3.0 * acceleration / third
+            step = min(step, ahead)
+        if hit >= 0:
+            return t, hit, hit_v, hit_a
+        free = centre - radius - plane.amplitude
+        if free > 0.0:
+            # No vertex reaches farther down than the circumscribed sphere: fall with it.
+            step = max(step, (rise + sqrt(rise * rise + 2.0 * g * free)) / g)
+        if t + step > limit:
+            return limit, -1, 0.0, 0.0
+        t += step
+
+
+@inner
+def touch_of_vertex(
+    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
+) -> tuple[float, bool, float, float]:
+    """The next touch of the one vertex in `terms` (1, 4), whatever the others do: time, found, velocity, acceleration.
+
+    A vertex that is already below the table and sinking touched a little before the flight began, and the time is
+    negative: so the time stays a smooth function of the state when two touches change their order. It may lie as far
+    back as the die takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
+    """
+    below = -1e-12 * radius
+    h = height + terms[0, 0] + terms[0, 2] - table_height(plane, clock)
+    v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
+    if h < below and v < 0.0:
+        return _touch_before(terms, height, velocity, spin, radius, plane, clock)
+    t, _, v, acceleration = first_touch(terms, height, velocity, spin, radius, plane, clock, 0.0, inf)
+    return t, _height(terms, height, velocity, spin, plane, clock, t) >= below, v, acceleration
+
+
+@inner
+def _height(terms: Array, height: float, velocity: float, spin: float, plane: Plane, clock: float, t: float) -> float:
+    """Height [m] of the one vertex of `terms` (1, 4) above the table."""
+    swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
+    return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
+
+
+@inner
+def _touch_before(
+    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
+) -> tuple[float, bool, float, float]:
+    """Backwards from a vertex below the table to the instant at which it crossed; as `touch_of_vertex`."""
+    t, g = 0.0, plane.g
+    shake = plane.amplitude * plane.rate * plane.rate
+    bound = max(spin * spin * terms[0, 3] + shake - g, 1e-3 * g)  # h'' is no larger; kept above 0 for the division
+    while t > -sqrt(2.0 * radius / g):
+        swung, swept = cos(spin * t), sin(spin * t)
+        h = _height(terms, height, velocity, spin, plane, clock, t)
+        v = velocity - g * t + spin * (terms[0, 1] * swung - terms[0, 0] * swept) - table_velocity(plane, clock + t)
+        size = abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)
+        if plane.amplitude != 0.0:
+            size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
+        if h >= -ROUNDING * size:
+            acceleration = -g - spin * spin * (terms[0, 0] * swung + terms[0, 1] * swept)
+            return t, True, v, acceleration - table_acceleration(plane, clock + t)
+        root = sqrt(v * v - 2.0 * bound * h)
+        t -= 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound
+    return t, False, 0.0, 0.0
+
+
+@compiled
+def advance(state: Array, spin: float, dt: float, plane: Plane) -> None:
+    """Move the state along its exact flight, in place."""
+    state[0] += (state[7] + 0.5 * plane.gx * dt) * dt
+    state[1] += (state[8] + 0.5 * plane.gy * dt) * dt
+    state[2] += (state[9] - 0.5 * plane.g * dt) * dt
+    state[7] += plane.gx * dt
+    state[8] += plane.gy * dt
+    state[9] -= plane.g * dt
+    ux, uy, uz = axis_of(state, spin)
+    c, s = cos(0.5 * spin * dt), sin(0.5 * spin * dt)
+    x, y, z = s * ux, s * uy, s * uz
+    qw, qx, qy, qz = state[3], state[4], state[5], state[6]
+    w1 = c * qw - x * qx - y * qy - z * qz
+    x1 = c * qx + x * qw + y * qz - z * qy
+    y1 = c * qy - x * qz + y * qw + z * qx
+    z1 = c * qz + x * qy - y * qx + z * qw
+    norm = sqrt(w1 * w1 + x1 * x1 + y1 * y1 + z1 * z1)
+    state[3], state[4], state[5], state[6] = w1 / norm, x1 / norm, y1 / norm, z1 / norm

@@ -1,0 +1,205 @@
+"""model.engine.impact."""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from ..compiled import compiled, inner
+from .slip import contact_matrix_of_top, faded_at_speed, friction_impulse
+from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw
+
+
+@compiled
+def smooth_impulse(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> tuple[float, float, float]:
+    """`impulse` of a law without friction."""
+    x, y, _ = arm
+    u = state[9] + state[10] * y - state[11] * x - v_table
+    chi = law.parameters[0]
+    if law.code == SMOOTH_BY_SPEED:
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
+    return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
+
+
+@compiled
+def rough_impulse(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> tuple[float, float, float]:
+    """`impulse` of a law with friction."""
+    x, y, z = arm
+    u = state[9] + state[10] * y - state[11] * x - v_table
+    chi = law.parameters[0]
+    mu = law.parameters[1]
+    if law.code != COULOMB:
+        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+    if law.code == COULOMB_FADING:
+        mu = faded_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
+    cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
+    matrix = contact_matrix_of_top(mass, inertia, x, y, z)
+    return friction_impulse(matrix, chi, mu, int(law.parameters[2]), cx, cy, u)
+
+
+def impulse(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> tuple[float, float, float]:
+    """Impulse [N s] of the table on a touching point at `arm` from the centre of a spherical top."""
+    if isinstance(law, RoughLaw):
+        return rough_impulse(law, mass, inertia, arm, v_table, state)
+    return smooth_impulse(law, mass, inertia, arm, v_table, state)
+
+
+@overload(impulse, strict=False)
+def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state: Any) -> Any:
+    """The branch of `impulse` that the type of the law asks for, chosen when it is compiled."""
+    chosen = rough_impulse if law.instance_class is RoughLaw else smooth_impulse
+    return chosen.py_func
+
+
+@inner
+def bounce(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
+) -> None:
+    """Apply the law to the velocities of the state, in place: Δv = S/m, Δω = (r × S)/J."""
+    sx, sy, sz = impulse(law, mass, inertia, arm, v_table, state)
+    x, y, z = arm
+    state[7] += sx / mass
+    state[8] += sy / mass
+    state[9] += sz / mass
+    state[10] += (y * sz - z * sy) / inertia
+    state[11] += (z * sx - x * sz) / inertia
+    state[12] += (x * sy - y * sx) / inertia
+
+
+class Sources(NamedTuple):
+    """What each of the m parameters of a throw changes where: derivatives of what the kernels are given."""
+
+    chi: Array
+    """(m,) of the restitution (of the slowest impacts)."""
+    mu: Array
+    speed_scale: Array
+    inertia: Array
+    rounding: Array
+    vertices: Array
+    """(m, n, 3) of the body's vertices."""
+    gravity: Array
+    """(m, 3) [m/s²], axes of the table."""
+    table: Array
+    """(m, 3) of amplitude, rate and phase of the table's motion."""
+
+
+SHIFT = 1e-5
+"""Step of the differences through an impact with friction, in units of radius of gyration, contact velocity, or 1. Its
+square, and rounding over it, are both 1e-10; a higher order would take twice the impacts, and longer steps, which
+more often reach across where the course of the slip changes."""
+
+_PLACE, _VELOCITY, CHI, MU, INERTIA, SPEED_SCALE, INPUTS = 0, 3, 6, 7, 8, 9, 10
+"""Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
+
+
+@inner
+def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
+    """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
+    stand in the law's parameters from `at` on."""
+    scale, exponent = law.parameters[at], law.parameters[at + 1]
+    ratio = faded_at_speed(1.0, max(-u, 0.0), scale, exponent)
+    slope = exponent * ratio / (scale + max(-u, 0.0))
+    return ratio, slope, -slope * u / scale
+
+
+@compiled
+def smooth_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse_gradient` of a law without friction."""
+    x, y, _ = arm
+    u, chi = c[2], law.parameters[0]
+    ratio, by_u, by_scale = 1.0, 0.0, 0.0
+    if law.code == SMOOTH_BY_SPEED:
+        ratio, by_u, by_scale = fade(law, 1, u)
+    softness = 1.0 / mass + (x * x + y * y) / inertia
+    s = -(1.0 + chi * ratio) * u / softness
+    out[:] = 0.0
+    out[2, _PLACE], out[2, _PLACE + 1] = -2.0 * s * x / (inertia * softness), -2.0 * s * y / (inertia * softness)
+    out[2, _VELOCITY + 2] = -(1.0 + chi * ratio + chi * by_u * u) / softness
+    out[2, CHI] = -ratio * u / softness
+    out[2, INERTIA] = s * (x * x + y * y) / (inertia * inertia * softness)
+    out[2, SPEED_SCALE] = -chi * by_scale * u / softness
+    return 0.0, 0.0, s
+
+
+@compiled
+def rough_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse_gradient` of a law with friction: differences of the second order of this one impact.
+
+    Two rules spare a quarter of them: S is proportional to c, and does not change when r grows with √J.
+    """
+    mu, ending = law.parameters[1], int(law.parameters[2])
+    chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
+    if law.code == COULOMB_BY_SPEED:
+        ratio, by_u, by_scale = fade(law, 3, c[2])
+        chi *= ratio
+    gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
+    matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+    sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
+    out[:] = 0.0
+    there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
+    for k in range(8):
+        if k == _VELOCITY + 2 or (k == CHI and wanted[0] == 0.0) or (k == MU and wanted[1] == 0.0):
+            continue
+        step = SHIFT * (gyration if k < _VELOCITY else (speed if k < CHI else 1.0))
+        # Neither χ nor μ can be less than 0: forward from there.
+        forward = k >= CHI and input_of[k] < step
+        for n in range(3):
+            if forward:
+                weight, at = (-1.5, 2.0, -0.5)[n] / step, n * step
+            else:
+                weight, at = (-0.5, 0.0, 0.5)[n] / step, (n - 1) * step
+            if weight == 0.0:
+                continue
+            for i in range(8):
+                there[i] = input_of[i]
+            there[k] += at
+            if k < _VELOCITY:
+                matrix = contact_matrix_of_top(mass, inertia, there[0], there[1], there[2])
+            else:
+                matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+            px, py, pz = friction_impulse(matrix, there[6], there[7], ending, there[3], there[4], there[5])
+            out[0, k] += weight * px
+            out[1, k] += weight * py
+            out[2, k] += weight * pz
+    impulse_now = (sx, sy, sz)
+    for m in range(3):
+        along = c[0] * out[m, _VELOCITY] + c[1] * out[m, _VELOCITY + 1]
+        out[m, _VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * by_u
+        out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * by_scale
+        out[m, CHI] *= ratio
+        stretched = arm[0] * out[m, _PLACE] + arm[1] * out[m, _PLACE + 1] + arm[2] * out[m, _PLACE + 2]
+        out[m, INERTIA] = -0.5 * stretched / inertia
+    return sx, sy, sz
+
+
+def impulse_gradient(
+    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+) -> tuple[float, float, float]:
+    """`impulse` on a contact with velocity `c` (3,) relative to the table, and its derivatives in `out` (3, INPUTS).
+
+    By the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` (2,) is not 0 where the column of
+    χ (needed by a law by speed as well) or μ is.
+    """
+    if isinstance(law, RoughLaw):
+        return rough_gradient(law, mass, inertia, arm, c, wanted, out)
+    return smooth_gradient(law, mass, inertia, arm, c, wanted, out)
+
+
+@overload(impulse_gradient, strict=False)
+def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wanted: Any, out: Any) -> Any:
+    """The branch of `impulse_gradient` that the type of the law asks for, chosen when it is compiled."""
+    chosen = rough_gradient if law.instance_class is RoughLaw else smooth_gradient
+    return chosen.py_func

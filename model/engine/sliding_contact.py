@@ -1,0 +1,463 @@
+"""model.engine.sliding_contact."""
+
+from __future__ import annotations
+
+from math import hypot, inf, nan, sqrt
+from typing import Any
+
+import numpy as np
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from ..compiled import compiled, inner
+from .flight import advance, arm_of, spin_of, table_height, table_velocity
+from .held_contact import clearance
+from .log import copy_to, decided_face, grown, note_knot
+from .slip import contact_matrix_of_top, slide_direction
+from .types import (
+    BALANCED,
+    FLIES,
+    FULL_SWEEPS,
+    LONG_SWEEPS,
+    MOST_SWEEPS,
+    NEAR_RUBBED,
+    RESTED,
+    ROUNDING,
+    RUBBED_PART,
+    TIME_REACHED,
+    Array,
+    Body,
+    Law,
+    Matrix6,
+    Plane,
+    Precision,
+    RoughLaw,
+)
+
+
+@compiled
+def held_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
+    """The impulse S of an inelastic contact with Coulomb's cone, exactly, where c + M S is the velocity with it.
+
+    Either it lifts off (S = 0), or it sticks (c + M S = 0), or it slides along ŝ with S = p (-μ ŝ, 1). To find p: a
+    given p leaves the slip the least kinetic energy when (μ p T + σ) ŝ = c_t + b p, and w(p) = 0 is solved by secants
+    that keep a bracket; w(0) < 0, and w rises for large p as an impact that sticks or slides on does.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    if cz >= 0.0:
+        return 0.0, 0.0, 0.0
+    det = xx * yy - xy * xy
+    ex, ey = (yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det  # T⁻¹ b
+    lx, ly = (yy * cx - xy * cy) / det, (xx * cy - xy * cx) / det  # T⁻¹ c_t
+    p = (xz * lx + yz * ly - cz) / (zz - xz * ex - yz * ey)
+    if p >= 0.0 and hypot(lx + ex * p, ly + ey * p) <= mu * p:
+        return -lx - ex * p, -ly - ey * p, p
+    low, w_low, high = 0.0, cz, -2.0 * cz / zz
+    sx, sy, w_high = _held_slide(matrix, mu, cx, cy, cz, high)
+    while w_high < 0.0:
+        low, w_low, high = high, w_high, 2.0 * high
+        sx, sy, w_high = _held_slide(matrix, mu, cx, cy, cz, high)
+    for _ in range(100):
+        p = (low * w_high - high * w_low) / (w_high - w_low)
+        if not low < p < high:
+            break
+        sx, sy, w = _held_slide(matrix, mu, cx, cy, cz, p)
+        if abs(w) <= -1e-16 * cz:
+            return sx, sy, p
+        # Illinois: an end that stays twice counts half, so that neither does.
+        if w < 0.0:
+            low, w_low, w_high = p, w, 0.5 * w_high
+        else:
+            high, w_high, w_low = p, w, 0.5 * w_low
+    sx, sy, _ = _held_slide(matrix, mu, cx, cy, cz, high)
+    return sx, sy, high
+
+
+@inner
+def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: float) -> tuple[float, float, float]:
+    """Tangential impulse within the disk μp that leaves the slip the least energy, and the normal velocity then."""
+    xx, xy, xz, yy, yz, zz = matrix
+    dx, dy, radius = cx + xz * p, cy + yz * p, mu * p
+    det = xx * yy - xy * xy
+    sx, sy = (xy * dy - yy * dx) / det, (xy * dx - xx * dy) / det
+    if hypot(sx, sy) > radius:
+        ux, uy, _ = slide_direction(xx, xy, yy, radius, dx, dy)
+        sx, sy = -radius * ux, -radius * uy
+    return sx, sy, cz + zz * p + xz * sx + yz * sy
+
+
+@compiled
+def friction_step(
+    velocity: Array,
+    arms: Array,
+    mass: float,
+    inertia: float,
+    mu: float,
+    push: Array,
+    table_velocity: float,
+    impulses: Array,
+    sweep: float = 1e-12,
+) -> int:
+    """One time step of held contact of a spherical top: `velocity` (6,) [m/s, rad/s], centre and spin, in place.
+
+    Gravity acts first, as the change of velocity `push` (3,) [m/s], h g. Then the touching vertices at `arms` (n, 3)
+    [m] from the centre get the impulses with which each obeys `held_impulse` in the presence of the others: velocities
+    at the end of the step, so that energy is lost, never gained, and a corner that sticks has no velocity instead of a
+    small one. `impulses` (n, 3) [N s]: a guess, zero or those of the step before; the result afterwards.
+    `table_velocity` [m/s] is the table's own, along z. No velocity of a vertex at the end is below it by more than
+    rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `MOST_SWEEPS` where they
+    were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
+    """
+    n = arms.shape[0]
+    for k in range(3):
+        velocity[k] += push[k]
+    size = abs(table_velocity) + hypot(hypot(push[0], push[1]), push[2])
+    for i in range(n):
+        cx, cy, cz = _velocity_at(velocity, arms[i])
+        size = max(size, abs(cx) + abs(cy) + abs(cz))
+    for i in range(n):
+        _kick(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
+    sweeps, changed = 0, inf
+    while changed > sweep * size and sweeps < MOST_SWEEPS:
+        changed = 0.0
+        # Corners that answer each other in a circle stop doing so when each goes only part of its way.
+        part = 1.0 if sweeps < FULL_SWEEPS else (0.7 if sweeps < LONG_SWEEPS else 0.4)
+        for i in range(n):
+            matrix = contact_matrix_of_top(mass, inertia, arms[i, 0], arms[i, 1], arms[i, 2])
+            xx, xy, xz, yy, yz, zz = matrix
+            x, y, z = impulses[i]
+            cx, cy, cz = _velocity_at(velocity, arms[i])
+            cx, cy = cx - xx * x - xy * y - xz * z, cy - xy * x - yy * y - yz * z
+            cz = cz - table_velocity - xz * x - yz * y - zz * z
+            sx, sy, sz = held_impulse(matrix, mu, cx, cy, cz)
+            sx, sy, sz = x + part * (sx - x), y + part * (sy - y), z + part * (sz - z)
+            impulses[i, 0], impulses[i, 1], impulses[i, 2] = sx, sy, sz
+            _kick(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
+            changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
+        sweeps += 1
+    if _holds_fast(velocity, arms, table_velocity, impulses, 1e-9 * size):
+        for k in range(6):
+            velocity[k] = 0.0
+        velocity[2] = table_velocity
+    return sweeps
+
+
+@inner
+def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
+    """v + ω × r."""
+    return (
+        velocity[0] + velocity[4] * arm[2] - velocity[5] * arm[1],
+        velocity[1] + velocity[5] * arm[0] - velocity[3] * arm[2],
+        velocity[2] + velocity[3] * arm[1] - velocity[4] * arm[0],
+    )
+
+
+@inner
+def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
+    """Δv = S/m, Δω = r × S/J, in place."""
+    velocity[0] += sx / mass
+    velocity[1] += sy / mass
+    velocity[2] += sz / mass
+    velocity[3] += (arm[1] * sz - arm[2] * sy) / inertia
+    velocity[4] += (arm[2] * sx - arm[0] * sz) / inertia
+    velocity[5] += (arm[0] * sy - arm[1] * sx) / inertia
+
+
+@inner
+def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
+    """Whether three corners that press and do not lie in a line have stopped: then the die has the table's velocity."""
+    first, second = -1, -1
+    for i in range(arms.shape[0]):
+        cx, cy, cz = _velocity_at(velocity, arms[i])
+        if impulses[i, 2] <= 0.0 or max(abs(cx), abs(cy), abs(cz - table_velocity)) > slow:
+            continue
+        if first < 0:
+            first = i
+        elif second < 0:
+            second = i
+        else:
+            ax, ay = arms[second, 0] - arms[first, 0], arms[second, 1] - arms[first, 1]
+            bx, by = arms[i, 0] - arms[first, 0], arms[i, 1] - arms[first, 1]
+            if abs(ax * by - ay * bx) > 1e-6 * hypot(ax, ay) * hypot(bx, by):
+                return True
+    return False
+
+
+@compiled
+def turn_and_move(state: Array, dt: float) -> None:
+    """Carry the pose along its velocities over dt [s], in place, as if nothing acted."""
+    height_velocity = state[9]
+    advance(state, spin_of(state), dt, Plane(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    state[9] = height_velocity
+
+
+@inner
+def rub_step(
+    body: Body,
+    mu: float,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    active: NDArray[np.bool_],
+    arms: Array,
+    guess: Array,
+    impulses: Array,
+    after: Array,
+    sweep: float = 1e-12,
+) -> int:
+    """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
+
+    Half the way with the old velocities, the impulses there, the other half with the new ones (Moreau; see `contact`).
+    `arms` (n, 3) and `impulses` (n, 3) are room for the active ones, `guess` (n, 3) [N] forces to begin with.
+    """
+    copy_to(after, state)
+    turn_and_move(after, 0.5 * dt)
+    n = 0
+    for k in range(active.shape[0]):
+        if active[k]:
+            x, y, z = arm_of(body.vertices[k], after)
+            arms[n, 0], arms[n, 1], arms[n, 2] = x, y, z - body.rounding
+            n += 1
+    velocity, push = np.empty(6), np.empty(3)
+    for k in range(6):
+        velocity[k] = after[7 + k]
+    push[0], push[1], push[2] = plane.gx * dt, plane.gy * dt, -plane.g * dt
+    for k in range(n):
+        for m in range(3):
+            impulses[k, m] = guess[k, m] * dt
+    v_table = table_velocity(plane, time + dt)
+    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
+    for k in range(6):
+        after[7 + k] = velocity[k]
+    turn_and_move(after, 0.5 * dt)
+    pressing = 0
+    lowest, z_table = inf, table_height(plane, time + dt)
+    for k in range(n):
+        pressing += impulses[k, 2] > 0.0
+    for k in range(active.shape[0]):
+        if active[k]:
+            lowest = min(lowest, clearance(body.vertices[k], after, z_table))
+    if pressing > 0:
+        # The arms turn within the step, by which the vertices leave the table to the third order in dt.
+        after[2] -= lowest
+    return pressing
+
+
+@inner
+def rides_for_ever(
+    body: Body,
+    mu: float,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    active: NDArray[np.bool_],
+    sweep: float,
+) -> bool:
+    """Whether a die that moves as its table does will always do so. It is pressed least where the table accelerates down
+    most; if it neither slips nor tips there within a step of dt [s], it does so nowhere."""
+    if state[9] != table_velocity(plane, time) or state[7:9].any() or state[10:13].any():
+        return False
+    least = plane.g - plane.amplitude * plane.rate * plane.rate
+    if least <= 0.0:
+        return False
+    still, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
+    still[9] = 0.0
+    at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
+    pressing = rub_step(body, mu, at_rest, still, time, dt, active, room[0], room[1], room[2], after, sweep)
+    return pressing >= 3 and not after[7:13].any()
+
+
+@inner
+def rough_rub(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    state: Array,
+    time: float,
+    limit: float,
+    active: NDArray[np.bool_],
+    for_ever: bool,
+    stop_when_decided: bool,
+    segment: int,
+    knots: Array,
+    known: int,
+    keep: bool,
+    after: Array,
+) -> tuple[int, float, int, Array, int]:
+    """`rub` with friction."""
+    begin, mu = time, law.parameters[1]
+    room = np.zeros((3, body.vertices.shape[0], 3))
+    fixed = plane.amplitude == 0.0
+    shake = plane.amplitude * plane.rate * plane.rate
+    while True:
+        if keep:
+            if known == knots.shape[0]:
+                knots = grown(knots)
+            note_knot(knots[known], segment, time, state)
+            known += 1
+        if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
+            return RESTED, time - begin, -1, knots, known
+        rate = spin_of(state) + sqrt((plane.g + shake) / body.radius) + (0.0 if fixed else plane.rate)
+        dt = min(RUBBED_PART * precision.turn / rate, begin + limit - time)
+        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep)
+        if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
+            # Nothing moves, and nothing will.
+            if for_ever:
+                return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots, known
+            return TIME_REACHED, limit, -1, knots, known
+        if (
+            for_ever
+            and not fixed
+            and pressing >= 3
+            and rides_for_ever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
+        ):
+            copy_to(state, after)
+            return RESTED, time + dt - begin, -1, knots, known
+        hit = lowest_free(body, plane, after, time + dt, active)
+        if hit >= 0:
+            # False position (Illinois: an end that stays twice weighs half) takes five steps where halving takes forty,
+            # and leaves to halving what it does not know: a vertex that is another's successor, or on its way up.
+            low, high, stayed = 0.0, dt, 0
+            room[2] = room[1] / dt
+            h_low = clearance(body.vertices[hit], state, table_height(plane, time))
+            h_high = clearance(body.vertices[hit], after, table_height(plane, time + dt))
+            for k in range(90):
+                if high - low <= 1e-12 * dt or h_high >= -ROUNDING * body.radius:
+                    break
+                middle = 0.5 * (low + high)
+                if h_low > 0.0 and k % 3 < 2:
+                    weigh_low, weigh_high = 0.5 if stayed > 1 else 1.0, 0.5 if stayed < -1 else 1.0
+                    middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
+                rub_step(
+                    body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after, precision.sweep
+                )
+                room[2] = room[1] / middle
+                found = lowest_free(body, plane, after, time + middle, active)
+                if found >= 0:
+                    h_low = h_low if found == hit else nan
+                    h_high = clearance(body.vertices[found], after, table_height(plane, time + middle))
+                    high, hit, stayed = middle, found, max(stayed, 0) + 1
+                else:
+                    h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
+                    low, stayed = middle, min(stayed, 0) - 1
+            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
+            copy_to(state, after)
+            return FLIES, time + high - begin, hit, knots, known
+        copy_to(state, after)
+        time += dt
+        # First of all: within no time nothing presses, and a die at rest would fly and touch there without end.
+        if time >= begin + limit:
+            return TIME_REACHED, limit, -1, knots, known
+        if pressing == 0:
+            return FLIES, time - begin, -1, knots, known
+        room[2] = room[1] / dt
+        n, z_table = 0, table_height(plane, time)
+        for k in range(active.shape[0]):
+            if active[k]:
+                if room[1, n, 2] <= 0.0 and clearance(body.vertices[k], state, z_table) > NEAR_RUBBED * body.radius:
+                    active[k] = False
+                    room[2] = 0.0
+                n += 1
+
+
+def rub(
+    body: Body,
+    law: Law,
+    plane: Plane,
+    precision: Precision,
+    state: Array,
+    time: float,
+    limit: float,
+    active: NDArray[np.bool_],
+    for_ever: bool,
+    stop_when_decided: bool,
+    segment: int,
+    knots: Array,
+    known: int,
+    keep: bool,
+    after: Array,
+) -> tuple[int, float, int, Array, int]:
+    """Carry the state in place through contact with friction of the `active` vertices, as `hold` does without.
+
+    Returns FLIES or another ending, the duration [s], the vertex that touches anew (-1: all are off the table, or the
+    limit came), and the knots with their number.
+    """
+    assert isinstance(law, RoughLaw)
+    return rough_rub(
+        body,
+        law,
+        plane,
+        precision,
+        state,
+        time,
+        limit,
+        active,
+        for_ever,
+        stop_when_decided,
+        segment,
+        knots,
+        known,
+        keep,
+        after,
+    )
+
+
+@overload(rub, strict=False)
+def _rub(
+    body: Any,
+    law: Any,
+    plane: Any,
+    precision: Any,
+    state: Any,
+    time: Any,
+    limit: Any,
+    active: Any,
+    for_ever: Any,
+    stop_when_decided: Any,
+    segment: Any,
+    knots: Any,
+    known: Any,
+    keep: Any,
+    after: Any,
+) -> Any:
+    """Nothing at all for a law without friction, which never gets here."""
+    if law.instance_class is RoughLaw:
+        return rough_rub.py_func
+
+    def never(  # type: ignore[no-untyped-def]
+        body,
+        law,
+        plane,
+        precision,
+        state,
+        time,
+        limit,
+        active,
+        for_ever,
+        stop_when_decided,
+        segment,
+        knots,
+        known,
+        keep,
+        after,
+    ):
+        return FLIES, 0.0, -1, knots, known
+
+    return never
+
+
+@inner
+def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
+    """The deepest vertex below the table of those that are not active and come down; -1 where there is none."""
+    deepest, hit = 0.0, -1
+    z_table, v_table = table_height(plane, time), table_velocity(plane, time)
+    for k in range(body.vertices.shape[0]):
+        if not active[k]:
+            x, y, z = arm_of(body.vertices[k], state)
+            h = state[2] + z - z_table
+            if h < deepest and state[9] + state[10] * y - state[11] * x < v_table:
+                deepest, hit = h, k
+    return hit

@@ -1,0 +1,496 @@
+"""model.engine.slip."""
+
+from __future__ import annotations
+
+from math import hypot, inf, nan, sqrt
+
+import numpy as np
+
+from ..compiled import compiled, inner
+from .types import (
+    GIVEN,
+    MOST_STEPS,
+    NEWTON,
+    NO,
+    NORMAL,
+    ORDER,
+    POISSON,
+    SPEED,
+    STOPPED,
+    STRAIGHT,
+    STRONGE,
+    TINY,
+    TURNS,
+    VX,
+    VY,
+    Array,
+    Matrix6,
+)
+
+
+@compiled
+def contact_matrix_of_top(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
+    """Contact matrix M [1/kg] of a spherical top with the contact at (x, y, z) from its centre: xx, xy, xz, yy, yz, zz."""
+    free = 1.0 / mass
+    return (
+        free + (y * y + z * z) / inertia,
+        -x * y / inertia,
+        -x * z / inertia,
+        free + (x * x + z * z) / inertia,
+        -y * z / inertia,
+        free + (x * x + y * y) / inertia,
+    )
+
+
+@compiled
+def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: float) -> Matrix6:
+    """The same for any body; `inverse_inertia` (3, 3) [1/(kg m²)] in world axes: M = 1/m - [r]× I⁻¹ [r]×."""
+    i = inverse_inertia
+    # The columns A, B, C of I⁻¹ [r]×, as far as [r]× in front of them asks for them.
+    ay, az = i[1, 1] * z - i[1, 2] * y, i[1, 2] * z - i[2, 2] * y
+    bx, by, bz = i[0, 2] * x - i[0, 0] * z, i[1, 2] * x - i[0, 1] * z, i[2, 2] * x - i[0, 2] * z
+    cx, cy, cz = i[0, 0] * y - i[0, 1] * x, i[0, 1] * y - i[1, 1] * x, i[0, 2] * y - i[1, 2] * x
+    free = 1.0 / mass
+    return (
+        free + z * ay - y * az,
+        z * by - y * bz,
+        z * cy - y * cz,
+        free + x * bz - z * bx,
+        x * cz - z * cx,
+        free + y * cx - x * cy,
+    )
+
+
+@compiled
+def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
+    """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
+    return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
+
+
+@inner
+def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, dy: float) -> tuple[float, float, float]:
+    """The unit vector ŝ, and σ ≥ 0, with (radius T + σ) ŝ = d; None needs one where |T⁻¹d| ≤ radius.
+
+    Newton's method on 1/|ŝ(σ)|, which is concave and rises: from a σ too small it comes up to the root monotonically.
+    """
+    sigma = max(0.0, hypot(dx, dy) - radius * (xx + yy))  # no eigenvalue of T exceeds its trace
+    ux, uy = 0.0, 0.0
+    for _ in range(100):
+        a, b, c = radius * xx + sigma, radius * xy, radius * yy + sigma
+        det = a * c - b * b
+        ux, uy = (c * dx - b * dy) / det, (a * dy - b * dx) / det
+        size = hypot(ux, uy)
+        if size - 1.0 <= 1e-15:
+            break
+        curved = (c * ux * ux - 2.0 * b * ux * uy + a * uy * uy) / det
+        raised = sigma + size * size / curved * (size - 1.0)
+        if raised <= sigma:
+            break
+        sigma = raised
+    size = hypot(ux, uy)
+    return ux / size, uy / size, sigma
+
+
+@compiled
+def friction_impulse(
+    matrix: Matrix6, chi: float, mu: float, ending: int, cx: float, cy: float, cz: float
+) -> tuple[float, float, float]:
+    """Impulse [N s] of the table on the contact that comes in with velocity (cx, cy, cz) [m/s], z the normal.
+
+    `matrix` from `contact_matrix`; `ending` NEWTON, POISSON or STRONGE. Zero for a contact that does not approach, NaN
+    where c is not finite. One small array is allocated where the slip turns, none elsewhere.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    if not cz < 0.0:
+        return 0.0, 0.0, 0.0
+    if mu == 0.0:
+        return 0.0, 0.0, -(1.0 + chi) * cz / zz
+    size = abs(cx) + abs(cy) - cz
+    if not size < inf:
+        return nan, nan, nan
+    # Nothing depends on the unit of velocity; in this one the work of the slowest impact does not underflow.
+    vx, vy, w = cx / size, cy / size, cz / size
+    goal = -chi * w if ending == NEWTON else 0.0
+    sx, sy, p, returning, ended = 0.0, 0.0, 0.0, False, False
+    course = _course(matrix, mu, vx, vy, abs(w))
+    if course == TURNS:
+        sx, sy, p, vx, vy, w, returning, goal, ended, course = _turning_slip(matrix, chi, mu, ending, vx, vy, w, goal)
+    if not ended and course == STRAIGHT:
+        slip = hypot(vx, vy)
+        ux, uy = vx / slip, vy / slip
+        f = ux * xz + uy * yz - mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
+        h = zz - mu * (xz * ux + yz * uy)
+        dp, w, returning, goal, ended = _straight(w, h, -slip / f, ending, chi, returning, goal)
+        sx, sy, p = sx - mu * ux * dp, sy - mu * uy * dp, p + dp
+    if not ended:
+        det = xx * yy - xy * xy
+        tx, ty = (xy * yz - yy * xz) / det, (xy * xz - xx * yz) / det
+        if hypot(tx, ty) > mu:
+            ux, uy, _ = slide_direction(xx, xy, yy, mu, xz, yz)
+            tx, ty = -mu * ux, -mu * uy
+        dp, w, returning, goal, ended = _straight(w, zz + xz * tx + yz * ty, inf, ending, chi, returning, goal)
+        sx, sy, p = sx + tx * dp, sy + ty * dp, p + dp
+    return size * sx, size * sy, size * p
+
+
+@inner
+def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
+    """What the slip (vx, vy) does next, to rounding of velocities of the given `size`."""
+    xx, xy, xz, yy, yz, _ = matrix
+    slip = hypot(vx, vy)
+    if slip <= TINY * size:
+        return STOPPED
+    ux, uy = vx / slip, vy / slip
+    g = ux * yz - uy * xz - mu * ((yy - xx) * ux * uy + xy * (ux * ux - uy * uy))
+    across = mu * (xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux)
+    # A direction off by g/across changes f by rate g/across, and so s for a given p by as much again.
+    rate = _rate(matrix, mu)
+    turns = abs(g) > 1e-3 * across or slip * abs(g) * rate > 30.0 * TINY * across * across * size
+    if turns and abs(g) > 30.0 * TINY * rate:  # a smaller g is rounding itself
+        return TURNS
+    f = ux * xz + uy * yz - mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
+    return STRAIGHT if f < 0.0 else STOPPED
+
+
+@inner
+def _rate(matrix: Matrix6, mu: float) -> float:
+    """How fast the slip vector changes with τ [1/kg], at most (up to 2)."""
+    return float(hypot(matrix[2], matrix[4]) + mu * max(matrix[0], matrix[3]))
+
+
+@inner
+def _straight(
+    w: float, slope: float, limit: float, ending: int, chi: float, returning: bool, goal: float
+) -> tuple[float, float, bool, float, bool]:
+    """Go on while dw/dp = `slope` stays, at most by `limit`: the dp gone, then w, returning, goal, and whether it ended.
+
+    `goal`: for NEWTON the w to reach; else what restitution may still give back, impulse (POISSON) or work (STRONGE).
+    """
+    gone = 0.0
+    while True:
+        zero = -w / slope if w * slope < 0.0 else inf
+        if ending == NEWTON:
+            ahead, final = (goal - w) / slope if slope > 0.0 else inf, True
+        elif not returning:
+            ahead, final = (0.0 if w == 0.0 and slope > 0.0 else zero), False
+        else:
+            release = goal
+            if ending == STRONGE and goal > 0.0:
+                square = w * w + 2.0 * slope * goal
+                release = 2.0 * goal / (w + sqrt(square)) if square > 0.0 else inf
+            ahead, final = min(release, zero), release <= zero
+            if not final and w == 0.0 and slope < 0.0:
+                ahead = 0.0
+        stopped = ahead >= limit - gone
+        step = limit - gone if stopped else ahead
+        after = w + slope * step
+        if not stopped and not final:
+            after = 0.0
+        if ending == POISSON:
+            goal += -step if returning else chi * step
+        elif ending == STRONGE:
+            goal += (-1.0 if returning else -chi * chi) * step * 0.5 * (w + after)
+        gone, w = gone + step, after
+        if stopped or final:
+            return gone, w, returning, goal, not stopped
+        returning = not returning
+
+
+@inner
+def _turning_slip(
+    matrix: Matrix6, chi: float, mu: float, ending: int, vx: float, vy: float, w: float, goal: float
+) -> tuple[float, float, float, float, float, float, bool, float, bool, int]:
+    """Slide until the slip stops, no longer turns, or the impact ends.
+
+    Returns the impulse (3), the contact velocity (3), the state of `_straight`, and what `_course` says last.
+    """
+    sx, sy, p, returning = 0.0, 0.0, 0.0, NO
+    largest, rate = max(matrix[0], matrix[3], matrix[5]), _rate(matrix, mu)
+    series = np.empty((5, ORDER + 1))
+    ends = False
+    for _ in range(MOST_STEPS):
+        size = p * largest + abs(w)
+        course = _course(matrix, mu, vx, vy, size)
+        if course != TURNS:
+            return sx, sy, p, vx, vy, w, returning, goal, False, course
+        if not ends:
+            found, dp = _way_to_stop(series, matrix, mu, vx, vy, size)
+            if found:
+                stops, tx, ty, w_stop, left = _stop_before_event(
+                    series, matrix, mu, ending, chi, vx, vy, w, dp, returning, goal
+                )
+                if stops:
+                    return sx + tx, sy + ty, p + dp, 0.0, 0.0, w_stop, returning, left, False, STOPPED
+                ends = returning or ending == NEWTON
+        # Towards a stop the slip must keep its direction as well, or the steps would be longer than it lasts.
+        allowed = min(3.0 * TINY * size, 1e-5 * hypot(vx, vy))
+        unit = largest / max(size, 1e-200) if ending == STRONGE else largest  # makes work, or impulse, a velocity
+        h = _expand(series, matrix, mu, ending, rate, vx, vy, w, allowed, unit)
+        t, returning, goal, ended = _walk(series, h, ending, chi, returning, goal)
+        sx -= mu * _integral(series, VX, t) / rate
+        sy -= mu * _integral(series, VY, t) / rate
+        p += _integral(series, SPEED, t) / rate
+        vx, vy, w = _value(series, VX, t), _value(series, VY, t), _value(series, NORMAL, t)
+        if ended:
+            return sx, sy, p, vx, vy, w, returning, goal, True, course
+    return nan, nan, nan, nan, nan, nan, returning, goal, True, TURNS
+
+
+@inner
+def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> tuple[bool, float]:
+    """Whether the slip comes near enough to the direction in which it will stop, and the dp until then.
+
+    With axes along and across that direction and the slope ε = v⊥/v∥ of the slip, v∥' = F(ε) v∥ and ε' = G(ε), so the
+    dp left is v∥ P(ε) with F P + G P' = -|v|/v∥ = -√(1 + ε²): a power series, where steps in τ would come ever nearer.
+    Leaves F, G, √, P in rows 0 to 3 of `series`, v∥ and ε in row 4.
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    slip = hypot(vx, vy)
+    ux, uy = vx / slip, vy / slip
+    along, across, skew, f = 0.0, 0.0, 0.0, 0.0
+    for step in range(8):
+        along = mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
+        across = mu * (xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux)
+        skew = mu * ((yy - xx) * ux * uy + xy * (ux * ux - uy * uy))
+        f = ux * xz + uy * yz - along
+        turn = (ux * yz - uy * xz - skew) / (f + across)  # dg/dφ = -(f + across)
+        # Attracting, a stop, and not far: more than a dozen degrees away the series would need too many terms.
+        if f >= 0.0 or f + across <= 0.0 or abs(turn) > 0.25:
+            return False, 0.0
+        ux, uy = ux - turn * uy, uy + turn * ux
+        length = hypot(ux, uy)
+        ux, uy = ux / length, uy / length
+        if abs(turn) < 1e-12:
+            break
+        if step == 7:
+            return False, 0.0
+    ahead = ux * vx + uy * vy
+    slope = (ux * vy - uy * vx) / ahead
+    pull = ux * yz - uy * xz
+    F, G, root, P = series[0], series[1], series[2], series[3]
+    total, power, term = 0.0, 1.0, 0.0
+    for k in range(ORDER + 1):
+        root[k] = 0.0 if k % 2 == 1 else (1.0 if k == 0 else root[k - 2] * (3.0 - k) / k)
+        F[k] = (f + along) * root[k] - (along if k == 0 else (skew if k == 1 else 0.0))
+        G[k] = 0.0 if k == 0 else pull * root[k] - F[k - 1] - (across if k == 1 else 0.0)
+        known = root[k]
+        for j in range(1, k + 1):
+            known += F[j] * P[k - j]
+        for j in range(2, k + 1):
+            known += G[j] * (k - j + 1) * P[k - j + 1]
+        P[k] = -known / (F[0] + k * G[1])
+        term = P[k] * power
+        total += term
+        power *= slope
+    series[4, 0], series[4, 1] = ahead, slope
+    return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * TINY * size, ahead * total
+
+
+@inner
+def _stop_before_event(
+    series: Array,
+    matrix: Matrix6,
+    mu: float,
+    ending: int,
+    chi: float,
+    vx: float,
+    vy: float,
+    w: float,
+    dp: float,
+    returning: bool,
+    goal: float,
+) -> tuple[bool, float, float, float, float]:
+    """What `_way_to_stop` leads to: whether w meets no event on the way, the tangential impulse, w and goal then."""
+    xx, xy, xz, yy, yz, zz = matrix
+    det = xx * yy - xy * xy
+    # 0 = v + b dp + T S at the stop.
+    dx, dy = vx + xz * dp, vy + yz * dp
+    tx, ty = (xy * dy - yy * dx) / det, (xy * dx - xx * dy) / det
+    w_stop = w + zz * dp + xz * tx + yz * ty
+    # h changes little and steadily; unless its sign does, w is between its ends.
+    ahead, slope = series[4, 0], series[4, 1]
+    slip = hypot(vx, vy)
+    h = zz - mu * (xz * vx + yz * vy) / slip
+    h_stop = zz - mu * (xz * (vx + slope * vy) + yz * (vy - slope * vx)) / (slip * sqrt(1.0 + slope * slope))
+    if h * h_stop <= 0.0:
+        return False, tx, ty, w_stop, goal
+    if ending == NEWTON:
+        return w_stop < goal, tx, ty, w_stop, goal
+    if (w_stop <= 0.0) if returning else (w_stop >= 0.0):
+        return False, tx, ty, w_stop, goal
+    given = dp
+    if ending == STRONGE:
+        # w = w_stop - (a - b·e) (dp left) + e·v with e = T⁻¹ b; the last gives v∥² Q(ε), 2 F Q + G Q' = -(e·v/v∥) √.
+        ex, ey = (yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det
+        ux, uy = (
+            (vx + slope * vy) / (ahead * (1.0 + slope * slope)),
+            (vy - slope * vx) / (ahead * (1.0 + slope * slope)),
+        )
+        e_along, e_across = ex * ux + ey * uy, ey * ux - ex * uy
+        F, G, root, Q = series[0], series[1], series[2], series[3]
+        total, power = 0.0, 1.0
+        for k in range(ORDER + 1):
+            known = e_along * root[k] + (e_across * root[k - 1] if k > 0 else 0.0)
+            for j in range(1, k + 1):
+                known += 2.0 * F[j] * Q[k - j]
+            for j in range(2, k + 1):
+                known += G[j] * (k - j + 1) * Q[k - j + 1]
+            Q[k] = -known / (2.0 * F[0] + k * G[1])
+            total += Q[k] * power
+            power *= slope
+        given = (w_stop - 0.5 * (zz - xz * ex - yz * ey) * dp) * dp + ahead * ahead * total
+    if returning:
+        return given < goal, tx, ty, w_stop, goal - given
+    return True, tx, ty, w_stop, goal + (chi if ending == POISSON else -chi * chi) * given
+
+
+@inner
+def _expand(
+    series: Array,
+    matrix: Matrix6,
+    mu: float,
+    ending: int,
+    rate: float,
+    vx: float,
+    vy: float,
+    w: float,
+    allowed: float,
+    unit: float,
+) -> float:
+    """Fill the Taylor coefficients of v' = (|v| b - μTv)/rate and of what follows it; returns how far they hold.
+
+    That is where the last terms of velocities reach `allowed` [m/s].
+    """
+    xx, xy, xz, yy, yz, zz = matrix
+    a, b = series[VX], series[VY]
+    n, normal, given = series[SPEED], series[NORMAL], series[GIVEN]
+    a[0], b[0], n[0], normal[0], given[0] = vx, vy, hypot(vx, vy), w, 0.0
+    for k in range(ORDER):
+        if k > 0:
+            # |v|² = vx² + vy², term by term, each pair of equal products once.
+            pairs = 0.0
+            for j in range(1, (k + 1) // 2):
+                pairs += a[j] * a[k - j] + b[j] * b[k - j] - n[j] * n[k - j]
+            if k % 2 == 0:
+                i = k // 2
+                pairs += 0.5 * (a[i] * a[i] + b[i] * b[i] - n[i] * n[i])
+            n[k] = (pairs + vx * a[k] + vy * b[k]) / n[0]
+        scale = 1.0 / (rate * (k + 1))
+        a[k + 1] = scale * (n[k] * xz - mu * (xx * a[k] + xy * b[k]))
+        b[k + 1] = scale * (n[k] * yz - mu * (xy * a[k] + yy * b[k]))
+        normal[k + 1] = scale * (n[k] * zz - mu * (xz * a[k] + yz * b[k]))
+        if ending == POISSON:
+            given[k + 1] = scale * n[k]
+        elif ending == NEWTON:
+            given[k + 1] = 0.0
+        else:
+            work = 0.0
+            for j in range(k + 1):
+                work += normal[j] * n[k - j]
+            given[k + 1] = scale * work
+    n[ORDER] = 0.0
+    last = max(abs(a[ORDER]), abs(b[ORDER]), abs(normal[ORDER]), unit * abs(given[ORDER]))
+    before = max(abs(a[ORDER - 1]), abs(b[ORDER - 1]), abs(normal[ORDER - 1]), unit * abs(given[ORDER - 1]))
+    reach = 100.0  # of e-foldings: where both vanish by chance or underflow
+    if last > 0.0:
+        reach = min(reach, (allowed / last) ** (1.0 / ORDER))
+    if before > 0.0:
+        reach = min(reach, (allowed / before) ** (1.0 / (ORDER - 1)))
+    return float(max(reach, 1e-30))  # where the ratio of a graze underflows
+
+
+@inner
+def _walk(
+    series: Array, h: float, ending: int, chi: float, returning: bool, goal: float
+) -> tuple[float, bool, float, bool]:
+    """Follow the series up to h for the end of the impact: the t reached, and the state of `_straight`."""
+    if ending == NEWTON:
+        t = _first_rise(series, 1.0, goal, 0.0, h)
+        return (t, True, goal, True) if t >= 0.0 else (h, returning, goal, False)
+    t, given = 0.0, 0.0
+    while True:
+        crossing = _first_rise(series, -1.0 if returning else 1.0, 0.0, t, h)
+        to = crossing if crossing >= 0.0 else h
+        reached = _value(series, GIVEN, to)
+        if not returning:
+            goal += (chi if ending == POISSON else -chi * chi) * (reached - given)
+        elif reached - given >= goal:
+            return _root(series, GIVEN, 1.0, given + goal, t, to), returning, goal, True
+        else:
+            goal -= reached - given
+        if crossing < 0.0:
+            return h, returning, goal, False
+        t, given, returning = to, reached, not returning
+        if returning and goal <= 0.0:
+            return t, returning, goal, True
+
+
+@inner
+def _first_rise(series: Array, sign: float, level: float, start: float, end: float) -> float:
+    """The first t in (start, end] at which sign · w rises to sign · level, from below; -1 if it does not.
+
+    w' = s h changes its sign at two angles of the slip at most, so not twice in a step that would matter.
+    """
+    top = end
+    if sign * (_value(series, NORMAL, end) - level) < 0.0:
+        if sign * _slope(series, NORMAL, start) <= 0.0 or sign * _slope(series, NORMAL, end) >= 0.0:
+            return -1.0
+        low = start
+        for _ in range(60):
+            middle = 0.5 * (low + top)
+            if sign * _slope(series, NORMAL, middle) > 0.0:
+                low = middle
+            else:
+                top = middle
+        if sign * (_value(series, NORMAL, top) - level) < 0.0:
+            return -1.0
+    return _root(series, NORMAL, sign, level, start, top)
+
+
+@inner
+def _root(series: Array, row: int, sign: float, level: float, low: float, high: float) -> float:
+    """Where a row takes the value `level`, which sign · row exceeds at `high`: Newton's steps, halved where they stray."""
+    t = high
+    for _ in range(80):
+        excess = sign * (_value(series, row, t) - level)
+        if excess > 0.0:
+            high = t
+        elif excess < 0.0:
+            low = t
+        else:
+            return t
+        slope = sign * _slope(series, row, t)
+        new = t - excess / slope if slope > 0.0 else low
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - t) <= 2e-16 * t:
+            return new
+        t = new
+    return t
+
+
+@inner
+def _value(series: Array, row: int, t: float) -> float:
+    """A row at t."""
+    total = series[row, ORDER]
+    for k in range(ORDER - 1, -1, -1):
+        total = total * t + series[row, k]
+    return float(total)
+
+
+@inner
+def _slope(series: Array, row: int, t: float) -> float:
+    """Derivative of a row at t."""
+    total = ORDER * series[row, ORDER]
+    for k in range(ORDER - 1, 0, -1):
+        total = total * t + k * series[row, k]
+    return float(total)
+
+
+@inner
+def _integral(series: Array, row: int, t: float) -> float:
+    """Integral of a row from 0 to t; its last term belongs to the next order and is left out."""
+    total = 0.0
+    for k in range(ORDER - 1, -1, -1):
+        total = total * t + series[row, k] / (k + 1)
+    return float(total * t)

@@ -1,0 +1,33 @@
+"""model.ensembles."""
+
+from .basins import FIG_6 as FIG_6
+from .basins import Axis as Axis
+from .basins import Window as Window
+from .basins import map_rows as map_rows
+from .basins import outcomes as outcomes
+from .chaos import Exponents as Exponents
+from .chaos import Growth as Growth
+from .chaos import decided_by_double as decided_by_double
+from .chaos import growth as growth
+from .chaos import largest_exponent as largest_exponent
+from .landings import ENDING_OF_INDEX as ENDING_OF_INDEX
+from .landings import Stage as Stage
+from .landings import check_releases as check_releases
+from .landings import drawn_states as drawn_states
+from .landings import in_order as in_order
+from .odds import Share as Share
+from .odds import Tally as Tally
+from .odds import tally_throws as tally_throws
+from .predictability import Exponent as Exponent
+from .predictability import Fairness as Fairness
+from .predictability import Sensitivity as Sensitivity
+from .predictability import fairness_by_dynamics as fairness_by_dynamics
+from .predictability import final_state_sensitivity as final_state_sensitivity
+from .predictability import uncertainty_exponent as uncertainty_exponent
+from .releases import BLOCK as BLOCK
+from .releases import CONDITIONS as CONDITIONS
+from .releases import Conditions as Conditions
+from .releases import PaperConditions as PaperConditions
+from .releases import UniformConditions as UniformConditions
+from .releases import states_of as states_of
+from .stepping import stepped_landings as stepped_landings

@@ -1,0 +1,63 @@
+"""The die as a camera sees it: which edges are in view, and where they fall on the picture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.die import Solid
+from ...model.rotations import matrix_from_quat
+from ...tracking.camera import Camera
+
+Array = NDArray[np.float64]
+
+POINTS_PER_EDGE = 5
+"""A straight edge bends under lens distortion: with five points the chord of a 100 px edge strays less than 0.1 px even
+at ten per cent distortion."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The visible edges of one pose on the picture, pixel centres at integers."""
+
+    silhouette_px: Array
+    """(s, POINTS_PER_EDGE, 2) edges between a face in view and one that is not."""
+    inner_px: Array
+    """(i, POINTS_PER_EDGE, 2) edges between two faces in view."""
+    corners_px: Array
+    """(c, 2) vertices of the faces in view."""
+
+
+def outlines(solid: Solid, camera: Camera, positions_m: Array, quaternions: Array) -> list[Outline]:
+    """The outline of each pose (n, 3), (n, 4); lens distortion included, hidden edges left out.
+
+    A face of a convex solid is in view when the optical centre lies on its outer side. Edges that reach behind the
+    camera are left out.
+    """
+    rotations = matrix_from_quat(quaternions)
+    share = np.linspace(0.0, 1.0, POINTS_PER_EDGE)[:, None]
+    drawn = []
+    for position, rotation in zip(positions_m, rotations, strict=True):
+        eye = rotation.T @ (camera.centre_m - position)
+        face_in_view = solid.normals @ eye > solid.offsets
+        sides = face_in_view[solid.edge_faces]
+        corners = solid.vertices @ rotation.T + position
+        begin, end = corners[solid.edges[:, 0], None], corners[solid.edges[:, 1], None]
+        edges_px = camera.project(begin + share * (end - begin))
+        ahead = np.isfinite(edges_px).all((1, 2))
+        corner_px = camera.project(corners[_corners_of(solid, face_in_view)])
+        drawn.append(
+            Outline(
+                edges_px[ahead & (sides[:, 0] != sides[:, 1])],
+                edges_px[ahead & sides.all(1)],
+                corner_px[np.isfinite(corner_px).all(1)],
+            )
+        )
+    return drawn
+
+
+def _corners_of(solid: Solid, chosen: NDArray[np.bool_]) -> list[int]:
+    """Indices of the vertices of the chosen faces."""
+    return sorted({v for face, use in zip(solid.faces, chosen, strict=True) if use for v in face})

@@ -1,0 +1,160 @@
+"""The pictures of many throws: basins of attraction, odds, predictability. As in `figures`, each draws on its axes.
+
+Faces have the same colour on every map; dice that land on none are black (tops) or grey (left bouncing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from ...model.ensembles import ENDING_OF_INDEX, Axis, Exponent, Fairness, Sensitivity, Share
+from ...model.throw import Ending
+from ..elements import FACE_COLOURS, MEASURED, NOWHERE, OPEN, SIMULATED, TOP, hex_colour
+
+Indices = NDArray[np.integer[Any]]
+
+AXIS_LABELS = {
+    "z0": "$z_0$ [m]",
+    "psi": r"$\psi$ [rad]",
+    "theta": r"$\vartheta$ [rad]",
+    "phi": r"$\varphi$ [rad]",
+    "vx": "$v_x$ [m/s]",
+    "vy": "$v_y$ [m/s]",
+    "vz": "$v_z$ [m/s]",
+    "omega_xi": r"$\omega_\xi$ [rad/s]",
+    "omega_eta": r"$\omega_\eta$ [rad/s]",
+    "omega_zeta": r"$\omega_\zeta$ [rad/s]",
+}
+"""By the names of the initial conditions."""
+
+_TOPS = {Ending.SPINNING, Ending.SPUN_LONG, Ending.BALANCED}
+
+
+def colours_of(face: Indices, ending: Indices) -> NDArray[np.uint8]:
+    """Colours (..., 3) of pixels by the face (...) that the die landed on, 0 for none, and the index of its ending."""
+    table = np.array([*FACE_COLOURS], np.uint8)
+    colours = table[(np.asarray(face) - 1) % len(table)]
+    without = np.array([TOP if each in _TOPS else OPEN for each in ENDING_OF_INDEX] + [NOWHERE], np.uint8)
+    colours[face == 0] = without[np.asarray(ending)[face == 0]]
+    return colours
+
+
+def basin_map(ax: Axes, x: Axis, y: Axis, face: Indices, ending: Indices, faces: int) -> Axes:
+    """Basins over a plane of initial conditions: `face` and `ending` (rows, columns), the first row at y's low end.
+
+    A legend beside the map names the `faces` of the die, and what else occurs.
+    """
+    extent = (x.low, x.high, y.low, y.high)
+    ax.imshow(colours_of(face, ending), origin="lower", extent=extent, aspect="auto", interpolation="nearest")
+    ax.set_xlabel(AXIS_LABELS[x.name])
+    ax.set_ylabel(AXIS_LABELS[y.name])
+    patches = [_patch(FACE_COLOURS[k % len(FACE_COLOURS)], f"face {k + 1}") for k in range(faces)]
+    open_ends = np.unique(ending[face == 0])
+    if any(k >= 0 and ENDING_OF_INDEX[k] in _TOPS for k in open_ends):
+        patches.append(_patch(TOP, "spins"))
+    if any(k >= 0 and ENDING_OF_INDEX[k] not in _TOPS for k in open_ends):
+        patches.append(_patch(OPEN, "left bouncing"))
+    if (open_ends < 0).any():
+        patches.append(_patch(NOWHERE, "below the table"))
+    ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, handlelength=1.0)
+    return ax
+
+
+def face_odds(ax: Axes, shares: Mapping[str, Sequence[Share]]) -> Axes:
+    """The odds of every face with their intervals, side by side for each named series; a line at equal odds."""
+    faces = len(next(iter(shares.values())))
+    for k, (name, row) in enumerate(shares.items()):
+        place = np.arange(1, faces + 1) + (k - 0.5 * (len(shares) - 1)) * 0.8 / max(len(shares), 2)
+        _points(ax, place, row, k, name)
+    ax.axhline(1.0 / faces, color="#444444", linewidth=0.8, zorder=1)
+    ax.annotate(f"1/{faces}", (1.0, 1.0 / faces), xycoords=("axes fraction", "data"), xytext=(3, 0),
+                textcoords="offset points", va="center", color="#444444")  # fmt: skip
+    ax.set_xticks(np.arange(1, faces + 1))
+    ax.set_xlim(0.4, faces + 0.6)
+    ax.set_xlabel("face [number]")
+    ax.set_ylabel("probability [1]")
+    ax.legend(loc="best", frameon=False, ncols=min(len(shares), 3), handletextpad=0.2)
+    return _plain(ax)
+
+
+def lowest_again(ax: Axes, shares: Mapping[str, Sequence[Share]], faces: int) -> Axes:
+    """The odds that the lowest face is the one that was lowest at release: at each impact, and at last for the face
+    that the die landed on."""
+    most = max(len(row) for row in shares.values())
+    for k, (name, row) in enumerate(shares.items()):
+        shift = (k - 0.5 * (len(shares) - 1)) * 0.5 / max(len(shares), 2)
+        _points(ax, np.arange(1, len(row) + 1) + shift, row, k, name)
+    ax.axhline(1.0 / faces, color="#444444", linewidth=0.8, zorder=1)
+    ax.set_xticks(np.arange(1, most + 1), [*(str(k) for k in range(1, most)), "landed"])
+    ax.set_xlim(0.4, most + 0.6)
+    ax.set_xlabel("at impact [number]")
+    ax.set_ylabel("lowest as at release: probability [1]")
+    ax.legend(loc="best", frameon=False, ncols=min(len(shares), 3), handletextpad=0.2)
+    return _plain(ax)
+
+
+def uncertain_shares(ax: Axes, sensitivity: Sensitivity, exponent: Exponent | None = None) -> Axes:
+    """Share of the initial conditions whose neighbours at a distance end elsewhere, with the fitted slope."""
+    values = np.array([share.value for share in sensitivity.shares])
+    low, high = np.array([share.interval for share in sensitivity.shares]).T
+    some = values > 0.0
+    errors = np.array([values - low, high - values])[:, some]
+    ax.errorbar(sensitivity.epsilons[some], values[some], errors, fmt="o", markersize=4, color=hex_colour(MEASURED))
+    blue, label = hex_colour(MEASURED), "none uncertain: upper bound"
+    if not some.all():
+        ax.plot(sensitivity.epsilons[~some], high[~some], "v", markersize=4, mfc="none", color=blue, label=label)
+    if exponent is not None:
+        line = np.array([exponent.epsilon_from, exponent.epsilon_to])
+        label = rf"$\alpha$ = {exponent.value:.3f} ± {exponent.standard_error:.3f}"
+        ax.plot(line, exponent.prefactor * line**exponent.value, color=hex_colour(SIMULATED), label=label, zorder=3)
+    if exponent is not None or not some.all():
+        ax.legend(loc="lower right", frameon=False)
+    ax.axhline(sensitivity.chance, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    ax.annotate("by chance", (0.01, sensitivity.chance), xycoords=("axes fraction", "data"), xytext=(0, -3),
+                textcoords="offset points", va="top", color="#444444")  # fmt: skip
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    ax.set_xlim(0.5 * sensitivity.epsilons[0], 2.0 * sensitivity.epsilons[-1])
+    ax.set_ylim(0.3 / (sensitivity.decided.sum()), 1.5)
+    ax.set_xlabel(r"distance $\varepsilon$ of the neighbours [sides of the window]")
+    ax.set_ylabel(r"uncertain conditions $f(\varepsilon)$ [share]")
+    return _plain(ax)
+
+
+def ball_measures(ax: Axes, balls: Sequence[Fairness]) -> Axes:
+    """Largest difference of a face's measure from 1/n in balls about several conditions, over the balls' radius."""
+    for ball in balls:
+        n = ball.counts.shape[1]
+        away = np.abs(ball.measures - 1.0 / n).max(1)
+        ax.plot(ball.epsilons, away, ".-", linewidth=0.8, markersize=4, color=hex_colour(MEASURED), alpha=0.7)
+    n = balls[0].counts.shape[1]
+    ax.axhline(1.0 - 1.0 / n, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    ax.annotate("one face alone", (0.99, 1.0 - 1.0 / n), xycoords=("axes fraction", "data"), xytext=(0, 4),
+                textcoords="offset points", ha="right", color="#444444")  # fmt: skip
+    ax.set_xscale("log")
+    ax.set_ylim(0.0, 1.08 * (1.0 - 1.0 / n))
+    ax.set_xlabel(r"radius $\varepsilon$ of the ball [sides of the window]")
+    ax.set_ylabel(r"largest $|\beta_i - 1/n|$ [1]")
+    return _plain(ax)
+
+
+def _points(ax: Axes, place: Any, row: Sequence[Share], number: int, name: str) -> None:
+    values = np.array([share.value for share in row])
+    errors = np.abs(np.array([share.interval for share in row]).T - values)
+    colour = hex_colour(FACE_COLOURS[(0, 2, 4, 5, 3, 1)[number % 6]])
+    ax.errorbar(place, values, errors, fmt="o", markersize=4, linewidth=1.4, color=colour, label=name)
+
+
+def _patch(colour: tuple[int, int, int], label: str) -> Patch:
+    return Patch(facecolor=hex_colour(colour), edgecolor="#888888", linewidth=0.5, label=label)
+
+
+def _plain(ax: Axes) -> Axes:
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax

@@ -1,0 +1,256 @@
+"""The pictures of a throw on paper: each function draws on the axes that it is given, and returns them.
+
+Measured poses are blue dots and the model orange lines, as in the recording. Every axis carries its unit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike, NDArray
+
+from ...model.die import Solid
+from ...model.rotations import matrix_from_quat
+from ...model.throw import Impact, Throw
+from ...tracking.camera import Camera
+from ...tracking.footage import Clip
+from ..elements import (
+    AXIS_COLOURS,
+    COLOURS,
+    FACE_COLOURS,
+    IMPACT,
+    MEASURED,
+    SIMULATED,
+    Motion,
+    Residuals,
+    display_window,
+    hex_colour,
+    outlines,
+)
+
+if TYPE_CHECKING:
+    from ...fitting.predict import Estimate
+    from ...fitting.results import Parameter
+
+Array = NDArray[np.float64]
+
+MOST_MARKS = 20_000
+"""Marks of a figure that are still drawn as shapes in an SVG; more would make files of many megabytes."""
+DRAWN_INSTANTS = 4000
+"""Of a modelled throw: more than the pixels of a figure, and never so many that drawing takes longer than the throw."""
+WITHIN_SIGMAS = 2.0
+"""The band of a plot of residuals: one in twenty lies outside it by chance."""
+
+
+def corner_heights(
+    ax: Axes,
+    solid: Solid,
+    times_s: ArrayLike,
+    positions_m: ArrayLike,
+    quaternions: ArrayLike,
+    impacts: Sequence[Impact] = (),
+    label: str = "simulated",
+) -> Axes:
+    """Height of every corner over time, as in Fig. 5 of Kapitaniak et al. (Chaos 22, 047504, 2012).
+
+    Poses at times (n,) [s]: positions (n, 3) [m] and quaternions (n, 4) wxyz; rows of NaN break the curves. A label
+    `measured` draws blue dots, any other an orange line. A thin line marks each impact. Called twice on the same axes
+    it shows experiment and model together.
+    """
+    rotations = _matrices(quaternions)
+    corners = np.einsum("nj,vj->nv", rotations[:, 2], solid.vertices) + np.asarray(positions_m, float)[:, 2, None]
+    milliseconds = 1e3 * np.asarray(times_s, float)
+    heights = 1e3 * corners
+    if label == "measured":
+        lines = ax.plot(milliseconds, heights, "o", markersize=2.0, color=hex_colour(MEASURED), zorder=2)
+    else:
+        lines = ax.plot(milliseconds, heights, linewidth=0.9, color=hex_colour(SIMULATED), zorder=3)
+    for line in lines:
+        line.set_rasterized(heights.size > MOST_MARKS)
+    lines[0].set_label(label)
+    _mark_impacts(ax, impacts)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    ax.set_ylabel("height of each corner [mm]")
+    return _time_axis(ax)
+
+
+def throw_heights(ax: Axes, solid: Solid, throw: Throw) -> Axes:
+    """The height of every corner of a modelled throw from its first instant to its last, with its bounces."""
+    times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, DRAWN_INSTANTS)
+    return corner_heights(ax, solid, times, *throw.poses(times), impacts=throw.bounces)
+
+
+def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Measured minus simulated position on every frame, by world axis."""
+    for axis, colour, values in zip("xyz", AXIS_COLOURS, rest.position_mm.T, strict=True):
+        ax.plot(1e3 * rest.time_s, values, ".", markersize=2.5, color=hex_colour(colour), label=axis)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("position residual [mm]")
+    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    return _time_axis(ax)
+
+
+def angle_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Angle between the measured and the simulated orientation on every frame."""
+    ax.plot(1e3 * rest.time_s, rest.rotation_deg, ".", markersize=2.5, color=hex_colour(MEASURED))
+    ax.set_ylim(bottom=0.0)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("angle residual [°]")
+    return _time_axis(ax)
+
+
+def sigma_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Position and orientation together, in standard errors: the root mean square of six; noise alone gives about 1."""
+    ax.plot(1e3 * rest.time_s, rest.sigmas, ".", markersize=2.5, color=hex_colour(MEASURED))
+    ax.axhline(1.0, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+    ax.set_ylim(bottom=0.0)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel("residual [standard errors]")
+    return _time_axis(ax)
+
+
+def position_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """Measured minus simulated position by world axis, each in standard errors of the measured one; the band holds two."""
+    scaled = rest.position_mm / rest.standard_errors[:, :3]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "position residual [σ]")
+
+
+def turn_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
+    """The rotation from simulated to measured about each world axis, in standard errors; the band holds two."""
+    scaled = rest.turn_deg / rest.standard_errors[:, 3:]
+    return _in_sigmas(ax, rest.time_s, scaled, impacts, "rotation residual [σ]")
+
+
+def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> Axes:
+    ax.axhspan(-WITHIN_SIGMAS, WITHIN_SIGMAS, color=hex_colour(IMPACT), alpha=0.13, linewidth=0, zorder=0)
+    for axis, colour, of_axis in zip("xyz", AXIS_COLOURS, values.T, strict=True):
+        (line,) = ax.plot(1e3 * time_s, of_axis, ".", markersize=2.5, color=hex_colour(colour), label=axis)
+        line.set_rasterized(values.size > MOST_MARKS)
+    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    _mark_impacts(ax, impacts)
+    ax.set_ylabel(label)
+    ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
+    return _time_axis(ax)
+
+
+def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> Axes:
+    """Apparent restitution of every bounce with its interval; the fitted one as a band across all of them."""
+    for number, impact in enumerate(impacts, 1):
+        if not np.isfinite(impact.chi):
+            continue
+        if np.isfinite([impact.chi_low, impact.chi_high]).all():
+            ax.plot([number, number], [impact.chi_low, impact.chi_high], color=hex_colour(MEASURED), linewidth=1.6)
+        ax.plot(number, impact.chi, "o", color=hex_colour(MEASURED), markersize=5)
+    if fitted is not None and fitted.value is not None:
+        ax.axhline(fitted.value, color=hex_colour(SIMULATED), linewidth=1.2, zorder=1)
+        if fitted.low is not None and fitted.high is not None:
+            ax.axhspan(fitted.low, fitted.high, color=hex_colour(SIMULATED), alpha=0.22, linewidth=0, zorder=0)
+    ax.set_xlim(0.5, max(len(impacts), 1) + 0.5)
+    ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set_xlabel("bounce [number]")
+    ax.set_ylabel("restitution χ [1]")
+    return _plain(ax)
+
+
+def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
+    """The correlations that belong to a covariance (n, n): blue together, orange against each other, in hundredths."""
+    sigmas = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = np.where(np.outer(sigmas, sigmas) > 0.0, covariance / np.outer(sigmas, sigmas), np.nan)
+    shades = LinearSegmentedColormap.from_list("apart", [hex_colour(SIMULATED), "#ffffff", hex_colour(MEASURED)])
+    shown = ax.imshow(r, cmap=shades, vmin=-1.0, vmax=1.0)
+    for row, column in np.ndindex(r.shape):
+        if row != column and np.isfinite(r[row, column]):
+            text = f"{100 * r[row, column]:.0f}".replace("-", "−")
+            ax.text(column, row, text, ha="center", va="center", fontsize=6.0, color="#1d2126")
+    ax.set_xticks(range(len(names)), names, rotation=90)
+    ax.set_yticks(range(len(names)), names)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    ax.set_xlabel("with [name]")
+    ax.set_ylabel("of [name]")
+    if ax.figure is not None:
+        ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="correlation [1]")
+    return ax
+
+
+def face_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
+    """Share of the simulated landings on each face."""
+    faces = sorted(odds)
+    ax.bar([str(face) for face in faces], [odds[face] for face in faces], color=hex_colour(SIMULATED), width=0.7)
+    for place, face in enumerate(faces):
+        ax.text(place, odds[face], f"{100 * odds[face]:.0f} %", ha="center", va="bottom", fontsize=8.0)
+    ax.set_ylim(0.0, 1.1)
+    ax.set_xlabel("face [number]")
+    ax.set_ylabel("share of landings [1]")
+    return _plain(ax)
+
+
+def odds_on_the_way(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
+    """The odds of each face by the fit of the frames up to then, from each estimate until the next."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    times = [1e3 * estimate.time_s for estimate in known]
+    for face in sorted({face for estimate in known for face in estimate.face_odds or {}}):
+        shares = [(estimate.face_odds or {}).get(face, 0.0) for estimate in known]
+        if max(shares) > 0.0:
+            colour = hex_colour(FACE_COLOURS[(face - 1) % len(FACE_COLOURS)])
+            ax.step(times, shares, "-o", where="post", color=colour, markersize=4.0, label=f"face {face}")
+    _mark_impacts(ax, impacts)
+    ax.set_ylim(-0.03, 1.05)
+    ax.set_ylabel("odds of landing [1]")
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    return _time_axis(ax)
+
+
+def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int) -> Axes:
+    """One frame of the clip with the visible edges of the die drawn on it, as each motion has them there.
+
+    A motion that does not know its pose on this frame draws nothing. Raises IndexError for a frame that the clip lacks.
+    """
+    index = frame - clip.first_frame
+    if not 0 <= index < len(clip):
+        raise IndexError(f"frame {frame}: the clip has {clip.first_frame} to {clip.first_frame + len(clip) - 1}")
+    picture = display_window(clip).apply(clip.frame(index))
+    ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+    for motion, width in zip(motions, (1.8, 0.7), strict=False):
+        rows = np.flatnonzero(motion.frame == frame)
+        for drawn in outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
+            for edge in (*drawn.silhouette_px, *drawn.inner_px):
+                ax.plot(*edge.T, color=hex_colour(COLOURS[motion.name]), linewidth=width)
+    ax.set_xlim(-0.5, clip.width_px - 0.5)
+    ax.set_ylim(clip.height_px - 0.5, -0.5)
+    ax.set_xlabel("x [px]")
+    ax.set_ylabel("y [px]")
+    return ax
+
+
+def _matrices(quaternions: ArrayLike) -> Array:
+    """Rotation matrices (n, 3, 3); NaN where the quaternion is."""
+    q = np.asarray(quaternions, float)
+    known = np.isfinite(q).all(1)
+    matrices = np.full((len(q), 3, 3), np.nan)
+    if known.any():
+        matrices[known] = matrix_from_quat(q[known])
+    return matrices
+
+
+def _mark_impacts(ax: Axes, impacts: Sequence[Impact]) -> None:
+    for impact in impacts:
+        ax.axvline(1e3 * impact.time_s, color=hex_colour(IMPACT), linewidth=0.7, linestyle=(0, (2, 2)), zorder=1)
+
+
+def _time_axis(ax: Axes) -> Axes:
+    ax.set_xlabel("time [ms]")
+    ax.margins(x=0.01)
+    return _plain(ax)
+
+
+def _plain(ax: Axes) -> Axes:
+    ax.spines[["top", "right"]].set_visible(False)
+    return ax

@@ -1,0 +1,186 @@
+"""The page of a calibration: the camera with its errors, where every corner lies off, and the board on the table."""
+
+from __future__ import annotations
+
+from html import escape
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from ...tracking.calibration import INTRINSICS, Calibration, SeenBoard, TablePose
+from ..elements import AXIS_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
+from .page import as_address, as_table, captioned, drawing, plotted, whole_page
+
+BLUE, ORANGE, GREY = hex_colour(MEASURED), hex_colour(SIMULATED), hex_colour(IMPACT)
+ARROW_SHARE = 0.06
+"""Length of the largest usual residual's arrow, as a share of the picture's width."""
+AXIS_SQUARES = 2.0
+"""Length of the drawn world axes, in squares of the board."""
+
+
+def calibration_page(
+    calibration: Calibration, table: TablePose | None, table_picture: NDArray[np.uint8] | None, square_m: float
+) -> str:
+    """The whole page as HTML; `table_picture` (height, width) is drawn under the board that lies on the table."""
+    parts = [
+        "<h1>Camera calibration</h1>",
+        f'<p class="key">{len(calibration.boards)} pictures of {calibration.width_px} × {calibration.height_px} px</p>',
+        _verdict(calibration, table),
+        "<h2>Camera</h2>",
+        _camera(calibration),
+        "<h2>Residuals</h2>",
+        captioned(*_arrows(calibration)),
+        captioned(plotted((5.2, 4.4), lambda ax: _scatter(ax, calibration)), SCATTER_CAPTION, narrow=True),
+        captioned(plotted((8.4, 2.6), lambda ax: _each_picture(ax, calibration)), PICTURES_CAPTION),
+        captioned(plotted((8.4, 2.4), lambda ax: _distortion(ax, calibration)), DISTORTION_CAPTION),
+        _table(table, table_picture, square_m),
+        _notes(calibration),
+    ]
+    return whole_page("Camera calibration", parts)
+
+
+SCATTER_CAPTION = (
+    "Seen minus drawn, one dot a corner. The circle has the radius of two standard errors of a coordinate."
+)
+PICTURES_CAPTION = "Root mean square distance of each picture's corners; orange: left out."
+DISTORTION_CAPTION = (
+    "How far the lens moves a point from where a pinhole camera would show it, from the centre to the farthest corner of "
+    "the picture. Grey: where the corners of the boards lie."
+)
+
+
+def _verdict(calibration: Calibration, table: TablePose | None) -> str:
+    K, sigmas = calibration.matrix, calibration.sigmas
+    sentences = [
+        f"The corners lie {calibration.rms_px:.3g} px (root mean square) from where the camera draws them.",
+        f"The focal length is {K[0, 0]:.6g} ± {sigmas[0]:.2g} px.",
+    ]
+    if table is not None:
+        centre = table.camera.centre_m
+        down = np.degrees(np.arcsin(table.camera.rotation[2, 2] * -1.0))
+        sentences.append(
+            f"The camera stands {1e3 * centre[2]:.4g} mm above the table and looks down by {down:.3g}°; "
+            f"the vertical is known to {np.degrees(table.tilt_sigma_rad):.2g}°."
+        )
+    text = " ".join(escape(sentence) for sentence in sentences)
+    headline = "Camera and table" if table is not None else "Camera; no table picture was given"
+    return f'<div class="verdict"><p class="headline">{headline}</p><p>{text}</p></div>'
+
+
+def _camera(calibration: Calibration) -> str:
+    units = ("px",) * 4 + ("1",) * 5
+    rows = []
+    for name, unit, value, sigma in zip(INTRINSICS, units, calibration.values, calibration.sigmas, strict=True):
+        fitted = name in calibration.free
+        rows.append(
+            (
+                f"{name} [{unit}]",
+                f"{value:.6g}" if fitted else "0",
+                f"{sigma:.2g}" if fitted else "not needed by the corners",
+            )
+        )
+    return as_table(("", "value", "standard error"), rows)
+
+
+def _arrows(calibration: Calibration) -> tuple[str, str]:
+    """Every residual as an arrow where it lies, all equally enlarged; and the caption."""
+    seen = np.concatenate([board.view.pixels for board in calibration.boards])
+    off = np.concatenate([board.residuals_px for board in calibration.boards])
+    usual = max(float(np.percentile(np.linalg.norm(off, axis=1), 95)), 1e-6)
+    times = ARROW_SHARE * calibration.width_px / usual
+    with drawing((8.4, 8.4 * calibration.height_px / calibration.width_px)) as figure:
+        ax = figure.subplots()
+        ax.quiver(*seen.T, *(times * off).T, angles="xy", scale_units="xy", scale=1, width=0.0015, color=BLUE)
+        ax.set(
+            xlim=(0, calibration.width_px),
+            ylim=(calibration.height_px, 0),
+            aspect="equal",
+            xlabel="x [px]",
+            ylabel="y [px]",
+        )
+        address = as_address(figure, "svg")
+    caption = (
+        f"Seen minus drawn, {times:.0f} times enlarged. Arrows that point alike over a region tell of a lens that the model "
+        "does not describe, or of a board that is not flat."
+    )
+    return address, caption
+
+
+def _scatter(ax: Axes, calibration: Calibration) -> Axes:
+    off = np.concatenate([board.residuals_px for board in calibration.boards])
+    turn = np.linspace(0.0, 2.0 * np.pi, 100)
+    ax.plot(*off.T, ".", color=BLUE, markersize=3)
+    ax.plot(2.0 * calibration.sigma_px * np.cos(turn), 2.0 * calibration.sigma_px * np.sin(turn), color=GREY, lw=1)
+    ax.set(aspect="equal", xlabel="Δx [px]", ylabel="Δy [px]")
+    return ax
+
+
+def _each_picture(ax: Axes, calibration: Calibration) -> Axes:
+    names = [board.view.name for board in calibration.boards] + [name for name, _ in calibration.left_out]
+    values = [board.rms_px for board in calibration.boards] + [rms for _, rms in calibration.left_out]
+    colours = [BLUE] * len(calibration.boards) + [ORANGE] * len(calibration.left_out)
+    ax.bar(range(len(names)), values, color=colours)
+    ax.set_xticks(range(len(names)), [name[-24:] for name in names], rotation=90, fontsize=6.5)
+    ax.set(ylabel="RMS [px]")
+    return ax
+
+
+def _distortion(ax: Axes, calibration: Calibration) -> Axes:
+    K, (k1, k2, _, _, k3) = calibration.matrix, calibration.distortion
+    corners = np.array([(x, y) for x in (0, calibration.width_px) for y in (0, calibration.height_px)])
+    far = np.linalg.norm((corners - K[:2, 2]) / np.diag(K)[:2], axis=1)
+    r = np.linspace(0.0, float(far.max()), 200)
+    ax.plot(K[0, 0] * r, K[0, 0] * r * (k1 * r**2 + k2 * r**4 + k3 * r**6), color=BLUE)
+    seen = np.concatenate([board.view.pixels for board in calibration.boards]) - K[:2, 2]
+    reach = np.linalg.norm(seen, axis=1)
+    ax.axvspan(float(reach.min()), float(reach.max()), color=GREY, alpha=0.15, lw=0)
+    ax.set(xlabel="distance from the centre [px]", ylabel="radial shift [px]")
+    return ax
+
+
+def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m: float) -> str:
+    if table is None or picture is None:
+        return ""
+    rival = "there is no second pose to choose from"
+    if table.rival_rms_px is not None:
+        rival = f"the other pose of the plane leaves {table.rival_rms_px:.3g} px, this one {table.board.rms_px:.3g} px"
+    caption = (
+        "The board on the table: corners as found (blue) and as drawn (orange), and the world's axes x, y and z "
+        f"(red, green, violet); {rival}."
+    )
+    rows = []
+    centre, sigmas = table.camera.centre_m, np.sqrt(np.diag(table.covariance))
+    rows.append(("camera's place [mm]", ", ".join(f"{1e3 * x:.5g}" for x in centre), ""))
+    rows.append(
+        (
+            "translation_m [mm]",
+            ", ".join(f"{1e3 * x:.5g}" for x in table.camera.translation_m),
+            ", ".join(f"{1e3 * s:.2g}" for s in sigmas[3:]),
+        )
+    )
+    rows.append(("rotation, camera axes [°]", "", ", ".join(f"{np.degrees(s):.2g}" for s in sigmas[:3])))
+    shown = captioned(_on_table(table, picture, square_m), caption)
+    return "\n".join(["<h2>Table</h2>", shown, as_table(("", "value", "standard errors"), rows)])
+
+
+def _on_table(table: TablePose, picture: NDArray[np.uint8], square_m: float) -> str:
+    board: SeenBoard = table.board
+    height, width = picture.shape
+    with drawing((8.4, 8.4 * height / width)) as figure:
+        ax = figure.subplots()
+        ax.imshow(picture, cmap="gray", vmin=0, vmax=255)
+        ax.plot(*board.view.pixels.T, "o", mfc="none", mec=BLUE, markersize=5)
+        ax.plot(*(board.view.pixels - board.residuals_px).T, "+", color=ORANGE, markersize=5)
+        ends = table.camera.project(np.concatenate([np.zeros((1, 3)), AXIS_SQUARES * square_m * np.eye(3)]))
+        for end, colour in zip(ends[1:], AXIS_COLOURS, strict=True):
+            ax.plot(*np.stack([ends[0], end]).T, color=hex_colour(colour), lw=2)
+        ax.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+        ax.set_axis_off()
+        return as_address(figure, "png")
+
+
+def _notes(calibration: Calibration) -> str:
+    if not calibration.notices:
+        return ""
+    return "<h2>Notes</h2>\n<ul>" + "".join(f"<li>{escape(told)}</li>" for told in calibration.notices) + "</ul>"

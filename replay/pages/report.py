@@ -1,0 +1,288 @@
+"""One page for one throw: the findings in words, figures, tables, and every reservation. It needs no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...model.rotations import euler_from_quat
+from ...model.throw import Impact, State
+from ..elements import (
+    MEASURED,
+    SIMULATED,
+    UNKNOWN,
+    Record,
+    chi_of,
+    decimals_for,
+    effects_sentences,
+    fixed,
+    hex_colour,
+    landing_sentence,
+    meaning,
+    number,
+    role,
+    settled_sentence,
+    verdict,
+)
+from . import captioned_figures
+from .account import Account
+from .embedded_viewer import PLACE, WITH_VIEWER, viewer_html
+from .findings import findings_table
+from .page import STILL, as_table, told_table, whole_page
+
+if TYPE_CHECKING:
+    from ...fitting.results import Fit, Parameter
+
+
+UNKNOWN_ERRORS = np.full(3, np.nan)
+
+
+def write_report(path: Path, record: Record, account: Account | None = None, replay: Path | None = None) -> None:
+    """Write the page. What is not determined is said to be so, with the reason that the fit gives.
+
+    With `replay`, a recording, the page holds the viewer and the recording as well. Raises OSError where a file cannot
+    be read or written.
+    """
+    path.write_text(page(record, account or Account(), replay), encoding="utf-8")
+
+
+def page(record: Record, account: Account | None = None, replay: Path | None = None) -> str:
+    """The whole page as HTML; every text that comes from outside is escaped."""
+    told = account or Account()
+    parts = [
+        f"<h1>{escape(record.title)}</h1>",
+        _subtitle(record),
+        _verdict(record),
+        _throw(record, replay is not None),
+        _bounces(record),
+        _fit(record),
+        _residuals(record, told),
+        _landing(record),
+        _checks(record, told),
+        _origin(told.origin),
+        viewer_html(replay) if replay is not None else "",
+    ]
+    policy = STILL if replay is None else WITH_VIEWER
+    return whole_page(record.title, (part for part in parts if part), policy=policy)
+
+
+def _subtitle(record: Record) -> str:
+    solid = record.die.solid
+    edge = float(np.linalg.norm(np.subtract(*solid.vertices[solid.edges[0]])))
+    text = (
+        f"{solid.name}, edge {1e3 * edge:.4g} mm, mass {1e3 * record.die.mass_kg:.4g} g; "
+        f"{len(record.track)} frames at {record.fps:.6g} frames per second"
+    )
+    key = f'<span class="dot" style="background:{hex_colour(MEASURED)}"></span>measured'
+    if record.simulated is not None:
+        key += f'<span class="dot" style="background:{hex_colour(SIMULATED)}"></span>simulated'
+    return f'<p class="key">{escape(text)}</p>\n<p class="key">{key}</p>'
+
+
+def _verdict(record: Record) -> str:
+    chi = record.fit.parameters.get("chi") if record.fit is not None else None
+    headline = "No model was fitted" if record.fit is None else f"χ = {_short(chi)}"
+    if chi is None or chi.value is None:
+        headline = headline.replace("χ = ", "χ ")
+    sentences = " ".join(escape(sentence) for sentence in verdict(record))
+    return f'<div class="verdict"><p class="headline">{escape(headline)}</p><p>{sentences}</p></div>'
+
+
+def _short(parameter: Parameter | None) -> str:
+    """`0.583 ± 0.003`-like headline; the interval need not be symmetric, so its ends are given."""
+    if parameter is None or parameter.value is None:
+        return UNKNOWN
+    if parameter.low is None or parameter.high is None:
+        return number(parameter.value, 3)
+    decimals = decimals_for(parameter.high - parameter.low)
+    ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
+    return f"{fixed(parameter.value, decimals)}, {100 * (parameter.level or 0.95):.3g} % interval {ends}"
+
+
+# Sections
+
+
+def _throw(record: Record, embedded: bool) -> str:
+    return "\n".join(
+        [
+            "<h2>The throw</h2>",
+            *([PLACE] if embedded else []),
+            captioned_figures.as_html(captioned_figures.on_film(record)),
+            captioned_figures.heights(record).as_html(),
+        ]
+    )
+
+
+def _bounces(record: Record) -> str:
+    impacts = record.measured.bounces
+    if not impacts:
+        return "<h2>Bounces</h2>\n<p>No bounce was seen.</p>"
+    header = (
+        "bounce",
+        "time [ms]",
+        "contact",
+        "normal velocity before → after [m/s]",
+        "χ (interval)",
+        "energy before → after [mJ]",
+        "lowest face before → after",
+    )
+    table = as_table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
+    return "\n".join(["<h2>Bounces</h2>", table, captioned_figures.as_html(captioned_figures.restitutions(record))])
+
+
+def _fit(record: Record) -> str:
+    fit = record.fit
+    if fit is None:
+        return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
+    rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
+    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "part in the fit"), rows)]
+    if fit.considered or fit.chosen:
+        parts += ["<h3>Effects</h3>", _effects(fit)]
+    if fit.initial is not None:
+        parts += ["<h3>Initial conditions</h3>", _initial(fit.initial, fit)]
+        parts += [plate.as_html() for plate in captioned_figures.of_fit(record) if plate.name == "correlations"]
+    if fit.messages:
+        parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
+    return "\n".join(parts)
+
+
+def _residuals(record: Record, account: Account) -> str:
+    if record.simulated is None:
+        return ""
+    shown = captioned_figures.as_html(captioned_figures.misfits(record, account))
+    nothing = "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
+    return f"<h2>Residuals</h2>\n{shown or nothing}"
+
+
+def _landing(record: Record) -> str:
+    if record.fit is None:
+        return ""
+    said = [landing_sentence(record.fit), *settled_sentence(record.estimates)]
+    parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(said))}</p>"]
+    parts += [plate.as_html() for plate in captioned_figures.of_fit(record) if plate.name.startswith("odds")]
+    return "\n".join(parts)
+
+
+def _checks(record: Record, account: Account) -> str:
+    if not account.findings and not record.notices:
+        return ""
+    parts = ["<h2>Calibration and timing</h2>"]
+    if account.findings:
+        parts.append(findings_table(account.findings))
+    if record.notices:
+        parts += ["<h3>Footage and tracking</h3>", _list(record.notices)]
+    return "\n".join(parts)
+
+
+def _origin(origin: Mapping[str, Any] | None) -> str:
+    if origin is None:
+        return ""
+    packages = ", ".join(f"{name} {version}" for name, version in origin.get("packages", {}).items())
+    seconds = ", ".join(f"{name} {number(value, 3)}" for name, value in origin.get("timings_s", {}).items())
+    rows = [
+        ("program", f"diethrow {origin.get('diethrow', UNKNOWN)}"),
+        ("command", " ".join(map(str, origin.get("command", ()))) or "called from Python"),
+        ("python", f"{origin.get('python', UNKNOWN)} on {origin.get('platform', UNKNOWN)}"),
+        ("packages", packages),
+        ("time of the stages [s]", seconds),
+    ]
+    inputs = [
+        f"<tr><td>{escape(str(file.get('path')))}</td><td>{escape(str(file.get('bytes')))}</td>"
+        f'<td class="hash">{escape(str(file.get("sha256")))}</td></tr>'
+        for file in origin.get("inputs", ())
+    ]
+    files = (
+        '<div class="wide"><table>\n<thead><tr><th>input</th><th>bytes</th><th>SHA-256</th></tr></thead>\n<tbody>\n'
+        + "\n".join(inputs)
+        + "\n</tbody></table></div>"
+    )
+    told = told_table((name, text) for name, text in rows if text)
+    return "\n".join(["<h2>Where this comes from</h2>", told, files if inputs else ""])
+
+
+# Rows
+
+
+def _bounce_row(count: int, impact: Impact) -> tuple[str, ...]:
+    time = fixed(1e3 * impact.time_s, 3)
+    if np.isfinite(impact.sigma_time_s):
+        time += f" ± {number(1e3 * impact.sigma_time_s, 2)}"
+    contact = impact.contact + (" " + " ".join(map(str, impact.vertices)) if impact.vertices else "")
+    velocity = _arrow(impact.normal_velocity_before_m_s, impact.normal_velocity_after_m_s, 3)
+    energy = _arrow(1e3 * impact.energy_before_J, 1e3 * impact.energy_after_J, 3)
+    faces = f"{impact.lowest_face_before} → {impact.lowest_face_after}"
+    return str(count), time, contact, velocity, chi_of(impact), energy, faces
+
+
+def _arrow(before: float, after: float, decimals: int) -> str:
+    return f"{fixed(before, decimals)} → {fixed(after, decimals)}" if np.isfinite([before, after]).any() else UNKNOWN
+
+
+def _parameter_row(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]:
+    reason = f"{UNKNOWN}: {_reason(name, fit)}"
+    if parameter.value is None:
+        return meaning(name), reason, UNKNOWN, role(parameter)
+    if parameter.low is None or parameter.high is None:
+        no_interval = reason if parameter.free else "held, so it has none"
+        return meaning(name), number(parameter.value), no_interval, role(parameter)
+    decimals = decimals_for(parameter.high - parameter.low)
+    ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
+    level = f" ({100 * parameter.level:.3g} %)" if parameter.level is not None else ""
+    return meaning(name), fixed(parameter.value, decimals), ends + level, role(parameter)
+
+
+def _reason(name: str, fit: Fit) -> str:
+    """The messages that speak of the parameter; all of them where none names it."""
+    symbols = (name, {"chi": "χ", "mu": "μ"}.get(name, name))
+    about = [message for message in fit.messages if any(symbol in message for symbol in symbols)]
+    return " ".join(about or fit.messages) or "the fit gives no reason."
+
+
+def _initial(state: State, fit: Fit) -> str:
+    errors = np.full(12, np.nan)
+    if fit.initial_covariance is not None:
+        errors = np.sqrt(np.clip(np.diag(fit.initial_covariance), 0.0, None))
+    quaternion = "(" + ", ".join(fixed(float(value), 6) for value in state.quaternion) + ")"
+    rows = [
+        ("time [s]", fixed(state.time_s, 6), ""),
+        ("position [mm]", *_vector(1e3 * state.position_m, 1e3 * errors[:3])),
+        ("quaternion w, x, y, z [1]", quaternion, _spread(np.rad2deg(errors[3:6]), " °")),
+        ("velocity [m/s]", *_vector(state.velocity_m_s, errors[6:9])),
+        ("angular velocity [rad/s]", *_vector(state.omega_rad_s, errors[9:])),
+        ("Euler angles ψ, ϑ, φ (z-x-z) [rad]", _vector(euler_from_quat(state.quaternion))[0], ""),
+        ("angular velocity, body axes [rad/s]", _vector(state.rotation.T @ state.omega_rad_s)[0], ""),
+    ]
+    return as_table(("world axes", "value", "standard errors"), rows)
+
+
+def _vector(values: np.ndarray, errors: np.ndarray = UNKNOWN_ERRORS) -> tuple[str, str]:
+    return "(" + ", ".join(fixed(float(value), 4) for value in values) + ")", _spread(errors)
+
+
+def _spread(errors: np.ndarray, unit: str = "") -> str:
+    if not np.isfinite(errors).all():
+        return UNKNOWN
+    return "(" + ", ".join(number(float(error), 2) for error in errors) + ")" + unit
+
+
+def _effects(fit: Fit) -> str:
+    rows = [(name, "in the model", "", "") for name in fit.chosen]
+    rows += [
+        (
+            effect.name,
+            "left out",
+            number(effect.evidence, 3) if effect.evidence is not None else "not tried",
+            effect.why_not or "",
+        )
+        for effect in fit.considered
+    ]
+    table = as_table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
+    return f"<p>{escape(' '.join(effects_sentences(fit)))}</p>\n{table}"
+
+
+def _list(sentences: Iterable[str]) -> str:
+    return "<ul>\n" + "\n".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "\n</ul>"

@@ -1,0 +1,237 @@
+"""The die as a renderer needs it: a triangle mesh with exact normals, and one picture with the paint of all faces.
+
+**Shape.** A die with rounded corners of radius r is all points within r of the inner polyhedron (`inner_vertices`). Its
+surface has three kinds of part: flat faces, moved out by r from the inner ones; a piece of a cylinder along every inner
+edge; a piece of a sphere about every inner corner. Each is cut into triangles whose vertices lie on the surface and carry
+its normal, so that shading is that of the smooth body. A sharp die is its faces.
+
+**Paint.** Every face owns a square tile of one picture (the atlas); the tile after the last is blank, and is what the
+bevels wear. Pips lie as on a Western die, numbers stand upright towards a corner of their face, or an edge of the cube's.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import TextPath
+from numpy.typing import NDArray
+
+from ...model.die import Die, Solid, inner_vertices
+
+Array = NDArray[np.float64]
+
+BEVEL_STEPS = 8
+"""Of a bevel, from face to face: at a radius of 4 px the chord strays 0.005 px from a right-angled bevel."""
+TILE_PX = 192
+"""Of a face in the atlas; a face is seldom more than half as large on film."""
+TILE_MARGIN = 1.06
+"""Half width of a tile in units of the face's circumscribed radius: the texture filter must not see the neighbour."""
+FINER = 4
+"""Marks are drawn so many times finer and averaged."""
+PIP_STEP, PIP_RADIUS = 0.25, 0.09
+"""In units of the edge: of ordinary 16 mm dice."""
+NUMBER_WIDTH = 1.35
+"""Diagonal of a number's box, in units of the inscribed radius of its face: clear of the edges."""
+
+PIPS: dict[int, tuple[tuple[int, int], ...]] = {
+    1: ((0, 0),),
+    2: ((-1, -1), (1, 1)),
+    3: ((-1, -1), (0, 0), (1, 1)),
+    4: ((-1, -1), (-1, 1), (1, -1), (1, 1)),
+    5: ((-1, -1), (-1, 1), (0, 0), (1, -1), (1, 1)),
+    6: ((-1, -1), (-1, 0), (-1, 1), (1, -1), (1, 0), (1, 1)),
+}
+"""Places of the pips of each face, in steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles in the body frame, counter-clockwise from outside."""
+
+    vertices_m: Array
+    """(n, 3)."""
+    normals: Array
+    """(n, 3) outward, unit."""
+    places: Array
+    """(n, 2) in the atlas, 0 to 1, from its upper left corner."""
+    triangles: NDArray[np.int64]
+    """(m, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FaceFrame:
+    """The plane of one face: where its marks are drawn."""
+
+    middle_m: Array
+    """(3,) of the face of the sharp solid, body frame."""
+    right: Array
+    """(3,) unit."""
+    up: Array
+    """(3,) unit; right × up looks outward."""
+    half_m: float
+    """Half the width of its tile."""
+    inscribed_m: float
+
+
+def face_frame(solid: Solid, face: int) -> FaceFrame:
+    """The plane of a face; up is towards its first corner, or on a square towards its first edge."""
+    corners = solid.vertices[list(solid.faces[face])]
+    middle, normal = corners.mean(0), solid.normals[face]
+    towards = (corners[0] + corners[1]) / 2 if len(corners) == 4 else corners[0]
+    up = towards - middle
+    up /= np.linalg.norm(up)
+    reach = float(np.linalg.norm(corners - middle, axis=1).max())
+    sides = (corners + np.roll(corners, -1, 0)) / 2 - middle
+    return FaceFrame(middle, np.cross(up, normal), up, TILE_MARGIN * reach, float(np.linalg.norm(sides, axis=1).min()))
+
+
+# --- shape ---
+
+
+def die_mesh(die: Die) -> Mesh:
+    """The surface of a die, sharp or rounded. Raises ValueError for a radius that leaves no inner solid."""
+    solid, radius = die.solid, die.corner_radius_m
+    inner = inner_vertices(solid, radius)
+    parts = [_face(solid, k, inner, radius) for k in range(len(solid.faces))]
+    if radius > 0:
+        blank = _tile_place(len(solid.faces), len(solid.faces), np.zeros(2))
+        parts += [_bevel(solid, e, inner, radius, blank) for e in range(len(solid.edges))]
+        parts += [_corner(solid, v, inner, radius, blank) for v in range(len(inner))]
+    starts = np.cumsum([0, *(len(part.vertices_m) for part in parts[:-1])])
+    return Mesh(
+        np.concatenate([part.vertices_m for part in parts]),
+        np.concatenate([part.normals for part in parts]),
+        np.concatenate([part.places for part in parts]),
+        np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]),
+    )
+
+
+def _face(solid: Solid, face: int, inner: Array, radius: float) -> Mesh:
+    """The flat part of a face, a fan about its first corner."""
+    normal = solid.normals[face]
+    corners = inner[list(solid.faces[face])] + radius * normal
+    frame = face_frame(solid, face)
+    across = (corners - frame.middle_m) @ np.stack([frame.right, frame.up], 1) / frame.half_m
+    n = len(corners)
+    fan = np.array([(0, j, j + 1) for j in range(1, n - 1)])
+    return Mesh(corners, np.tile(normal, (n, 1)), _tile_place(face, len(solid.faces), across), fan)
+
+
+def _bevel(solid: Solid, edge: int, inner: Array, radius: float, blank: Array) -> Mesh:
+    """The piece of a cylinder between the two faces of an edge."""
+    (a, b), (f, g) = solid.edges[edge], solid.edge_faces[edge]
+    share = np.linspace(0.0, 1.0, BEVEL_STEPS + 1)[:, None]
+    normals = _unit((1.0 - share) * solid.normals[f] + share * solid.normals[g])
+    # The edge runs from a to b counter-clockwise about its first face, so the second face lies to its right.
+    vertices = np.concatenate([inner[a] + radius * normals, inner[b] + radius * normals])
+    m = BEVEL_STEPS + 1
+    low = np.arange(BEVEL_STEPS)
+    triangles = np.concatenate([np.stack([low, low + 1, low + m], 1), np.stack([low + 1, low + m + 1, low + m], 1)])
+    return Mesh(vertices, np.tile(normals, (2, 1)), np.tile(blank, (2 * m, 1)), triangles)
+
+
+def _corner(solid: Solid, vertex: int, inner: Array, radius: float, blank: Array) -> Mesh:
+    """The piece of a sphere about an inner corner: a sector for every pair of neighbouring faces."""
+    pairs = [
+        (f, g) if a == vertex else (g, f)
+        for (a, b), (f, g) in zip(solid.edges, solid.edge_faces, strict=True)
+        if vertex in (a, b)
+    ]
+    middle = _unit(np.sum([solid.normals[f] for f, _ in pairs], 0))
+    sectors = [_sector(middle, solid.normals[g], solid.normals[f]) for f, g in pairs]
+    normals = np.concatenate([directions for directions, _ in sectors])
+    size = len(sectors[0][0])
+    triangles = np.concatenate([cut + k * size for k, (_, cut) in enumerate(sectors)])
+    return Mesh(inner[vertex] + radius * normals, normals, np.tile(blank, (len(normals), 1)), triangles)
+
+
+def _sector(a: Array, b: Array, c: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Directions on the spherical triangle a, b, c, cut BEVEL_STEPS times each way, and the triangles between them."""
+    n = BEVEL_STEPS
+    number = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(n + 1) for j in range(n + 1 - i))}
+    directions = _unit(np.array([(n - i - j) * a + i * b + j * c for i, j in number]))
+    upright = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i in range(n) for j in range(n - i)]
+    between = [
+        (number[i + 1, j], number[i + 1, j + 1], number[i, j + 1]) for i in range(n - 1) for j in range(n - 1 - i)
+    ]
+    return directions, np.array(upright + between)
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+
+# --- paint ---
+
+
+def face_paint(die: Die, *, paint: float, ink: float, grain: float, seed: int) -> NDArray[np.float32]:
+    """The atlas (n, n): reflectance of every point of every face, first row on top.
+
+    `grain` is the relative standard deviation of the paint, in specks of a few hundredths of a face.
+    """
+    count = len(die.solid.faces)
+    across = _tiles_across(count)
+    atlas = np.full((across * TILE_PX, across * TILE_PX), paint, np.float32)
+    for face in range(count):
+        row, column = divmod(face, across)
+        marked = _marks(die, face)
+        atlas[row * TILE_PX : (row + 1) * TILE_PX, column * TILE_PX : (column + 1) * TILE_PX] += (ink - paint) * marked
+    specks = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(atlas.shape).astype(np.float32), (0, 0), 1.5)
+    return np.asarray(np.clip(atlas * (1.0 + grain * specks / specks.std()), 0.0, 1.0), np.float32)
+
+
+def _tiles_across(faces: int) -> int:
+    """Tiles in a row of the atlas: one for each face and a blank one."""
+    return int(np.ceil(np.sqrt(faces + 1)))
+
+
+def _tile_place(tile: int, faces: int, across: Array) -> Array:
+    """Places (..., 2) in the atlas of points of a tile, each from -1 to 1 to the right and up."""
+    row, column = divmod(tile, _tiles_across(faces))
+    u = column + 0.5 + 0.5 * across[..., 0]
+    v = row + 0.5 - 0.5 * across[..., 1]
+    return np.asarray(np.stack([u, v], -1) / _tiles_across(faces))
+
+
+def _marks(die: Die, face: int) -> NDArray[np.float32]:
+    """Share of ink (TILE_PX, TILE_PX) on the tile of a face."""
+    size = FINER * TILE_PX
+    fine = np.zeros((size, size), np.uint8)
+    frame = face_frame(die.solid, face)
+    for outlines in _mark_outlines(die, face, frame):
+        # Sixteenths of a fine pixel; the tile's middle is where four fine pixels meet.
+        points = [
+            np.rint((size / 2 - 0.5 + size / 2 * outline * [1.0, -1.0]) * 16).astype(np.int32) for outline in outlines
+        ]
+        cv2.fillPoly(fine, points, 255, shift=4)
+    shares = fine.reshape(TILE_PX, FINER, TILE_PX, FINER).mean((1, 3)) / 255.0
+    return np.asarray(shares, np.float32)
+
+
+def _mark_outlines(die: Die, face: int, frame: FaceFrame) -> list[list[Array]]:
+    """The marks of a face, each as closed outlines (n, 2) in units of half a tile; an outline in another is a hole."""
+    if die.marks == "pips" and face + 1 in PIPS:
+        edge = die.solid.edge_m / frame.half_m
+        angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+        circle = PIP_RADIUS * edge * np.stack([np.cos(angle), np.sin(angle)], 1)
+        return [[circle + PIP_STEP * edge * np.array(place)] for place in PIPS[face + 1]]
+    if die.marks == "numbers":
+        return [_number(face + 1, len(die.solid.faces), frame.inscribed_m / frame.half_m)]
+    return []
+
+
+def _number(number: int, faces: int, inscribed: float) -> list[Array]:
+    """The outlines of a number; 6 and 9 are underlined where both occur."""
+    path = TextPath((0, 0), str(number), size=1.0, prop=FontProperties(family="DejaVu Sans", weight="bold"))
+    outlines = [np.asarray(polygon, float) for polygon in path.to_polygons()]
+    everything = np.concatenate(outlines)
+    low, high = everything.min(0), everything.max(0)
+    if number in (6, 9) and faces >= 9:
+        outlines.append(np.array([(low[0], -0.18), (high[0], -0.18), (high[0], -0.08), (low[0], -0.08)]))
+        low = np.array([low[0], -0.18])
+    # A narrow digit is no larger than a wide one.
+    scale = NUMBER_WIDTH * inscribed / max(float(np.linalg.norm(high - low)), 1.0)
+    return [(outline - (low + high) / 2) * scale for outline in outlines]

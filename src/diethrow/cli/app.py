@@ -1,0 +1,47 @@
+"""The command line: parse, call, print.
+
+Only typer is imported here, as in `printing` and `progress`. What computes is imported inside the commands, so that
+`--help` answers at once.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    pass
+
+
+app = typer.Typer(
+    name="diethrow",
+    help="Experiment against simulation for high-speed footage of thrown dice.",
+    epilog="Example:  diethrow analyze data_samples/cube_wood/scene.toml --out out/cube_wood",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def main() -> None:
+    """The program `diethrow`."""
+    app(prog_name="diethrow")
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from .. import __version__
+
+        typer.echo(f"diethrow {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _program(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and stop.")
+    ] = False,
+) -> None:
+    """Experiment against simulation for high-speed footage of thrown dice."""

@@ -1,0 +1,393 @@
+"""cli.clip_commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .app import app
+from .errors import FAILED, MISUSED, one_sentence_errors, options_that_fit, stop_with_status, whose_finished_clips_stay
+from .options import (
+    AllowOutside,
+    EmbedReplay,
+    Every,
+    Figures,
+    Fineness,
+    Force,
+    Intervals,
+    OutFolder,
+    SceneFile,
+    Scheduler,
+    Shrink,
+    Threads,
+    as_typed,
+    command_words,
+    executor_for,
+    flag_words,
+    given_option,
+    interval_method,
+    output_words,
+    quality_of_name,
+    two_counts,
+    usable_cores,
+)
+from .printing import (
+    print_analysis,
+    print_batch,
+    print_camera,
+    print_check,
+    print_joint_fit,
+    print_notices,
+    print_tracking,
+    print_trade,
+)
+from .progress import announce_for_workers, announcing, batch_bar, progress_bars
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command(
+    epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; a page to send, with the replay in it:  "
+    "diethrow analyze clips/cube_wood/scene.toml --embed-replay --out out/cube_wood"
+)
+def analyze(
+    scene: SceneFile,
+    out: OutFolder,
+    quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    intervals: Intervals = "profile",
+    chi_within: Annotated[
+        float | None,
+        typer.Option("--chi-within", metavar="WIDTH", help="Use the fastest setting that gives χ to ± so much."),
+    ] = None,
+    trade_file: Annotated[
+        Path | None,
+        typer.Option("--trade", metavar="TRADE.json", help="What diethrow trade measured on such a scene."),
+    ] = None,
+    embed_replay: EmbedReplay = False,
+    figures: Figures = False,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """From clip to replay: track the die, find its bounces, fit the model, write tables, a recording and a report."""
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        # Before the stages are imported: a mistake in a scene is told at once.
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from ..analysis import Shown
+        from ..commands.clip.analyze import analyze as analyze_scene
+        from ..tracking.footage import Coarseness
+        from .compiling import model_ahead
+
+        with options_that_fit():
+            chosen, method = quality_of_name(quality), interval_method(intervals)
+        if trade_file is not None and chi_within is None:
+            stop_with_status("--trade without --chi-within; say how well χ is wanted, as in --chi-within 0.01", MISUSED)
+        with progress_bars() as progress:
+            if chi_within is not None:
+                from ..commands.clip.trade import setting_for
+
+                quality, less = setting_for(checked, chi_within, trade_file, progress)
+                chosen, every, shrink = quality_of_name(quality), less.every, less.shrink
+                told = f"--quality {quality} --every {every} --shrink {shrink}"
+                typer.echo(f"diethrow: for χ to ±{chi_within:g} chosen: {told}", err=True)
+        how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
+        how = (*how, *given_option("--intervals", intervals, "profile"))
+        drawn = (*flag_words("--embed-replay", embed_replay), *flag_words("--figures", figures))
+        with progress_bars() as progress, model_ahead():
+            result = analyze_scene(
+                checked,
+                out,
+                force=force,
+                quality=chosen,
+                coarseness=Coarseness(every, shrink),
+                intervals=method,
+                shown=Shown(embed_replay, figures),
+                progress=progress,
+                command=(*command_words("analyze", scene, out, force, allow_outside), *how, *drawn),
+            )
+        print_analysis(result)
+
+
+@app.command(epilog="Example:  diethrow track clips/cube_wood/scene.toml --out out/track")
+def track(
+    scene: SceneFile,
+    out: OutFolder,
+    quality: Fineness = "standard",
+    every: Every = 1,
+    shrink: Shrink = 1,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """The tracking stage alone: poses with covariances, and bounces."""
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from ..commands.clip.track import track_only
+        from ..tracking.footage import Coarseness
+
+        how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
+        with progress_bars() as progress:
+            result = track_only(
+                checked,
+                out,
+                force=force,
+                quality=quality_of_name(quality),
+                coarseness=Coarseness(every, shrink),
+                progress=progress,
+                command=(*command_words("track", scene, out, force, allow_outside), *how),
+            )
+        print_tracking(result, out)
+
+
+@app.command(
+    epilog="Example:  diethrow fit out/track/track_frames.csv --scene clips/cube_wood/scene.toml --out out/fit"
+)
+def fit(
+    tracks: Annotated[
+        list[Path],
+        typer.Argument(metavar="TRACK.csv...", help="A track, its covariances beside it; several: a joint fit."),
+    ],
+    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
+    out: OutFolder,
+    intervals: Intervals = "profile",
+    threads: Threads = None,
+    scheduler: Scheduler = None,
+    force: Force = False,
+) -> None:
+    """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        checked = read_scene(scene, allow_outside=True)  # no footage is opened
+        with options_that_fit():
+            method = interval_method(intervals)
+        if len(tracks) > 1:
+            if method != "profile":
+                stop_with_status(
+                    "--intervals with several tracks; a joint fit draws its intervals from the throws", MISUSED
+                )
+            from ..commands.clip.joint_fit import fit_tracks
+
+            with executor_for(scheduler) as executor, progress_bars() as progress:
+                many = fit_tracks(
+                    tracks,
+                    checked,
+                    out,
+                    force=force,
+                    threads=threads or usable_cores(),
+                    executor=executor,
+                    progress=progress,
+                    command=as_typed(),
+                )
+            print_joint_fit(many)
+            return
+        from ..commands.clip.fit import fit_track
+
+        how = given_option("--intervals", intervals, "profile")
+        command = ("diethrow", "fit", str(tracks[0]), "--scene", str(scene), *output_words(out, force), *how)
+        with progress_bars() as progress:
+            result = fit_track(
+                tracks[0], checked, out, force=force, intervals=method, progress=progress, command=command
+            )
+        print_analysis(result)
+
+
+@app.command(
+    epilog="Example:  diethrow predict tosses/*.csv --scene tosses/scene.toml --fit out/joint/fit.json "
+    "--from-frame first-bounce --out out/foretold"
+)
+def predict(
+    tracks: Annotated[list[Path], typer.Argument(metavar="TRACK.csv...", help="Tracks from any tracker.")],
+    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
+    fit: Annotated[Path, typer.Option("--fit", metavar="FIT.json", help="The parameters, of one throw or of many.")],
+    out: Annotated[Path, typer.Option("--out", metavar="CSV|DIR", help="Of one track a CSV; of several a folder.")],
+    from_frame: Annotated[
+        str,
+        typer.Option("--from-frame", metavar="K|first-bounce", help="Only frames before this one tell the state."),
+    ] = "first-bounce",
+    draws: Annotated[
+        int | None,
+        typer.Option(
+            "--draws", min=0, help="Throws drawn for the odds of the faces. [default: 100 for one track, else 0]"
+        ),
+    ] = None,
+    force: Force = False,
+) -> None:
+    """Foretell throws: the state from the frames before K, simulated on to the last frame with the parameters of a fit."""
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        checked = read_scene(scene, allow_outside=True)  # no footage is opened
+        from ..commands.clip.predict import predict_tracks, summary
+        from ..fitting.predict import DRAWS
+
+        drawn = (DRAWS if len(tracks) == 1 else 0) if draws is None else draws
+        with progress_bars() as progress:
+            made, left_out = predict_tracks(
+                tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
+            )
+        for line in summary(made, checked.die):
+            typer.echo(line)
+        print_notices(left_out)
+        typer.echo(f"See {out}")
+
+
+@app.command(epilog="Example:  diethrow batch clips/*/scene.toml --out out/all --workers 4")
+def batch(
+    scenes: Annotated[list[Path], typer.Argument(metavar="SCENES...", help="Scene files; each makes a folder in DIR.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="DIR", help="The folder of all results; begun again, it goes on.")
+    ],
+    workers: Annotated[
+        int | None, typer.Option("--workers", min=1, help="Processes of this machine; left out: one for each core.")
+    ] = None,
+    scheduler: Scheduler = None,
+    quality: Fineness = "standard",
+    only_track: Annotated[
+        bool, typer.Option("--only-track", help="The tracking stage alone, as diethrow track.")
+    ] = False,
+    allow_outside: AllowOutside = False,
+) -> None:
+    """Analyse many scenes: results.csv, failures.csv, and a folder for each. A finished clip is done again only where its
+    files, the version or the quality changed.
+
+    The exit status is 1 where a clip failed. Ctrl-C and kill cost the clips in hand; the same command goes on.
+    """
+    with one_sentence_errors(), whose_finished_clips_stay():
+        from ..commands.clip.batch import run_batch
+
+        quality_of_name(quality)
+        if scheduler is None:
+            announce_for_workers()
+        with executor_for(scheduler) as executor, batch_bar() as progress:
+            result = run_batch(
+                scenes,
+                out,
+                executor=executor,
+                workers=workers,
+                stage="track" if only_track else "analyze",
+                quality=quality,
+                allow_outside=allow_outside,
+                progress=progress,
+            )
+        print_batch(result, out)
+        if result.failures:
+            raise typer.Exit(FAILED)
+
+
+@app.command(
+    epilog="Example:  diethrow trade clips/cube_wood/scene.toml --chi-within 0.01 --out out/trade; then  "
+    "diethrow analyze clips/another/scene.toml --chi-within 0.01 --trade out/trade/trade.json --out out/another"
+)
+def trade(
+    scene: SceneFile,
+    out: OutFolder,
+    chi_within: Annotated[
+        float, typer.Option("--chi-within", metavar="WIDTH", help="How well χ is wanted: ± so much.")
+    ] = 0.01,
+    coverage: Annotated[
+        int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks for each coverage; 0: none.")
+    ] = 20,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """Speed against accuracy on one scene, measured: tracking, fit and model from coarse to fine, and what to use."""
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from ..commands.clip.trade import trade as measure_trade
+
+        how = ("--chi-within", str(chi_within), *given_option("--coverage", coverage, 20))
+        with progress_bars() as progress:
+            result = measure_trade(
+                checked,
+                out,
+                within=chi_within,
+                draws=coverage,
+                force=force,
+                progress=progress,
+                command=(*command_words("trade", scene, out, force, allow_outside), *how),
+            )
+        print_trade(result)
+        typer.echo(f"See {out / 'trade.html'}")
+
+
+@app.command(epilog="Example:  diethrow check clips/cube_wood/scene.toml --out out/check")
+def check(
+    scene: SceneFile,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="A folder for check.json and check.html; left out: none."),
+    ] = None,
+    allow_outside: AllowOutside = False,
+    force: Force = False,
+) -> None:
+    """Before tracking: is the clip fit for it? Timing, blur, pixels, background, scale and vertical, with verdicts.
+
+    The exit status is 1 where something is bad.
+    """
+    with one_sentence_errors():
+        from ..files.scene import read_scene
+
+        checked = read_scene(scene, allow_outside=allow_outside)
+        from ..commands.clip.check import check_clip
+
+        with announcing():
+            result = check_clip(checked, out, force=force, command=as_typed())
+        print_check(result)
+        if out is not None:
+            typer.echo(f"See {out / 'check.html'}")
+        if result.bad:
+            raise typer.Exit(FAILED)
+
+
+@app.command(
+    epilog="Example:  diethrow calibrate board_*.png --table board_on_table.png --squares 7x5 --square-mm 10 "
+    "--marker-mm 7.5 --out out/camera"
+)
+def calibrate(
+    pictures: Annotated[
+        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted to all sides.")
+    ],
+    out: OutFolder,
+    square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
+    squares: Annotated[str, typer.Option("--squares", metavar="CxR", help="Squares along columns and rows.")] = "7x5",
+    board: Annotated[str, typer.Option("--board", help="charuco or chessboard.")] = "charuco",
+    marker_mm: Annotated[
+        float | None, typer.Option("--marker-mm", metavar="MM", help="Side of a marker; ChArUco only.")
+    ] = None,
+    dictionary: Annotated[
+        str, typer.Option("--dictionary", help="OpenCV's name of the markers' dictionary.")
+    ] = "DICT_4X4_50",
+    table: Annotated[
+        Path | None,
+        typer.Option("--table", metavar="PICTURE", help="The board flat on the table: gives the camera's place."),
+    ] = None,
+    thickness_mm: Annotated[
+        float, typer.Option("--thickness-mm", metavar="MM", help="Of the board that lies on the table.")
+    ] = 0.0,
+    force: Force = False,
+) -> None:
+    """Camera and table pose from pictures of a ChArUco board or a chessboard: camera.toml, calibration.json and a page."""
+    with one_sentence_errors():
+        with options_that_fit():
+            from ..tracking.calibration import make_board
+
+            columns, rows = two_counts("squares", squares)
+            marker_m = None if marker_mm is None else 1e-3 * marker_mm
+            printed = make_board(board, columns, rows, 1e-3 * square_mm, marker_m, dictionary)
+        from ..commands.clip.calibrate import calibrate_camera
+
+        with announcing():
+            found = calibrate_camera(
+                pictures, printed, out, table=table, thickness_m=1e-3 * thickness_mm, force=force, command=as_typed()
+            )
+        print_camera(found, len(pictures) + (table is not None and table not in pictures), out)

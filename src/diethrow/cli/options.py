@@ -1,0 +1,135 @@
+"""cli.options."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
+    from ..fitting.throw import IntervalMethod
+    from ..tracking.quality import Quality
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
+Scheduler = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Work on a Dask cluster, tcp://host:port of its scheduler; needs pip install 'diethrow[distributed]'.",
+    ),
+]
+AllowOutside = Annotated[bool, typer.Option("--allow-outside", help="Let the scene name files outside its own folder.")]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to make.")]
+Fineness = Annotated[
+    str,
+    typer.Option(
+        "--quality",
+        metavar="fast|standard|fine",
+        help="fast: each frame once, edges alone; standard: twice, and the marks on the faces; fine: the same with more steps.",
+    ),
+]
+Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
+Shrink = Annotated[
+    int, typer.Option("--shrink", min=1, metavar="F", help="Make pictures smaller: the mean of F × F pixels.")
+]
+Intervals = Annotated[
+    str,
+    typer.Option(
+        "--intervals",
+        metavar="profile|covariance|bootstrap",
+        help="Where intervals come from: the profile of the likelihood, the covariance, or residuals drawn anew.",
+    ),
+]
+Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
+EmbedReplay = Annotated[
+    bool,
+    typer.Option("--embed-replay", help="Put the viewer and the recording into report.html: 20 MB, and no network."),
+]
+Figures = Annotated[bool, typer.Option("--figures", help="Also the figures of the report as PNG and SVG, in figures/.")]
+
+
+Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
+Edge = Annotated[float, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
+Mass = Annotated[float, typer.Option("--mass", metavar="KG", help="Mass of the die [kg].")]
+Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction; left out: the paper's smooth impact.")]
+Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Of the table's oscillation [m].")]
+Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Of the table's oscillation [Hz].")]
+Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Of the table at the release [rad].")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run of the same settings that was stopped.")]
+
+
+@contextmanager
+def executor_for(scheduler: str | None) -> Iterator[Executor | None]:
+    """A Dask cluster as an executor; None where no scheduler is named."""
+    if scheduler is None:
+        yield None
+        return
+    from ..executors import cluster_at
+
+    with cluster_at(scheduler) as executor:
+        yield executor
+
+
+def two_counts(name: str, text: str) -> tuple[int, int]:
+    """`7x5` as two numbers."""
+    first, cross, second = text.lower().replace("×", "x").partition("x")
+    if not (cross and first.strip().isdecimal() and second.strip().isdecimal()):
+        raise ValueError(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
+    return int(first), int(second)
+
+
+def usable_cores() -> int:
+    """Cores that this process may use."""
+    from ..executors import cores
+
+    return cores()
+
+
+def as_typed() -> tuple[str, ...]:
+    """The command line."""
+    return ("diethrow", *sys.argv[1:])
+
+
+def quality_of_name(name: str) -> Quality:
+    """The tracker's setting of that name. Raises ValueError, in a sentence, where there is none."""
+    from ..tracking.quality import QUALITIES
+
+    if name not in QUALITIES:
+        raise ValueError(f"--quality {name}: wanted {', '.join(QUALITIES)}")
+    return QUALITIES[name]
+
+
+def interval_method(name: str) -> IntervalMethod:
+    """The method of that name. Raises ValueError, in a sentence, where there is none."""
+    from ..fitting.throw import INTERVAL_METHODS
+
+    for method in INTERVAL_METHODS:
+        if name == method:
+            return method
+    raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
+
+
+def given_option(name: str, value: int | str, default: int | str) -> tuple[str, ...]:
+    """An option as typed; nothing where it says what goes without saying."""
+    return () if value == default else (name, str(value))
+
+
+def command_words(name: str, file: Path, out: Path, force: bool, allow_outside: bool = False) -> tuple[str, ...]:
+    outside = ("--allow-outside",) if allow_outside else ()
+    return ("diethrow", name, str(file), *output_words(out, force), *outside)
+
+
+def flag_words(name: str, given: bool) -> tuple[str, ...]:
+    return (name,) if given else ()
+
+
+def output_words(out: Path, force: bool) -> tuple[str, ...]:
+    return ("--out", str(out), *(("--force",) if force else ()))

@@ -1,0 +1,184 @@
+"""What a command says when it is done: results in a few lines on standard output, notes on standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import floor, log10
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from ..analysis import Analysis, Tracking
+    from ..commands.clip.batch import Batch
+    from ..commands.clip.calibrate import CameraFound
+    from ..commands.clip.check import Check
+    from ..commands.clip.joint_fit import FitOfMany
+    from ..commands.model.film import Shot
+    from ..commands.results.replays import ThrowRecording
+    from ..fitting.results import Parameter
+    from ..model.throw import ThrowResult
+    from ..replay.pages import Trade
+
+
+def print_analysis(result: Analysis) -> None:
+    """What came out, in a few lines."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}")
+    table.add_row("bounces", f"{len(result.measured.impacts)}, of which the model explains {result.fit.bounces_fitted}")
+    table.add_row("restitution χ", _restitution(result.fit.parameters["chi"]))
+    if result.fit.residual_rms is not None:
+        table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
+    table.add_row("report", str(result.folder / "report.html"))
+    table.add_row("look at it", f"diethrow replay {result.folder} --open")
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+    print_notices((*result.notices, *result.fit.messages))
+
+
+def print_tracking(result: Tracking, out: Path) -> None:
+    """How much was tracked."""
+    print_notices(result.notices)
+    tracked, total = int(result.frames.tracked.sum()), len(result.frames)
+    typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
+
+
+def print_joint_fit(result: FitOfMany) -> None:
+    """What the throws share, in a few lines."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(show_header=False, box=None, pad_edge=False)
+    table.add_row("throws", f"{len(result.fit.throws)} fitted, {len(result.left_out)} left out")
+    for name, parameter in result.fit.parameters.items():
+        table.add_row(name, _with_interval(parameter))
+    table.add_row("see", str(result.folder / "fit.json"))
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+    print_notices((*result.fit.messages, *result.left_out))
+
+
+def print_throw(result: ThrowResult, out: Path) -> None:
+    """How a simulated throw ended."""
+    face = "open" if result.landed_face is None else result.landed_face
+    typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
+    typer.echo(f"Look at it:  diethrow replay {out} --open")
+
+
+def print_shot(shot: Shot, out: Path) -> None:
+    """What was filmed, and what to do with it."""
+    typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
+    typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
+
+
+def print_batch(result: Batch, out: Path) -> None:
+    """How many clips were finished, and why the others were not."""
+    for failure in result.failures:
+        typer.echo(f"failed: {failure.scene}: {failure.reason.removeprefix(failure.scene + ': ')}", err=True)
+    finished = f"{len(result.results)} of {len(result.results) + len(result.failures)} clips finished"
+    typer.echo(f"{finished}, {result.kept} of them before; see {out / 'results.csv'}")
+    if result.failures:
+        typer.echo(f"{len(result.failures)} failed; see {out / 'failures.csv'}")
+
+
+def print_camera(found: CameraFound, pictures: int, out: Path) -> None:
+    """The camera, and its place where that was asked for; of so many `pictures`."""
+    camera, errors = found.calibration, found.calibration.sigmas
+    typer.echo(
+        f"{len(camera.boards)} of {pictures} pictures, residuals {camera.rms_px:.3g} px, "
+        f"focal length {camera.matrix[0, 0]:.6g} ± {errors[0]:.2g} px"
+    )
+    if found.table is not None:
+        x, y, z = 1e3 * found.table.camera.centre_m
+        typer.echo(f"The camera stands at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
+    print_notices(found.notices)
+    typer.echo(f"Look at it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
+
+
+def print_throws(found: Sequence[ThrowRecording]) -> None:
+    """One row a throw."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from ..replay.elements import short_interval
+
+    table = Table(box=None, pad_edge=False)
+    for name in ("throw", "χ (95 % interval)", "σ", "face", "verdict"):
+        table.add_column(name, no_wrap=name != "throw", overflow="fold")
+    for one in found:
+        said = one.properties
+        chi = short_interval(*(said.get(name) for name in ("chi", "chi_low", "chi_high")))
+        rms = said.get("residual_rms")
+        cells = ("" if rms is None else f"{rms:.2f}", str(said.get("landed_face", "")), str(said.get("verdict", "")))
+        table.add_row(one.name, chi if "chi" in said else "", *cells)
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+
+
+def _with_interval(parameter: Parameter) -> str:
+    """The value with its interval, in four digits."""
+    if parameter.low is None or parameter.high is None or parameter.level is None:
+        return f"{parameter.value:.4g}, no interval"
+    return f"{parameter.value:.4g}  ({100 * parameter.level:.0f} %: {parameter.low:.4g} to {parameter.high:.4g})"
+
+
+def print_trade(result: Trade) -> None:
+    """Every setting in a line, those on the front marked, and the one to use."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for heading in ("", "setting", "a second", "χ", "±", "off by", "coverage"):
+        table.add_column(heading)
+    for s in result.settings:
+        chi = "" if s.chi is None else f"{s.chi:.5f}"
+        width = "" if s.half_width is None else f"{s.half_width:.1e}"
+        off = s.error if s.kind == "model" else s.chi_error
+        covered = "" if s.coverage is None else f"{s.coverage:.0%}"
+        wrong = "" if off is None else f"{off:.1e}"
+        table.add_row("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered)
+    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console.print(table)
+    console.print(result.advice)
+
+
+def print_check(result: Check) -> None:
+    """Every finding in a row."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 1, 0))
+    table.add_column("")
+    table.add_column("verdict")
+    table.add_column("measured", overflow="fold")
+    table.add_column("what to change", overflow="fold")
+    styles = {"good": "green", "doubtful": "yellow", "bad": "bold red"}
+    for finding in result.findings:
+        word = finding.verdict.value
+        table.add_row(finding.name, f"[{styles[word]}]{word}[/]", *_plain_cells(finding.measured, finding.advice))
+    Console(highlight=False).print(table)
+
+
+def _plain_cells(*texts: str) -> tuple[str, ...]:
+    """Texts that must not be taken for markup."""
+    from rich.markup import escape
+
+    return tuple(escape(text) for text in texts)
+
+
+def _restitution(chi: Parameter) -> str:
+    """The value with its interval, in as many digits as the interval bears."""
+    if chi.value is None:
+        return "not determined"
+    if chi.low is None or chi.high is None or chi.level is None:
+        return f"{chi.value:.4f}, no interval"
+    width = chi.high - chi.low
+    digits = 4 if width <= 0 else min(max(3, 1 - floor(log10(width))), 9)
+    return f"{chi.value:.{digits}f}  ({100 * chi.level:.0f} %: {chi.low:.{digits}f} to {chi.high:.{digits}f})"
+
+
+def print_notices(sentences: tuple[str, ...]) -> None:
+    """Notes, one a line."""
+    for sentence in sentences:
+        typer.echo(f"note: {sentence}", err=True)

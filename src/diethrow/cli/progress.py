@@ -1,0 +1,90 @@
+"""What a command says while it works, on standard error: bars, one for each stage, and that kernels are compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import typer
+
+if TYPE_CHECKING:
+    from ..commands.clip.batch import Standing
+
+
+@contextmanager
+def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar for each stage on standard error; nothing where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description:<22}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
+    with (
+        Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal) as bars,
+        announcing(),
+    ):
+        tasks: dict[str, TaskID] = {}
+
+        def tell(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                for earlier in tasks.values():
+                    bars.update(earlier, total=1, completed=1)
+                tasks[stage] = bars.add_task(stage, total=None)
+            bars.update(tasks[stage], completed=done, total=total or None)
+
+        yield tell
+        for task in tasks.values():
+            bars.update(task, total=1, completed=1)
+
+
+@contextmanager
+def announcing() -> Iterator[None]:
+    """Say in one line that kernels are compiled, in the first run of an installation."""
+    from .compiling import announced
+
+    with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
+        yield
+
+
+def announce_for_workers() -> None:
+    """Say the same where processes of this machine will compile, each for itself, and say nothing."""
+    from .compiling import SENTENCE, is_compiled
+
+    if not is_compiled():
+        typer.echo(f"diethrow: {SENTENCE}", err=True)
+
+
+@contextmanager
+def batch_bar() -> Iterator[Callable[[Standing], None]]:
+    """A bar with the time left on standard error; a line for each clip where that is not a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    console = Console(stderr=True)
+    columns = (
+        TextColumn("Clips"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.description}"),
+    )
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
+        clips = bars.add_task("", total=None)
+
+        def tell(standing: Standing) -> None:
+            failed = f"{standing.failed} failed, " if standing.failed else ""
+            left = "" if standing.left_s is None else f"about {_duration(standing.left_s)} left"
+            bars.update(clips, completed=standing.done, total=standing.total, description=f"{failed}{left}")
+            if not console.is_terminal:
+                told = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
+                typer.echo(f"{told}: {standing.last}", err=True)
+
+        yield tell
+
+
+def _duration(seconds: float) -> str:
+    """`40 s`, `12 min`, `3.5 h`."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

@@ -1,0 +1,99 @@
+"""cli.result_commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .app import app
+from .errors import FAILED, one_sentence_errors
+from .printing import print_throws
+
+if TYPE_CHECKING:
+    pass
+
+
+@app.command(
+    epilog="Examples:  diethrow replay out/cube_wood --open\n\n"
+    "diethrow replay out/throw_1 out/throw_2 --out both.rrd --open     (several throws, or several models of one)\n\n"
+    "diethrow replay out --out throws     (a folder of throws: one recording each, and a table)"
+)
+def replay(
+    throws: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="DIR...", help="Folders that analyze, fit or throw made; a folder of them stands for all."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="FILE.rrd|DIR",
+            help="FILE.rrd: all throws in one recording. DIR: a recording for each, and throws.csv. Left out: neither.",
+        ),
+    ] = None,
+    align: Annotated[
+        str, typer.Option("--align", metavar="bounce|frame", help="Set the clocks by the first bounce, or by frame 0.")
+    ] = "bounce",
+    models: Annotated[
+        bool | None,
+        typer.Option(
+            "--models/--throws",
+            help="Several models of one throw, or several throws; left out: models where all come from one clip or track.",
+            show_default=False,
+        ),
+    ] = None,
+    look: Annotated[
+        bool, typer.Option("--open", help="Show it in the viewer, which then tells nobody and serves nobody else.")
+    ] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace what --out names.")] = False,
+) -> None:
+    """Look at throws: a table, one recording of several, and the viewer."""
+    with one_sentence_errors():
+        from ..commands.results.replays import find_recordings, gather, join
+
+        found = find_recordings(throws)
+        print_throws(found)
+        shown = [one.path for one in found]
+        if out is not None and out.suffix == ".rrd":
+            same = join(found, out, align=align, models=models, force=force)
+            typer.echo(f"{len(found)} {'models of one throw' if same else 'throws'} in {out}")
+            shown = [out]
+        elif out is not None:
+            gather(found, out, force=force)
+            typer.echo(f"{len(found)} recordings and throws.csv in {out}")
+            shown = [out / f"{one.name}.rrd" for one in found]
+        if look:
+            from ..commands.results.viewer import open_viewer
+
+            open_viewer(shown)
+
+
+@app.command(epilog="Example:  diethrow rerun out/cube_wood")
+def rerun(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Results of any command, with their provenance.json.")],
+    within: Annotated[
+        float,
+        typer.Option(
+            "--within",
+            min=0.0,
+            help="Largest difference, as a share of the largest number of a column; 0: bit for bit.",
+        ),
+    ] = 1e-6,
+) -> None:
+    """Make results again from their provenance, and say whether the numbers agree. Nothing is written.
+
+    The exit status is 0 where they do, 1 where they do not or cannot be made again.
+    """
+    with one_sentence_errors():
+        from ..commands.results.repeat import rerun as make_again
+        from ..commands.results.repeat import summary
+
+        comparison = make_again(folder, within=within)
+        for line in summary(comparison):
+            typer.echo(line)
+        if not comparison.agree:
+            raise typer.Exit(FAILED)

@@ -1,0 +1,72 @@
+"""From a clip to a replay: follow the die, find its bounces, fit the model, and write everything down.
+
+Each step is one public function of its stage; this module only carries values from one to the next, keeps the time,
+and puts the records into a folder that appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
+from ...executors import one_thread
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, steady
+from ...files.records import read_json
+from ...files.scene import Scene
+from ...fitting.throw import IntervalMethod
+from ...replay.elements import Record
+from ...tracking.footage import WHOLE, Coarseness
+from ...tracking.quality import STANDARD, Quality
+from .account import account_of
+from .fit import fit_kernel, growing, write_model, write_pages, write_recording_kernel
+from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
+
+
+def analyze(
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
+    intervals: IntervalMethod = "profile",
+    shown: Shown = PLAIN,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> Analysis:
+    """Everything from clip to replay, written to the folder `out`.
+
+    `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
+    from; `shown` what is drawn besides; `command` is repeated in the provenance, and left out it is the one that would do
+    the same. Raises SceneError for a scene that cannot be analysed, RunError for a clip without a die, OutputExistsError
+    for a folder that exists (unless `force`); then no folder is left.
+    """
+    watch = Stopwatch()
+    check_scene(scene)
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
+        fit = fit_kernel(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
+        notices = tracking.notices
+        write_tracking(folder, scene, tracking)
+        simulated = write_model(folder, fit, tracking.frames)
+        record = Record(
+            title=scene.path.resolve().parent.name,
+            die=tracking.die,
+            track=tracking.smoothed,
+            measured=tracking.measured,
+            fps=rate_hz(tracking.frames),
+            clip=tracking.clips[0],
+            camera=tracking.cameras[0],
+            fit=fit,
+            simulated=simulated if fit.throw else None,
+            estimates=growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
+            notices=notices,
+        )
+        write_recording_kernel(folder, record, progress, watch)
+        command = command or same_command("analyze", scene, out, quality, coarseness, intervals)
+        write_origin(folder, scene, command, inputs, watch, tracking.corners)
+        account = account_of(scene, tracking, read_json(folder / "provenance.json"))
+        write_pages(folder, record, account, shown, progress, watch)
+    return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)

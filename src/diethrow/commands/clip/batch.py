@@ -1,0 +1,390 @@
+"""Many scenes: each one analysed into a folder of its own, in whatever order and on whatever machine.
+
+A clip is finished when its folder is there: folders appear whole (`outputs`), and `provenance.json` in them says which
+version made them from which bytes. So nothing else has to be remembered: a batch that was stopped or killed is begun
+again and does what is missing. `results.csv` and `failures.csv` are written anew after every clip, in the order of the
+scenes, and hold the same numbers wherever the work was done.
+"""
+
+from __future__ import annotations
+
+import csv
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from ... import __version__
+from ...executors import Processes, WorkerLostError, cores
+from ...files.outputs import OutputExistsError, OutputPlaceError, locked, refuse_existing, whole_file
+from ...files.provenance import InputChangedError, files_read
+from ...files.records import read_json
+from ...files.scene import Scene, read_scene
+from ...files.settings import SceneError
+
+ATTEMPTS = 3
+"""A clip whose worker dies so often is given up: it may be what kills them."""
+TRACK_FILES = ("provenance.json", "track.csv", "bounces.csv")
+"""What a finished folder holds in any case."""
+TABLES_EVERY_S = 2.0
+"""Between two writings of the tables while clips come in; the last is always written."""
+
+Stage = Literal["analyze", "track"]
+Kind = Literal["scene", "clip", "output", "worker", "error"]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One scene, and the folder that its results become."""
+
+    scene: Path
+    folder: Path
+    stage: Stage
+    quality: str
+    allow_outside: bool = False
+    """Whether the scene may name files outside its folder."""
+
+    @property
+    def command(self) -> tuple[str, ...]:
+        """What would do the same alone."""
+        outside = ("--allow-outside",) if self.allow_outside else ()
+        return ("diethrow", self.stage, str(self.scene), "--out", str(self.folder), *outside, "--quality", self.quality)
+
+
+@dataclass(frozen=True)
+class Result:
+    """A row of results.csv; None where the stage does not tell, or nothing could be determined."""
+
+    scene: str
+    folder: str
+    frames: int
+    tracked: int
+    bounces: int
+    bounces_fitted: int | None
+    chi: float | None
+    chi_low: float | None
+    chi_high: float | None
+    level: float | None
+    residual_rms: float | None
+    landed_face: int | None
+    verdict: str
+    """`fitted`, `fitted, no interval`, `chi not determined`, or `tracked` where no fit was asked for."""
+    seconds: float
+    """Of work, when it was done."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A row of failures.csv."""
+
+    scene: str
+    kind: Kind
+    """Where to look: in the scene file, in the clip, at the place of the output, at the workers, or in this program."""
+    reason: str
+    """One sentence."""
+    attempts: int = 1
+
+
+@dataclass(frozen=True)
+class Standing:
+    """How far a batch is."""
+
+    done: int
+    """Clips that need no more work, failed ones among them."""
+    failed: int
+    total: int
+    left_s: float | None
+    """Estimate of the time that the rest takes, from the clips done so far; None before the first."""
+    last: str
+    """The scene that was done last."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """A whole batch, as it was written to `folder`."""
+
+    folder: Path
+    results: tuple[Result, ...]
+    failures: tuple[Failure, ...]
+    kept: int
+    """Clips that were finished before and not done again."""
+
+
+def run_batch(
+    scenes: Sequence[Path],
+    out: Path,
+    *,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    stage: Stage = "analyze",
+    quality: str = "standard",
+    allow_outside: bool = False,
+    progress: Callable[[Standing], None] = lambda standing: None,
+) -> Batch:
+    """Analyse every scene into a folder of its own in `out`, and write one table of results and one of failures.
+
+    The work is done by `executor`, any of `concurrent.futures`, whose workers must see the same files; left out, by
+    `workers` processes of this machine (one for each core). Begun again, it does what is missing, what failed, and what
+    was made by another version, at another quality or from other bytes. A clip whose worker dies is tried elsewhere.
+
+    Raises ValueError for no scene, OutputBusyError where another batch writes to `out`, OutputExistsError where `out` is
+    a file, and OutputPlaceError where nothing can be written there.
+    """
+    if not scenes:
+        raise ValueError("no scenes: wanted one scene file or more")
+    out = Path(out).resolve()
+    tasks = tasks_of(scenes, out, stage, quality, allow_outside)
+    if not out.is_dir():
+        refuse_existing(out)
+    with locked(out):
+        out.mkdir(parents=True, exist_ok=True)
+        ledger = _Ledger(out, tasks, progress)
+        missing = [task for task in tasks if not ledger.found(task)]
+        ledger.write()
+        if executor is not None:
+            ledger.take(_worked(missing, executor))
+        elif missing:
+            with Processes(min(workers or cores(), len(missing))) as processes:
+                ledger.take(_worked(missing, processes))
+        ledger.write()
+    return ledger.batch()
+
+
+def tasks_of(
+    scenes: Sequence[Path], out: Path, stage: Stage = "analyze", quality: str = "standard", allow_outside: bool = False
+) -> list[Task]:
+    """The work on each scene, once. A folder is named after that of its scene, or after the file unless that is
+    `scene.toml`; where names are the same, the folders above are put in front."""
+    paths = list(dict.fromkeys(Path(scene).absolute() for scene in scenes))
+    parts = [(*path.parent.parts[1:], *(() if path.name == "scene.toml" else (path.stem,))) for path in paths]
+    depth = dict.fromkeys(parts, 1)
+    while True:
+        names = {part: "_".join(part[-depth[part] :]) or "scene" for part in parts}
+        twice = {name for name, count in Counter(names.values()).items() if count > 1}
+        deeper = [part for part in parts if names[part] in twice and depth[part] < len(part)]
+        if not deeper:
+            break
+        for part in deeper:
+            depth[part] += 1
+    return [
+        Task(path, out / names[part], stage, quality, allow_outside) for path, part in zip(paths, parts, strict=True)
+    ]
+
+
+def is_finished(task: Task) -> bool:
+    """Whether the folder of a task is there and was made by this version, in this way, from the bytes that are there now."""
+    wanted = (*TRACK_FILES, *(("fit.json",) if task.stage == "analyze" else ()))
+    if not all((task.folder / name).is_file() for name in wanted):
+        return False
+    origin = _Origin.of(task.folder)
+    if origin is None or (origin.version, origin.stage, origin.quality) != (__version__, task.stage, task.quality):
+        return False
+    from .track import input_paths
+
+    try:
+        now = files_read(input_paths(read_scene(task.scene, allow_outside=task.allow_outside)))
+    except (SceneError, OSError):
+        return False  # doing it again tells what is wrong
+    return tuple(file.sha256 for file in now) == origin.digests
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """What the provenance of a folder says of how it was made."""
+
+    version: str
+    stage: str
+    quality: str
+    digests: tuple[str, ...]
+    """SHA-256 of the inputs, in their order."""
+
+    @classmethod
+    def of(cls, folder: Path) -> _Origin | None:
+        """None where the file does not say."""
+        try:
+            origin = read_json(folder / "provenance.json")
+            command = [str(word) for word in origin["command"]]
+            quality = command[command.index("--quality") + 1]
+            digests = tuple(str(each["sha256"]) for each in origin["inputs"])
+            return cls(str(origin["diethrow"]), command[1], quality, digests)
+        except (KeyError, TypeError, ValueError, IndexError):
+            return None
+
+
+def work(task: Task) -> Failure | None:
+    """Do one clip, in a worker; what went wrong comes back as a value, since a batch goes on."""
+    from ...analysis import RunError
+    from ...tracking.quality import QUALITIES
+    from .analyze import analyze
+    from .track import track_only
+
+    try:
+        scene: Scene = read_scene(task.scene, allow_outside=task.allow_outside)
+        quality = QUALITIES[task.quality]
+        refuse_existing_of_others(task.folder)
+        do = analyze if task.stage == "analyze" else track_only
+        do(scene, task.folder, force=True, quality=quality, command=task.command)
+    except (OutputPlaceError, OutputExistsError) as error:
+        return _failure(task, "output", error)
+    except SceneError as error:
+        return _failure(task, "scene", error)
+    except (RunError, InputChangedError, OSError, ValueError) as error:
+        return _failure(task, "clip", error)
+    except Exception as error:  # a mistake of this program on one clip must not cost the others
+        error.add_note(type(error).__name__)
+        return _failure(task, "error", error)
+    return None
+
+
+def refuse_existing_of_others(folder: Path) -> None:
+    """Raises OutputExistsError for a folder that no run of this program made: a batch replaces its own only."""
+    if folder.exists() and not (folder / "provenance.json").is_file():
+        raise OutputExistsError(f"{folder} exists and holds no results; move it away, or try another --out")
+
+
+def result_of(task: Task) -> Result:
+    """The row of a finished clip, from the files in its folder."""
+    folder = task.folder
+    with (folder / "track.csv").open(newline="", encoding="utf-8") as file:
+        statuses = [row["status"] for row in csv.DictReader(file)]
+    with (folder / "bounces.csv").open(newline="", encoding="utf-8") as file:
+        bounces = sum(1 for _ in csv.DictReader(file))
+    origin = read_json(folder / "provenance.json")
+    fit = read_json(folder / "fit.json") if task.stage == "analyze" else None
+    chi = fit["parameters"]["chi"] if fit else dict.fromkeys(("value", "low", "high", "level"))
+    return Result(
+        scene=str(task.scene),
+        folder=folder.name,
+        frames=len(statuses),
+        tracked=statuses.count("tracked"),
+        bounces=bounces,
+        bounces_fitted=fit and fit["bounces_fitted"],
+        chi=chi["value"],
+        chi_low=chi["low"],
+        chi_high=chi["high"],
+        level=chi["level"],
+        residual_rms=fit and fit["residual_rms"],
+        landed_face=fit and fit["landed_face"],
+        verdict=_verdict(chi) if fit else "tracked",
+        seconds=round(sum(origin["timings_s"].values()), 3),
+    )
+
+
+def write_table(path: Path, kind: type[Any], rows: Sequence[Any]) -> None:
+    """A CSV table of frozen values, one a row; the file is replaced in one step."""
+    names = [part.name for part in fields(kind)]
+    with whole_file(path, force=True) as aside, aside.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows(["" if (v := getattr(row, name)) is None else v for name in names] for row in rows)
+
+
+class _Ledger:
+    """What is known of every clip of a batch, and the tables of it."""
+
+    def __init__(self, out: Path, tasks: Sequence[Task], progress: Callable[[Standing], None]) -> None:
+        self._out, self._tasks, self._progress = out, tasks, progress
+        self._known: dict[Task, Result | Failure] = {}
+        self._kept = 0
+        self._fresh = 0
+        self._begin = time.monotonic()
+        self._written = -TABLES_EVERY_S
+
+    def found(self, task: Task) -> bool:
+        """Enter a clip that is finished already."""
+        if not is_finished(task):
+            return False
+        self._known[task] = result_of(task)
+        self._kept += 1
+        self._tell(task)
+        return True
+
+    def take(self, outcomes: Iterator[tuple[Task, Failure | None]]) -> None:
+        """Enter what comes in, and keep the tables up to date."""
+        self._begin = time.monotonic()
+        for task, failure in outcomes:
+            self._known[task] = failure or result_of(task)
+            self._fresh += 1
+            if time.monotonic() - self._written > TABLES_EVERY_S:
+                self.write()
+            self._tell(task)
+
+    def write(self) -> None:
+        """Both tables."""
+        batch = self.batch()
+        write_table(self._out / "results.csv", Result, batch.results)
+        write_table(self._out / "failures.csv", Failure, batch.failures)
+        self._written = time.monotonic()
+
+    def batch(self) -> Batch:
+        """What is known, in the order of the scenes."""
+        known = [self._known[task] for task in self._tasks if task in self._known]
+        results = tuple(each for each in known if isinstance(each, Result))
+        return Batch(self._out, results, tuple(each for each in known if isinstance(each, Failure)), self._kept)
+
+    def _tell(self, task: Task) -> None:
+        done, total = len(self._known), len(self._tasks)
+        took = time.monotonic() - self._begin
+        left_s = took / self._fresh * (total - done) if self._fresh else None
+        failed = sum(isinstance(each, Failure) for each in self._known.values())
+        self._progress(Standing(done, failed, total, left_s, str(task.scene)))
+
+
+def _worked(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Failure | None]]:
+    """Each task with what went wrong, as they come in; a task whose worker died is handed out again."""
+    running: dict[Future[Failure | None], Task] = {}
+    losses: Counter[Task] = Counter()
+
+    def begin(task: Task) -> Failure | None:
+        try:
+            running[executor.submit(work, task)] = task
+        except (BrokenExecutor, RuntimeError) as error:
+            return _failure(task, "worker", error, losses[task] + 1)
+        return None
+
+    def outcome(future: Future[Failure | None], task: Task) -> tuple[bool, Failure | None]:
+        """Whether the task is settled, and how."""
+        try:
+            return True, future.result()
+        except (WorkerLostError, BrokenExecutor, CancelledError) as error:
+            lost: Exception = error
+        except Exception as error:
+            # Dask's own error for a task whose workers die; by name, because Dask may not be installed.
+            if type(error).__name__ != "KilledWorker":
+                raise
+            lost = error
+        losses[task] += 1
+        if losses[task] < ATTEMPTS:
+            failure = begin(task)
+            return failure is not None, failure
+        return True, _failure(task, "worker", lost, losses[task])
+
+    try:
+        for task in tasks:
+            if failure := begin(task):
+                yield task, failure
+        while running:
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                task = running.pop(future)
+                settled, failed = outcome(future, task)
+                if settled:
+                    yield task, failed
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _failure(task: Task, kind: Kind, error: Exception, attempts: int = 1) -> Failure:
+    notes = getattr(error, "__notes__", [])
+    reason = " ".join(" ".join([*map(str, notes), str(error)]).split()) or type(error).__name__
+    return Failure(str(task.scene), kind, reason, attempts)
+
+
+def _verdict(chi: dict[str, Any]) -> str:
+    if chi["value"] is None:
+        return "chi not determined"
+    return "fitted" if chi["low"] is not None and chi["high"] is not None else "fitted, no interval"

@@ -1,0 +1,193 @@
+"""`diethrow calibrate`: from pictures of a board to the [camera] table of a scene, with its errors and a page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import write_json
+from ...replay.pages import calibration_page
+from ...tracking.calibration import (
+    INTRINSICS,
+    Board,
+    BoardView,
+    Calibration,
+    TablePose,
+    calibrate,
+    eight_bits,
+    find_boards,
+    table_pose,
+)
+from ...tracking.footage import Frame, is_cine, is_photron, open_clip, read_picture
+
+
+@dataclass(frozen=True, eq=False)
+class CameraFound:
+    """What `calibrate_camera` wrote to `folder`."""
+
+    folder: Path
+    calibration: Calibration
+    table: TablePose | None
+    notices: tuple[str, ...]
+    """What a careful user should know, one sentence each."""
+
+
+def calibrate_camera(
+    pictures: Sequence[Path],
+    board: Board,
+    out: Path,
+    *,
+    table: Path | None = None,
+    thickness_m: float = 0.0,
+    force: bool = False,
+    command: tuple[str, ...] = (),
+) -> CameraFound:
+    """Camera, and with a picture of the board on the table its place, written to the folder `out`.
+
+    A picture may also be a .cine or a Photron film, of which the first frame counts. Raises ValueError or
+    FileNotFoundError, in one sentence, for pictures that cannot be used, and OutputExistsError for a folder that exists.
+    """
+    watch = Stopwatch()
+    paths = tuple(dict.fromkeys([*pictures, *([table] if table is not None else [])]))
+    with whole_folder(out, force=force, inputs=paths) as folder:
+        with watch.stage("read"):
+            greys = [(str(path), _picture(path)) for path in paths]
+        height, width = _common_size(greys)
+        with watch.stage("corners"):
+            views = find_boards(greys, board)
+        missing = tuple(path for path, view in zip(paths, views, strict=True) if view is None)
+        _demand_table(table, missing)
+        with watch.stage("calibrate"):
+            found = calibrate(_seen(views), width, height)
+            placed = None if table is None else table_pose(found, board, str(table), thickness_m)
+        notices = (*_not_found(missing), *found.notices)
+        (folder / "camera.toml").write_text(camera_toml(found, placed), encoding="utf-8")
+        write_json(folder / "calibration.json", _record(found, placed, board, missing))
+        shown = eight_bits(dict(greys)[str(table)]) if table is not None else None
+        page = calibration_page(found, placed, shown, board.square_m)
+        (folder / "calibration.html").write_text(page, encoding="utf-8")
+        write_provenance(
+            folder / "provenance.json", command=command, understood=board, inputs=paths, seconds=watch.seconds
+        )
+    return CameraFound(Path(out), found, placed, notices)
+
+
+def camera_toml(calibration: Calibration, table: TablePose | None) -> str:
+    """The [camera] table of a scene."""
+    lines = [
+        "[camera]",
+        f"width = {calibration.width_px}",
+        f"height = {calibration.height_px}",
+        f"matrix = {_listed(calibration.matrix)}",
+        f"distortion = {_listed(calibration.distortion)}",
+    ]
+    if table is None:
+        lines += ["# rotation and translation_m follow from a picture of the board on the table (--table)"]
+    else:
+        lines += [
+            f"rotation = {_listed(table.camera.rotation)}",
+            f"translation_m = {_listed(table.camera.translation_m)}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def _picture(path: Path) -> Frame:
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: there is no such picture; give pictures of the board, or films that begin with it"
+        )
+    if is_cine(path) or is_photron(path):
+        return open_clip(path).frame(0)
+    return read_picture(path)
+
+
+def _common_size(greys: list[tuple[str, Frame]]) -> tuple[int, int]:
+    """(height, width) of all pictures."""
+    shape = greys[0][1].shape
+    for name, grey in greys:
+        if grey.shape != shape:
+            raise ValueError(
+                f"{name}: the picture is {grey.shape[1]} × {grey.shape[0]} px and {greys[0][0]} {shape[1]} × {shape[0]}; "
+                "take all pictures with one setting of the camera, that of the clips"
+            )
+    return int(shape[0]), int(shape[1])
+
+
+def _seen(views: list[BoardView | None]) -> list[BoardView]:
+    return [view for view in views if view is not None]
+
+
+def _demand_table(table: Path | None, missing: tuple[Path, ...]) -> None:
+    if table is not None and table in missing:
+        raise ValueError(
+            f"{table}: no board is found on the picture of the table; look at --board, --squares and --dictionary, "
+            "or take it again, sharp and without glare"
+        )
+
+
+def _not_found(missing: tuple[Path, ...]) -> tuple[str, ...]:
+    if not missing:
+        return ()
+    names = ", ".join(path.name for path in missing[:6]) + (", ..." if len(missing) > 6 else "")
+    return (f"No board is found on {len(missing)} of the pictures ({names}).",)
+
+
+def _listed(values: NDArray[np.float64]) -> str:
+    """A TOML array in the shortest digits that mean the same doubles."""
+    return str(values.tolist())
+
+
+def _record(
+    calibration: Calibration, table: TablePose | None, board: Board, missing: tuple[Path, ...]
+) -> dict[str, Any]:
+    free = [INTRINSICS.index(name) for name in calibration.free]
+    return {
+        "board": vars(board),
+        "width_px": calibration.width_px,
+        "height_px": calibration.height_px,
+        "intrinsics": {
+            name: {"value": float(value), "sigma": float(sigma) if k in free else None, "fitted": k in free}
+            for k, (name, value, sigma) in enumerate(
+                zip(INTRINSICS, calibration.values, calibration.sigmas, strict=True)
+            )
+        },
+        "covariance_names": list(calibration.free),
+        "covariance": calibration.covariance[np.ix_(free, free)].tolist(),
+        "sigma_px": calibration.sigma_px,
+        "rms_px": calibration.rms_px,
+        "pictures": [
+            {
+                "name": seen.view.name,
+                "rms_px": seen.rms_px,
+                "corners": seen.view.ids.tolist(),
+                "seen_px": seen.view.pixels.tolist(),
+                "residual_px": seen.residuals_px.tolist(),
+            }
+            for seen in calibration.boards
+        ],
+        "left_out": [{"name": name, "rms_px": rms} for name, rms in calibration.left_out],
+        "not_found": [str(path) for path in missing],
+        "corners_left_out": calibration.corners_left_out,
+        "table": None if table is None else _table_record(table),
+        "messages": list(calibration.notices),
+    }
+
+
+def _table_record(table: TablePose) -> dict[str, Any]:
+    return {
+        "rotation": table.camera.rotation.tolist(),
+        "translation_m": table.camera.translation_m.tolist(),
+        "camera_place_m": table.camera.centre_m.tolist(),
+        "covariance_rad_m": table.covariance.tolist(),
+        "sigma_vertical_rad": table.tilt_sigma_rad,
+        "rms_px": table.board.rms_px,
+        "other_pose_rms_px": table.rival_rms_px,
+        "other_pose_rotation": None if table.rival_rotation is None else table.rival_rotation.tolist(),
+    }

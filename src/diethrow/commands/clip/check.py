@@ -1,0 +1,133 @@
+"""`diethrow check`: what a clip offers, before it is tracked: every respect with a verdict and what to change."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import write_json
+from ...files.scene import Scene, View
+from ...files.settings import SceneError
+from ...replay.pages import check_page
+from ...tracking.check import Finding, Preflight, Sight, Verdict, judge, preflight
+from ...tracking.footage import Clip, load_background, open_clip
+from ...tracking.pose import HandStart
+from .track import check_scene, input_paths, open_footage
+
+
+@dataclass(frozen=True, eq=False)
+class Check:
+    """What `check_clip` found."""
+
+    findings: tuple[Finding, ...]
+    """Of several cameras each finding names its own: `pixels, camera 2`."""
+    measured: tuple[Preflight, ...]
+    """One a camera."""
+
+    @property
+    def bad(self) -> bool:
+        """Whether something should be put right first."""
+        return any(finding.verdict is Verdict.BAD for finding in self.findings)
+
+
+def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, command: tuple[str, ...] = ()) -> Check:
+    """Look at the clips of a scene, one a camera; with `out`, check.json and check.html are written to that folder.
+
+    Raises SceneError for footage that does not fit the scene, and OutputExistsError for a folder that exists.
+    """
+    check_scene(scene)
+    if out is None:
+        return _check(scene, Stopwatch())[0]
+    watch = Stopwatch()
+    with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
+        check, clips = _check(scene, watch)
+        write_json(folder / "check.json", _record(check))
+        sights = [
+            (measured.sight, clip, view.camera)
+            for measured, clip, view in zip(check.measured, clips, scene.views(), strict=True)
+        ]
+        page = check_page(scene.path.resolve().parent.name, check.findings, sights, scene.die)
+        (folder / "check.html").write_text(page, encoding="utf-8")
+        write_provenance(
+            folder / "provenance.json",
+            command=command,
+            understood=scene,
+            inputs=input_paths(scene),
+            seconds=watch.seconds,
+        )
+    return check
+
+
+def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
+    views = scene.views()
+    findings: list[Finding] = []
+    measured, clips = [], []
+    for k, view in enumerate(views):
+        with watch.stage("open"):
+            clips.append(open_footage(scene, view))
+        with watch.stage("check"):
+            # A start by hand was clicked in the first camera's picture.
+            measured.append(_measured(scene, view, clips[-1], scene.start if k == 0 else None))
+        told = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding)
+        findings += told if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in told]
+    return Check(tuple(findings), tuple(measured)), clips
+
+
+def _measured(scene: Scene, view: View, clip: Clip, start: HandStart | None) -> Preflight:
+    """What the clip of one camera offers."""
+    background = _background(view, clip, scene)
+
+    def open_part(first: int, stop: int) -> Clip:
+        assert view.path is not None, "views() demands paths"
+        return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
+
+    try:
+        return preflight(
+            clip,
+            view.camera,
+            scene.die,
+            open_part,
+            background=background,
+            exposure_s=scene.clip.exposure_s or clip.metadata().get("exposure_s"),
+            start=start,
+            excluded=scene.clip.excluded,
+            rounding=scene.rounding,
+        )
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: {error}") from error
+
+
+def _background(view: View, clip: Clip, scene: Scene) -> NDArray[np.float32] | None:
+    if view.background_path is None:
+        return None
+    try:
+        return load_background(view.background_path, clip)
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
+
+
+def _record(check: Check) -> dict[str, object]:
+    tried = [_frames_tried(measured.sight) for measured in check.measured]
+    return {
+        "verdict": max((finding.verdict for finding in check.findings), key=list(Verdict).index).value,
+        "frames_tried": tried[0] if len(tried) == 1 else tried,
+        "findings": [
+            {
+                "name": finding.name,
+                "verdict": finding.verdict.value,
+                "measured": finding.measured,
+                "advice": finding.advice,
+                "values": finding.values,
+            }
+            for finding in check.findings
+        ],
+    }
+
+
+def _frames_tried(sight: Sight | None) -> list[int] | None:
+    return None if sight is None else [int(sight.track.frame[0]), int(sight.track.frame[-1]) + 1]

@@ -1,0 +1,142 @@
+"""commands.clip.fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
+from ...executors import one_thread
+from ...files.outputs import ROOM_BYTES, demand_room, whole_folder
+from ...files.provenance import Stopwatch, add_timings, steady
+from ...files.records import (
+    covariance_path,
+    read_json,
+    read_track,
+    simulated_track,
+    write_bounces,
+    write_fit,
+    write_simulated,
+    write_vertices,
+)
+from ...files.scene import Scene
+from ...fitting.predict import Estimate, estimates
+from ...fitting.results import Fit
+from ...fitting.throw import IntervalMethod, fit_throw
+from ...model.die import Die
+from ...model.laws import LEVEL
+from ...model.laws import Table as ModelTable
+from ...model.throw import Throw
+from ...replay.elements import Record
+from ...replay.pages import Account, write_figures, write_report
+from ...replay.recording import write_recording
+from ...tracking.throw import frames_in_flight
+from ...tracking.track import ABSENT, Track
+from .track import bounces_kernel, if_there, smoothed_notices, write_origin
+
+
+def fit_track(
+    track_path: Path,
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    intervals: IntervalMethod = "profile",
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> Analysis:
+    """The fitting stage alone, on a track from anywhere; the scene gives the die and the table. Raises as `analyze`."""
+    watch = Stopwatch()
+    table, die = scene.table.in_model, scene.given_die()
+    frames = read_track(track_path)
+    paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        frames, measured, smoothed = bounces_kernel(frames, track_path, die, None, progress, watch)
+        fit = fit_kernel(frames, measured, die, progress, watch, intervals, table)
+        write_vertices(folder / "vertices.csv", die.solid)
+        write_bounces(folder / "bounces.csv", measured.impacts)
+        simulated = write_model(folder, fit, frames)
+        record = Record(
+            title=track_path.stem,
+            die=die,
+            track=smoothed,
+            measured=measured,
+            fps=rate_hz(frames),
+            fit=fit,
+            simulated=simulated if fit.throw else None,
+            estimates=growing(frames, measured, die, fit, progress, watch, table),
+            notices=smoothed_notices(track_path),
+        )
+        write_recording_kernel(folder, record, progress, watch)
+        write_origin(folder, scene, command, inputs, watch)
+        account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
+        write_pages(folder, record, account, PLAIN, progress, watch)
+    return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
+
+
+def fit_kernel(
+    frames: Track,
+    measured: Throw,
+    die: Die,
+    progress: Progress,
+    watch: Stopwatch,
+    intervals: IntervalMethod,
+    table: ModelTable = LEVEL,
+) -> Fit:
+    with watch.stage("fit"):
+        progress("Fitting the model", 0, 0)
+        return fit_throw(frames_in_flight(frames, measured), measured, die, table, intervals)
+
+
+def growing(
+    frames: Track,
+    measured: Throw,
+    die: Die,
+    fit: Fit,
+    progress: Progress,
+    watch: Stopwatch,
+    table: ModelTable = LEVEL,
+) -> tuple[Estimate, ...]:
+    with watch.stage("estimates"):
+        progress("Bounce by bounce", 0, 0)
+        return estimates(frames_in_flight(frames, measured), measured, die, fit, table)
+
+
+def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
+    """fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
+    write_fit(folder / "fit.json", fit)
+    if fit.throw is not None:
+        simulated = simulated_track(fit.throw, frames.frame, frames.time_s)
+    else:
+        n = len(frames)
+        nothing = np.full((n, 3), np.nan), np.full((n, 4), np.nan), np.full((n, 6, 6), np.nan)
+        simulated = Track(frames.frame, frames.time_s, *nothing, np.full(n, ABSENT))
+    write_simulated(folder / "simulated.csv", simulated)
+    return simulated
+
+
+def write_recording_kernel(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+    demand_room(folder, _replay_bytes(record))
+    with watch.stage("replay"):
+        progress("Writing the replay", 0, 0)
+        write_recording(folder / "replay.rrd", record)
+
+
+def write_pages(
+    folder: Path, record: Record, account: Account, shown: Shown, progress: Progress, watch: Stopwatch
+) -> None:
+    """The report, which tells the provenance, and the figures; then their time goes into the provenance, too."""
+    with watch.stage("report"):
+        progress("Writing the report", 0, 0)
+        replay = folder / "replay.rrd" if shown.embed_replay else None
+        write_report(folder / "report.html", record, account, replay)
+        if shown.figures:
+            write_figures(folder / "figures", record, account)
+    add_timings(folder / "provenance.json", watch.seconds)
+
+
+def _replay_bytes(record: Record) -> int:
+    """More than a recording and a report take: 2 kB a frame beside the film, and a twentieth of its pixels."""
+    film = record.clip.width_px * record.clip.height_px * len(record.clip) // 20 if record.clip is not None else 0
+    return ROOM_BYTES + 2048 * len(record.track) + film

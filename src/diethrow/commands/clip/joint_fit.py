@@ -1,0 +1,132 @@
+"""Many tracks of one die on one table: what they share, written to one folder.
+
+`fit.json` then holds `parameters`, `law`, `effects`, `chi_scatter`, `throws` with one entry a track, and `messages`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...analysis import Progress, RunError, silent
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import (
+    covariance_path,
+    effects_table,
+    law_table,
+    parameters_table,
+    read_track,
+    write_json,
+    write_vertices,
+)
+from ...files.scene import Scene
+from ...fitting.dataset import Entry, Foretold, JointFit, entry_of, fit_jointly
+from ...model.die import Die
+
+
+@dataclass(frozen=True, eq=False)
+class FitOfMany:
+    """A joint fit, as it was written to `folder`."""
+
+    folder: Path
+    fit: JointFit
+    left_out: tuple[str, ...]
+    """One sentence for each track that is not in the fit."""
+    seconds: dict[str, float]
+
+
+def fit_tracks(
+    track_paths: Sequence[Path],
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    threads: int = 1,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> FitOfMany:
+    """Fit what several tracks share, and write it to the folder `out`.
+
+    With an `executor`, one of its workers makes the fit, on so many threads; the numbers are the same.
+
+    Tracks without a bounce, with times that do not rise or with too few frames are left out and named. Raises RunError
+    where fewer than two remain, SceneError for a scene that cannot be fitted, OutputExistsError for a folder that exists.
+    """
+    watch = Stopwatch()
+    scene.still_table()
+    die = scene.given_die()
+    inputs = (scene.path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
+    with whole_folder(out, force=force, inputs=inputs) as folder:
+        with watch.stage("read"):
+            entries, left_out = _read(track_paths, die, progress)
+        if len(entries) < 2:
+            error = RunError(
+                f"{len(entries)} of {len(track_paths)} tracks can be fitted; wanted at least two for a joint fit"
+            )
+            for sentence in left_out:
+                error.add_note(sentence)
+            raise error
+        with watch.stage("fit"):
+            if executor is None:
+                fit = fit_jointly(
+                    entries,
+                    die,
+                    threads=threads,
+                    progress=lambda done, total: progress("Fitting all throws", done, total),
+                )
+            else:
+                progress("Fitting all throws", 0, 0)
+                fit = executor.submit(fit_jointly, entries, die, threads=threads).result()
+        write_vertices(folder / "vertices.csv", die.solid)
+        write_json(folder / "fit.json", joint_tables(fit, left_out))
+        write_provenance(
+            folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
+        )
+    return FitOfMany(Path(out), fit, left_out, watch.seconds)
+
+
+def joint_tables(fit: JointFit, left_out: Sequence[str] = ()) -> dict[str, Any]:
+    """The joint fit as JSON has it."""
+    return {
+        "parameters": parameters_table(fit.parameters),
+        "law": law_table(fit.parameters),
+        "effects": {
+            "chosen": [effect.name for effect in fit.chosen],
+            "evidence": {effect.name: effect.evidence for effect in fit.chosen},
+            "considered": effects_table(fit.considered),
+        },
+        "chi_scatter": fit.chi_scatter,
+        "throws": [_throw_table(throw) for throw in fit.throws],
+        "left_out": list(left_out),
+        "messages": [*fit.messages, *left_out],
+    }
+
+
+def _throw_table(throw: Foretold) -> dict[str, Any]:
+    return {
+        "track": throw.name,
+        "first_bounce_frame": throw.first_bounce_frame,
+        "frames_before": throw.frames_before,
+        "frames_after": throw.frames_after,
+        "position_error_m": throw.position_error_m,
+        "rotation_error_rad": throw.rotation_error_rad,
+        "chi": throw.chi,
+    }
+
+
+def _read(paths: Sequence[Path], die: Die, progress: Progress) -> tuple[list[Entry], tuple[str, ...]]:
+    entries: list[Entry] = []
+    left_out: list[str] = []
+    for k, path in enumerate(paths):
+        progress("Reading the tracks", k, len(paths))
+        try:
+            entries.append(entry_of(path.stem, read_track(path), die))
+        except ValueError as error:
+            words = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
+            left_out.append(f"{path} is left out: {words}.")
+    return entries, tuple(left_out)

@@ -1,0 +1,240 @@
+"""From the frames before some instant to the last: the throw foretold with the parameters of a fit.
+
+Beside each CSV stands a JSON of the same name: from which frames the state was told, how far the track then is from what
+was foretold, the odds of each face bounce by bounce, and after which bounce they were settled (`decided`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...analysis import Progress, RunError, silent
+from ...files.outputs import whole_file, whole_folder
+from ...files.records import covariance_path, read_parameters, read_track, state_table, write_json, write_simulated
+from ...files.scene import Scene
+from ...fitting.predict import Decision, Odds, Outset, decided_at, first_bounce_row, foretell, outset_before
+from ...fitting.results import Parameter
+from ...fitting.throw import Physics
+from ...model.die import Die
+from ...model.laws import Table
+from ...model.rotations import continuous_sign, rotation_between
+from ...tracking.track import Track
+
+FIRST_BOUNCE = "first-bounce"
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """One throw, foretold."""
+
+    track: Path
+    row: int
+    """Of the track: the first that the state does not know of."""
+    outset: Outset
+    simulated: Track
+    position_error_m: float
+    """Mean over the frames from `row` on; NaN where none has a pose."""
+    rotation_error_rad: float
+    decision: Decision | None
+    """None where no odds were asked for."""
+
+
+def predict_tracks(
+    track_paths: Sequence[Path],
+    scene: Scene,
+    fit_path: Path,
+    out: Path,
+    *,
+    from_frame: str,
+    draws: int,
+    force: bool = False,
+    progress: Progress = silent,
+) -> tuple[tuple[Prediction, ...], tuple[str, ...]]:
+    """Foretell every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write what came out.
+
+    One track: `out` is a CSV, and a JSON beside it. Several: a folder with both for each. Returns the predictions and a
+    sentence for what they leave out, effects of the fit and tracks that could not be foretold; raises RunError where
+    none could, ValueError for a fit that is none or a frame that is no number.
+    """
+    physics, parameters = physics_of(fit_path, scene)
+    if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
+        raise ValueError(f"--from-frame {from_frame}: wanted a frame number, or {FIRST_BOUNCE}")
+    names = [path.stem for path in track_paths]
+    if len(set(names)) < len(names):
+        raise ValueError(
+            f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
+        )
+    inputs = (scene.path, fit_path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
+    foretold = partial(_foretold, track_paths, physics, parameters, from_frame, draws, progress)
+    if len(track_paths) == 1:
+        beside = out.with_suffix(".json")
+        with (
+            whole_file(out, force=force, inputs=inputs) as csv_file,
+            whole_file(beside, force=force, inputs=inputs) as json_file,
+        ):
+            made, left_out = foretold()
+            _write(made[0], csv_file, json_file)
+    else:
+        with whole_folder(out, force=force, inputs=inputs) as folder:
+            made, left_out = foretold()
+            for one in made:
+                _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
+    return tuple(made), (*_notices(physics), *left_out)
+
+
+def _notices(physics: Physics) -> tuple[str, ...]:
+    """What of the fit has no part in a prediction."""
+    drag = physics.values.get("drag_per_m", 0.0)
+    if not drag:
+        return ()
+    return (f"The air drag of the fit, {drag:.3g} per metre, is left out: throws are simulated in a vacuum.",)
+
+
+def _foretold(
+    paths: Sequence[Path],
+    physics: Physics,
+    parameters: dict[str, Parameter],
+    from_frame: str,
+    draws: int,
+    progress: Progress,
+) -> tuple[list[Prediction], list[str]]:
+    """Every track that can be foretold, and a sentence for each that cannot."""
+    made, left_out = [], []
+    for k, path in enumerate(paths):
+        progress("Foretelling the throws", k, len(paths))
+        try:
+            made.append(predict(path, physics, parameters, from_frame, draws))
+        except ValueError as error:
+            left_out.append(f"{path} is left out: {str(error).removeprefix(f'{path}: ')}.")
+    if not made:
+        raise RunError(" ".join(left_out))
+    return made, left_out
+
+
+def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from_frame: str, draws: int) -> Prediction:
+    """One throw. Raises ValueError for a track that cannot be foretold from there, with the reason."""
+    track = read_track(path)
+    row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
+    outset = outset_before(track, physics.body, row)
+    simulated = foretell(physics, track, outset)
+    seen = track.tracked & simulated.tracked
+    seen[:row] = False
+    off = track.position_m[seen] - simulated.position_m[seen]
+    turned = rotation_between(simulated.quaternion[seen], track.quaternion[seen])
+    decision = decided_at(physics, parameters, track, row, draws=draws) if draws else None
+    return Prediction(
+        path,
+        row,
+        outset,
+        simulated,
+        float(np.linalg.norm(off, axis=1).mean()) if seen.any() else float("nan"),
+        float(np.linalg.norm(turned, axis=1).mean()) if seen.any() else float("nan"),
+        decision,
+    )
+
+
+def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Parameter]]:
+    """Die, table and law of a fit. Raises ValueError for a parameter that means nothing here."""
+    parameters, restitution = read_parameters(fit_path)
+    physics = Physics(scene.given_die(), Table(), {"chi": 0.0}, restitution=restitution)
+    values = {}
+    for name, parameter in parameters.items():
+        try:
+            low, high = physics.bounds(name)
+        except KeyError:
+            raise ValueError(f"{fit_path}: parameters.{name} is no parameter of a throw here") from None
+        assert parameter.value is not None
+        if not low <= parameter.value <= high:
+            raise ValueError(f"{fit_path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
+        values[name] = float(parameter.value)
+    if "chi" not in values:
+        raise ValueError(f"{fit_path}: parameters.chi is missing; wanted the fit.json that a fit writes")
+    return physics.with_values(**values), parameters
+
+
+def _row_of(track: Track, frame: int) -> int:
+    """The first row of a track with this frame number or a later one."""
+    later = np.flatnonzero(track.frame >= frame)
+    if not len(later):
+        raise ValueError(f"--from-frame {frame} lies behind the last frame, {int(track.frame[-1])}")
+    return int(later[0])
+
+
+def _write(made: Prediction, csv: Path, beside: Path) -> None:
+    write_simulated(csv, _continuous(made.simulated))
+    write_json(beside, prediction_table(made))
+
+
+def _continuous(track: Track) -> Track:
+    return Track(
+        track.frame, track.time_s, track.position_m, continuous_sign(track.quaternion), track.covariance, track.status
+    )
+
+
+def prediction_table(made: Prediction) -> dict[str, Any]:
+    """A prediction as JSON has it."""
+    outset, decision = made.outset, made.decision
+    return {
+        "track": made.track,
+        "from_frame": int(made.simulated.frame[made.row]),
+        "frames_used": len(outset.rows),
+        "sigma_m": outset.sigma_m,
+        "sigma_rad": outset.sigma_rad,
+        "state": state_table(outset.state, outset.covariance),
+        "position_error_m": made.position_error_m,
+        "rotation_error_rad": made.rotation_error_rad,
+        "odds": None if decision is None else [_odds_table(step) for step in decision.steps],
+        "decided": None
+        if decision is None
+        else {"face": decision.face, "bounces": decision.bounces, "t_s": decision.time_s},
+    }
+
+
+def _odds_table(step: Odds) -> dict[str, Any]:
+    return {
+        "bounces": step.bounces,
+        "t_s": step.time_s,
+        "frames": step.frames,
+        "face_odds": {str(face): odds for face, odds in step.odds.items()},
+        "undecided": step.undecided,
+    }
+
+
+def summary(made: Sequence[Prediction], die: Die) -> list[str]:
+    """What came out, in a few lines."""
+    edge = float(np.linalg.norm(np.diff(die.solid.vertices[die.solid.edges[0]], axis=0)))
+    position = 100.0 * np.nanmean([m.position_error_m for m in made]) / edge
+    turned = np.degrees(np.nanmean([m.rotation_error_rad for m in made]))
+    lines = [
+        f"{len(made)} throws foretold; they miss by {position:.3g} % of the edge and {turned:.3g} degrees, in the mean over "
+        "throws and over their frames"
+        if len(made) > 1
+        else f"foretold from frame {made[0].simulated.frame[made[0].row]} on, the throw misses by {position:.3g} % of the edge "
+        f"and {turned:.3g} degrees in the mean over its frames"
+    ]
+    decisions = [m.decision for m in made if m.decision is not None]
+    if len(made) == 1 and decisions:
+        lines += _odds_lines(decisions[0])
+    elif decisions:
+        before = sum(d.bounces == 0 for d in decisions)
+        lines.append(f"the landed face is decided before the first bounce in {before} of {len(decisions)} throws")
+    return lines
+
+
+def _odds_lines(decision: Decision) -> list[str]:
+    lines = ["after bounces   t [s]    odds of the faces"]
+    for step in decision.steps:
+        odds = "  ".join(f"{face}: {share:.2f}" for face, share in step.odds.items() if share > 0.0)
+        lines.append(f"{step.bounces:>13}   {step.time_s:.4f}   {odds}")
+    if decision.face is None:
+        lines.append("no face has the odds for good before the frames end")
+    else:
+        when = f"after bounce {decision.bounces}" if decision.bounces else "before the first bounce"
+        lines.append(f"face {decision.face} is decided {when}")
+    return lines

@@ -1,0 +1,263 @@
+"""commands.clip.track."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...analysis import Progress, RunError, Tracking, silent
+from ...executors import one_thread
+from ...files.outputs import whole_folder
+from ...files.provenance import Inputs, Stopwatch, steady, write_provenance
+from ...files.records import write_bounces, write_faces, write_track, write_vertices
+from ...files.scene import ClipSource, Scene, View
+from ...files.settings import SceneError, refuse
+from ...fitting.throw import IntervalMethod
+from ...model.die import Die
+from ...model.throw import Throw
+from ...tracking.camera import Camera
+from ...tracking.clip_parameters import Corners
+from ...tracking.footage import WHOLE, Clip, Coarseness, clip_files, load_background, open_clip
+from ...tracking.marks import read_faces, with_numbers
+from ...tracking.quality import QUALITIES, STANDARD, Quality
+from ...tracking.sequence import Followed, look_through
+from ...tracking.throw import NoFlightError, flown, measure, smooth
+from ...tracking.track import ABSENT, LOST, Track
+
+
+def track_only(
+    scene: Scene,
+    out: Path,
+    *,
+    force: bool = False,
+    quality: Quality = STANDARD,
+    coarseness: Coarseness = WHOLE,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> Tracking:
+    """The tracking stage alone, written to the folder `out`. Raises as `analyze`."""
+    watch = Stopwatch()
+    check_scene(scene)
+    paths = input_paths(scene)
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
+        write_tracking(folder, scene, tracking)
+        command = command or same_command("track", scene, out, quality, coarseness)
+        write_origin(folder, scene, command, inputs, watch, tracking.corners)
+    return tracking
+
+
+def smoothed_notices(track_path: Path) -> tuple[str, ...]:
+    """A sentence where the track is a smoothed one, and one of independent frames lies beside it."""
+    independent = track_path.with_name("track_frames.csv")
+    if track_path.name != "track.csv" or not independent.exists():
+        return ()
+    return (
+        f"{track_path} is smoothed, so its errors go together and the intervals come out too narrow; "
+        f"fit {independent.name} beside it.",
+    )
+
+
+def check_scene(scene: Scene) -> None:
+    """Raises SceneError for a well-formed scene that cannot be analysed: no footage, two views, a table that moves."""
+    scene.views()
+    scene.still_table()
+
+
+def track_scene(
+    scene: Scene,
+    progress: Progress = silent,
+    watch: Stopwatch | None = None,
+    quality: Quality = STANDARD,
+    clips: Sequence[Clip] | None = None,
+    coarseness: Coarseness = WHOLE,
+) -> Tracking:
+    """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
+
+    `clips`, one a camera, stand for the footage that the scene names. Raises SceneError for footage that does not fit the
+    scene, RunError where no die is found.
+    """
+    watch = watch or Stopwatch()
+    views = scene.views()
+    with watch.stage("open"):
+        clips = [open_footage(scene, view) for view in views] if clips is None else clips
+        backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+    cameras = tuple(view.camera for view in views)
+    if not coarseness.is_whole:
+        scene, clips, backgrounds, cameras = _coarser(scene, clips, backgrounds, coarseness)
+    try:
+        with watch.stage("track"):
+            progress("Following the die", 0, len(clips[0]))
+            followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
+        faces = read_faces(followed.die, followed.marks)
+        die = with_numbers(followed.die, faces)
+        frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
+        straight, measured, smoothed = bounces_kernel(frames, scene.path, die, cameras[0], progress, watch)
+    except RunError as error:
+        # A clip that is cut off may be why nothing is found in it.
+        for notice in (notice for clip in clips for notice in clip.notices):
+            error.add_note(notice)
+        raise
+    return Tracking(
+        tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets, followed.corners
+    )
+
+
+def open_footage(scene: Scene, view: View) -> Clip:
+    """The clip of a view. Raises SceneError where it cannot be read, or its frames are not the camera's."""
+    source: ClipSource = scene.clip
+    assert view.path is not None, "views() demands paths"
+    try:
+        clip = open_clip(view.path, fps=source.fps, frame_range=source.frame_range)
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: clip.path = {view.path.name}: {error}") from error
+    camera = view.camera
+    if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
+        wanted = f"the frames of {view.path.name} have {clip.width_px} × {clip.height_px} px; wanted their own camera"
+        raise refuse(scene.path, "camera.width and camera.height", [camera.width_px, camera.height_px], wanted)
+    return clip
+
+
+def input_paths(scene: Scene) -> tuple[Path, ...]:
+    """Every file that an analysis of this scene reads."""
+    clips = [file for view in scene.cameras if view.path is not None for file in clip_files(view.path)]
+    backgrounds = [view.background_path for view in scene.cameras if view.background_path is not None]
+    return tuple(dict.fromkeys((scene.path, *clips, *backgrounds)))
+
+
+def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
+    """The files of the tracking stage."""
+    write_vertices(folder / "vertices.csv", scene.die.solid)
+    write_track(folder / "track.csv", tracking.smoothed)
+    write_track(folder / "track_frames.csv", tracking.straight)
+    write_bounces(folder / "bounces.csv", tracking.measured.impacts)
+    write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
+
+
+def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
+    if view.background_path is None:
+        return None
+    try:
+        return load_background(view.background_path, clip)
+    except (ValueError, OSError) as error:
+        raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
+
+
+def _coarser(
+    scene: Scene,
+    clips: Sequence[Clip],
+    backgrounds: Sequence[NDArray[np.float32] | None],
+    coarseness: Coarseness,
+) -> tuple[Scene, list[Clip], list[NDArray[np.float32] | None], tuple[Camera, ...]]:
+    """Everything that a scene says of its footage, for the part of it that is used."""
+    if scene.start is not None:
+        wanted = "a first pose by hand goes with the whole clip: leave out [start], or use every frame at its own size"
+        raise refuse(scene.path, "start.frame", scene.start.frame, wanted)
+    first = clips[0].first_frame
+    source = replace(scene.clip, excluded=coarseness.rows(first, scene.clip.excluded))
+    try:
+        fewer = [coarseness.clip(clip) for clip in clips]
+    except ValueError as error:
+        raise SceneError(f"{scene.path}: {error}") from error
+    smaller = [None if picture is None else coarseness.picture(picture) for picture in backgrounds]
+    cameras = tuple(coarseness.camera(view.camera) for view in scene.views())
+    return replace(scene, clip=source), fewer, smaller, cameras
+
+
+def _follow(
+    scene: Scene,
+    clips: Sequence[Clip],
+    cameras: Sequence[Camera],
+    backgrounds: Sequence[NDArray[np.float32] | None],
+    quality: Quality,
+    progress: Progress,
+) -> Followed:
+    try:
+        return look_through(
+            clips,
+            cameras,
+            scene.die,
+            background=backgrounds,
+            exposure_s=scene.clip.exposure_s,
+            mirror=scene.table.surface == "mirror",
+            start=scene.start,
+            excluded=scene.clip.excluded,
+            rounding=scene.rounding,
+            quality=quality,
+            progress=lambda done, total: progress("Following the die", done, total),
+        )
+    except (ValueError, OSError) as error:
+        raise RunError(f"{scene.path}: {error}") from error
+
+
+def bounces_kernel(
+    frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
+) -> tuple[Track, Throw, Track]:
+    """The frames without the error that they share, the flights that they show, and all with those in flight smoothed."""
+    _demand_a_die(frames, source, die)
+    with watch.stage("bounces"):
+        progress("Finding the bounces", 0, 0)
+        try:
+            found = measure(frames, die, camera)
+        except NoFlightError as error:
+            raise RunError(f"{source}: {error}") from error
+        return found.independent, flown(found.throw), smooth(found.on_table, found.own, found.floor, found.alone)
+
+
+def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
+    """Raises RunError where there is no pose at all, with the likely reason."""
+    absent, lost = int((frames.status == ABSENT).sum()), int((frames.status == LOST).sum())
+    if absent == len(frames):
+        raise RunError(
+            f"{source}: no die was found in any frame (absent in all {absent}); "
+            "look whether the clip shows a throw, and whether the background is the scene without the die"
+        )
+    if absent + lost == len(frames):
+        raise RunError(
+            f"{source}: something moves, but no frame shows a {die.solid.name} of this size "
+            f"(lost in {lost} frames, absent in {absent}); look whether [die] and [camera] belong to this clip"
+        )
+
+
+def same_command(
+    name: str,
+    scene: Scene,
+    out: Path,
+    quality: Quality,
+    coarseness: Coarseness,
+    intervals: IntervalMethod = "profile",
+) -> tuple[str, ...]:
+    """The command line that does the same; empty for a quality that has no name there."""
+    if quality not in QUALITIES.values():
+        return ()
+    less = ("--every", str(coarseness.every), "--shrink", str(coarseness.shrink)) if not coarseness.is_whole else ()
+    other = ("--intervals", intervals) if intervals != "profile" else ()
+    start = ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside")
+    return (*start, "--quality", quality.name, *less, *other)
+
+
+def write_origin(
+    folder: Path,
+    scene: Scene,
+    command: tuple[str, ...],
+    inputs: Inputs,
+    watch: Stopwatch,
+    corners: Corners | None = None,
+) -> None:
+    found = {} if corners is None else {"corner_radius_m": corners.radius_m, "sigma_corner_radius_m": corners.sigma_m}
+    write_provenance(
+        folder / "provenance.json",
+        command=command,
+        understood=scene,
+        inputs=inputs,
+        seconds=watch.seconds,
+        found=found,
+    )
+
+
+def if_there(path: Path) -> tuple[Path, ...]:
+    return (path,) if path.exists() else ()

@@ -1,0 +1,486 @@
+"""`diethrow trade`: speed against accuracy on one's own scene, measured.
+
+Four trades:
+
+- **Tracking**: the clip is followed at every quality, with all or every n-th frame, at its own or a smaller size; each
+  track is fitted. Told are frames of the clip a second, how far poses and χ are from the finest run (or from the truth,
+  where a `truth.toml` stands beside the scene), and the width of the χ interval.
+- **Work**: the standard quality with one of its numbers changed: pixel lines walked, pixels that judge a pose, first poses
+  and rivals that race, steps a frame. Told is the same.
+- **Fit**: on the finest track, χ from the bounces one by one, and from the whole throw with each kind of interval. Told
+  are seconds, width, and coverage: the share of tracks, simulated from the fit with the frames' own covariances, whose
+  interval holds the χ that made them.
+- **Model**: throws from the fitted release, spread as its covariance and a little orientation says, simulated by events
+  at several tolerances and in fixed steps in double and single precision. Told are throws a second and the share that
+  lands on another face than by exact events.
+
+A setting is on the front when none is both faster and better. The one to use for a wanted ±χ is the fastest tracking whose
+interval, and whose distance from the reference, are within it.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+import tomllib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...analysis import Progress, RunError, Tracking, silent
+from ...executors import one_thread
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, steady, write_provenance
+from ...files.scene import Scene
+from ...fitting.estimation import sight, whiteners
+from ...fitting.free import common_restitution, fit_flights, measure_bounces, moved_state
+from ...fitting.results import Fit, Parameter
+from ...fitting.throw import LEVEL_OF_INTERVALS, IntervalMethod, fit_throw
+from ...model.die import Die, die_symmetries
+from ...model.ensembles import Stage, stepped_landings
+from ...model.laws import SmoothImpact
+from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
+from ...model.throw import Precision, State, Throw
+from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_fronts
+from ...tracking.footage import WHOLE, Coarseness
+from ...tracking.quality import QUALITIES, STANDARD, Quality
+from ...tracking.throw import frames_in_flight
+from ...tracking.track import Track
+from .track import check_scene, input_paths, track_scene
+
+Array = NDArray[np.float64]
+
+WITHIN = 0.01
+"""The ±χ asked for where nobody says."""
+
+LADDER: tuple[tuple[str, int, int], ...] = (
+    ("fast", 4, 2),
+    ("fast", 2, 2),
+    ("fast", 4, 1),
+    ("fast", 1, 2),
+    ("fast", 2, 1),
+    ("fast", 1, 1),
+    ("standard", 4, 1),
+    ("standard", 1, 4),
+    ("standard", 2, 2),
+    ("standard", 1, 2),
+    ("standard", 2, 1),
+    ("standard", 1, 1),
+    ("fine", 1, 1),
+)
+"""Quality, every n-th frame, pixels each way that make one; the last is the finest."""
+
+FIRST_OF_LADDER = ("standard", 1, 1)
+"""Run once without a clock: what is compiled or read from the cache is no part of a speed."""
+
+WORK: tuple[tuple[str, Quality], ...] = (
+    ("every pixel line while the die is followed, not every second", replace(STANDARD, chase_stride=1)),
+    ("every fourth pixel line", replace(STANDARD, chase_stride=4)),
+    ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
+    ("200 pixels judge a pose, not 800", replace(STANDARD, judging_pixels=200)),
+    ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
+    ("1 first pose, not up to 24", replace(STANDARD, starts=1)),
+    ("6 first poses", replace(STANDARD, starts=6)),
+    ("no rival where the motion breaks off, not all", replace(STANDARD, rivals=0)),
+    ("6 rivals", replace(STANDARD, rivals=6)),
+    ("2 steps a frame, not 4", replace(STANDARD, fine_steps=2)),
+    ("8 steps", replace(STANDARD, fine_steps=8, enough=1e-3)),
+)
+"""The standard quality but for one number."""
+
+STEPS_S = (1e-3, 1e-4, 1e-5)
+"""Fixed steps; the longest is what general engines take."""
+TOLERANCES_M = (1e-12, 1e-9, 1e-6)
+"""Roots of the next touch."""
+THROWS = 400
+TURNED_RAD = 0.05
+"""Spread of the releases whose faces are compared: a hand that throws alike."""
+DRAWS = 20
+"""Tracks simulated for each coverage: an interval of 95 % then misses one of them."""
+
+
+def trade(
+    scene: Scene,
+    out: Path,
+    *,
+    within: float = WITHIN,
+    draws: int = DRAWS,
+    force: bool = False,
+    progress: Progress = silent,
+    command: tuple[str, ...] = (),
+) -> Trade:
+    """Measure every setting on a scene, and write trade.json, trade.csv, trade.png, trade.svg and trade.html to `out`.
+
+    `within` is the wanted ±χ, `draws` the simulated tracks for each coverage; 0 leaves coverage out. Raises SceneError for
+    a scene that cannot be analysed, RunError where not even the finest setting finds the die, ValueError for a `within`
+    that is no width.
+    """
+    if not 0.0 < within < 1.0:
+        raise ValueError(f"within = {within}: wanted a half width of χ between 0 and 1, as 0.01")
+    watch = Stopwatch()
+    check_scene(scene)
+    paths = input_paths(scene)
+    with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+        with one_thread(), watch.stage("trade"):
+            measured = _measured(scene, within, draws, progress)
+        _write(folder, scene.path.resolve().parent.name, measured)
+        write_provenance(
+            folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
+        )
+    return measured
+
+
+def read_trade(path: Path) -> tuple[Setting, ...]:
+    """The settings of a trade.json. Raises ValueError for a file that is none."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+        return tuple(Setting(**{**row, "options": tuple(row["options"])}) for row in data["settings"])
+    except (KeyError, TypeError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(
+            f"{path}: not a trade file ({error}); wanted the trade.json that diethrow trade writes"
+        ) from error
+
+
+def setting_for(
+    scene: Scene, within: float, measured: Path | None = None, progress: Progress = silent
+) -> tuple[str, Coarseness]:
+    """Quality and coarseness of the fastest analysis that gives χ to ± `within`.
+
+    From the trade.json of `measured`, on this or a like scene; without it the ladder is climbed until the interval is
+    half as wide as is wanted, because what a coarse run gets wrong is not in its own interval. Raises ValueError where
+    no setting is enough, RunError where the die is not found at all.
+    """
+    if measured is not None:
+        best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
+        if best is None:
+            raise ValueError(
+                f"{measured}: no setting in it gives χ to ±{within:g}; ask for less, or use --quality fine"
+            )
+        return best.choice
+    narrowest: float | None = None
+    for k, (quality, every, shrink) in enumerate(LADDER):
+        progress("Choosing a setting", k, len(LADDER))
+        try:
+            run = track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
+        except RunError:
+            if k == len(LADDER) - 1:
+                raise
+            continue
+        width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
+        if width is not None and width <= 0.5 * within:
+            return quality, Coarseness(every, shrink)
+        narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
+    told = "leaves χ open" if narrowest is None else f"gives ±{narrowest:.2g}"
+    raise ValueError(
+        f"{scene.path}: no setting gives χ to ±{within:g} with certainty, the best {told}; film more bounces, or ask for less"
+    )
+
+
+# --- the measurements -------------------------------------------------------------------------------------------------
+
+
+def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Trade:
+    total = len(LADDER) + len(WORK) + 1
+    progress("Tracking", 0, total)
+    quality, every, shrink = FIRST_OF_LADDER
+    track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
+    tries = [(choice, QUALITIES[choice[0]], Coarseness(*choice[1:])) for choice in reversed(LADDER)]
+    runs: list[tuple[tuple[str, int, int], Run | str]] = []
+    for k, (choice, of_choice, coarseness) in enumerate(tries):
+        progress("Tracking", k + 1, total)
+        run = _run_or_reason(scene, of_choice, coarseness)
+        if k == 0 and isinstance(run, str):
+            raise RunError(run)
+        runs.append((choice, run))
+    finest = runs[0][1]
+    assert isinstance(finest, Run)
+    work: list[tuple[str, Run | str]] = []
+    for k, (name, changed) in enumerate(WORK):
+        progress("Tracking", len(LADDER) + 1 + k, total)
+        work.append((name, _run_or_reason(scene, changed, WHOLE)))
+    truth = _true_chi(scene)
+    chi = truth if truth is not None else finest.fit.parameters["chi"].value
+    reference = "the truth beside the scene" if truth is not None else "the finest run"
+    tracking = [setting_of(*named(choice), run, finest, chi) for choice, run in runs]
+    parts = [setting_of(name, (), run, finest, chi, kind="work") for name, run in work]
+    fits = list(_fits(finest, chi, draws, progress))
+    model = list(_models(finest, progress))
+    settings = [
+        *with_front(tracking, lambda s: s.doubt),
+        *with_front(parts, lambda s: s.doubt),
+        *with_front(fits, lambda s: s.half_width),
+        *with_front(model, lambda s: s.error),
+    ]
+    return Trade(tuple(settings), reference, within)
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One tracking of the clip with its fit."""
+
+    tracking: Tracking
+    fit: Fit
+    frames: int
+    """Of the clip, whether they were used or not."""
+    seconds: float
+    """Of the processor."""
+
+    @property
+    def in_flight(self) -> Track:
+        """The frames that a model may be fitted to."""
+        return frames_in_flight(self.tracking.straight, self.tracking.measured)
+
+
+def track_and_fit(scene: Scene, quality: Quality, coarseness: Coarseness = WHOLE) -> Run:
+    """Follow the die and fit the throw, against the clock of the processor. Raises RunError where no die is found."""
+    began = time.process_time()
+    tracking = track_scene(scene, quality=quality, coarseness=coarseness)
+    fit = fit_throw(frames_in_flight(tracking.straight, tracking.measured), tracking.measured, tracking.die)
+    seconds = time.process_time() - began
+    return Run(tracking, fit, coarseness.every * len(tracking.frames), seconds)
+
+
+def _run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run | str:
+    try:
+        return track_and_fit(scene, quality, coarseness)
+    except RunError as error:
+        return str(error)
+
+
+def named(choice: tuple[str, int, int]) -> tuple[str, tuple[str, ...]]:
+    """The name of a rung of the ladder, and the options of `diethrow analyze` that choose it."""
+    quality, every, shrink = choice
+    name = f"{quality}, {_ordinal(every)} frame, {'full size' if shrink == 1 else f'1/{shrink} of the size'}"
+    less = [("--every", every), ("--shrink", shrink)]
+    return name, ("--quality", quality, *(text for o, n in less if n > 1 for text in (o, str(n))))
+
+
+def setting_of(
+    name: str,
+    options: tuple[str, ...],
+    run: Run | str,
+    finest: Run | None,
+    chi: float | None,
+    *,
+    kind: str = "tracking",
+) -> Setting:
+    """What a run gave, beside the finest one and the χ of reference; or, in words, why it gave nothing."""
+    if isinstance(run, str):
+        return Setting(kind, name, 0.0, 0.0, None, options=options, why_not=run)
+    found = run.fit.parameters["chi"]
+    return Setting(
+        kind,
+        name,
+        run.frames / run.seconds,
+        run.seconds,
+        None if finest is None else _corners_apart_mm(run, finest),
+        found.value,
+        found.low,
+        found.high,
+        None if found.value is None or chi is None else abs(found.value - chi),
+        options=options,
+        why_not=None if found.value is not None else " ".join(run.fit.messages),
+    )
+
+
+def _corners_apart_mm(run: Run, finest: Run) -> float | None:
+    """Median distance [mm] of the die's corners from those of the finest run, on the frames that both have."""
+    one, other = run.tracking.smoothed, finest.tracking.smoothed
+    _, a, b = np.intersect1d(one.frame[one.tracked], other.frame[other.tracked], return_indices=True)
+    if not len(a):
+        return None
+    rows, others = np.flatnonzero(one.tracked)[a], np.flatnonzero(other.tracked)[b]
+    die = finest.tracking.die
+    # Plain faces have no names: one symmetry turns all of a track's labels into those of another.
+    turns = die_symmetries(replace(die, marks=None))
+    shifts = one.position_m[rows] - other.position_m[others]
+    apart = [
+        np.median(
+            np.linalg.norm(_corners(die, one, rows, turn) - _corners(die, other, others) + shifts[:, None], axis=2)
+        )
+        for turn in turns
+    ]
+    return 1e3 * float(min(apart))
+
+
+def _corners(die: Die, track: Track, rows: NDArray[np.int64], turn: Array | None = None) -> Array:
+    """Corners (n, v, 3) [m] from the centre, in world axes."""
+    vertices = die.solid.vertices if turn is None else die.solid.vertices @ turn.T
+    return np.einsum("nij,vj->nvi", matrix_from_quat(track.quaternion[rows]), vertices)
+
+
+def _true_chi(scene: Scene) -> float | None:
+    """χ of a `truth.toml` beside the scene, as rendered clips have it."""
+    path = scene.path.with_name("truth.toml")
+    if not path.is_file():
+        return None
+    try:
+        return float(tomllib.loads(path.read_text(encoding="utf-8"))["truth"]["chi"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: no χ in it ({error}); wanted chi under [truth], or no such file") from error
+
+
+# --- fits -------------------------------------------------------------------------------------------------------------
+
+
+def _fits(finest: Run, chi: float | None, draws: int, progress: Progress) -> Iterator[Setting]:
+    """χ by each method on the finest track, and its coverage on tracks made from the fit."""
+    tracks = list(_again(finest, draws)) if finest.fit.bounces_fitted else []
+    made_with = finest.fit.parameters["chi"].value
+    methods: list[tuple[str, tuple[str, ...], Callable[[Track, Throw, Die], Parameter | None]]] = [
+        ("bounce by bounce", (), _by_bounces),
+        ("whole throw, covariance", ("--intervals", "covariance"), _by_throw("covariance")),
+        ("whole throw, profile", (), _by_throw("profile")),
+        ("whole throw, bootstrap", ("--intervals", "bootstrap"), _by_throw("bootstrap")),
+    ]
+    total, done = len(methods) * (1 + len(tracks)), 0
+    for name, options, method in methods:
+        progress("Fitting", done, total)
+        began = time.process_time()
+        found = method(finest.in_flight, finest.tracking.measured, finest.tracking.die)
+        seconds = time.process_time() - began
+        held = []
+        for track in tracks:
+            done += 1
+            progress("Fitting", done, total)
+            again = method(track, finest.tracking.measured, finest.tracking.die)
+            if again is not None and again.low is not None and again.high is not None and made_with is not None:
+                held.append(again.low <= made_with <= again.high)
+        done += 1
+        if found is None or found.value is None:
+            yield Setting("fit", name, 1.0 / seconds, seconds, None, options=options, why_not="It leaves χ open.")
+            continue
+        off = None if chi is None else abs(found.value - chi)
+        coverage = float(np.mean(held)) if held else None
+        yield Setting(
+            "fit", name, 1.0 / seconds, seconds, off, found.value, found.low, found.high, off, coverage, options
+        )
+
+
+def _by_throw(method: IntervalMethod) -> Callable[[Track, Throw, Die], Parameter]:
+    def fitted(track: Track, measured: Throw, die: Die) -> Parameter:
+        return fit_throw(track, measured, die, intervals=method).parameters["chi"]
+
+    return fitted
+
+
+def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
+    """χ from the normal velocities at the bounces, one by one, with no law of impact."""
+    free = fit_flights(sight(track, measured), measured)
+    common = common_restitution(measure_bounces(die, free, measured.impacts), level=LEVEL_OF_INTERVALS)
+    if common is None:
+        return None
+    value, low, high = common
+    return Parameter(value, max(low, 0.0), min(high, 1.0), LEVEL_OF_INTERVALS, True, False)
+
+
+def _again(finest: Run, draws: int) -> Iterator[Track]:
+    """The track, as the fitted throw would have been tracked: errors drawn from the frames' own covariances."""
+    throw, track = finest.fit.throw, finest.in_flight
+    assert throw is not None
+    rows = np.flatnonzero(track.tracked & (track.time_s <= throw.flights[-1].end_s))
+    weights = whiteners(track.covariance[rows])
+    usable = np.isfinite(weights).all((1, 2))
+    rows, weights = rows[usable], weights[usable]
+    positions, quaternions = throw.poses(track.time_s[rows])
+    random = np.random.default_rng(0)
+    for _ in range(draws):
+        errors = np.linalg.solve(weights, random.standard_normal((len(rows), 6, 1)))[:, :, 0]
+        position, quaternion = track.position_m.copy(), track.quaternion.copy()
+        position[rows] = positions + errors[:, :3]
+        quaternion[rows] = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions)
+        yield replace(track, position_m=position, quaternion=quaternion)
+
+
+# --- the model --------------------------------------------------------------------------------------------------------
+
+
+def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
+    """Throws like the fitted one, by events and in steps."""
+    fit, die = finest.fit, finest.tracking.die
+    chi = fit.parameters["chi"].value
+    if fit.initial is None or chi is None:
+        return
+    plain = replace(die, corner_radius_m=0.0)
+    starts = _starts(plain, fit.initial)
+    law = SmoothImpact(chi)
+    exact = Stage(plain, law).throw(starts).face
+    choices: list[tuple[str, Callable[[], NDArray[np.int64]]]] = []
+    for tolerance in TOLERANCES_M:
+        stage = Stage(plain, law, precision=Precision(root_m=tolerance))
+        choices.append((f"events, roots to {tolerance:.0e} m", partial(_landed, stage, starts)))
+    for step_s in STEPS_S:
+        for single in (False, True):
+            name = f"steps of {1e6 * step_s:g} µs, {'single' if single else 'double'} precision"
+            choices.append((name, partial(stepped_landings, plain, chi, starts, step_s, single=single)))
+    for k, (name, landed) in enumerate(choices):
+        progress("Simulating", k, len(choices))
+        landed()  # compiled, and in the cache of the processor
+        began = time.process_time()
+        faces = landed()
+        seconds = max(time.process_time() - began, 1e-9)
+        yield Setting("model", name, THROWS / seconds, seconds, float((faces != exact).mean()))
+
+
+def _landed(stage: Stage, starts: Array) -> NDArray[np.int64]:
+    return stage.throw(starts).face
+
+
+def _starts(die: Die, initial: State) -> Array:
+    """Releases (n, 13) like the fitted one, each turned a little, at time 0."""
+    random = np.random.default_rng(0)
+    rows: list[Array] = []
+    while len(rows) < THROWS:
+        change = np.zeros(12)
+        change[3:6] = TURNED_RAD * random.standard_normal(3)
+        s = moved_state(initial, change)
+        lowest = float((s.rotation @ die.solid.vertices.T)[2].min() + s.position_m[2])
+        if lowest > 0.0:
+            rows.append(np.concatenate([s.position_m, s.quaternion, s.velocity_m_s, s.omega_rad_s]))
+    return np.array(rows)
+
+
+# --- what comes out ---------------------------------------------------------------------------------------------------
+
+
+def with_front(settings: Sequence[Setting], badness: Callable[[Setting], float | None]) -> list[Setting]:
+    """The settings, with those marked that no other beats in both speed and what is told by `badness`."""
+    told = [(s, badness(s)) for s in settings]
+
+    def beaten(setting: Setting, value: float) -> bool:
+        return any(
+            other is not setting
+            and bad is not None
+            and other.rate >= setting.rate
+            and bad <= value
+            and (other.rate > setting.rate or bad < value)
+            for other, bad in told
+        )
+
+    return [replace(s, on_front=value is not None and not beaten(s, value)) for s, value in told]
+
+
+def _write(folder: Path, title: str, measured: Trade) -> None:
+    rows = [asdict(setting) for setting in measured.settings]
+    data = {"within": measured.within, "reference": measured.reference, "advice": measured.advice, "settings": rows}
+    (folder / "trade.json").write_text(json.dumps(data, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    with (folder / "trade.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(rows[0])
+        writer.writerows([_cell(value) for value in row.values()] for row in rows)
+    write_fronts(folder, measured)
+    (folder / "trade.html").write_text(trade_page(title, measured), encoding="utf-8")
+
+
+def _cell(value: Any) -> Any:
+    return "" if value is None else " ".join(value) if isinstance(value, tuple) else value
+
+
+def _ordinal(every: int) -> str:
+    return {1: "every", 2: "every second", 3: "every third"}.get(every, f"every {every}th")

@@ -1,0 +1,368 @@
+"""A simulated throw as a clip: what a given camera would have filmed, with the truth beside it.
+
+The folder holds a scene file, the clip, the empty table and the truth (`truth`), so that `diethrow analyze DIR/scene.toml`
+takes it at once, and `benchmarks/tracker.py` can say how near the analysis came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ...files.outputs import whole_folder
+from ...files.plan import Plan
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.scene import Scene
+from ...files.settings import refuse
+from ...files.truth import write_truth
+from ...model.die import Die
+from ...model.laws import CoulombImpact, SmoothImpact
+from ...model.throw import State, Throw, Until, throw_die
+from ...replay.render import (
+    Effort,
+    FixedPattern,
+    Look,
+    Sensor,
+    Studio,
+    expose,
+    film_light,
+    fixed_pattern,
+    lamp_beside,
+    rounded,
+)
+from ...tracking.camera import Camera
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+EXPOSURE_S = 2e-4
+"""Without a scene: half a pixel of blur at 2 m/s and 1.3 px/mm, a tenth of what would disturb."""
+FIELD_OF_VIEW_RAD = 0.15
+"""Without a scene: 100 mm of lens before a sensor of 15 mm."""
+LOOKING_DOWN_RAD = np.radians(28.0)
+HEADING_RAD = np.radians(20.0)
+"""From the y axis: no face of a die at rest is seen edge-on."""
+MOST_FRAMES = 100_000
+LARGEST_PX = 8192
+AFTER_S = 0.05
+"""For which a film without another end goes on once the landed face is decided, to show the die lie down."""
+EMPTY_EXPOSURES = 16
+"""Averaged into the background, as one does to have it free of noise."""
+PIXELS = {8: "gray", 10: "gray10le", 12: "gray12le", 16: "gray16le"}
+"""FFV1's names of the bit depths that the readers of every program agree on."""
+
+
+@dataclass(frozen=True)
+class FilmSettings:
+    """What a film is to be, beyond the throw and the scene."""
+
+    frames: int | None = None
+    """None for as many as the throw lasts."""
+    start_s: float = 0.0
+    """How much of the fall is left out; the clip's time begins there."""
+    size_px: int = 512
+    """Width and height, where no scene says it."""
+    fps: float | None = None
+    """Recording rate; None for the scene's, or the throw file's."""
+    exposure_s: float | None = None
+    """None for the scene's, or EXPOSURE_S."""
+    bit_depth: int = 8
+    noise: float = 1.0
+    """Factor on the sensor's read noise, fixed pattern and shot noise; 0 for none."""
+    blur_px: float = 0.6
+    """Standard deviation of the point spread, pixel area included."""
+    samples: int = 48
+    """Light paths for each pixel of a frame."""
+    seed: int = 1
+    """Of textures, noise and light paths."""
+    threads: int = 1
+    variant: str = "scalar_rgb"
+    """Of Mitsuba."""
+
+    def __post_init__(self) -> None:
+        if self.bit_depth not in PIXELS:
+            raise ValueError(f"bit_depth = {self.bit_depth}: wanted one of {', '.join(map(str, PIXELS))}")
+        if not (np.isfinite(self.noise) and self.noise >= 0):
+            raise ValueError(f"noise = {self.noise}: wanted a factor, 0 or more")
+        if self.frames is not None and not 1 <= self.frames <= MOST_FRAMES:
+            raise ValueError(f"frames = {self.frames}: wanted 1 to {MOST_FRAMES}")
+        if not 16 <= self.size_px <= LARGEST_PX:
+            raise ValueError(f"size_px = {self.size_px}: wanted 16 to {LARGEST_PX}")
+        if not (np.isfinite(self.start_s) and self.start_s >= 0):
+            raise ValueError(f"start_s = {self.start_s}: wanted a time of 0 or more, before the first impact")
+        for name in ("fps", "exposure_s"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} = {value}: wanted a finite number above 0")
+
+    @property
+    def effort(self) -> Effort:
+        """What rendering may cost."""
+        return Effort(self.samples, self.threads, self.variant)
+
+    @property
+    def sensor(self) -> Sensor:
+        """The sensor, with its noises scaled."""
+        ideal = Sensor(self.bit_depth, seed=self.seed)
+        if self.noise == 0:
+            return replace(ideal, full_well_e=1e15, read_noise_e=0.0, pixel_gain_sigma=0.0, pixel_offset_e=0.0)
+        # Shot noise grows as the well shrinks; offsets are told in electrons and shrink with it.
+        return replace(
+            ideal,
+            full_well_e=ideal.full_well_e / self.noise**2,
+            read_noise_e=ideal.read_noise_e / self.noise,
+            pixel_gain_sigma=ideal.pixel_gain_sigma * self.noise,
+            pixel_offset_e=ideal.pixel_offset_e / self.noise,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Understood:
+    """What provenance repeats of a film."""
+
+    plan: Plan
+    settings: FilmSettings
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """Everything that decides a clip."""
+
+    name: str
+    throw: Throw
+    law: SmoothImpact | CoulombImpact
+    die: Die
+    camera: Camera
+    surface: str
+    fps: float
+    exposure_s: float
+    frames: int
+    look: Look
+    sensor: Sensor
+    blur_px: float = 0.6
+    effort: Effort = field(default_factory=Effort)
+    seed: int = 1
+    """Of noise and light paths."""
+
+
+def film(
+    plan: Plan,
+    out: Path,
+    *,
+    scene: Scene | None = None,
+    settings: FilmSettings = FilmSettings(),
+    force: bool = False,
+    progress: Progress = lambda stage, done, total: None,
+    command: tuple[str, ...] = (),
+) -> Shot:
+    """Simulate the throw of a plan and write what the camera sees of it to the folder `out`.
+
+    The camera, its rate and exposure, the surface and the marks of the die are the scene's; without a scene the camera is
+    placed so that it keeps the throw in view. Raises SceneError for a scene without a camera or of another die,
+    NoRendererError without Mitsuba, OutputExistsError for a folder that exists (unless `force`); then no folder is left.
+    """
+    watch = Stopwatch()
+    inputs = (plan.path, *((scene.path,) if scene else ()))
+    with whole_folder(out, force=force, inputs=inputs) as folder:
+        with watch.stage("throw"):
+            shot = shot_of(plan, scene, settings, Path(out).name)
+        with watch.stage("film"):
+            write_clip(folder, shot, progress)
+        write_provenance(
+            folder / "provenance.json",
+            command=command,
+            understood=_Understood(plan, settings, shot.camera),
+            inputs=inputs,
+            seconds=watch.seconds,
+            seeds={"film": settings.seed},
+        )
+    return shot
+
+
+def shot_of(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) -> Shot:
+    """Simulate the throw and settle everything that was left open. Raises SceneError as `film`."""
+    fps = settings.fps or (scene.clip.fps if scene and scene.clip.fps else plan.fps)
+    exposure_s = settings.exposure_s or (scene.clip.exposure_s if scene else None) or min(EXPOSURE_S, 1.0 / fps)
+    if exposure_s > 1.0 / fps:
+        raise ValueError(f"exposure_s = {exposure_s}: wanted at most the {1.0 / fps:.4g} s between two frames")
+    throw, frames = _throw_on_film(plan, fps, settings)
+    times = np.arange(frames) / fps
+    camera = _scene_camera(scene, plan) if scene else camera_for(throw, plan.die, times, settings.size_px)
+    surface = scene.table.surface if scene else plan.table.surface
+    die = replace(plan.die, marks=plan.die.marks or scene.die.marks) if scene else plan.die
+    look = Look(lamp_beside(camera), seed=settings.seed)
+    return Shot(
+        name,
+        throw,
+        plan.law,
+        die,
+        camera,
+        surface,
+        fps,
+        exposure_s,
+        frames,
+        look,
+        settings.sensor,
+        settings.blur_px,
+        settings.effort,
+        settings.seed,
+    )
+
+
+def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Throw, int]:
+    """The throw from the start of the film, simulated for as long as it lasts, and its frames."""
+    motion = plan.table.motion
+    if motion is not None and motion.amplitude_m > 0:
+        raise refuse(plan.path, "table.motion.amplitude_m", motion.amplitude_m, "a table is filmed at rest, wanted 0")
+    release, frames = _release_at(plan, settings.start_s), settings.frames
+    until_s = None if plan.until_s is None else plan.until_s - settings.start_s
+    until = Until(time_s=until_s, impacts=plan.until_impacts)
+    if frames is not None:
+        until = Until(time_s=frames / fps)
+    throw = throw_die(plan.die, release, plan.law, until=until).throw
+    end_s = throw.flights[-1].end_s
+    if until == Until():
+        end_s += AFTER_S
+        throw = throw_die(plan.die, release, plan.law, until=Until(time_s=end_s)).throw
+    count = frames or int(np.floor(end_s * fps + 1e-9)) + 1
+    if count > MOST_FRAMES:
+        wanted = f"the throw lasts {end_s:.3g} s, {count} frames; wanted at most {MOST_FRAMES}, set until.time_s"
+        raise refuse(plan.path, "output.fps", fps, wanted)
+    return throw, count
+
+
+def _release_at(plan: Plan, start_s: float) -> State:
+    """The state at the start of the film, as a release at time 0. Raises ValueError where the die has struck by then."""
+    if start_s == 0.0:
+        return plan.release
+    first = throw_die(plan.die, plan.release, plan.law, until=Until(impacts=1)).throw
+    strikes_s = first.impacts[0].time_s if first.impacts else first.flights[0].end_s
+    if start_s >= strikes_s:
+        raise ValueError(f"start_s = {start_s}: wanted a time before the first impact at {strikes_s:.5g} s")
+    return replace(first.flights[0].at(start_s), time_s=0.0)
+
+
+def _scene_camera(scene: Scene, plan: Plan) -> Camera:
+    """The scene's first camera. Raises SceneError where it has none, or shows another die."""
+    if not scene.cameras:
+        raise refuse(scene.path, "camera", None, "wanted a [camera] table, it is what films the throw")
+    if scene.die.solid.name != plan.die.solid.name:
+        wanted = f"the throw file has a {plan.die.solid.name}; wanted the same die in both"
+        raise refuse(scene.path, "die.shape", scene.die.solid.name, wanted)
+    return scene.cameras[0].camera
+
+
+def camera_for(throw: Throw, die: Die, times_s: Array, size_px: int = 512) -> Camera:
+    """A camera that looks down on the table from so far that it keeps the die in view from its first impact on, and as
+    much of the fall as fits without going farther away than twice that."""
+    first = throw.impacts[0].time_s if throw.impacts else float(times_s[-1])
+    low, high = _extent(throw, die, times_s[times_s >= first] if (times_s >= first).any() else times_s)
+    target = (low + high) / 2
+    reach = float(np.linalg.norm(high - low)) / 2
+    whole_low, whole_high = _extent(throw, die, times_s)
+    wanted = min(float(np.linalg.norm(whole_high - whole_low)) / 2, 2.0 * reach)
+    if wanted > reach:
+        target = np.array([target[0], target[1], low[2] + wanted * (target[2] - low[2]) / reach])
+        reach = wanted
+    ahead = np.array([np.sin(HEADING_RAD), np.cos(HEADING_RAD), 0.0]) * np.cos(LOOKING_DOWN_RAD)
+    ahead[2] = -np.sin(LOOKING_DOWN_RAD)
+    right = np.cross(ahead, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.array([right, np.cross(ahead, right), ahead])
+    focal = size_px / 2 / np.tan(FIELD_OF_VIEW_RAD / 2)
+    middle = (size_px - 1) / 2
+    matrix = np.array([[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]])
+    centre = target - reach / np.tan(FIELD_OF_VIEW_RAD / 2) * ahead
+    return Camera(size_px, size_px, matrix, np.zeros(5), rotation, -rotation @ centre)
+
+
+def _extent(throw: Throw, die: Die, times_s: Array) -> tuple[Array, Array]:
+    """The corners of the box that the die sweeps."""
+    positions = throw.poses(times_s)[0]
+    size = die.solid.circumradius
+    return positions.min(0) - size, positions.max(0) + size
+
+
+# --- writing ---
+
+
+def write_clip(folder: Path, shot: Shot, progress: Progress = lambda stage, done, total: None) -> None:
+    """The clip of a shot with its scene, its background and its truth, into a folder that exists."""
+    studio = Studio(shot.die, shot.camera, shot.surface, shot.look, blur_px=shot.blur_px, effort=shot.effort)
+    pattern = fixed_pattern(shot.sensor, shot.camera.height_px, shot.camera.width_px)
+    progress("Lighting the table", 0, 0)
+    cv2.imwrite(str(folder / "background.png"), _background(shot, pattern, studio.empty()))
+    write_ffv1(folder / "clip.avi", _frames(studio, shot, pattern, progress), shot)
+    (folder / "scene.toml").write_text(scene_text(shot, "clip.avi"), encoding="utf-8")
+    write_truth(folder, shot.throw, shot.die, shot.camera, shot.law, shot.fps, shot.frames)
+
+
+def _frames(studio: Studio, shot: Shot, pattern: FixedPattern, progress: Progress) -> Iterator[NDArray]:
+    """The frames as the sensor gives them."""
+    rng = np.random.default_rng([shot.seed, 1])
+    times = np.arange(shot.frames) / shot.fps
+    for k, light in enumerate(film_light(studio, shot.throw, times, shot.exposure_s)):
+        progress("Filming", k + 1, shot.frames)
+        yield rounded(shot.sensor, expose(shot.sensor, pattern, light, rng))
+
+
+def _background(shot: Shot, pattern: FixedPattern, light: Array) -> NDArray:
+    """The mean of some exposures of the empty table."""
+    rng = np.random.default_rng([shot.seed, 2])
+    exposures = [expose(shot.sensor, pattern, light, rng) for _ in range(EMPTY_EXPOSURES)]
+    return rounded(shot.sensor, np.mean(exposures, 0))
+
+
+def write_ffv1(path: Path, frames: Iterator[NDArray], shot: Shot) -> None:
+    """Grey frames, lossless, one at a time."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)  # AVI refuses 1500/s; the scene file tells the recording rate
+        stream.height, stream.width = shot.camera.height_px, shot.camera.width_px
+        stream.pix_fmt = PIXELS[shot.sensor.bit_depth]
+        for number, levels in enumerate(frames):
+            frame = av.VideoFrame(shot.camera.width_px, shot.camera.height_px, stream.pix_fmt)
+            lines = np.zeros((levels.shape[0], frame.planes[0].line_size // levels.itemsize), levels.dtype)
+            lines[:, : levels.shape[1]] = levels
+            frame.planes[0].update(lines.tobytes())
+            frame.pts, frame.time_base = number, Fraction(1, 30)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+
+
+def scene_text(shot: Shot, clip: str) -> str:
+    """The scene file that a user would write for this clip."""
+    camera, die = shot.camera, shot.die
+    radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
+    marks = f'marks = "{die.marks}"\n' if die.marks else ""
+    return f"""# {shot.name}: a simulated throw, rendered as filmed at {shot.fps:g} frames per second.
+
+[clip]
+path = "{clip}"
+fps = {float(shot.fps)!r}
+exposure_s = {float(shot.exposure_s)!r}
+background = "background.png"
+
+[camera]
+width = {camera.width_px}
+height = {camera.height_px}
+matrix = {camera.matrix.tolist()}
+distortion = {camera.distortion.tolist()}
+rotation = {camera.rotation.tolist()}
+translation_m = {camera.translation_m.tolist()}
+
+[table]
+surface = "{shot.surface}"
+
+[die]
+shape = "{die.solid.name}"
+edge_m = {die.solid.edge_m!r}
+mass_kg = {die.mass_kg!r}
+{radius}{marks}"""

@@ -1,0 +1,211 @@
+"""The largest Lyapunov exponent of a bouncing die, with its errors, a table and a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import write_json
+from ...model.die import Die, make_die
+from ...model.ensembles import Exponents, Growth, growth, largest_exponent
+from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
+from ...model.rotations import matrix_from_quat, quat_from_euler
+from ...model.throw import State, checked_release
+from ...replay.figures import convergence, growth_curve
+
+Progress = Callable[[str, int, int], None]
+
+REPORTED = {"tetrahedron": (0.076, 0.169), "cube": (0.067, 0.183)}
+"""By Kapitaniak et al. (Chaos 22, 047504, 2012) at χ = 1, on a table at rest and on one that oscillates; neither units
+nor the oscillation are stated."""
+
+
+@dataclass(frozen=True)
+class LyapunovPlan:
+    """What bounces, and how long."""
+
+    shape: str
+    edge_m: float
+    mass_kg: float
+    chi: float = 1.0
+    mu: float | None = None
+    """Coulomb friction; None for the paper's smooth impact."""
+    table: Table = LEVEL
+    impacts: int = 10_000
+    """Of each orbit."""
+    orbits: int = 8
+    left_out: int = 200
+    """Impacts at the beginning of each orbit that do not count."""
+    seed: int = 1
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.3)
+    """Of the start; it and the rest are those of the paper's Fig. 5 unless given."""
+    euler_rad: tuple[float, float, float] = (0.001, 0.00001, 0.0001)
+    velocity_m_s: tuple[float, float, float] = (0.6, 0.0, -0.7)
+    omega_body_rad_s: tuple[float, float, float] = (0.0, 60.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.impacts < 2 or self.orbits < 1 or self.left_out < 0 or self.seed < 0:
+            raise ValueError(
+                f"impacts {self.impacts}, orbits {self.orbits}, leave-out {self.left_out}, seed {self.seed}: "
+                "wanted 2 impacts, 1 orbit, or more, the others 0 or more"
+            )
+        checked_release(self.die, self.start, self.table)
+        assert self.law.parameters.size
+
+    @property
+    def die(self) -> Die:
+        """The die that bounces."""
+        return make_die(self.shape, self.edge_m, self.mass_kg)
+
+    @property
+    def law(self) -> ImpactLaw:
+        """The smooth impact, or Coulomb's friction with an energetic restitution where a μ is given."""
+        return SmoothImpact(self.chi) if self.mu is None else CoulombImpact(self.chi, self.mu)
+
+    @property
+    def start(self) -> State:
+        """The beginning of the first orbit."""
+        quaternion = quat_from_euler(np.array(self.euler_rad))
+        spin = matrix_from_quat(quaternion) @ np.array(self.omega_body_rad_s, float)
+        return State(0.0, np.array(self.position_m, float), quaternion, np.array(self.velocity_m_s, float), spin)
+
+    @property
+    def ends(self) -> bool:
+        """Whether every such throw comes to an end, so that there is no exponent."""
+        return self.chi < 1.0 and not self.table.moves
+
+
+def lyapunov(
+    plan: LyapunovPlan,
+    out: Path,
+    *,
+    force: bool = False,
+    progress: Progress = lambda stage, done, total: None,
+    command: tuple[str, ...] = (),
+) -> Exponents | Growth:
+    """The exponents of a motion that goes on, or the growth along one that ends, written to the folder `out`.
+
+    Raises OutputExistsError for a folder that exists (unless `force`).
+    """
+    watch = Stopwatch()
+    with whole_folder(out, force=force) as folder:
+        with watch.stage("orbits"):
+            result = _computed(plan, progress)
+        with watch.stage("records"):
+            write_json(folder / "lyapunov.json", lyapunov_table(plan, result))
+        with watch.stage("figure"):
+            draw(folder / "lyapunov.png", plan, result)
+        write_provenance(
+            folder / "provenance.json",
+            command=command,
+            understood=plan,
+            inputs=(),
+            seconds=watch.seconds,
+            seeds={"orbits": plan.seed},
+        )
+    return result
+
+
+def _computed(plan: LyapunovPlan, progress: Progress) -> Exponents | Growth:
+    if plan.ends:
+        return growth(plan.die, plan.start, plan.law, table=plan.table)
+    return largest_exponent(
+        plan.die,
+        plan.start,
+        plan.law,
+        table=plan.table,
+        impacts=plan.impacts,
+        orbits=plan.orbits,
+        left_out=plan.left_out,
+        seed=plan.seed,
+        progress=lambda done, total: progress("orbits", done, total),
+    )
+
+
+def lyapunov_table(plan: LyapunovPlan, result: Exponents | Growth) -> dict[str, Any]:
+    """What lyapunov.json holds."""
+    if isinstance(result, Growth):
+        return {
+            "exponent": None,
+            "growth": {
+                "log10_at_impacts": result.at_impacts,
+                "times_s": result.times_s[result.vertices >= 0],
+                "ending": result.ending.name.lower(),
+            },
+            "messages": [_no_exponent(plan)],
+        }
+    return {
+        "exponent": {
+            "per_second": {"value": result.per_second, "standard_error": result.per_second_error},
+            "per_impact": {"value": result.per_impact, "standard_error": result.per_impact_error},
+            "per_sqrt_edge_over_g": {"value": result.per_unit, "standard_error": result.per_unit_error},
+            "impacts": result.impacts,
+            "left_out": result.left_out,
+            "orbits": len(result.logs),
+            "per_second_of_orbits": result.logs.sum(1) / result.times_s[:, -1],
+            "per_impact_of_orbits": result.logs.mean(1),
+        },
+        "growth": None,
+        "messages": _messages(plan, result),
+    }
+
+
+def _no_exponent(plan: LyapunovPlan) -> str:
+    return (
+        f"At chi = {plan.chi:g} on a table at rest every throw ends: there is a finite growth, and no Lyapunov exponent; "
+        "for one, take chi = 1 or a table that oscillates."
+    )
+
+
+def _messages(plan: LyapunovPlan, result: Exponents) -> list[str]:
+    """What the numbers do not say by themselves."""
+    messages = []
+    half = result.logs.shape[1] // 2
+    first = result.logs[:, :half].sum() / result.times_s[:, half - 1].sum()
+    second = result.logs[:, half:].sum() / (result.times_s[:, -1] - result.times_s[:, half - 1]).sum()
+    if abs(first - second) > 6.0 * result.per_second_error:
+        messages.append(
+            f"The exponent drifts: {first:.4g} per second over the first half, {second:.4g} over the second; "
+            "the motion has not settled into one state, and may have none."
+        )
+    if plan.table.moves and plan.chi >= 1.0:
+        messages.append("At chi = 1 a table that oscillates feeds energy to the die without end.")
+    return messages
+
+
+def draw(path: Path, plan: LyapunovPlan, result: Exponents | Growth) -> None:
+    """The picture: how the estimates settle, or how an error grows."""
+    figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    ax = figure.add_subplot()
+    if isinstance(result, Growth):
+        growth_curve(ax, result.at_impacts)
+    else:
+        convergence(ax, result.logs, result.times_s, result.per_second, result.per_second_error)
+    ax.set_title(f"{plan.shape}, χ = {plan.chi:g}", fontsize="medium")
+    figure.savefig(path)
+
+
+def summary(plan: LyapunovPlan, result: Exponents | Growth) -> tuple[str, ...]:
+    """What the terminal shows."""
+    if isinstance(result, Growth):
+        last = f"An error of the release grows {result.at_end:.2e} times over {len(result.at_impacts)} impacts."
+        return last, _no_exponent(plan)
+    lines = [
+        f"largest Lyapunov exponent, {len(result.logs)} orbits of {result.impacts} impacts (± one standard error)",
+        f"  per second       {result.per_second:.4f} ± {result.per_second_error:.4f}",
+        f"  per impact       {result.per_impact:.5f} ± {result.per_impact_error:.5f}",
+        f"  per √(edge/g)    {result.per_unit:.5f} ± {result.per_unit_error:.5f}",
+    ]
+    if plan.shape in REPORTED and plan.chi == 1.0:
+        reported = REPORTED[plan.shape][plan.table.moves]
+        lines.append(f"  Kapitaniak et al. (2012) report {reported}, without a unit")
+    return (*lines, *_messages(plan, result))

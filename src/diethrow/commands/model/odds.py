@@ -1,0 +1,331 @@
+"""The odds of a die: many throws, counted, with intervals, tables and a picture."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.stats import chi2
+
+from ...executors import width
+from ...files.outputs import whole_folder
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import write_json
+from ...files.work_file import Kept, WorkFile
+from ...model.die import make_die
+from ...model.ensembles import (
+    BLOCK,
+    ENDING_OF_INDEX,
+    Conditions,
+    PaperConditions,
+    Share,
+    Stage,
+    Tally,
+    UniformConditions,
+    check_releases,
+    tally_throws,
+)
+from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
+from ...model.throw import Ending
+from ...replay.figures import face_odds, lowest_again
+
+Progress = Callable[[str, int, int], None]
+
+CONDITIONS = ("paper", "uniform")
+HEIGHT_EDGES = (15.0, 20.0)
+"""Range of the release in edges of the die, where none is given: the paper's."""
+BLOCKS_SENT = 8
+"""Blocks that a worker of a cluster gets at once: a second of work, so that sending it does not count."""
+MOST_AFTER = 1000
+"""Impacts at which the lowest face can be counted."""
+
+
+@dataclass(frozen=True)
+class OddsPlan:
+    """What is thrown, how, and how often."""
+
+    shape: str
+    edge_m: float
+    mass_kg: float
+    chi: tuple[float, ...]
+    """One series for each; all of them get the same releases."""
+    omega_rad_s: float
+    """`paper`: ω_η in the body frame. `uniform`: the size of the spin."""
+    conditions: str = "paper"
+    height_m: tuple[float, float] | None = None
+    """Range of the release; None for 15 to 20 edges."""
+    throws: int = 100_000
+    """For each χ."""
+    seed: int = 1
+    after: int = 5
+    """The lowest face is counted at this many impacts."""
+    mu: float | None = None
+    """Coulomb friction; None for the paper's smooth impact."""
+    table: Table = LEVEL
+
+    def __post_init__(self) -> None:
+        if self.conditions not in CONDITIONS:
+            raise ValueError(f"conditions {self.conditions!r}: wanted one of {', '.join(CONDITIONS)}")
+        if not self.chi:
+            raise ValueError("no chi: wanted one coefficient of restitution or more")
+        if self.throws < 1 or self.seed < 0 or not 0 <= self.after <= MOST_AFTER:
+            raise ValueError(
+                f"throws {self.throws}, seed {self.seed}, after {self.after}: "
+                f"wanted 1 throw or more, a seed of 0 or more, and 0 to {MOST_AFTER} impacts"
+            )
+        for stage in self.stages:
+            check_releases(stage, self.drawn)
+
+    @property
+    def drawn(self) -> Conditions:
+        """How the releases are drawn."""
+        height = self.height_m or (HEIGHT_EDGES[0] * self.edge_m, HEIGHT_EDGES[1] * self.edge_m)
+        if self.conditions == "paper":
+            return PaperConditions((0.0, self.omega_rad_s, 0.0), height)
+        return UniformConditions(self.omega_rad_s, height)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """One for each χ."""
+        die = make_die(self.shape, self.edge_m, self.mass_kg)
+        return tuple(Stage(die, law_of(chi, self.mu), self.table) for chi in self.chi)
+
+
+def law_of(chi: float, mu: float | None) -> ImpactLaw:
+    """The smooth impact, or Coulomb's friction with an energetic restitution where a μ is given."""
+    return SmoothImpact(chi) if mu is None else CoulombImpact(chi, mu)
+
+
+def odds(
+    plan: OddsPlan,
+    out: Path,
+    *,
+    force: bool = False,
+    resume: bool = False,
+    threads: int = 1,
+    chunk: int | None = None,
+    executor: Executor | None = None,
+    progress: Progress = lambda stage, done, total: None,
+    command: tuple[str, ...] = (),
+) -> tuple[Tally, ...]:
+    """Throw as planned and write counts, odds and a picture to the folder `out`; one tally for each χ.
+
+    A run that is stopped leaves a work file beside `out`, from which `resume` goes on; it gives the same counts as one
+    that never was. So do all numbers of `threads` and sizes of a `chunk`, and any `executor` in place of the threads.
+    Raises OutputExistsError for a folder that exists (unless `force`), ValueError for a work file of other settings.
+    """
+    watch, work = Stopwatch(), WorkFile(out, plan)
+    with whole_folder(out, force=force) as folder:
+        with watch.stage("throws"):
+            many = BLOCK if executor is None else BLOCKS_SENT * BLOCK
+            tallies = _thrown(plan, work, resume, threads, executor, chunk or many, progress)
+        with watch.stage("records"):
+            write_json(folder / "odds.json", odds_table(plan, tallies))
+            write_rows(folder / "odds.csv", plan, tallies)
+        with watch.stage("figure"):
+            draw_odds(folder / "odds.png", plan, tallies)
+        write_provenance(
+            folder / "provenance.json",
+            command=command,
+            understood=plan,
+            inputs=(),
+            seconds=watch.seconds,
+            seeds={"throws": plan.seed},
+        )
+    work.remove()
+    return tallies
+
+
+def odds_table(plan: OddsPlan, tallies: tuple[Tally, ...]) -> dict[str, Any]:
+    """What odds.json holds."""
+    return {
+        "die": {"shape": plan.shape, "edge_m": plan.edge_m, "mass_kg": plan.mass_kg},
+        "level": 0.95,
+        "series": [{"chi": chi, "mu": plan.mu, **_series(tally)} for chi, tally in zip(plan.chi, tallies, strict=True)],
+        "messages": [sentence for tally in tallies for sentence in _messages(tally)],
+    }
+
+
+def summary(plan: OddsPlan, tallies: tuple[Tally, ...]) -> list[str]:
+    """What came out, a line for each χ and one for what did not land."""
+    lines = []
+    for chi, tally in zip(plan.chi, tallies, strict=True):
+        shares = [Share(int(n), tally.throws) for n in tally.landed]
+        again = Share(tally.landed_as_start, tally.throws)
+        low, high = again.interval
+        faces = " ".join(f"{share.value:.4f}" for share in shares)
+        lines.append(f"χ {chi:g}: faces {faces}; as at release {again.value:.4f} (95 %: {low:.4f} to {high:.4f})")
+        lines += [f"χ {chi:g}: {sentence}" for sentence in _messages(tally)]
+    return lines
+
+
+def write_rows(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
+    """odds.csv: one row for each share. `face` and `impact` are empty where they mean nothing."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["chi", "quantity", "face", "impact", "count", "of", "share", "low", "high"])
+        for chi, tally in zip(plan.chi, tallies, strict=True):
+            for quantity, face, impact, share in _shares(tally):
+                rows.writerow([chi, quantity, face, impact, share.count, share.of, share.value, *share.interval])
+
+
+def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
+    """The odds of the faces among the throws that landed, and those of the face that was lowest at release."""
+    faces = len(tallies[0].landed)
+    figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    left, right = figure.subplots(1, 2)
+    names = [_name(chi, tally) for chi, tally in zip(plan.chi, tallies, strict=True)]
+    landed = {n: [Share(int(k), t.rested) for k in t.landed] for n, t in zip(names, tallies, strict=True)}
+    again = {n: _again(t) for n, t in zip(names, tallies, strict=True)}
+    face_odds(left, landed).set_title("faces, of the throws that landed", loc="left")
+    lowest_again(right, again, faces).set_title("the face that was lowest at release", loc="left")
+    _title(figure, plan)
+    figure.savefig(path)
+
+
+def _title(figure: Figure, plan: OddsPlan) -> None:
+    spin = rf"$\omega_\eta$ = {plan.omega_rad_s:g}" if plan.conditions == "paper" else f"spin {plan.omega_rad_s:g}"
+    friction = "" if plan.mu is None else f", μ = {plan.mu:g}"
+    figure.suptitle(f"{plan.shape}, {plan.throws:,} throws for each χ, {spin} rad/s{friction}; bars: 95 %")
+
+
+def _name(chi: float, tally: Tally) -> str:
+    aside = tally.throws - tally.rested
+    return f"χ = {chi:g}" + (f" ({100 * aside / tally.throws:.2g} % on no face)" if aside else "")
+
+
+def _again(tally: Tally) -> list[Share]:
+    """At each impact, and of the throws that landed."""
+    at_impacts = [Share(int(k), tally.throws) for k in tally.as_start[1:]]
+    return [*at_impacts, Share(tally.landed_as_start, tally.rested)]
+
+
+def _thrown(
+    plan: OddsPlan,
+    work: WorkFile,
+    resume: bool,
+    threads: int,
+    executor: Executor | None,
+    chunk: int,
+    progress: Progress,
+) -> tuple[Tally, ...]:
+    """The tallies of all series, from where the work file ends."""
+    done = _unpacked(work.read() or {}) if resume else []
+    total = plan.throws * len(plan.chi)
+    with work.keeping() as keep:
+        for number, stage in enumerate(plan.stages):
+            begun = done[number] if number < len(done) else None
+            tallies = tally_throws(
+                stage,
+                plan.drawn,
+                plan.throws,
+                plan.seed,
+                after=plan.after,
+                begun=begun,
+                chunk=chunk,
+                threads=threads if executor is None else width(executor),
+                executor=executor,
+            )
+            for tally in tallies:
+                done[number:] = [tally, *done[number + 1 :]]
+                keep(_packed(done))
+                progress("Throwing", number * plan.throws + tally.throws, total)
+    return tuple(done)
+
+
+def _packed(tallies: list[Tally]) -> Kept:
+    return {
+        f"{number}.{part.name}": np.asarray(getattr(tally, part.name))
+        for number, tally in enumerate(tallies)
+        for part in fields(Tally)
+    }
+
+
+def _unpacked(kept: Kept) -> list[Tally]:
+    tallies = []
+    for number in sorted({int(name.split(".")[0]) for name in kept}):
+        arrays = {part.name: kept[f"{number}.{part.name}"] for part in fields(Tally)}
+        values: dict[str, Any] = {name: int(each) if each.ndim == 0 else each for name, each in arrays.items()}
+        tallies.append(Tally(**values))
+    return tallies
+
+
+def _series(tally: Tally) -> dict[str, Any]:
+    mean = tally.rested / len(tally.landed)
+    statistic = float(((tally.landed - mean) ** 2).sum() / mean) if mean else None
+    freedom = len(tally.landed) - 1
+    return {
+        "throws": tally.throws,
+        "impacts_per_throw": tally.impacts / tally.throws,
+        "most_impacts": tally.most_impacts,
+        "landed": [
+            {"face": k + 1, **told(Share(int(n), tally.throws)), "of_landed": told(Share(int(n), tally.rested))}
+            for k, n in enumerate(tally.landed)
+        ],
+        "landed_as_start": {
+            **told(Share(tally.landed_as_start, tally.throws)),
+            "of_landed": told(Share(tally.landed_as_start, tally.rested)),
+        },
+        "endings": {
+            ending.name.lower(): {**told(Share(int(n), tally.throws)), "meaning": ending.value}
+            for ending, n in zip(ENDING_OF_INDEX, tally.endings, strict=True)
+            if n
+        },
+        "equal_odds": {
+            "chi_square": statistic,
+            "degrees_of_freedom": freedom,
+            "p_value": None if statistic is None else float(chi2.sf(statistic, freedom)),
+        },
+        "at_impact": [
+            {
+                "impact": impact,
+                "lowest": [{"face": k + 1, **told(Share(int(n), tally.throws))} for k, n in enumerate(row)],
+                "as_start": told(Share(int(tally.as_start[impact]), tally.throws)),
+                "as_landed": told(Share(int(tally.as_landed[impact]), tally.throws)),
+            }
+            for impact, row in enumerate(tally.lowest)
+        ],
+    }
+
+
+def told(share: Share) -> dict[str, Any]:
+    """A share as JSON has it."""
+    low, high = share.interval
+    return {"count": share.count, "of": share.of, "share": share.value, "low": low, "high": high}
+
+
+def _shares(tally: Tally) -> list[tuple[str, int | str, int | str, Share]]:
+    """Quantity, face, impact and share of every row of odds.csv."""
+    n = tally.throws
+    rows: list[tuple[str, int | str, int | str, Share]] = [
+        ("landed", k + 1, "", Share(int(count), n)) for k, count in enumerate(tally.landed)
+    ]
+    rows.append(("landed_as_start", "", "", Share(tally.landed_as_start, n)))
+    for ending, count in zip(ENDING_OF_INDEX, tally.endings, strict=True):
+        if count:
+            rows.append((f"ending_{ending.name.lower()}", "", "", Share(int(count), n)))
+    for impact in range(len(tally.lowest)):
+        rows += [("lowest", k + 1, impact, Share(int(count), n)) for k, count in enumerate(tally.lowest[impact])]
+        rows.append(("lowest_as_start", "", impact, Share(int(tally.as_start[impact]), n)))
+        rows.append(("lowest_as_landed", "", impact, Share(int(tally.as_landed[impact]), n)))
+    return rows
+
+
+def _messages(tally: Tally) -> list[str]:
+    aside = tally.throws - tally.rested
+    if not aside:
+        return []
+    which = ", ".join(
+        f"{int(n)} {ending.name.lower().replace('_', ' ')}"
+        for ending, n in zip(ENDING_OF_INDEX, tally.endings, strict=True)
+        if n and ending is not Ending.RESTED
+    )
+    return [f"{aside} of {tally.throws} throws landed on no face: {which or 'not decided'}."]

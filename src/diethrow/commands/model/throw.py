@@ -1,0 +1,102 @@
+"""One throw, simulated: from a release to its end, with the records, a figure and a replay."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ...files.outputs import whole_folder
+from ...files.plan import Plan
+from ...files.provenance import Stopwatch, write_provenance
+from ...files.records import simulated_track, state_table, write_bounces, write_json, write_simulated, write_vertices
+from ...files.settings import refuse
+from ...model.ensembles import decided_by_double
+from ...model.throw import Ending, ThrowResult, Until, throw_die
+from ...replay.figures import throw_heights
+from ...replay.pages import throw_page
+from ...replay.recording import write_throw_recording
+from ...tracking.track import Track
+
+MOST_ROWS = 10_000_000
+"""Of simulated.csv: beyond them `output.fps` or `until.time_s` is in another unit."""
+_LEFT = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
+"""Endings that leave a throw before its own."""
+
+
+def throw(
+    plan: Plan, out: Path, *, force: bool = False, embed_replay: bool = False, command: tuple[str, ...] = ()
+) -> ThrowResult:
+    """Simulate the throw of a plan and write it to the folder `out`; `embed_replay` adds a page with the viewer in it.
+
+    Raises ValueError for a release that no die can have and OutputExistsError for a folder that exists (unless
+    `force`); then no folder is left.
+    """
+    watch = Stopwatch()
+    with whole_folder(out, force=force, inputs=(plan.path,)) as folder:
+        with watch.stage("throw"):
+            until = Until(time_s=plan.until_s, impacts=plan.until_impacts)
+            result = throw_die(plan.die, plan.release, plan.law, until=until, table=plan.model_table)
+        with watch.stage("records"):
+            write_vertices(folder / "vertices.csv", plan.die.solid)
+            write_bounces(folder / "bounces.csv", result.throw.bounces)
+            write_simulated(folder / "simulated.csv", rows_of(plan, result))
+            told = verdict(plan, result)
+            write_json(folder / "throw.json", told)
+        with watch.stage("figure"):
+            draw_heights(folder / "heights.png", plan, result)
+        with watch.stage("replay"):
+            write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
+            if embed_replay:
+                title, sentences = plan.path.stem, told["messages"]
+                page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
+                (folder / "replay.html").write_text(page, encoding="utf-8")
+        write_provenance(
+            folder / "provenance.json", command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds
+        )
+    return result
+
+
+def rows_of(plan: Plan, result: ThrowResult) -> Track:
+    """The poses at t = k / fps, from the release to the end of the last flight."""
+    end_s = result.throw.flights[-1].end_s
+    count = int(np.floor(end_s * plan.fps + 1e-9)) + 1
+    if count > MOST_ROWS:
+        wanted = f"that makes {count} rows over {end_s:.3g} s; wanted at most {MOST_ROWS}"
+        raise refuse(plan.path, "output.fps", plan.fps, wanted)
+    frame = np.arange(count)
+    return simulated_track(result.throw, frame, frame / plan.fps)
+
+
+def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
+    """What throw.json holds. A throw that was left before its end is not asked whether rounding decided it: null."""
+    messages = [result.ending.value]
+    if result.landed_face is None and result.ending is not Ending.RESTED:
+        messages.append("The landed face is open: the throw ended before the die had settled on one.")
+    asked = result.landed_face is not None or result.ending not in _LEFT
+    check = decided_by_double(plan.die, plan.release, plan.law, table=plan.model_table) if asked else None
+    messages.append(
+        check.sentence if check else "Whether double precision decides this throw is open: it has no end yet."
+    )
+    return {
+        "landed_face": result.landed_face,
+        "ending": result.ending.name.lower(),
+        "impact_count": result.impact_count,
+        "end": state_table(result.end),
+        "decidable": check.decidable if check else None,
+        "error_growth": check.growth if check else None,
+        "error_m": check.error_m if check and np.isfinite(check.error_m) else None,
+        "margin": check.margin if check and np.isfinite(check.margin) else None,
+        "messages": messages,
+    }
+
+
+def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
+    """The height of every corner over time, with the impacts, as a picture."""
+    figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    throw_heights(figure.add_subplot(), plan.die.solid, result.throw)
+    figure.savefig(path)

@@ -1,0 +1,558 @@
+"""The scene file: what was filmed, by which camera, over which table, and which die.
+
+`read_scene` checks everything once, at the door, and returns frozen values of the stages. What no file can be without
+(a die, a table) is demanded here; footage and cameras are demanded by the commands that need them
+(`Scene.views`), because a fit to somebody else's track needs neither.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
+
+from ..model.die import ROUNDEST, SHAPES, Die, make_die
+from ..model.laws import Table as ModelTable
+from ..tracking.camera import Camera
+from ..tracking.clip_parameters import Rounding
+from ..tracking.footage import MOST_PIXELS
+from ..tracking.pose import FEWEST_CLICKS, Click, HandStart
+from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
+
+__all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
+
+Array = NDArray[np.float64]
+
+LARGEST_EDGE_M = 1.0
+DENSITIES_KG_M3 = (5.0, 25000.0)
+"""From a die of foam to one of osmium; beyond them a length or a mass is in another unit."""
+FARTHEST_M = 100.0
+"""From the world's origin to a camera; beyond it the translation is in another unit."""
+ESTIMATE = "estimate"
+"""In the place of a number: the pictures tell it."""
+ROTATION_TOLERANCE = 1e-4
+"""Entries written with four decimals pass; they are then brought onto the nearest rotation."""
+
+
+@dataclass(frozen=True)
+class ClipSource:
+    """Where the footage lies and how it was taken."""
+
+    path: Path | None
+    """A film, a folder or pattern of images, or a Photron header; None where the scene has no footage."""
+    fps: float | None
+    """Recording rate [frames/s]; None where the file itself carries it."""
+    exposure_s: float | None
+    background_path: Path | None
+    """A frame without the die."""
+    frame_range: tuple[int, int] | None
+    """First frame, and the one after the last; None for the whole clip."""
+    excluded: tuple[tuple[int, int], ...] = ()
+    """Frames whose pictures are not used: ranges of a first frame and the one after the last."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One camera and what it filmed."""
+
+    camera: Camera
+    path: Path | None
+    background_path: Path | None
+
+
+@dataclass(frozen=True)
+class Motion:
+    """An oscillating table: z = amplitude sin(2π frequency t + phase)."""
+
+    amplitude_m: float
+    frequency_hz: float
+    phase_rad: float
+
+
+@dataclass(frozen=True)
+class Table:
+    """What the die falls on."""
+
+    surface: str
+    """Free text; `mirror` says that the table reflects."""
+    motion: Motion | None = None
+
+    @property
+    def in_model(self) -> ModelTable:
+        """The table as the model has it."""
+        if self.motion is None:
+            return ModelTable()
+        return ModelTable(
+            amplitude_m=self.motion.amplitude_m,
+            frequency_hz=self.motion.frequency_hz,
+            phase_rad=self.motion.phase_rad,
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One throw as its scene file describes it."""
+
+    path: Path
+    text: str
+    """The file as it was read."""
+    clip: ClipSource
+    cameras: tuple[View, ...]
+    die: Die
+    table: Table
+    start: HandStart | None = None
+    """The first pose by hand; None where it is found."""
+    rounding: Rounding = Rounding.GIVEN
+    """Whether the file gives the radius of the die's corners, which is 0 in `die` where it does not."""
+
+    def views(self) -> tuple[View, ...]:
+        """The cameras with their footage; in the picture of the first a start is looked for, and the replay shows it. Raises
+        SceneError where there is none, or one lacks its footage."""
+        if not self.cameras:
+            raise SceneError(f"{self.path}: camera is missing; wanted a [camera] table to track the die with")
+        for k, view in enumerate(self.cameras):
+            if view.path is None:
+                key = "clip.path" if len(self.cameras) == 1 else f"camera[{k + 1}].path"
+                raise SceneError(f"{self.path}: {key} is missing; wanted {PATH_WANTED}")
+        return self.cameras
+
+    def given_die(self) -> Die:
+        """The die, for what knows no pictures. Raises SceneError where they are to tell the radius of its corners."""
+        if self.rounding is Rounding.ESTIMATED:
+            wanted = (
+                "a track does not show the corners, wanted their radius in metres, as the tracking told it or measured"
+            )
+            raise refuse(self.path, "die.corner_radius_m", ESTIMATE, wanted)
+        return self.die
+
+    def still_table(self) -> Table:
+        """The table, at rest. Raises SceneError for one that moves: tracking and joint fits know only one at rest."""
+        motion = self.table.motion
+        if motion is not None and motion.amplitude_m > 0:
+            wanted = "an oscillating table is fitted to a single track (diethrow fit) but not yet tracked, wanted 0"
+            raise refuse(self.path, "table.motion.amplitude_m", motion.amplitude_m, wanted)
+        return self.table
+
+
+def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
+    """The scene in a TOML file; paths in it are relative to the file, and lead out of its folder only where that is
+    allowed: a scene may come from a stranger. Raises SceneError, one sentence a mistake."""
+    path = Path(path)
+    data, text = read_toml(path)
+    if isinstance(data.get("camera"), dict):
+        data["camera"] = [data["camera"]]
+    checked = validate(_SceneFile, data, path)
+    files = _Surroundings(path, allow_outside)
+    clip = _clip(checked.clip, path, files)
+    several = len(checked.camera) > 1
+    views = tuple(
+        _view(table, f"camera[{k + 1}]" if several else "camera", clip, path, files)
+        for k, table in enumerate(checked.camera)
+    )
+    die = die_from(checked.die, path)
+    start = _start(checked.start, clip, views, die, path) if checked.start is not None else None
+    return Scene(path, text, clip, views, die, table_from(checked.table), start, _rounding(checked.die))
+
+
+# --- the file, as TOML tables ---
+
+PATH_WANTED = "the path of the footage, relative to the scene file"
+
+
+def _positive(value: float) -> float:
+    if not value > 0:
+        raise ValueError("not above 0")
+    return value
+
+
+def _not_negative(value: float) -> float:
+    if value < 0:
+        raise ValueError("below 0")
+    return value
+
+
+def _a_shape(value: str) -> str:
+    if value not in SHAPES:
+        raise ValueError("unknown shape")
+    return value
+
+
+def _a_radius(value: float | str) -> float | str:
+    if isinstance(value, str):
+        if value != ESTIMATE:
+            raise ValueError("no such word")
+        return value
+    return _not_negative(value)
+
+
+def _a_mark(value: str) -> str:
+    if value not in ("pips", "numbers"):
+        raise ValueError("unknown marks")
+    return value
+
+
+def _rising(value: list[int]) -> list[int]:
+    if not 0 <= value[0] < value[1]:
+        raise ValueError("not rising")
+    return value
+
+
+def _unit(value: list[float]) -> list[float]:
+    if abs(float(np.linalg.norm(value)) - 1.0) > ROTATION_TOLERANCE:
+        raise ValueError("not of length 1")
+    return value
+
+
+def _a_pair(value: list[float]) -> list[float]:
+    if len(value) != 2:
+        raise ValueError("not two numbers")
+    return value
+
+
+def _not_empty(value: str) -> str:
+    if not value.strip() or "\0" in value:
+        raise ValueError("empty")
+    return value
+
+
+Positive = Annotated[float, AfterValidator(_positive)]
+NotNegative = Annotated[float, AfterValidator(_not_negative)]
+Radius = Annotated[float | str, AfterValidator(_a_radius)]
+PositiveInt = Annotated[int, AfterValidator(_positive)]
+NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
+UnitQuaternion = Annotated[Vector4, AfterValidator(_unit)]
+PathText = Annotated[str, AfterValidator(_not_empty)]
+
+_BACKGROUND_WANTED = "the path of a picture of the scene without the die, relative to the scene file"
+
+
+class _ClipTable(TomlTable):
+    path: PathText | None = Field(None, description=PATH_WANTED)
+    fps: Positive | None = Field(None, description="the recording rate in frames per second, a number above 0")
+    exposure_s: Positive | None = Field(None, description="the exposure time of a frame in seconds, a number above 0")
+    background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
+    frames: Annotated[Vector2i, AfterValidator(_rising)] | None = Field(
+        None, description="[first, stop], two whole numbers with 0 <= first < stop"
+    )
+    exclude: list[NotNegativeInt | Annotated[Vector2i, AfterValidator(_rising)]] = Field(
+        [],
+        description="a list of frame numbers and of ranges [first, stop] with 0 <= first < stop, as in [[120, 131], 200]; "
+        "their pictures are not used",
+    )
+
+
+class _CameraTable(TomlTable):
+    width: PositiveInt = Field(description="the width of a frame in pixels, a whole number above 0")
+    height: PositiveInt = Field(description="the height of a frame in pixels, a whole number above 0")
+    matrix: Matrix3 = Field(description="3 rows of 3 numbers, [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels")
+    distortion: Vector5 = Field([0.0] * 5, description="5 numbers, k1 k2 p1 p2 k3")
+    rotation: Matrix3 = Field(description="3 rows of 3 numbers, the rotation from world to camera")
+    translation_m: Vector3 = Field(description="3 numbers in metres, x_cam = rotation X_world + translation_m")
+    path: PathText | None = Field(None, description=PATH_WANTED)
+    background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
+
+
+class _MotionTable(TomlTable):
+    amplitude_m: NotNegative = Field(description="the amplitude in metres, 0 or more")
+    frequency_hz: Positive = Field(description="the frequency in hertz, above 0")
+    phase_rad: float = Field(0.0, description="the phase at t = 0 in radians")
+
+
+class TableTable(TomlTable):
+    """`[table]`, in scenes and throws alike."""
+
+    surface: str = Field(description='the surface as text, for example "wood"; "mirror" for one that reflects')
+    motion: _MotionTable | None = Field(None, description="a table {amplitude_m, frequency_hz, phase_rad}")
+
+
+class DieTable(TomlTable):
+    """`[die]`, in scenes and throws alike."""
+
+    shape: Annotated[str, AfterValidator(_a_shape)] = Field(description=f"one of {', '.join(SHAPES)}")
+    edge_m: Positive = Field(description="the edge of the sharp polyhedron in metres, above 0")
+    mass_kg: Positive = Field(description="the mass in kilograms, above 0")
+    corner_radius_m: Radius | None = Field(
+        None, description='the radius of the rounded corners in metres, 0 or more, or "estimate"'
+    )
+    inertia_kg_m2: Positive | None = Field(None, description="the moment of inertia in kg m², above 0")
+    marks: Annotated[str, AfterValidator(_a_mark)] | None = Field(
+        None, description='"pips", "numbers", or no such key for plain faces'
+    )
+
+
+class _ClickTable(TomlTable):
+    px: Annotated[list[float], AfterValidator(_a_pair)] = Field(
+        description="[x, y], where the corner is seen, in pixels"
+    )
+    vertex: NotNegativeInt | None = Field(None, description="the corner's number in vertices.csv, or no such key")
+
+
+class _StartTable(TomlTable):
+    frame: NotNegativeInt = Field(description="the number of the frame in the file, as in track.csv, 0 or more")
+    position_m: Vector3 | None = Field(None, description="3 numbers in metres, the die's centre in the world")
+    quaternion_wxyz: UnitQuaternion | None = Field(
+        None, description="4 numbers of length 1, w x y z, from body to world"
+    )
+    corners: list[_ClickTable] = Field(
+        [], description="4 or more clicks, [{vertex = 0, px = [x, y]}, ...], all with their vertex or none"
+    )
+
+
+class _SceneFile(TomlTable):
+    clip: _ClipTable = Field(description="a [clip] table with path and fps")
+    camera: list[_CameraTable] = Field([], description="a [camera] table, or several [[camera]] tables")
+    table: TableTable = Field(description='a [table] table, for example surface = "wood"')
+    die: DieTable = Field(description="a [die] table with shape, edge_m and mass_kg")
+    start: _StartTable | None = Field(None, description="a [start] table with frame, and a pose or corners")
+
+
+# --- from tables to values ---
+
+
+def _clip(table: _ClipTable, path: Path, files: _Surroundings) -> ClipSource:
+    frame_s = 1.0 / table.fps if table.fps else np.inf
+    if table.exposure_s and table.exposure_s > frame_s:
+        guess = _unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
+        wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
+        raise refuse(path, "clip.exposure_s", table.exposure_s, wanted)
+    return ClipSource(
+        files.existing(table.path, "clip.path", PATH_WANTED),
+        table.fps,
+        table.exposure_s,
+        files.existing(table.background, "clip.background", _BACKGROUND_WANTED),
+        (table.frames[0], table.frames[1]) if table.frames else None,
+        tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
+    )
+
+
+def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> HandStart:
+    """The first pose by hand. Raises SceneError for one that is half given, or cannot be."""
+    first, stop = clip.frame_range or (0, np.inf)
+    if not first <= table.frame < stop or any(a <= table.frame < b for a, b in clip.excluded):
+        raise refuse(path, "start.frame", table.frame, "wanted a frame within clip.frames that is not excluded")
+    posed = table.position_m is not None and table.quaternion_wxyz is not None
+    if posed == bool(table.corners) or (table.position_m is None) != (table.quaternion_wxyz is None):
+        given = [key for key in ("position_m", "quaternion_wxyz", "corners") if getattr(table, key)]
+        raise refuse(path, "start", given, "wanted either position_m and quaternion_wxyz, or corners")
+    if table.position_m is not None and not 0 < table.position_m[2] <= FARTHEST_M:
+        raise refuse(path, "start.position_m", table.position_m, "wanted metres, above the table (z = 0)")
+    clicks = tuple(Click(np.array(each.px, float), each.vertex) for each in table.corners)
+    if clicks:
+        _check_clicks(clicks, views, die, path)
+    if not posed:
+        return HandStart(table.frame, clicks=clicks)
+    quaternion = np.array(table.quaternion_wxyz, float)
+    return HandStart(table.frame, np.array(table.position_m, float), quaternion / np.linalg.norm(quaternion))
+
+
+def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, path: Path) -> None:
+    """Enough clicks, inside the picture, on different corners that the die has."""
+    if len(clicks) < FEWEST_CLICKS:
+        raise refuse(path, "start.corners", f"{len(clicks)} clicks", f"wanted {FEWEST_CLICKS} or more")
+    vertices = [click.vertex for click in clicks if click.vertex is not None]
+    count = len(die.solid.vertices)
+    if vertices and (len(vertices) < len(clicks) or len(set(vertices)) < len(clicks) or max(vertices) >= count):
+        wanted = f"wanted different numbers from 0 to {count - 1}, one for each click, or none at all"
+        raise refuse(path, "start.corners.vertex", vertices, wanted)
+    size = (views[0].camera.width_px, views[0].camera.height_px) if views else (np.inf, np.inf)
+    for click in clicks:
+        if not (-0.5 <= click.px[0] < size[0] and -0.5 <= click.px[1] < size[1]):
+            raise refuse(path, "start.corners.px", click.px, "wanted a place inside the picture, [x, y] in pixels")
+
+
+@dataclass(frozen=True)
+class _Surroundings:
+    """The files about a scene file."""
+
+    scene_path: Path
+    allow_outside: bool
+
+    def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
+        """The path that `text` means beside the scene file; a pattern such as `frames/*.png` must match something."""
+        if text is None:
+            return None
+        found = self.scene_path.parent / text
+        if not self.allow_outside and self._leaves(found):
+            told = (
+                f"this leads out of the folder of the scene; wanted {wanted} and inside its folder, or --allow-outside"
+            )
+            raise refuse(self.scene_path, key, text, told)
+        try:
+            there = found.exists()
+        except OSError as error:
+            raise refuse(self.scene_path, key, text, f"{error.strerror}; wanted {wanted}") from error
+        if there:
+            return found
+        if any(letter in found.name for letter in "*?[") and any(found.parent.glob(found.name)):
+            return found
+        raise refuse(self.scene_path, key, text, f"{found} does not exist; wanted {wanted}")
+
+    def _leaves(self, found: Path) -> bool:
+        """Whether a path leads out of the folder by what it says. A link inside the folder is the doing of whoever keeps
+        the folder, who may have the films on another disk, and is followed."""
+        folder = self.scene_path.parent
+        if ".." in found.parts:  # a link before it decides where it leads
+            return not found.resolve().is_relative_to(folder.resolve())
+        inside = found.absolute()
+        return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))
+
+
+def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
+    """Before anything of that size is made."""
+    if table.width * table.height > MOST_PIXELS:
+        size = [table.width, table.height]
+        raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MOST_PIXELS} pixels at most")
+
+
+def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _Surroundings) -> View:
+    _check_picture(table, key, path)
+    matrix = np.array(table.matrix, float)
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and (matrix[2] == (0.0, 0.0, 1.0)).all()):
+        wanted = "wanted [[fx, s, cx], [0, fy, cy], [0, 0, 1]] in pixels, with fx and fy above 0"
+        raise refuse(path, f"{key}.matrix", matrix, wanted)
+    translation = np.array(table.translation_m, float)
+    camera = Camera(
+        table.width, table.height, matrix, np.array(table.distortion, float), _rotation(table, key, path), translation
+    )
+    _check_outlook(camera, key, path)
+    own_background = files.existing(table.background, f"{key}.background", _BACKGROUND_WANTED)
+    return View(
+        camera,
+        files.existing(table.path, f"{key}.path", PATH_WANTED) or clip.path,
+        own_background or clip.background_path,
+    )
+
+
+def _rotation(table: _CameraTable, key: str, path: Path) -> Array:
+    rotation = np.array(table.rotation, float)
+    error = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if error > ROTATION_TOLERANCE:
+        wanted = f"wanted a rotation, rows of length 1 at right angles; R Rᵀ is {error:.2g} away from the identity"
+        raise refuse(path, f"{key}.rotation", rotation, wanted)
+    if np.linalg.det(rotation) < 0:
+        wanted = "wanted a rotation, this is a reflection (determinant -1); try the sign of one row"
+        raise refuse(path, f"{key}.rotation", rotation, wanted)
+    if error < 1e-12:
+        return rotation
+    u, _, vt = np.linalg.svd(rotation)
+    return np.asarray(u @ vt)
+
+
+def _check_outlook(camera: Camera, key: str, path: Path) -> None:
+    """A camera stands above the table, near it, and sees some of it."""
+    translation = camera.translation_m
+    if float(np.linalg.norm(translation)) > FARTHEST_M:
+        guess = f"; did you mean {shown_list(translation * 1e-3)}?"
+        raise refuse(path, f"{key}.translation_m", translation, f"wanted metres, at most {FARTHEST_M:g} m away{guess}")
+    height = float(camera.centre_m[2])
+    if height <= 0:
+        wanted = f"this camera stands {-height:.4g} m below the table (z = 0); wanted one above it"
+        if translation[2] > 0:
+            wanted += ", with rotation and translation_m from world to camera"
+        raise refuse(path, f"{key}.translation_m", translation, wanted)
+    if not _sees_table(camera):
+        wanted = "this camera looks away from the table (z = 0), no pixel of it sees any; wanted world to camera"
+        raise refuse(path, f"{key}.rotation", camera.rotation, wanted)
+
+
+def _sees_table(camera: Camera) -> bool:
+    """Whether the ray of a corner of the frame goes down; the lowest ray always belongs to one (distortion aside)."""
+    corners = [(x, y, 1.0) for x in (0.0, camera.width_px - 1.0) for y in (0.0, camera.height_px - 1.0)]
+    rays = np.linalg.solve(camera.matrix, np.array(corners).T).T @ camera.rotation
+    return bool((rays[:, 2] < 0).any())
+
+
+def die_from(table: DieTable, path: Path) -> Die:
+    """The die of a `[die]` table, sharp where that gives no radius. Raises SceneError for one that cannot be: too large, too
+    dense."""
+    _check_density(table, path)
+    if table.marks == "pips" and table.shape != "cube":
+        raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
+    die = make_die(table.shape, table.edge_m, table.mass_kg, marks=table.marks)
+    largest = ROUNDEST * die.solid.inradius
+    given = table.corner_radius_m
+    radius = given if isinstance(given, float) else 0.0
+    if radius > largest:
+        guess = _unit_guess(radius, (1e-3, 1e-6), lambda radius: radius <= largest)
+        wanted = f"wanted metres, at most {ROUNDEST:g} of the inscribed radius, {largest:.4g}{guess}"
+        raise refuse(path, "die.corner_radius_m", radius, wanted)
+    _check_inertia(table, die, path)
+    return make_die(
+        table.shape,
+        table.edge_m,
+        table.mass_kg,
+        inertia_kg_m2=table.inertia_kg_m2,
+        corner_radius_m=radius,
+        marks=table.marks,
+    )
+
+
+def _rounding(table: DieTable) -> Rounding:
+    """What a `[die]` table wants done about the radius of the corners."""
+    if table.corner_radius_m is None:
+        return Rounding.LOOKED_AT
+    return Rounding.ESTIMATED if table.corner_radius_m == ESTIMATE else Rounding.GIVEN
+
+
+def table_from(table: TableTable) -> Table:
+    """The table of a `[table]` table."""
+    motion = table.motion
+    return Table(
+        table.surface, None if motion is None else Motion(motion.amplitude_m, motion.frequency_hz, motion.phase_rad)
+    )
+
+
+def _check_density(table: DieTable, path: Path) -> None:
+    low, high = DENSITIES_KG_M3
+
+    def possible(edge_m: float, mass_kg: float) -> bool:
+        return low <= mass_kg / _volume_m3(table.shape, edge_m) <= high
+
+    if table.edge_m > LARGEST_EDGE_M:
+        guess = _unit_guess(table.edge_m, (1e-3, 1e-2), lambda edge: possible(edge, table.mass_kg))
+        raise refuse(path, "die.edge_m", table.edge_m, f"wanted metres, at most {LARGEST_EDGE_M:g}{guess}")
+    if not possible(table.edge_m, table.mass_kg):
+        density = table.mass_kg / _volume_m3(table.shape, table.edge_m)
+        guess = _unit_guess(table.mass_kg, (1e-3, 1e-6, 1e3), lambda mass: possible(table.edge_m, mass))
+        wanted = (
+            f"with edge_m = {table.edge_m:g} that is {density:.3g} kg/m³; wanted kilograms, {low:g} to {high:g} kg/m³"
+        )
+        raise refuse(path, "die.mass_kg", table.mass_kg, wanted + guess)
+
+
+def _check_inertia(table: DieTable, die: Die, path: Path) -> None:
+    """No mass lies farther out than the corners: J = ⅔ Σ m r² <= ⅔ m R²."""
+    most = 2.0 / 3.0 * die.mass_kg * die.solid.circumradius**2
+    if table.inertia_kg_m2 is not None and not 1e-3 * most <= table.inertia_kg_m2 <= most:
+        wanted = (
+            f"wanted kg m², {1e-3 * most:.4g} to {most:.4g}, the most with all the mass at the corners; "
+            f"a homogeneous die has {die.inertia_kg_m2:.4g}"
+        )
+        raise refuse(path, "die.inertia_kg_m2", table.inertia_kg_m2, wanted)
+
+
+def _volume_m3(shape: str, edge_m: float) -> float:
+    """Volume by the cones from the centre to the faces."""
+    solid = make_die(shape, edge_m, 1.0).solid
+    volume = 0.0
+    for face in solid.faces:
+        corners = solid.vertices[list(face)]
+        for j in range(1, len(face) - 1):
+            volume += float(corners[0] @ np.cross(corners[j], corners[j + 1])) / 6.0
+    return volume
+
+
+def _unit_guess(value: float, factors: tuple[float, ...], fits: Callable[[float], bool]) -> str:
+    """`; did you mean 0.016?` where the value in another unit would do, else nothing."""
+    guess = next((value * factor for factor in factors if fits(value * factor)), None)
+    return "" if guess is None else f"; did you mean {guess:.6g}?"
+
+
+def shown_list(values: Array) -> str:
+    """`[0.003, 0.021, 0.616]`."""
+    return "[" + ", ".join(f"{value:.6g}" for value in values) + "]"

@@ -1,0 +1,97 @@
+"""What a long run has done so far, kept beside its output folder, so that a stopped run can go on.
+
+The file is replaced in one step, so that it is whole whenever a run is stopped, and it carries a digest of the settings
+and of the version: what was made with others is never taken for a part of this run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import __version__
+from .outputs import OutputPlaceError
+from .provenance import as_tables
+from .records import plain
+
+Kept = dict[str, NDArray[Any]]
+
+EVERY_S = 5.0
+"""Between two writings, and never more than a twentieth of the time spent on them."""
+
+
+class WorkFile:
+    """The work file of an output folder and of settings: any frozen value whose fields are plain."""
+
+    def __init__(self, folder: Path, settings: Any) -> None:
+        folder = Path(os.path.abspath(folder))
+        self.folder = folder
+        self.path = folder.with_name(f".{folder.name}.work.npz")
+        text = json.dumps([__version__, type(settings).__name__, plain(as_tables(settings))], sort_keys=True)
+        self.digest = hashlib.sha256(text.encode()).hexdigest()
+
+    def read(self) -> Kept | None:
+        """What was kept, None if there is nothing. Raises ValueError for the work file of other settings."""
+        if not self.path.exists():
+            return None
+        try:
+            # Opened here, because numpy leaves a file open that is no archive.
+            with self.path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
+                kept = {name: file[name] for name in file.files}
+        except (ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise ValueError(f"{self.path}: not a work file ({error}); delete it, or leave --resume out") from error
+        if str(kept.pop("digest", "")) != self.digest:
+            raise ValueError(
+                f"{self.path} belongs to a run with other settings or of another version; "
+                "give the settings of that run, or leave --resume out to begin anew"
+            )
+        return kept
+
+    def write(self, kept: Mapping[str, Any]) -> None:
+        """Replace the file, in one step."""
+        aside = self.path.with_name(f"{self.path.name}.{os.getpid()}.part")
+        try:
+            with aside.open("wb") as file:
+                np.savez(file, allow_pickle=False, digest=np.array(self.digest), **kept)
+                file.flush()
+                os.fsync(file.fileno())
+            aside.replace(self.path)
+        except OSError as error:
+            raise OutputPlaceError(f"{self.path} cannot be written ({error.strerror}); try another --out") from error
+        finally:
+            aside.unlink(missing_ok=True)
+
+    def remove(self) -> None:
+        """Nothing is left to go on with."""
+        self.path.unlink(missing_ok=True)
+
+    @contextmanager
+    def keeping(self) -> Iterator[Callable[[Mapping[str, Any]], None]]:
+        """A function to tell what is done so far; written now and then, and when the block is stopped or fails."""
+        last: Mapping[str, Any] | None = None
+        due = time.monotonic() + EVERY_S
+
+        def keep(kept: Mapping[str, Any]) -> None:
+            nonlocal last, due
+            last = kept
+            if (begin := time.monotonic()) >= due:
+                self.write(kept)
+                took = time.monotonic() - begin
+                due = time.monotonic() + max(EVERY_S, 20.0 * took)
+
+        try:
+            yield keep
+        except BaseException:
+            if last is not None:
+                self.write(last)
+            raise

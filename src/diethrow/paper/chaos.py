@@ -1,0 +1,217 @@
+"""The paper's largest Lyapunov exponents: at χ = 1, and on a table that oscillates.
+
+The paper gives four numbers with no unit, no start, and no motion of the table. An exponent of a motion that keeps its
+energy depends on that energy, so several starts stand side by side, each in three units.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..model.die import Die
+from ..model.ensembles import CONDITIONS, Exponents, largest_exponent, states_of
+from ..model.laws import LEVEL, SmoothImpact, Table
+from ..model.throw import State, unpacked_state
+from ..replay.elements import FACE_COLOURS, hex_colour
+from .flights import START
+from .values import CHI, Picture, Result, Run, Verdict, cell, cube, drawing, tetrahedron
+from .values import Table as Rows
+
+STATED = {"tetrahedron": 0.076, "cube": 0.067}
+STATED_ON_MOVING = {"tetrahedron": 0.169, "cube": 0.183}
+HEIGHTS_M = (0.1, 0.3, 1.0)
+"""Releases of several energies; 0.3 is that of Fig. 5."""
+MOTIONS = ((0.001, 25.0), (0.001, 50.0), (0.003, 25.0), (0.003, 50.0))
+"""Amplitude [m] and frequency [Hz] of the table."""
+UNITS = ("per_second", "per_impact", "per_unit")
+UNIT_NAMES = {"per_second": "per second", "per_impact": "per impact", "per_unit": "per √(a/g)"}
+LEFT_OUT = 200
+APART = 3.0
+"""Standard errors between two ratios that are told apart."""
+ROUNDED = 0.016
+"""Of the paper's ratio: half a unit of the last digit of both numbers."""
+
+
+def exponents(run: Run) -> tuple[Result, ...]:
+    """Both pairs of numbers."""
+    dice = (tetrahedron(), cube())
+    total, done = len(dice) * (len(HEIGHTS_M) + len(MOTIONS)), 0
+    at_chi_1: dict[tuple[str, float], Exponents | str] = {}
+    moving: dict[tuple[str, tuple[float, float]], Exponents | str] = {}
+    for die in dice:
+        for height in HEIGHTS_M:
+            at_chi_1[die.solid.name, height] = _exponent(run, die, height, 1.0, LEVEL)
+            done += 1
+            run.progress("Exponents", done, total)
+        for motion in MOTIONS:
+            table = Table(amplitude_m=motion[0], frequency_hz=motion[1])
+            moving[die.solid.name, motion] = _exponent(run, die, HEIGHTS_M[1], CHI, table)
+            done += 1
+            run.progress("Exponents", done, total)
+    return _at_chi_1(run, at_chi_1), _on_moving(moving)
+
+
+def start_of(height_m: float) -> State:
+    """The start of Fig. 5 from a given height, v0z as printed."""
+    given = START | {"z0": height_m, "vz": -0.7}
+    return unpacked_state(states_of(np.array([[given.get(name, 0.0) for name in CONDITIONS]]))[0], 0.0)
+
+
+def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> Exponents | str:
+    """The exponent, or why there is none: on a weakly moving table a die comes to lie."""
+    try:
+        return largest_exponent(
+            die,
+            start_of(height_m),
+            SmoothImpact(chi),
+            table=table,
+            impacts=run.effort.orbit_impacts,
+            orbits=run.effort.orbits,
+            left_out=LEFT_OUT,
+            seed=run.seed,
+        )
+    except ValueError as error:
+        if "bounced only" not in str(error):
+            raise
+        return str(error)
+
+
+def _at_chi_1(run: Run, found: dict[tuple[str, float], Exponents | str]) -> Result:
+    kept = {key: each for key, each in found.items() if isinstance(each, Exponents)}
+    stated = STATED["tetrahedron"] / STATED["cube"]
+    ratios = {
+        unit: [_ratio(kept["tetrahedron", height], kept["cube", height], unit) for height in HEIGHTS_M]
+        for unit in UNITS
+    }
+    paper_start = [kept[name, HEIGHTS_M[1]] for name in STATED]
+    told = "; ".join(
+        f"{name} {_told(each, 'per_second')} s⁻¹, {_told(each, 'per_impact')} per impact, {_told(each, 'per_unit')} per "
+        "√(a/g)"
+        for name, each in zip(STATED, paper_start, strict=True)
+    )
+    why = (
+        "Neither the unit nor the start is stated, and the exponent changes with the energy (table). None of the three units "
+        "gives the paper's numbers from any of these starts. " + _on_ratios(stated, ratios)
+    )
+    return Result(
+        key="exponents_chi_1",
+        title="Largest Lyapunov exponents at χ = 1",
+        stated=f"Tetrahedron {cell(STATED['tetrahedron'])}, cube {cell(STATED['cube'])}; no unit.",
+        ours=f"From the start of Fig. 5: {told}.",
+        verdict=Verdict.NOT_DECIDABLE,
+        why=why,
+        tables=(
+            Rows(
+                f"Largest exponents at χ = 1, from the start of Fig. 5 at several heights: {run.effort.orbits} orbits of "
+                f"{run.effort.orbit_impacts} impacts each, with standard errors.",
+                ("die", "z0 [m]", *UNIT_NAMES.values()),
+                tuple((name, height, *(_told(each, unit) for unit in UNITS)) for (name, height), each in kept.items()),
+            ),
+        ),
+        pictures=(_draw(run, kept),),
+        numbers={
+            "stated": STATED,
+            "ratio_stated": stated,
+            "ratios": {
+                unit: [
+                    {"z0_m": height, "ratio": ratio, "standard_error": error}
+                    for height, (ratio, error) in zip(HEIGHTS_M, row, strict=True)
+                ]
+                for unit, row in ratios.items()
+            },
+            "found": [{"die": name, "z0_m": height, **_plain(each)} for (name, height), each in found.items()],
+        },
+    )
+
+
+def _on_ratios(stated: float, ratios: dict[str, list[tuple[float, float]]]) -> str:
+    """Whether a change of unit alone could lead to the paper's two numbers."""
+    rows = []
+    for unit, row in ratios.items():
+        met = any(abs(ratio - stated) <= APART * error + ROUNDED for ratio, error in row)
+        low, high = min(ratio for ratio, _ in row), max(ratio for ratio, _ in row)
+        rows.append(f"{low:.2f} to {high:.2f} {UNIT_NAMES[unit]} ({'agrees' if met else 'does not agree'})")
+    return f"The ratio of tetrahedron to cube, which no unit changes, is {stated:.2f} in the paper; here {', '.join(rows)}."
+
+
+def _ratio(a: Exponents, b: Exponents, unit: str) -> tuple[float, float]:
+    """The ratio of two exponents and its standard error."""
+    x, y = getattr(a, unit), getattr(b, unit)
+    spread = np.hypot(getattr(a, f"{unit}_error") / x, getattr(b, f"{unit}_error") / y)
+    return float(x / y), float(abs(x / y) * spread)
+
+
+def _on_moving(found: dict[tuple[str, tuple[float, float]], Exponents | str]) -> Result:
+    kept = {key: each for key, each in found.items() if isinstance(each, Exponents)}
+    larger = sum(
+        kept["cube", motion].per_second > kept["tetrahedron", motion].per_second
+        for motion in MOTIONS
+        if ("cube", motion) in kept and ("tetrahedron", motion) in kept
+    )
+    both = sum(("cube", motion) in kept and ("tetrahedron", motion) in kept for motion in MOTIONS)
+    spread = [each.per_second for each in kept.values()]
+    span = f"{cell(min(spread))} to {cell(max(spread))} s⁻¹" if spread else "no exponent"
+    rows = [
+        (name, 1e3 * motion[0], motion[1], *(_told(each, unit) for unit in UNITS))
+        if isinstance(each, Exponents)
+        else (name, 1e3 * motion[0], motion[1], "comes to lie on the table", "—", "—")
+        for (name, motion), each in found.items()
+    ]
+    return Result(
+        key="exponents_moving_table",
+        title="Largest Lyapunov exponents on an oscillating table",
+        stated=f"Tetrahedron {cell(STATED_ON_MOVING['tetrahedron'])}, cube {cell(STATED_ON_MOVING['cube'])}; no unit.",
+        ours=f"{span[0].upper()}{span[1:]}, by amplitude and frequency; the cube's is the larger one in {larger} of {both} "
+        "motions.",
+        verdict=Verdict.NOT_DECIDABLE,
+        why=f"Amplitude and frequency of the table, χ and the unit are not stated, and the exponent hangs on all of them. "
+        f"Here χ = {CHI:g}.",
+        tables=(
+            Rows(
+                "Largest exponents on an oscillating table, with standard errors.",
+                ("die", "amplitude [mm]", "frequency [Hz]", *UNIT_NAMES.values()),
+                tuple(rows),
+            ),
+        ),
+        numbers={
+            "stated": STATED_ON_MOVING,
+            "chi": CHI,
+            "found": [
+                {"die": name, "amplitude_m": motion[0], "frequency_hz": motion[1], **_plain(each)}
+                for (name, motion), each in found.items()
+            ],
+        },
+    )
+
+
+def _told(each: Exponents, unit: str) -> str:
+    return f"{getattr(each, unit):.3f} ± {getattr(each, f'{unit}_error'):.3f}"
+
+
+def _plain(each: Exponents | str) -> dict[str, Any]:
+    if isinstance(each, str):
+        return {"message": each}
+    return {name: getattr(each, name) for unit in UNITS for name in (unit, f"{unit}_error")} | {"impacts": each.impacts}
+
+
+def _draw(run: Run, kept: dict[tuple[str, float], Exponents]) -> Picture:
+    """The estimate against the number of impacts that it was taken from, from the start of Fig. 5."""
+    figure = drawing((8.4, 3.4))
+    ax = figure.subplots()
+    for k, name in enumerate(STATED):
+        each = kept[name, HEIGHTS_M[1]]
+        count = np.arange(1, each.impacts + 1)
+        running = np.cumsum(each.logs, axis=1) / each.times_s
+        colour = hex_colour(FACE_COLOURS[(0, 2)[k]])
+        ax.plot(count, running.T, linewidth=0.5, color=colour, alpha=0.6)
+        ax.axhline(each.per_second, color=colour, linewidth=1.4, label=f"{name}: {_told(each, 'per_second')} s⁻¹")
+    ax.set_xscale("log")
+    ax.set_ylim(0.0, 2.0 * max(each.per_second for each in kept.values()))
+    ax.set_xlabel("impacts [number]")
+    ax.set_ylabel("exponent so far [1/s]")
+    ax.legend(frameon=False)
+    ax.spines[["top", "right"]].set_visible(False)
+    figure.savefig(run.folder / "exponents.png")
+    return Picture("exponents.png", "How the exponents at χ = 1 settle, orbit by orbit, from the start of Fig. 5.")

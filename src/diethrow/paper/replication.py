@@ -1,0 +1,137 @@
+"""The paper again: its statements, what comes out here, and what can be said of each.
+
+`paper` runs every part from the parameters that the paper states and tunes none; where something is not stated, the page
+says what was taken instead, or that nothing can be decided.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..files.outputs import whole_folder
+from ..files.provenance import Stopwatch, write_provenance
+from ..files.records import write_json
+from .bounces import bounces
+from .chaos import exponents
+from .flights import fig_5
+from .maps import fig_6, fig_7
+from .odds import odds_results
+from .page import SOURCE, page
+from .solids import fig_2, inertias
+from .values import FULL, QUICK, Effort, Progress, Result, Run, Verdict
+
+PARTS: dict[str, Callable[[Run], tuple[Result, ...]]] = {
+    "inertias": inertias,
+    "fig_2": fig_2,
+    "fig_5": fig_5,
+    "fig_6": fig_6,
+    "fig_7": fig_7,
+    "odds": odds_results,
+    "exponents": exponents,
+    "experiment": bounces,
+}
+"""In the order of the page; each makes its pictures and says what it found."""
+
+
+@dataclass(frozen=True)
+class PaperPlan:
+    """What a run of `paper` does."""
+
+    effort: Effort
+    seed: int = 1
+    quick: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Replication:
+    """What came out."""
+
+    results: tuple[Result, ...]
+    seconds: dict[str, float]
+    """That each part took."""
+
+
+def plan_of(quick: bool, seed: int) -> PaperPlan:
+    """The full run, or the quick one. Raises ValueError for a seed below 0."""
+    if seed < 0:
+        raise ValueError(f"seed {seed}: wanted 0 or more")
+    return PaperPlan(QUICK if quick else FULL, seed, quick)
+
+
+def paper(
+    plan: PaperPlan,
+    out: Path,
+    *,
+    force: bool = False,
+    threads: int = 1,
+    progress: Progress = lambda stage, done, total: None,
+    command: tuple[str, ...] = (),
+) -> Replication:
+    """Replicate the paper and write paper.html, paper.json, the pictures and provenance to the folder `out`.
+
+    Numbers depend on the plan alone, not on `threads`. Raises OutputExistsError for a folder that exists (unless
+    `force`); a run that is stopped leaves nothing.
+    """
+    watch = Stopwatch()
+    results: list[Result] = []
+    with whole_folder(out, force=force) as folder:
+        run = Run(folder, plan.effort, plan.seed, threads, progress)
+        for name, part in PARTS.items():
+            with watch.stage(name):
+                results += part(run)
+        note = _note(plan)
+        write_json(folder / "paper.json", paper_table(plan, results))
+        (folder / "paper.html").write_text(page(results, folder, note), encoding="utf-8")
+        write_provenance(
+            folder / "provenance.json",
+            command=command,
+            understood=plan,
+            inputs=(),
+            seconds=watch.seconds,
+            seeds={"all": plan.seed},
+        )
+    return Replication(tuple(results), watch.seconds)
+
+
+def paper_table(plan: PaperPlan, results: list[Result]) -> dict[str, Any]:
+    """What paper.json holds."""
+    return {
+        "paper": SOURCE,
+        "diethrow": __version__,
+        "quick": plan.quick,
+        "seed": plan.seed,
+        "effort": asdict(plan.effort),
+        "verdicts": {verdict.value: n for verdict, n in Counter(result.verdict for result in results).items()},
+        "results": [
+            {
+                "key": result.key,
+                "title": result.title,
+                "paper": result.stated,
+                "ours": result.ours,
+                "verdict": result.verdict.value,
+                "why": result.why,
+                "numbers": result.numbers,
+                "tables": [asdict(table) for table in result.tables],
+                "pictures": [asdict(picture) for picture in result.pictures],
+            }
+            for result in results
+        ],
+    }
+
+
+def summary(replication: Replication) -> list[str]:
+    """A line for each statement, and one for the time."""
+    width = max(len(verdict.value) for verdict in Verdict)
+    lines = [f"{result.verdict.value:<{width}}  {result.title}" for result in replication.results]
+    parts = ", ".join(f"{name} {seconds:.0f}" for name, seconds in replication.seconds.items())
+    return [*lines, f"{sum(replication.seconds.values()):.0f} s ({parts})"]
+
+
+def _note(plan: PaperPlan) -> str:
+    size = "quick run" if plan.quick else "full run" if plan.effort == FULL else "run of another size"
+    return f"diethrow {__version__}, {size}, {plan.effort.throws:,} throws for each point of the odds, seed {plan.seed}"

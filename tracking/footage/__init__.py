@@ -1,0 +1,17 @@
+"""tracking.footage."""
+
+from .background import estimate_background as estimate_background
+from .background import load_background as load_background
+from .cine import is_cine as is_cine
+from .clip import Clip as Clip
+from .clip import clip_files as clip_files
+from .clip import open_clip as open_clip
+from .decimation import WHOLE as WHOLE
+from .decimation import Coarseness as Coarseness
+from .frame_blocks import Frames as Frames
+from .frame_blocks import Reel as Reel
+from .frame_blocks import Rows as Rows
+from .images import read_picture as read_picture
+from .photron import is_photron as is_photron
+from .reader import MOST_PIXELS as MOST_PIXELS
+from .reader import Frame as Frame

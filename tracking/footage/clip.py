@@ -1,0 +1,123 @@
+"""Frames and their times, read lazily: one small interface in front of every file format.
+
+`open_clip` looks at what a file holds, not only at its name. A new format is one more reader: a `Footage` with `_read`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .cine import is_cine, open_cine
+from .images import files_of_pictures, is_tiff, open_pictures
+from .photron import is_photron, open_photron, photron_files
+from .reader import Frame as Frame
+from .video import open_video
+
+PICTURE_STARTS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"P5\n", b"P2\n", b"P6\n", b"\0\0\0\x0cjP  ")
+"""First bytes of PNG, JPEG, BMP, PGM, PPM and JPEG 2000; TIFF and WebP are asked in their own way."""
+
+
+class Clip(Protocol):
+    """A film of `len(clip)` grey frames; no reader holds more than a few of them in memory."""
+
+    width_px: int
+    height_px: int
+    bit_depth: int
+    """Significant bits of a pixel: full scale is 2**bit_depth - 1."""
+    times_s: NDArray[np.float64]
+    """(n,) mid-exposure."""
+    first_frame: int
+    """Number, in the file, of the first frame read."""
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """What a careful user should know: a variable rate, duplicated frames, a truncated file; one sentence each."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Frames `start` to `stop` in order, each (height, width) uint8 or uint16 at native depth."""
+        ...
+
+    def frame(self, index: int) -> Frame:
+        """One frame, at random access."""
+        ...
+
+    def metadata(self) -> dict[str, Any]:
+        """What the file says of itself; `record_rate_hz` and `exposure_s` are None where it does not say."""
+        ...
+
+
+@runtime_checkable
+class Filling(Protocol):
+    """A clip that writes frames where they are wanted, and no more of them than is wanted: see `Footage.fill`."""
+
+    @property
+    def in_any_order(self) -> bool:
+        """Whether a frame takes as long wherever the one before was. If not, to pass some over saves nothing."""
+        ...
+
+    def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
+        """Frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
+        ...
+
+
+def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None) -> Clip:
+    """A film, whatever it is kept in: video, numbered pictures, multi-page TIFF, Photron, Phantom.
+
+    `path` is a film; a folder of numbered pictures, one of them (for all of its sequence) or a glob pattern; a TIFF;
+    a .cih or .cihx header or its .mraw; a .cine. `fps` [1/s] is the recording rate, needed where the file carries only a playback
+    rate. `frame_range` (first, stop) restricts the frames; times still count from the file's first frame.
+
+    Raises FileNotFoundError where nothing is there, and ValueError, in one sentence, for what is no film, for a rate that
+    is missing or contradicts the file's, and for a range outside the film.
+    """
+    path = Path(path)
+    if path.is_dir() or (not path.exists() and any(mark in path.name for mark in "*?[")):
+        return open_pictures(path, fps, frame_range)
+    if not path.exists():
+        raise FileNotFoundError(
+            f"{path}: there is no such clip; give a film, a folder of pictures, a pattern or a header"
+        )
+    if path.stat().st_size == 0:
+        raise ValueError(f"{path.name}: the clip is an empty file; copy it again")
+    if is_cine(path):
+        return open_cine(path, fps, frame_range)
+    if is_photron(path):
+        return open_photron(path, fps, frame_range)
+    return (open_pictures if _is_picture(path) else open_video)(path, fps, frame_range)
+
+
+def clip_files(path: Path) -> tuple[Path, ...]:
+    """Every file that `open_clip` reads: the pixels beside a Photron header, and all pictures of a sequence.
+
+    What is not there, or is no film, is returned as it was named; `open_clip` says what is wrong with it.
+    """
+    path = Path(path)
+    try:
+        if not path.is_file():
+            return files_of_pictures(path)
+        if is_photron(path):
+            return photron_files(path)
+        return files_of_pictures(path) if _is_picture(path) else (path,)
+    except (ValueError, OSError):
+        return (path,)
+
+
+def scan_notices(clip: Clip) -> tuple[str, ...]:
+    """The clip's notices after every frame has been read once, so that repeated frames are among them."""
+    for _ in clip.frames():
+        pass
+    return clip.notices
+
+
+def _is_picture(path: Path) -> bool:
+    with path.open("rb") as file:
+        start = file.read(16)
+    return is_tiff(path) or start.startswith(PICTURE_STARTS) or (start[:4] == b"RIFF" and start[8:12] == b"WEBP")

@@ -1,0 +1,368 @@
+"""Films in any container and codec that FFmpeg reads, through PyAV: every frame exactly once, at its native depth.
+
+The packets are listed once, undecoded; containers lie about their frame counts. A frame is then found by its place in the film:
+decoding starts at a key packet, recognised by its offset in the file, and frames are counted as they come out. Timestamps
+would not do: a 1 ms time base (Matroska) gives two frames of a 1500 frames/s film the same one.
+
+**Grey levels.** The luma plane, at full scale. Video with chroma is stored in limited range (16 to 235 in 8 bit)
+unless it says otherwise, and is expanded; grey (monochrome) video is stored as it was, whatever its tag says: FFmpeg marks
+monochrome HEVC as limited by default, and hands out monochrome H.264 as untagged yuv420p, which is why the stream's own
+parameter set is asked. Getting this wrong moves grey levels by up to 20. RGB becomes luma with the weights of BT.601.
+
+**Times.** t = k / fps. The container's timestamps are for playback and only serve as a witness: where they are uneven a
+notice says so; where they are uneven, run at the recording rate and are fine enough, they are believed instead, since the
+gaps then are dropped frames.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any
+
+import av
+import av.filter
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from .reader import Footage, Frame, check_size, times_from_rate
+
+NOT_FILMS = {"tty", "concat", "hls", "dash", "image2", "imf", "webm_dash_manifest"}
+"""FFmpeg formats refused: text taken for a film, and lists that make it open other files."""
+LUMA_FIRST = re.compile(
+    r"(gray(8|9|10|12|14|16)?(le|be)?|yuvj?4\d\dp(9|1\d)?(le|be)?|yuva4\d\dp(9|1\d)?(le|be)?|nv\d\d)$"
+)
+"""Pixel formats whose first plane is luma and nothing else, in the low bits."""
+FULL_RANGE = 2
+
+
+def open_video(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
+    """A film in a container; raises ValueError where FFmpeg finds none, or where fps is missing."""
+    return VideoClip(path, fps, frame_range)
+
+
+@dataclass(frozen=True, eq=False)
+class Packets:
+    """The packets of a film in the order of decoding, one row each."""
+
+    offset: NDArray[np.int64]
+    """Place in the file [bytes], -1 where unknown."""
+    time: NDArray[np.int64]
+    """Presentation, or else decoding, timestamp in ticks of the time base."""
+    key: NDArray[np.bool_]
+    """Decoding can begin here."""
+    broken: bool
+    """The list ended in damage."""
+
+    @property
+    def rank(self) -> NDArray[np.int64]:
+        """(n,) place of each key packet's frame in the film: packets decoded before it, and later ones shown before it."""
+        n = len(self.time)
+        later_minimum = np.minimum.accumulate(self.time[::-1])[::-1]
+        rank = np.arange(n)
+        for i in np.flatnonzero(self.key & (later_minimum < self.time)):
+            rank[i] += np.count_nonzero(self.time[i + 1 :] < self.time[i])
+        return rank
+
+
+class VideoClip(Footage):
+    """See the module's text."""
+
+    in_any_order = False
+
+    def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
+        self._container, self._video = _open(path)
+        stream = self._video
+        check_size(path, stream.codec_context.width, stream.codec_context.height)
+        self._packets = _list_packets(self._container, stream)
+        self._rank = self._packets.rank
+        self._index_at = {int(p): i for i, p in enumerate(self._packets.offset)}
+        self._mono = _is_monochrome_h264(stream.codec_context)
+        self._decoded: Iterator[tuple[int, av.VideoFrame]] = iter(())
+        self._next_number = -1
+        self.path = path
+        count = self._count_readable()
+        sample = self._decode(0)
+        facts = _facts(self._container, stream, sample)
+        playback = f"only a playback rate ({facts['playback_fps']:g} frames/s)" if facts["playback_fps"] else "no rate"
+        times = times_from_rate(path, fps, count, playback)
+        time_base_s = float(stream.time_base or 0)
+        times, notices = _times(
+            path, times, np.asarray(np.sort(self._packets.time)[:count] * time_base_s, np.float64), time_base_s
+        )
+        grey = _grey(sample, self._mono)
+        super().__init__(
+            path,
+            width_px=grey.shape[1],
+            height_px=grey.shape[0],
+            bit_depth=_bit_depth(sample),
+            file_times_s=times,
+            frame_range=frame_range,
+            notices=self._truncation(count) + notices,
+            facts=facts,
+        )
+
+    def _read(self, number: int) -> Frame:
+        frame = _grey(self._decode(number), self._mono)
+        if frame.shape != (self.height_px, self.width_px):
+            h, w = frame.shape
+            raise ValueError(
+                f"{self.path.name}: frame {number} is {w} × {h} px and the first {self.width_px} × {self.height_px}; "
+                "cut the film where its size changes"
+            )
+        return frame
+
+    def _decode(self, number: int) -> av.VideoFrame:
+        """Decode on to frame `number`, from the key packet before it unless the decoder is already nearer."""
+        keys = np.flatnonzero(self._packets.key)
+        before = keys[self._rank[keys] <= number]
+        key = int(before[-1]) if len(before) else 0
+        if not self._rank[key] <= self._next_number <= number:
+            self._decoded = self._decode_from(key)
+        self._next_number = -1  # stays so if decoding fails
+        try:
+            for place, frame in self._decoded:
+                if place == number:
+                    self._next_number = number + 1
+                    return frame
+        except av.error.FFmpegError as error:
+            raise ValueError(f"{self.path.name}: frame {number} cannot be decoded; {_hint(number)}") from error
+        raise ValueError(f"{self.path.name}: frame {number} is missing from the film; {_hint(number)}")
+
+    def _decode_from(self, key: int) -> Iterator[tuple[int, av.VideoFrame]]:
+        """Frames from a key packet on, each with its place in the film."""
+        packets, decoder = self._packets_from(key), self._video.codec_context
+        place, begin = int(self._rank[key]), self._packets.time[key]
+        has_leading = place > key
+        for packet in packets:
+            for frame in decoder.decode(packet):
+                if has_leading and frame.pts is not None and frame.pts < begin:
+                    continue  # shown before the key frame, and broken without the frames before that
+                yield place, frame
+                place += 1
+
+    def _packets_from(self, key: int) -> Iterator[av.Packet | None]:
+        """The packets from number `key` on, then None, which empties the decoder."""
+        container, stream = self._container, self._video
+        try:
+            container.seek(int(self._packets.time[key]), stream=stream, backward=True)
+            packets = _filled(container.demux(stream))
+            first = next(packets, None)
+            found = self._index_at.get(first.pos, key + 1) if first is not None and first.pos >= 0 else key + 1
+        except av.error.FFmpegError:
+            found = key + 1  # some containers cannot seek; they can be read again
+        if found <= key:
+            return chain(islice(chain([first], packets), key - found, None), [None])
+        container.close()
+        self._container, self._video = _open(self.path)
+        return chain(islice(_filled(self._container.demux(self._video)), key, None), [None])
+
+    def _count_readable(self) -> int:
+        """The number of frames, without those at the end of a damaged file that cannot be decoded."""
+        count = len(self._packets.time)
+        while self._packets.broken and count > 0:
+            try:
+                self._decode(count - 1)
+                return count
+            except ValueError:
+                count -= 1
+        if count == 0:
+            raise ValueError(f"{self.path.name}: no frame can be decoded; the file is empty or damaged")
+        return count
+
+    def _truncation(self, count: int) -> tuple[str, ...]:
+        declared = self._video.frames
+        if count < declared:
+            return (
+                f"{self.path.name}: the file declares {declared} frames and {count} can be read; "
+                "it seems cut off, and those are used.",
+            )
+        return (
+            (f"{self.path.name}: the end of the file is damaged; {count} frames are used.",)
+            if self._packets.broken
+            else ()
+        )
+
+
+def _hint(number: int) -> str:
+    return f"repair the file, or restrict frames to [0, {number}]" if number else "the file is damaged"
+
+
+def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
+    try:
+        container = av.open(f"file:{path.resolve()}", options={"protocol_whitelist": "file"})
+    except (av.error.FFmpegError, OSError) as error:
+        raise ValueError(
+            f"{path.name}: FFmpeg finds no film in it; give a film, pictures or a Photron header"
+        ) from error
+    if not container.streams.video or NOT_FILMS & set(container.format.name.split(",")):
+        name = container.format.name
+        container.close()
+        raise ValueError(
+            f"{path.name}: a file of the kind {name!r} holds no film; give a film, pictures or a Photron header"
+        )
+    stream = container.streams.video[0]
+    if stream.codec_context is None:
+        container.close()
+        raise ValueError(f"{path.name}: FFmpeg does not know the film's codec; save it again, as FFV1 for example")
+    stream.thread_type = "AUTO"
+    return container, stream
+
+
+def _filled(packets: Iterator[av.Packet]) -> Iterator[av.Packet]:
+    """The packets that hold something: AVI marks dropped frames, and PyAV the end, by empty ones."""
+    return (packet for packet in packets if packet.size and not packet.is_corrupt)
+
+
+def _list_packets(container: av.container.InputContainer, stream: av.VideoStream) -> Packets:
+    """Read all packets once, undecoded."""
+    rows: list[tuple[int, int, bool]] = []
+    broken = False
+    try:
+        for packet in container.demux(stream):
+            broken |= packet.is_corrupt
+            if packet.size and not packet.is_corrupt and not packet.is_discard:
+                time = packet.pts if packet.pts is not None else packet.dts
+                rows.append(
+                    (-1 if packet.pos is None else packet.pos, len(rows) if time is None else time, packet.is_keyframe)
+                )
+    except av.error.FFmpegError:
+        broken = True  # what was listed before is readable, and the notices tell
+    offset, time, key = (np.array([row[i] for row in rows]) for i in range(3)) if rows else (np.empty(0),) * 3
+    if len(key):
+        key[0] = True  # there is nothing before it to begin at
+    return Packets(
+        offset.astype(np.int64), time.astype(np.int64), key.astype(bool), broken or len(rows) < stream.frames
+    )
+
+
+def _times(
+    path: Path, even_s: NDArray[np.float64], playback_s: NDArray[np.float64], time_base_s: float
+) -> tuple[NDArray[np.float64], tuple[str, ...]]:
+    """Frame times and what there is to say of them, from k / fps and the container's own times (both (n,) [s])."""
+    if len(even_s) < 3 or playback_s[-1] <= playback_s[0]:
+        return even_s, ()
+    k = np.arange(len(even_s))
+    mean_s = (playback_s[-1] - playback_s[0]) / k[-1]
+    tick_s = _tick(playback_s, time_base_s)
+    wander_s = np.ptp(playback_s - k * mean_s)
+    # Rounding to the tick moves every time by half a tick at most, and the mean rate by one over the film.
+    if wander_s <= 2.0 * tick_s + 0.1 * mean_s:
+        return even_s, ()
+    step_s = float(np.median(np.diff(playback_s)))
+    uneven = f"{path.name}: the timestamps are uneven (a variable frame rate, or dropped frames)"
+    if abs(step_s - even_s[1]) <= 0.01 * even_s[1] and tick_s <= 0.2 * even_s[1]:
+        return playback_s - playback_s[0], (
+            f"{uneven}; they run at the recording rate, and are used as the frames' times.",
+        )
+    return even_s, (f"{uneven}; the frames are taken to be evenly spaced at fps.",)
+
+
+def _tick(times_s: NDArray[np.float64], time_base_s: float) -> float:
+    """The rounding of the timestamps [s]: the time base, or more where frames share one (a film once kept in Matroska)."""
+    steps = np.diff(times_s)
+    return float(steps[steps > 0].min()) if (steps == 0).any() else time_base_s
+
+
+def _facts(container: av.container.InputContainer, stream: av.VideoStream, sample: av.VideoFrame) -> dict[str, Any]:
+    return {
+        "format": container.format.name,
+        "codec": stream.codec_context.name,
+        "pixel_format": sample.format.name,
+        "playback_fps": float(stream.average_rate) if stream.average_rate else None,
+        "declared_frames": stream.frames or None,
+    }
+
+
+def _bit_depth(frame: av.VideoFrame) -> int:
+    """Significant bits of the grey levels that `_grey` makes of such a frame."""
+    if LUMA_FIRST.match(frame.format.name):
+        return int(frame.format.components[0].bits)
+    return 8 if max(c.bits for c in frame.format.components) <= 8 else 16
+
+
+def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
+    """(height, width) grey levels at full scale."""
+    if frame.planes[0].line_size < 0:
+        return _grey(_turned_over(frame), mono)[::-1].copy()
+    name = frame.format.name
+    if LUMA_FIRST.match(name):
+        depth = int(frame.format.components[0].bits)
+        luma = _plane(frame, depth, big_endian=name.endswith("be"))
+        as_stored = mono or name.startswith(("gray", "yuvj")) or int(frame.color_range) == FULL_RANGE
+        if as_stored:
+            return luma
+        expanded: Frame = _expansion(depth)[luma]
+        return expanded
+    if re.search(r"f(16|32|64)?(le|be)$", name):
+        raise ValueError(f"pixels of the kind {name} are not whole numbers; convert the film to 8, 12 or 16 bit grey")
+    # Everything else (RGB, palettes, packed YUV) goes through RGB, which FFmpeg makes at full scale.
+    rgb = frame.to_ndarray(format="rgb24" if _bit_depth(frame) == 8 else "rgb48le")
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
+
+
+def _plane(frame: av.VideoFrame, depth: int, big_endian: bool) -> Frame:
+    """The first plane as a new array, without the padding of its lines."""
+    dtype = np.dtype(np.uint8) if depth <= 8 else np.dtype(">u2" if big_endian else "<u2")
+    plane = frame.planes[0]
+    lines = np.frombuffer(plane, dtype).reshape(-1, plane.line_size // dtype.itemsize)
+    whole = lines[: frame.height, : frame.width]
+    return whole.astype(np.uint8) if depth <= 8 else whole.astype(np.uint16)
+
+
+def _turned_over(frame: av.VideoFrame) -> av.VideoFrame:
+    """The frame with its lines in the other order.
+
+    Lines stored from the bottom up have a negative size, and the plane begins at the last of them: what PyAV would read
+    from there on lies behind the picture. FFmpeg's own flip only moves the beginning and turns the sign.
+    """
+    graph = av.filter.Graph()
+    graph.link_nodes(
+        graph.add_buffer(
+            width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base or Fraction(1)
+        ),
+        graph.add("vflip"),
+        graph.add("buffersink"),
+    ).configure()
+    graph.push(frame)
+    turned = graph.pull()
+    assert isinstance(turned, av.VideoFrame)
+    return turned
+
+
+@lru_cache
+def _expansion(depth: int) -> Frame:
+    """Table from limited to full range: 16 ... 235 (times 2^(depth-8)) to 0 ... 2^depth - 1."""
+    scale, top = 2 ** (depth - 8), 2**depth - 1
+    level = (np.arange(top + 1) - 16 * scale) * (top / (219 * scale))
+    return np.rint(np.clip(level, 0, top)).astype(np.uint8 if depth <= 8 else np.uint16)
+
+
+def _is_monochrome_h264(codec: av.VideoCodecContext) -> bool:
+    """Whether the sequence parameter set (ITU-T H.264, 7.3.2.1.1) says chroma_format_idc = 0."""
+    if codec.name != "h264" or not codec.extradata:
+        return False
+    data = bytes(codec.extradata)
+    # avcC (MP4, Matroska) holds the set at byte 8; a byte stream (AVI, TS) behind a start code and the byte x7.
+    start = (
+        8 if data[0] == 1 else next((m.end() - 1 for m in re.finditer(rb"\x00\x00\x01[\x07\x27\x47\x67]", data)), -1)
+    )
+    if start < 0 or len(data) < start + 8 or data[start + 1] not in (100, 110, 122, 244, 44, 83, 86, 118, 128):
+        return False  # the other profiles are 4:2:0
+    bits = "".join(f"{byte:08b}" for byte in data[start + 4 : start + 12])
+    _set_id, rest = _exp_golomb(bits)
+    chroma_format, _ = _exp_golomb(rest)
+    return chroma_format == 0
+
+
+def _exp_golomb(bits: str) -> tuple[int, str]:
+    """The first unsigned Exp-Golomb number in a string of bits, and the rest; (-1, "") where there is none."""
+    zeros = len(bits) - len(bits.lstrip("0"))
+    code = bits[zeros : 2 * zeros + 1]
+    return (int(code, 2) - 1, bits[2 * zeros + 1 :]) if code else (-1, "")

@@ -1,0 +1,190 @@
+"""Dice that were taken for their reversal in depth.
+
+A wire cube can be seen in two ways (Necker, London and Edinburgh Phil. Mag. 1, 329, 1832), and so can the outline of a die:
+what is near exchanged with what is far, it draws the same but for perspective and for the edges inside. A tetrahedron that turns
+one face to the camera is then one that points at it with a corner, whose three edges nobody sees: as if its faces were of one
+grey. In flight the reversal turns nearly as evenly as the die does, and on one frame little tells the two apart. Over many it is
+plain: its poses do not lie on a motion with the fall of g as those of the die do.
+
+The vertices of a die, reflected through its centre, are those of the die turned by some rotation T (the identity, but for the
+tetrahedron). The reversal in depth of an orientation R, seen along u, is a half turn about u of R T.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.die import inversion_rotation
+from ..footage import Reel
+from ..picture import View
+from ..pose import Pose, Seen, as_track, labelled_like, refine_pose, same_picture
+from ..throw import LITTLE_SLACK, fit_flights, sightings
+from ..track import Track
+from .frame_to_frame import Chase
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LOOKED_AT, FEWEST = 36, 3
+"""Frames that are asked, spread over the clip, and how many of them in a row the reversal must explain nearly as well."""
+STRAINED, WINDOW = 1.5, 24
+"""Mean square, in sigmas, of how far so many poses lie off one motion, from which on they may be those of no die in flight: or an
+impact is among them."""
+NEARLY = 0.15
+"""By how much worse a reversal may explain the pictures: where a die shows one face, single ones hardly tell the two apart."""
+RELIEVED, FLYING = 0.5, 8.0
+"""Share of the strain that the reversal may leave at the most, and how much: dice in flight are followed with less. Of a die that
+rests, or that an impact turns, all is strained whatever its pose."""
+COVERED = 0.9
+"""Share of the frames of a run on which the reversal must have been followed."""
+TRIED, ROUNDS = 3, 3
+"""Frames of a run from which its reversal is followed, of which some show it well enough; and how often runs are looked for:
+those that were put right may show others."""
+SETTLE = 8
+"""Frames over which the motion is learned from a reversed pose, before it is followed to both ends of the run."""
+
+
+def reversed_in_depth(view: View, position_m: Array, rotation: Array) -> Array | None:
+    """The orientation (3, 3) that draws nearly the same outline with near and far exchanged, along the line of sight of the
+    first camera; None of a solid that has none."""
+    inversion = inversion_rotation(view.die.solid)
+    if inversion is None:
+        return None
+    return np.asarray(_half_turn(view, position_m) @ rotation @ inversion)
+
+
+def _half_turn(view: View, position_m: Array) -> Array:
+    """(3, 3) about the line of sight of the first camera."""
+    along = (position_m - view.camera.centre_m) / np.linalg.norm(position_m - view.camera.centre_m)
+    return np.asarray(2.0 * np.outer(along, along) - np.eye(3))
+
+
+def put_right(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
+    """The sightings with runs of frames followed anew from their reversal, where they lie on no motion of a die in flight and
+    those of the reversal do so better.
+
+    Nothing is asked of films so fast that frames were left out, nor of several cameras: what is reversed for one is none for
+    the others.
+    """
+    if seen.every > 1 or len(reel.clips) > 1:
+        return seen
+    for _ in range(ROUNDS):
+        before, seen = seen, _once(view, reel, seen, unused)
+        if seen is before:
+            break
+    return seen
+
+
+def _once(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
+    """The same sightings where no run was put right."""
+    known = np.flatnonzero(seen.known)
+    rows = known[np.unique(np.linspace(0, len(known) - 1, min(LOOKED_AT, len(known))).astype(int))]
+    asked = _strains(as_track(view, reel, seen), rows) > STRAINED
+    reversals = [
+        _reversal(view, reel, seen, int(k)) if is_asked else None for k, is_asked in zip(rows, asked, strict=True)
+    ]
+    some = np.array([pose is not None for pose in reversals])
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], some, [False]])))
+    for begin, end in zip(ends[::2], ends[1::2], strict=True):
+        if end - begin < FEWEST:
+            continue
+        # The die is itself again somewhere before the next frame that was asked.
+        first = int(rows[begin - 1]) + 1 if begin > 0 else 0
+        stop = int(rows[end]) if end < len(rows) else len(reel)
+        run, left, best = slice(int(rows[begin]), int(rows[end - 1]) + 1), RELIEVED, seen
+        for i in np.unique(np.linspace(begin, end - 1, min(TRIED, end - begin)).astype(int)):
+            pose, k = reversals[i], int(rows[i])
+            assert pose is not None, "of a run"
+            other = _followed(view, reel, pose, _reversed_motion(view, seen, k), k, (first, stop), unused)
+            share = _left(view, reel, seen, other, run)
+            if share < left:
+                left, best = share, other
+        if best is not seen:
+            seen = _taken_over(view, seen, best, run)
+    return seen
+
+
+def _left(view: View, reel: Reel, seen: Seen, other: Seen, run: slice) -> float:
+    """The share of the strain that another leaves on the frames that both saw; infinite where it is not that of a die in flight
+    either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
+    both = seen.known & other.known
+    covered = both[run].sum() >= COVERED * seen.known[run].sum()
+    if not covered or both.sum() < SETTLE or other.misfit[both].mean() > seen.misfit[both].mean() + NEARLY:
+        return np.inf
+    rows = np.flatnonzero(both)[:: WINDOW // 2]
+    ours, theirs = (float(np.median(_strains(as_track(view, reel, one, both), rows))) for one in (seen, other))
+    return theirs / ours if 0.0 < theirs < FLYING and ours > 0.0 else np.inf
+
+
+def _reversed_motion(view: View, seen: Seen, k: int) -> Array:
+    """(6,) velocity [m/s] and spin [rad/s] of the reversal on one frame."""
+    return np.concatenate([seen.motion[k, :3], _half_turn(view, seen.position_m[k]) @ seen.motion[k, 3:]])
+
+
+def _reversal(view: View, reel: Reel, seen: Seen, k: int) -> Pose | None:
+    """The reversal of the pose on one frame, where it is another one and explains the picture nearly as well."""
+    rotation = reversed_in_depth(view, seen.position_m[k], seen.rotation[k])
+    if rotation is None:
+        return None
+    picture, here = np.asarray(reel.frame(k), np.float32), (seen.position_m[k], seen.rotation[k])
+    pose = refine_pose(view, picture, here[0], rotation, coarse=2, roughly=True)
+    if pose.covariance is None or pose.misfit > seen.misfit[k] + NEARLY:
+        return None
+    return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
+
+
+def _followed(view: View, reel: Reel, pose: Pose, moving: Array, k: int, within: tuple[int, int], unused: Mask) -> Seen:
+    """What is seen of the die followed from a pose on frame k, `moving` (6,) with about this velocity [m/s] and spin [rad/s],
+    to both ends of a range of frames, as far as it goes."""
+    first, stop = within
+    seen = Seen.empty(len(reel))
+    seen.put(k, pose, moving)
+    onward = Chase.from_start(view, pose, reel.times_s, k, unused, moving)
+    settled = min(k + 1 + SETTLE, stop)
+    for row in range(k + 1, settled):
+        onward.over(reel.frame(row)[None], reel.times_s, row, seen)
+        if onward.misses > 0:
+            return seen
+    last = int(np.flatnonzero(seen.known)[-1])
+    back = onward.turned_back()
+    for start, frames in reel.blocks(settled, stop):
+        onward.over(frames, reel.times_s, start, seen)
+        if onward.misses > 0:
+            break
+    for start, frames in reel.blocks_backwards(last):
+        skipped = max(first - start, 0)
+        back.over(frames[skipped:], reel.times_s, start + skipped, seen)
+        if start <= first or back.misses > 0:
+            break
+    return seen
+
+
+def _strains(track: Track, rows: NDArray[np.int64]) -> Array:
+    """(rows,) mean square, in sigmas, of how far the tracked frames about some rows lie off one motion: WINDOW of them, or as
+    many as there are; 0 where these are too few to tell."""
+    use = np.flatnonzero(track.tracked)
+    if len(use) < FEWEST:
+        return np.zeros(len(rows))
+    at = np.clip(np.searchsorted(use, rows) - WINDOW // 2, 0, max(len(use) - WINDOW, 0))
+    windows = [np.arange(k, min(k + WINDOW, len(use))) for k in at]
+    _, left = fit_flights(sightings(track, use, LITTLE_SLACK), windows)
+    return np.asarray(left / (6.0 * np.array([len(window) for window in windows]) - 12.0))
+
+
+def _taken_over(view: View, seen: Seen, other: Seen, run: slice) -> Seen:
+    """The sightings with those of the other, and nothing on the frames of the run that the other lost. Every
+    labelling goes on from that of the frames before."""
+    inside = np.zeros(len(seen.known), bool)
+    inside[run] = True
+    # Beyond the run either may be right: the cheaper one.
+    rows = np.flatnonzero(other.known & (inside | ~seen.known | (other.cost < seen.cost)))
+    out = seen.copy()
+    out.known[inside] = False
+    out.take(rows, other)
+    for k in (int(rows[0]), int(rows[-1]) + 1):
+        before, after = np.flatnonzero(out.known[:k]), k + np.flatnonzero(out.known[k:])
+        if len(before) and len(after):
+            there, here = out.rotation[before[-1]], out.rotation[after[0]]
+            out.rotation[k:] = out.rotation[k:] @ (here.T @ labelled_like(view, here, there))
+    return out

@@ -1,0 +1,371 @@
+"""From a clip to a track: the die found, followed through its bounces, and every frame's pose refined.
+
+First pass (`chase`): from the first frame on which the die is wholly seen, forwards to the end and backwards to where it
+came in. Then the bounces are found, each flight is fitted, and the lens blur is estimated, of a rounded die the light as well.
+Second pass (`second_pass`): every frame is refined on its edges, along its flight. Third pass (`third_pass`): once more on what
+is printed on the faces. The poses are those of single frames: nothing is smoothed here (`smooth`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.die import Die
+from ...model.rotations import matrix_from_quat
+from ...model.throw import Throw
+from ..camera import Camera
+from ..clip_parameters import (
+    BLUR_FRAMES,
+    FRAMES,
+    Corners,
+    Offsets,
+    Rounding,
+    by_flights,
+    by_free_poses,
+    contour_sigma_px,
+    find_offsets,
+    lens_blur_px,
+    lit,
+    look_rounded,
+    looks_in_flight,
+)
+from ..footage import Clip, Reel, estimate_background
+from ..marks import Marks
+from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
+from ..pose import HandStart, Seen, as_track, excluded_rows, shown_whole
+from ..quality import STANDARD, Quality
+from ..throw import NoFlightError, calibrated, measure, measure_throw, spared
+from ..track import ABSENT, LOST, Track
+from .depth_reversal import put_right
+from .initialisation import begin_by_hand, find_beginning
+from .labelling import labelled_across
+from .refine_on_edges import SecondPass
+from .refine_on_marks import Marked, third_pass
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+
+FIRST_BLUR_PX = 0.7
+"""Lens blur until it is estimated."""
+ROUNDINGS, SAME_RADIUS, LESS = 3, 0.1, 0.9
+"""Most first passes with a radius of the corners that is being found, the change, as a share, that needs no other, and the
+factor on a radius whose flights do not bear it out: a bounce is lost or not by a little, and rather with too large a one."""
+KEPT = 0.95
+"""Share of the frames over which the die was followed with another radius, or none, without which a radius is a wrong one."""
+ROUND_SHARE = 0.25
+"""Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
+
+
+class NoDieError(ValueError):
+    """No die was found in the clip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What following a die through a clip gives."""
+
+    track: Track
+    marks: Marks | None
+    """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
+    offsets: Offsets
+    """Of the cameras' clocks; looked for with a second pass alone."""
+    die: Die
+    """With the radius of its corners as it was found, where that was looked for."""
+    corners: Corners | None
+    """That radius with its standard error; None where it was given, or the corners look sharp."""
+
+
+def follow(
+    clip: Clip | Sequence[Clip],
+    camera: Camera | Sequence[Camera],
+    die: Die,
+    *,
+    background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
+    exposure_s: float | None = None,
+    mirror: bool = False,
+    start: HandStart | None = None,
+    excluded: Sequence[tuple[int, int]] = (),
+    quality: Quality = STANDARD,
+    progress: Progress | None = None,
+) -> Track:
+    """Track a die through a clip: a pose with covariance for every frame on which it can be known. As `look_through`."""
+    return look_through(
+        clip, camera, die, background=background, exposure_s=exposure_s, mirror=mirror, start=start, excluded=excluded,
+        quality=quality, progress=progress,
+    ).track  # fmt: skip
+
+
+def look_through(
+    clip: Clip | Sequence[Clip],
+    camera: Camera | Sequence[Camera],
+    die: Die,
+    *,
+    background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
+    exposure_s: float | None = None,
+    mirror: bool = False,
+    start: HandStart | None = None,
+    excluded: Sequence[tuple[int, int]] = (),
+    rounding: Rounding = Rounding.GIVEN,
+    quality: Quality = STANDARD,
+    progress: Progress | None = None,
+) -> Followed:
+    """Follow a die through a clip, and learn what its faces show where the quality asks for it.
+
+    `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
+    frame without the die (one a camera), estimated from the clip where it is None. `mirror` says that the table reflects
+    the die. `start` is a first pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not
+    used: they are lost. `rounding` says whether the radius of the die's corners is given. `progress` is called with frames
+    done and frames to do. Raises ValueError where camera, background and clip differ in size, and NoDieError where no die was
+    found.
+    """
+    clips = list(clip) if isinstance(clip, Sequence) else [clip]
+    cameras = [camera] if isinstance(camera, Camera) else list(camera)
+    reel = Reel(clips)
+    view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
+    report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
+    unused = np.zeros(len(reel), bool)
+    unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
+    view, seen, corners = _first_pass_rounded(view, reel, report, start, unused, rounding)
+    throw = _measured(view, reel, seen)
+    if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
+        seen = labelled_across(view, seen, throw, reel.times_s)
+        throw = _measured(view, reel, seen)
+    offsets = Offsets.none(len(clips))
+    marked = Marked(seen, None, None)
+    if quality.second_pass:
+        view = lit(with_reflections(view), reel.frame, seen)
+        view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
+        report.at_least(len(reel))
+        if throw is not None:
+            offsets = find_offsets(view, reel.frame, reel.times_s, throw)
+        second = SecondPass(view, reel, seen.filled(), throw, ~unused, offsets)
+        every = _every_in_second_pass(view, reel, seen) if quality.marks and throw is not None else 1
+        seen = second.see(np.arange(len(reel)) % every == 0, lambda done: report.at_least(len(reel) + done))
+        marked = Marked(seen, None, None)
+        if quality.marks:
+            marked = third_pass(second, seen, every, lambda done: report.at_least(2 * len(reel) + done))
+            report.at_least(3 * len(reel))
+    track = replace(_track(reel, view, marked.seen, throw), shared=marked.shared)
+    if corners is not None:
+        corners, sigma_px = _corners_in_flight(view, reel, track, corners)
+        view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
+    sure = calibrated(track, view.die, view.camera, every=spared(track, view.die))
+    return Followed(sure, marked.marks, offsets, view.die, corners)
+
+
+def _view_of(
+    clips: list[Clip],
+    cameras: list[Camera],
+    die: Die,
+    background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None,
+    exposure_s: float | None,
+    mirror: bool,
+    quality: Quality,
+) -> View:
+    """The scene as the refinement wants it, with the noise of the still background."""
+    given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
+    given += [None] * (len(clips) - len(given))
+    pictures, noises, roundings = [], [], []
+    for one, camera, picture in zip(clips, cameras, given, strict=True):
+        _check_sizes(one, camera, picture)
+        picture = np.asarray(estimate_background(one) if picture is None else picture, np.float32)
+        chosen = np.unique(np.linspace(0, len(one) - 1, 12).astype(int))
+        noise, rounding = noise_and_rounding([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture)
+        noises.append(noise)
+        roundings.append(rounding)
+        pictures.append(picture)
+    return make_view(
+        cameras, die, pictures, max(noises), exposure_s, FIRST_BLUR_PX, rounding_grey=max(roundings), mirror=mirror,
+        quality=quality,
+    )  # fmt: skip
+
+
+def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | None) -> None:
+    if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
+        raise ValueError(
+            f"the clip is {clip.width_px} × {clip.height_px} pixels and the camera "
+            f"{camera.width_px} × {camera.height_px}: give the camera of this clip"
+        )
+    if background is not None and background.shape != (clip.height_px, clip.width_px):
+        raise ValueError(
+            f"the background is {background.shape[1]} × {background.shape[0]} pixels and the clip "
+            f"{clip.width_px} × {clip.height_px}: give a frame of this clip without the die"
+        )
+
+
+# --- the first pass ---------------------------------------------------------------------------------------------------
+
+
+def _first_pass(
+    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask
+) -> tuple[View, Seen]:
+    """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
+    beginning = (
+        find_beginning(view, reel, unused, report.at_least)
+        if by_hand is None
+        else begin_by_hand(view, reel, by_hand, unused)
+    )
+    if beginning is None:
+        raise NoDieError(
+            f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
+        )
+    chase, seen = beginning
+    view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
+    chase.view = replace(chase.view, blur_px=view.blur_px)
+    first_known = int(np.flatnonzero(seen.known)[0])
+    back = chase.turned_back()
+    chase.to_the_end(reel, seen, report.at_least, all_frames=not view.quality.second_pass)
+    for first, frames in reel.blocks_backwards(first_known):
+        back.over(frames, reel.times_s, first, seen)
+        if back.misses > 3:
+            break
+    # What was found to stand before the die is known from here on.
+    return chase.view, put_right(chase.view, reel, seen, unused)
+
+
+def _first_pass_rounded(
+    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask, rounding: Rounding
+) -> tuple[View, Seen, Corners | None]:
+    """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
+    show the radius that it was done with."""
+    if rounding is Rounding.GIVEN:
+        return *_first_pass(view, reel, report, by_hand, unused), None
+    try:
+        first, seen = _first_pass(view, reel, report, by_hand, unused)
+    except NoDieError:
+        # A die that is round all over is none with sharp corners.
+        ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
+        first, seen = _first_pass(ball, reel, report, by_hand, unused)
+        if _corners_at_sight(first, reel, seen, rounding) is None:
+            raise
+    corners = _corners_at_sight(first, reel, seen, rounding)
+    if corners is None or corners.radius_m == 0.0:
+        return first, seen, corners if rounding is Rounding.ESTIMATED else None
+    radius_m, tried = corners.radius_m, []
+    for _ in range(ROUNDINGS):
+        # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
+        try:
+            one, known = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
+        except NoDieError:
+            break  # so round that nothing starts with it; what was followed before still is a start
+        whole = shown_whole(one, known)
+        found, _ = _corners_in_flight(one, reel, as_track(one, reel, known, whole & known.even), corners)
+        borne_out, corners = found is not corners, found
+        tried.append(_Trial(radius_m, one, known, borne_out, corners))
+        before, radius_m = radius_m, corners.radius_m if borne_out else LESS * radius_m
+        if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
+            break
+    was_sharp = first.die.corner_radius_m == 0.0
+    if rounding is Rounding.LOOKED_AT and was_sharp and not _better_than_sharp(tried, seen.frames):
+        return first, seen, None
+    if tried:
+        most = max(each.seen.frames for each in tried)
+        kept = [each for each in tried if each.seen.frames >= KEPT * most]
+        corners = kept[-1].corners
+        # Poses of a smaller radius than is told in the end lie farther away than it says.
+        chosen = min(kept, key=lambda each: abs(each.radius_m - kept[-1].corners.radius_m))
+        first, seen = chosen.view, chosen.seen
+    return rounded(first, corners.radius_m), seen, corners
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A first pass with a radius of the corners, and whether its flights bear that out."""
+
+    radius_m: float
+    view: View
+    seen: Seen
+    borne_out: bool
+    corners: Corners
+    """What is known of the radius then."""
+
+
+def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:
+    """Whether a rounded die was followed over as many frames as the sharp one was, or hardly fewer and its flights bear
+    the radius out. A sharp die out of focus looks a little rounded, and is lost with a radius that is not its own."""
+    return any(each.seen.frames >= (KEPT if each.borne_out else 1.0) * frames for each in tried)
+
+
+def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
+    """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
+    looks = partial(seen.looks, reel.frame, shown_whole(view, seen))
+    if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
+        return None
+    return by_free_poses(view, looks(FRAMES))
+
+
+def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[Corners, float]:
+    """The same as the flights of a track show it, and the contour error [px] that their sigmas are to know of then; what it
+    was, and none, where the flights do not show it any better.
+
+    The flights are free to correct their distance. That leaves more ways to join them, and where they come out wrong for it
+    the pictures deny them, or they deny the radius: then the poses do better without that freedom.
+    """
+    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
+    if not len(p):
+        return corners, 0.0
+    try:
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
+    except NoFlightError:
+        return corners, 0.0
+    looks = looks_in_flight(view, reel.frame, track, found.throw)
+    again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
+    if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
+        return corners, 0.0
+    return again, contour_sigma_px(view, again.sigma_m, p, R)
+
+
+# --- between the passes --------------------------------------------------------------------------------------------------
+
+
+def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
+    """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
+    track = as_track(view, reel, seen, shown_whole(view, seen) & seen.even)
+    try:
+        return measure_throw(track, view.die, view.camera, every=spared(track, view.die))
+    except NoFlightError:
+        return None
+
+
+def _every_in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
+    """Of how many frames one has a second pass before the marks are known, along whose flights that of the others takes less
+    time. With several cameras poses do without marks."""
+    if len(reel.clips) > 1:
+        return 1
+    return seen.every * spared(as_track(view, reel, seen, shown_whole(view, seen) & seen.even), view.die)
+
+
+# --- the table of poses -----------------------------------------------------------------------------------------------
+
+
+def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
+    """The final table: frames without a pose are absent where the motion leads out of view, or lost."""
+    track = as_track(view, reel, seen)
+    status = track.status.copy()
+    for k in np.flatnonzero(status == LOST):
+        if throw is None:
+            continue
+        state = throw.at(float(track.time_s[k]))
+        if share_in_view(view, state.position_m, state.rotation) == 0.0:
+            status[k] = ABSENT
+    return replace(track, status=status)
+
+
+class _Reporter:
+    """Counts frames for whoever wants to know."""
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self._progress, self._total, self._done = progress, total, 0
+
+    def at_least(self, done: int) -> None:
+        self._done = max(self._done, done)
+        if self._progress is not None:
+            self._progress(min(self._done, self._total), self._total)

@@ -1,0 +1,32 @@
+"""tracking.throw."""
+
+from .flights import fit_flights as fit_flights
+from .flights import moved as moved
+from .flights import transition as transition
+from .flights import transitions as transitions
+from .joint_flights import CONTACT_SIGMA_M as CONTACT_SIGMA_M
+from .joint_flights import TABLE_SIGMA_M as TABLE_SIGMA_M
+from .joint_flights import Strike as Strike
+from .joint_flights import strike_equations as strike_equations
+from .measurement import LITTLE_SLACK as LITTLE_SLACK
+from .measurement import Measured as Measured
+from .measurement import NoFlightError as NoFlightError
+from .measurement import calibrated as calibrated
+from .measurement import measure as measure
+from .measurement import measure_throw as measure_throw
+from .measurement import sightings as sightings
+from .measurement import tells_the_table as tells_the_table
+from .rest import Carried as Carried
+from .rest import flown as flown
+from .rest import frames_in_flight as frames_in_flight
+from .segmentation import PLENTY as PLENTY
+from .segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
+from .segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
+from .segmentation import spared as spared
+from .shared_bias import ASIDE_SHARE as ASIDE_SHARE
+from .shared_bias import SIZE_PX as SIZE_PX
+from .shared_bias import SIZE_SHARE as SIZE_SHARE
+from .shared_bias import outline_growth as outline_growth
+from .shared_bias import shared_lean as shared_lean
+from .shared_bias import without_lean as without_lean
+from .smoothing import smooth as smooth
