@@ -1,4 +1,4 @@
-"""How rounded dice look whose radius is known: `PYTHONPATH=tests python benchmarks/corners.py CLIP_FOLDER...`
+"""How rounded dice look whose radius is known: `PYTHONPATH=tests/helpers python benchmarks/corners.py CLIP_FOLDER...`
 
 A clip folder is as for `benchmarks/tracker.py`; its scene gives the true radius of the corners, or none for a sharp die. Each
 clip is tracked as if its scene said nothing of them, and each rounded one also with the radius given and with a sharp die.

@@ -1,7 +1,7 @@
 """How often the fit's intervals hold: `python benchmarks/fit_coverage.py [throws] [--worst] [--out FILE.json]`.
 
 Simulated tracks with χ from 0.1 to 0.95 and one to four bounces, of cubes, tetrahedra and icosahedra in turn, at three
-levels of noise (a quarter of, equal to and four times `tests/throws.py`'s: 0.02 mm across and 0.15 mm along the line of
+levels of noise (a quarter of, equal to and four times `tests/helpers/throws.py`'s: 0.02 mm across and 0.15 mm along the line of
 sight, 0.1 degrees). A row a level, for χ and for each kind of initial condition (position, rotation vector, velocity,
 angular velocity): the share of 95 % intervals that hold the truth, and their mean width over that of the Cramér-Rao bound
 at the truth, with the stated covariances and the true vertices. Then the effects chosen although no throw shows any,

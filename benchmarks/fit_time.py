@@ -1,7 +1,7 @@
 """How long a fit takes: `python benchmarks/fit_time.py [throws]`.
 
 Simulated tracks of a cube at χ = 0.8 through six bounces, smooth and with μ = 0.2, thinned to about 300 frames, with the
-noise of `tests/throws.py`. Printed for each law: processor time of a fit with its intervals, kernels compiled before, and
+noise of `tests/helpers/throws.py`. Printed for each law: processor time of a fit with its intervals, kernels compiled before, and
 by how much χ and μ are off at most.
 """
 

@@ -1,4 +1,4 @@
-"""What comes after the pictures: time from poses to flights and bounces, `PYTHONPATH=tests python benchmarks/flights.py`
+"""What comes after the pictures: time from poses to flights and bounces, `PYTHONPATH=tests/helpers python benchmarks/flights.py`
 
 A cube is thrown in the model and seen on so many frames, with noise as tracking leaves it; no picture is drawn. First one
 throw of three bounces with more and more frames, then throws with more and more bounces, filmed at 1500 frames a second.

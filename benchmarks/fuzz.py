@@ -1,7 +1,7 @@
 """Fuzz the readers of everything that strangers send: headers, scenes, throws, tracks, fits.
 
-    PYTHONPATH=tests python benchmarks/fuzz.py --runs 100000            # own mutations, shared out over the kinds of file
-    PYTHONPATH=tests python benchmarks/fuzz.py --minutes 30 --atheris cine    # led by coverage; needs pip install atheris
+    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --runs 100000            # own mutations, shared out over the kinds of file
+    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --minutes 30 --atheris cine    # led by coverage; needs pip install atheris
 
 A file may be read or be refused in a sentence. A find is any other exception, a file that takes longer than 10 s, and more
 than 1 GB of memory; its bytes are kept in the folder of --finds, and the exit status is 1.

@@ -1,7 +1,7 @@
 """A loaded die told from one throw: `python benchmarks/loaded_die.py [throws]`.
 
 A cube of 16 mm whose centre of mass lies 0.2 mm off its centroid, in a random direction of the body, through three
-bounces with the noise of `tests/throws.py`; and as many fair ones. Printed: how many of the loaded ones are told, how far
+bounces with the noise of `tests/helpers/throws.py`; and as many fair ones. Printed: how many of the loaded ones are told, how far
 off their centre of mass is placed, how often its intervals hold, and how many fair ones are taken for loaded.
 """
 

@@ -1,4 +1,4 @@
-"""Long clips: memory and speed from packed 12-bit pixels to tables, `PYTHONPATH=tests python benchmarks/long_clip.py`
+"""Long clips: memory and speed from packed 12-bit pixels to tables, `PYTHONPATH=tests/helpers python benchmarks/long_clip.py`
 
 A cube falls through a picture of 512 × 512 and bounces; the whole throw is filmed on so many frames as asked for, at the
 frame rate that takes, and kept as a camera keeps it: an .mraw of packed 12 bit, 0.4 MB a frame. Every length is tracked in a

@@ -1,6 +1,6 @@
 """Render a bench of clips with truth: other dice, surfaces and troubles, each from a seed.
 
-    PYTHONPATH=tests python benchmarks/make_clips.py OUT_FOLDER [NAME...] [--variant llvm_ad_mono] [--samples 48]
+    PYTHONPATH=tests/helpers python benchmarks/make_clips.py OUT_FOLDER [NAME...] [--variant llvm_ad_mono] [--samples 48]
 
 A clip takes minutes. `benchmarks/tracker.py OUT_FOLDER/*` then measures the tracker on them.
 """

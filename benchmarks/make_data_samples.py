@@ -1,6 +1,6 @@
 """Make the clips in data_samples/ from the lossless original of cube_wood.
 
-    PYTHONPATH=tests python benchmarks/make_data_samples.py ORIGINAL_FOLDER data_samples
+    PYTHONPATH=tests/helpers python benchmarks/make_data_samples.py ORIGINAL_FOLDER data_samples
 
 The original is kept elsewhere (17 MB); what the two samples lose against it is printed and stands in data_samples/README.md.
 """

@@ -1,6 +1,6 @@
 """Film the throws in data_samples/throws and make samples of them, small enough to clone.
 
-    PYTHONPATH=tests python benchmarks/make_film_samples.py data_samples tests/data [NAME...] [--variant llvm_ad_mono]
+    PYTHONPATH=tests/helpers python benchmarks/make_film_samples.py data_samples tests/data [NAME...] [--variant llvm_ad_mono]
 
 Each is what `diethrow film data_samples/throws/NAME.toml` with the settings of `FILMS` writes, coded as monochrome H.264
 like the other sample (`make_data_samples`), with its truth in tests/data/NAME. Needs Mitsuba, and some minutes a film.

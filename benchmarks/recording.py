@@ -1,6 +1,6 @@
 """How long a recording takes to write, and how large it is: 260 frames as in a usual clip, and 600.
 
-    PYTHONPATH=tests python benchmarks/recording.py
+    PYTHONPATH=tests/helpers python benchmarks/recording.py
 
 The film is grey noise of a wooden board's contrast with a square that moves, which AV1 shrinks about as well as a clip.
 The time beyond the film is that of the same recording without it; each is the best of three.

@@ -1,4 +1,7 @@
-"""From which frames of a clip the right first pose is found: `PYTHONPATH=tests python benchmarks/starts.py CLIP_FOLDER...`
+"""From which frames of a clip the right first pose is found.
+
+    PYTHONPATH=tests/helpers python benchmarks/starts.py CLIP_FOLDER...
+
 
 A clip folder is as for `benchmarks/tracker.py`: its truth lies beside it or in `tests/data`. On frames spread over those that
 show the whole die, a start is made twice: on that frame and no other, and on the clip as if it began there. A start is right

@@ -1,4 +1,4 @@
-"""The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests python benchmarks/tracker.py CLIP_FOLDER...`
+"""The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests/helpers python benchmarks/tracker.py CLIP_FOLDER...`
 
 A clip folder holds `scene.toml`, what it names, and its truth (see `benchmarks/accuracy.py`; `diethrow film` and
 `benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once from its file and once

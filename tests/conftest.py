@@ -1,6 +1,6 @@
 """What holds for every test, and what the tests at the limits say of themselves.
 
-`pytest tests/extremes tests/model/test_extremes.py --slow --extremes-page docs/extremes.md` runs each stage at its limits
+`pytest tests/extremes --slow --extremes-page docs/extremes.md` runs each stage at its limits
 and writes what was expected and what happened; without `--slow`, what takes longer than a few seconds is left out.
 """
 

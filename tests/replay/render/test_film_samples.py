@@ -17,7 +17,7 @@ from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.footage.background import load_background
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SAMPLES = ("cube_mirror", "icosahedron_cork", "tetrahedron_wood")
 
 

@@ -11,7 +11,7 @@ from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.footage.decimation import WHOLE, Coarseness
 
-CLIP = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron" / "clip.cihx"
+CLIP = Path(__file__).parents[3] / "data_samples" / "cube_wood_photron" / "clip.cihx"
 
 
 def test_every_nth_frame_is_the_clips_own() -> None:

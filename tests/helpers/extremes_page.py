@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-COMMAND = "python -m pytest tests/extremes tests/model/test_extremes.py --slow --extremes-page docs/extremes.md"
+COMMAND = "python -m pytest tests/extremes --slow --extremes-page docs/extremes.md"
 HEAD = f"""# Stability at the extremes
 
 Each stage at its limits: what was expected, and what happened. *Given up* means an error or a message in one sentence, and

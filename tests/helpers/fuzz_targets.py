@@ -22,7 +22,7 @@ from diethrow.model.throw.motion import State
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.track import TRACKED, Track
 
-SAMPLES = Path(__file__).parents[1] / "data_samples"
+SAMPLES = Path(__file__).parents[2] / "data_samples"
 FRAMES = noisy_frames(3, bits=12, height=6, width=8)
 
 

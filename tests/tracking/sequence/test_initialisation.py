@@ -26,7 +26,7 @@ from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.initialisation import best_start, find_beginning
 from diethrow.tracking.sequence.track_clip import follow
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_one_face_of_a_plain_tetrahedron_is_followed_in_its_true_pose() -> None:

@@ -15,7 +15,7 @@ from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import Clip, open_clip
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 TRUTH = ROOT / "tests" / "data" / "cube_wood"
 
 
