@@ -14,17 +14,29 @@ for, and most of it is numba's own work on types and code, in Python, for each s
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 
-compiled: Any = partial(njit, cache=True, no_cfunc_wrapper=True)
-"""`@compiled`, or `@compiled(nogil=True)` for what threads call."""
+from .kernel_cache import KernelCache
+
+
+def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """`@compiled`, or `@compiled(nogil=True)` for what threads call."""
+    if function is None:
+        return partial(compiled, **options)
+    kernel = njit(function, no_cfunc_wrapper=True, **options)
+    if isinstance(kernel, Dispatcher):  # with NUMBA_DISABLE_JIT it is the function itself
+        kernel._cache = KernelCache(function)
+    return kernel
+
 
 inner: Any = partial(compiled, no_cpython_wrapper=True)
-"""For a kernel that only kernels of its file call."""
+"""For a kernel that only kernels call."""
 
 
 def int64(value: int) -> int:

@@ -23,10 +23,10 @@ from math import cos, inf
 from typing import TypeVar
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from .. import engine, throw
+from ..compiled import compiled, inner
 from ..die import Die
 from ..engine import asymmetric
 from ..laws import LEVEL, ImpactLaw, Table
@@ -160,11 +160,7 @@ def check_releases(stage: Stage, conditions: Conditions) -> None:
         )
 
 
-# Those that follow are compiled anew in every process, which takes a second: kept in the cache of this file they would
-# go on calling event loops of yesterday, because the cache does not see edits of another file.
-
-
-@njit
+@inner
 def _note_lowest(normals: Array, log: Array, end: Array, lowest: Indices) -> None:
     """Rows of the lowest faces (after,) at the logged impacts, and at the end where there are fewer."""
     known = 0
@@ -176,7 +172,7 @@ def _note_lowest(normals: Array, log: Array, end: Array, lowest: Indices) -> Non
         lowest[k] = engine.lowest_row(normals, end)
 
 
-@njit(nogil=True)
+@compiled(nogil=True)
 def _follow_many(
     body: engine.Body,
     law: engine.Law,
@@ -209,7 +205,7 @@ def _follow_many(
             _note_lowest(body.normals, log, end, lowest[k, 1:])
 
 
-@njit(nogil=True)
+@compiled(nogil=True)
 def _follow_tops(
     top: asymmetric.Top,
     law: engine.Law,

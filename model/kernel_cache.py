@@ -1,0 +1,111 @@
+"""Where compiled kernels are kept, and when they are compiled again.
+
+numba keeps a compiled kernel beside its file and compiles it again when that file changes. It does not see a change of a
+kernel or a constant that the file imports, and would go on with the old machine code. Here the key of an entry is a digest of
+the sources: of the kernel's file and, followed through every import, of all that it rests on within this package. A change
+compiles what depends on it, and only that; a copy of the folder, or another time stamp, compiles nothing.
+
+numba has a place for this: a cache asks a *locator* for the folder and for a stamp of the source, and starts anew when the
+stamp differs from the stored one. The classes are not part of numba's documented interface; the tests run on the lowest
+version of numba that the package admits as well.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
+
+_IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE)
+"""A relative import at the left margin: only those run when a module is imported, whatever a function or a type imports."""
+
+
+@cache
+def source_digest(path: Path) -> str:
+    """A digest of the file and of every file of the package that its imports lead to.
+
+    Raises ImportError for an import that leads to no file.
+    """
+    digests = sorted({hashlib.sha256(file.read_bytes()).hexdigest() for file in _reached(path)})
+    return hashlib.sha256("".join(digests).encode()).hexdigest()
+
+
+def _reached(path: Path) -> set[Path]:
+    """The file, and all that its imports lead to."""
+    reached: set[Path] = set()
+    ahead = [path]
+    while ahead:
+        file = ahead.pop()
+        if file not in reached:
+            reached.add(file)
+            ahead += _imported(file)
+    return reached
+
+
+@cache
+def _imported(path: Path) -> tuple[Path, ...]:
+    """The files that define what a file imports; a name that a folder's `__init__` hands on leads to the file behind it."""
+    return tuple(_home(folder_or_module, name) for folder_or_module, name, _ in _imports(path))
+
+
+@cache
+def _imports(path: Path) -> tuple[tuple[Path, str, str], ...]:
+    """Relative imports of a file: where from (without suffix), the name there, and the name here."""
+    found = []
+    for dots, module, names in _IMPORT.findall(path.read_text(encoding="utf-8")):
+        origin = path.parents[len(dots) - 1].joinpath(*filter(None, module.split(".")))
+        for each in _names(names):
+            name, _, here = each.partition(" as ")
+            found.append((origin, name.strip(), (here or name).strip()))
+    return tuple(found)
+
+
+def _names(text: str) -> Iterator[str]:
+    """The parts between commas, without comments and parentheses."""
+    bare = re.sub(r"#[^\n]*", "", text).strip("() \n")
+    return (part.strip() for part in bare.split(",") if part.strip())
+
+
+def _home(origin: Path, name: str) -> Path:
+    """The file in which a name is defined that is imported from a module or a folder."""
+    module = origin.with_suffix(".py")
+    if module.is_file():
+        return module
+    init = origin / "__init__.py"
+    for candidate in (origin / f"{name}.py", origin / name / "__init__.py"):
+        if candidate.is_file():
+            return candidate
+    if not init.is_file():
+        raise ImportError(f"{origin}: no module of that name, wanted for {name}")
+    for further, there, here in _imports(init):
+        if here == name:
+            return _home(further, there)
+    return init
+
+
+class _KeyedOnSources:
+    """A locator whose stamp is the digest of the sources."""
+
+    _py_file: str
+
+    def get_source_stamp(self) -> str:
+        return source_digest(Path(self._py_file))
+
+
+class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+    """numba's cache of compiled functions, in numba's folders."""
+
+    _locator_classes = tuple(
+        type(locator.__name__, (_KeyedOnSources, locator), {}) for locator in CompileResultCacheImpl._locator_classes
+    )
+
+
+class KernelCache(FunctionCache):  # type: ignore[misc]
+    """The cache of one kernel."""
+
+    _impl_class: Any = _KernelCacheImpl

@@ -1,0 +1,102 @@
+"""A kernel is compiled again when anything that it rests on has changed, and only then."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import diethrow.model
+from diethrow.model.kernel_cache import source_digest
+
+MODEL = Path(diethrow.model.__file__).parent
+
+FALL = """
+import numpy as np
+from diethrow.model import engine
+state = np.zeros(13)
+state[3] = 1.0
+state[12] = 3.0
+engine.advance(state, engine.spin_of(state), 1.0, engine.LEVEL)
+print(state[2], state[6], len(engine.advance._cache_hits), sum(engine.advance.stats.cache_misses.values()))
+"""
+"""Height [m] after a second of fall, sine of half the turn, and how often `advance` was compiled."""
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Path:
+    """A copy of the package's model, to be edited."""
+    package = tmp_path / "diethrow"
+    package.mkdir()
+    (package / "__init__.py").touch()
+    shutil.copytree(MODEL, package / "model", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def fall(folder: Path) -> tuple[float, float, int]:
+    """Height, sine of half the turn, compilations."""
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    result = subprocess.run(
+        [sys.executable, "-c", FALL],
+        env={**environment, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=folder,
+    )
+    height, sine, _, misses = result.stdout.split()
+    return float(height), float(sine), int(misses)
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+
+
+def test_a_kernel_sees_edits_of_its_callees_and_constants(copy: Path) -> None:
+    model = copy / "diethrow" / "model"
+    height, sine, compiled = fall(copy)
+    assert compiled == 1
+    assert height == pytest.approx(-9.81 / 2)
+    assert fall(copy) == (height, sine, 0)
+
+    edit(model / "world.py", "GRAVITY_M_S2 = 9.81", "GRAVITY_M_S2 = 1.62")
+    assert fall(copy) == (pytest.approx(-1.62 / 2), sine, 1)
+
+    edit(model / "ensembles" / "basins.py", '"""', '"""Nothing that a kernel rests on. ')
+    assert fall(copy)[2] == 0
+
+
+def test_a_kernel_sees_the_edit_of_a_callee_in_another_file(copy: Path) -> None:
+    model = copy / "diethrow" / "model"
+    caller = model / "engine" / "caller.py"
+    callee = model / "engine" / "callee.py"
+    callee.write_text("from ..compiled import compiled\n\n\n@compiled\ndef callee(x):\n    return 2.0 * x\n")
+    caller.write_text(
+        "from ..compiled import compiled\nfrom .callee import callee\n\n\n@compiled\ndef caller(x):\n    return callee(x) + 1.0\n"
+    )
+    program = "from diethrow.model.engine.caller import caller; print(caller(1.0))"
+    run = [sys.executable, "-c", program]
+    environment = {**os.environ, "PYTHONPATH": str(copy)}
+    first = subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
+    edit(callee, "2.0", "5.0")
+    second = subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout
+    assert (float(first), float(second)) == (3.0, 6.0)
+
+
+def test_the_digest_is_of_contents_and_not_of_places_or_times(copy: Path) -> None:
+    for name in ("engine/event_loop.py", "ensembles/landings.py", "throw/simulate.py"):
+        assert source_digest(MODEL / name) == source_digest(copy / "diethrow" / "model" / name)
+
+
+def test_an_import_that_leads_nowhere_is_an_error(tmp_path: Path) -> None:
+    file = tmp_path / "package" / "kernel.py"
+    file.parent.mkdir()
+    file.write_text("from .missing import nothing\n")
+    with pytest.raises(ImportError, match="missing"):
+        source_digest(file)
