@@ -15,7 +15,7 @@ from .tracking.camera import Camera
 from .tracking.check import fall_notices, measure_fall
 from .tracking.clip_parameters import Corners, Offsets
 from .tracking.footage import Clip
-from .tracking.marks import FaceNumbers
+from .tracking.surface_marks import FaceNumbers
 from .tracking.track import Track
 
 Progress = Callable[[str, int, int], None]

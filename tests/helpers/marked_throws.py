@@ -13,8 +13,8 @@ from throws import true_throw
 
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
-from diethrow.tracking.marks.learning import frames_to_learn_from, learn_marks
-from diethrow.tracking.marks.textures import Marks
+from diethrow.tracking.surface_marks.learning import frames_to_learn_from, learn_marks
+from diethrow.tracking.surface_marks.textures import Marks
 from diethrow.tracking.throw.joint_flights import Strike
 from diethrow.tracking.track import TRACKED, Track
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
 from ..footage import Frames, Reel, Rows
-from ..marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
 from ..picture import View
 from ..pose import Seen, as_track, contour_leans, shown_whole
+from ..surface_marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
 from ..throw import (
     Measured,
     NoFlightError,

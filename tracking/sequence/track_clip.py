@@ -35,10 +35,10 @@ from ..clip_parameters import (
     looks_in_flight,
 )
 from ..footage import Clip, Reel, estimate_background
-from ..marks import Marks
 from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
 from ..pose import HandStart, Seen, as_track, excluded_rows, shown_whole
 from ..quality import STANDARD, Quality
+from ..surface_marks import Marks
 from ..throw import NoFlightError, calibrated, measure, measure_throw, spared
 from ..track import ABSENT, LOST, Track
 from .depth_reversal import put_right

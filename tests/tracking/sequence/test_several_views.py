@@ -17,11 +17,11 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.clip_parameters.clock_offsets import eyes_at
-from diethrow.tracking.marks.face_numbers import read_faces
 from diethrow.tracking.picture.view import MIRRORED, View, make_view, stacked, with_reflections
 from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
 from diethrow.tracking.sequence.track_clip import follow, look_through
+from diethrow.tracking.surface_marks.face_numbers import read_faces
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -22,9 +22,9 @@ from ...model.throw import Throw
 from ...tracking.camera import Camera
 from ...tracking.clip_parameters import Corners
 from ...tracking.footage import WHOLE, Clip, Coarseness, clip_files, load_background, open_clip
-from ...tracking.marks import read_faces, with_numbers
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import Followed, look_through
+from ...tracking.surface_marks import read_faces, with_numbers
 from ...tracking.throw import NoFlightError, flown, measure, smooth
 from ...tracking.track import ABSENT, LOST, Track
 

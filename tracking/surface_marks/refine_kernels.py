@@ -1,4 +1,4 @@
-"""tracking.marks.refine_kernels."""
+"""tracking.surface_marks.refine_kernels."""
 
 from __future__ import annotations
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import Solid, lowest_face, numbered_solid
 from diethrow.model.die.symmetry import symmetry_rotations
-from diethrow.tracking.marks.face_numbers import FaceNumbers, count_pips, read_faces, with_numbers
-from diethrow.tracking.marks.textures import FaceGrid, Marks, face_axes
+from diethrow.tracking.surface_marks.face_numbers import FaceNumbers, count_pips, read_faces, with_numbers
+from diethrow.tracking.surface_marks.textures import FaceGrid, Marks, face_axes
 
 Array = NDArray[np.float64]
 

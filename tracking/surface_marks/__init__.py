@@ -1,6 +1,6 @@
-"""tracking.marks."""
+"""tracking.surface_marks."""
 
-from .adjustment import CHI2_MEDIAN as CHI2_MEDIAN
+from .bundle_adjustment import CHI2_MEDIAN as CHI2_MEDIAN
 from .face_numbers import FaceNumbers as FaceNumbers
 from .face_numbers import read_faces as read_faces
 from .face_numbers import with_numbers as with_numbers

@@ -54,7 +54,7 @@ from ..picture import THREADS, View, outline_box
 from ..pose import weak_prior
 from ..throw import Strike, transitions
 from ..track import Track
-from .adjustment import adjusted, bounces_between, contour_covariance, turn_between
+from .bundle_adjustment import adjusted, bounces_between, contour_covariance, turn_between
 from .kernel_types import TUKEY
 from .refine_kernels import refine_on_marks
 from .textures import FEWEST_LOOKS, Look, Marks, blank_marks, face_grid, faces_of, optics_of, with_learned_textures

@@ -1,4 +1,4 @@
-"""tracking.marks.face_geometry."""
+"""tracking.surface_marks.face_geometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""tracking.marks.kernel_types."""
+"""tracking.surface_marks.kernel_types."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""tracking.marks.texture_blur."""
+"""tracking.surface_marks.texture_blur."""
 
 from __future__ import annotations
 

@@ -30,9 +30,9 @@ from throws import strike_at
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Impact, Throw
-from diethrow.tracking.marks.learning import FramePoses, Refining, frames_to_learn_from
-from diethrow.tracking.marks.texture_blur import soften
-from diethrow.tracking.marks.textures import Marks, undistorted_rays
+from diethrow.tracking.surface_marks.learning import FramePoses, Refining, frames_to_learn_from
+from diethrow.tracking.surface_marks.texture_blur import soften
+from diethrow.tracking.surface_marks.textures import Marks, undistorted_rays
 
 Array = NDArray[np.float64]
 

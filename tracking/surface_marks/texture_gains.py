@@ -1,4 +1,4 @@
-"""tracking.marks.texture_gains."""
+"""tracking.surface_marks.texture_gains."""
 
 from __future__ import annotations
 
