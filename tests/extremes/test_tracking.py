@@ -276,7 +276,7 @@ class Live:
         return np.clip(np.rint(picture), 0, 255).astype(np.uint8)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[NDArray[np.uint8]]:
-        for index in range(initial_pose, len(self) if stop is None else stop):
+        for index in range(start, len(self) if stop is None else stop):
             yield self.frame(index)
 
     def metadata(self) -> dict[str, Any]:

@@ -194,7 +194,7 @@ def test_every_file_of_a_film_is_an_input(tmp_path: Path) -> None:
 HOLDER = """
 import os, sys
 from pathlib import Path
-from diethrow.outputs import whole_folder
+from diethrow.files.outputs import whole_folder
 with whole_folder(Path(sys.argv[1])) as aside:
     (aside / "track.csv").write_text("half")
     print("held", flush=True)

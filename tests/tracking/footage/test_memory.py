@@ -13,7 +13,7 @@ from footage_files import noisy_frames, write_cine, write_photron, write_tiff, w
 READ = """
 import resource, sys
 from pathlib import Path
-from diethrow.tracking.clip import open_clip
+from diethrow.tracking.footage import open_clip
 path, fps = Path(sys.argv[1]), float(sys.argv[2])
 clip = open_clip(path, fps=fps)
 for _ in clip.frames(0, 20): pass
