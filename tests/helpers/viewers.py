@@ -1,7 +1,7 @@
 """The real viewer without a screen, natively and in a browser, and what either has to be asked in a test.
 
-Both want programs from outside Python: a Vulkan driver (Debian's mesa-vulkan-drivers draws without a GPU) and Chromium.
-Where one is not installed the tests are skipped, unless DIETHROW_NEEDS_VIEWERS is set: then they fail.
+Both need programs from outside Python: a Vulkan driver (Debian's mesa-vulkan-drivers draws without a GPU) and Chromium.
+If one is not installed, the tests are skipped; with DIETHROW_NEEDS_VIEWERS set, they fail.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NoReturn
 
 import matplotlib.image
@@ -30,7 +32,13 @@ import pytest
 from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
-from diethrow.commands.results.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
+from diethrow.commands.results.viewer import (
+    LOOPBACK,
+    failure_line,
+    silent_environment,
+    viewer_options,
+    viewer_program,
+)
 
 NEEDED = "DIETHROW_NEEDS_VIEWERS"
 WINDOW = (960, 640)
@@ -43,6 +51,37 @@ def missing(what: str) -> NoReturn:
     if os.environ.get(NEEDED):
         pytest.fail(f"{what}, and {NEEDED} is set")
     pytest.skip(what)
+
+
+def require_graphics() -> None:
+    """Skip the test (or fail it, see `missing`) if the viewer cannot draw even its empty window on this machine.
+
+    The viewer starts with OpenGL alone, and ends at its first frame if no Vulkan driver is installed.
+    """
+    reason = _why_nothing_is_drawn()
+    if reason is not None:
+        missing(f"the viewer cannot draw here ({reason}); install a Vulkan driver (Debian: mesa-vulkan-drivers)")
+
+
+@cache
+def _why_nothing_is_drawn() -> str | None:
+    """Why the viewer cannot take a picture of its empty window; None if it can."""
+    with TemporaryDirectory() as folder:
+        shot = Path(folder) / "empty.png"
+        options = ["--headless", "--window-size", "320x240", "--screenshot-to", str(shot), *viewer_options()]
+        try:
+            done = subprocess.run(
+                [*viewer_program(), *options],
+                env=silent_environment(),
+                capture_output=True,
+                text=True,
+                errors="replace",
+                timeout=PATIENCE_S,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            return f"no picture within {PATIENCE_S:g} s"
+        return None if shot.exists() else failure_line(done.stderr)
 
 
 def picture(png: bytes) -> NDArray[np.float32]:
@@ -100,10 +139,8 @@ def native_viewer(recordings: Sequence[Path], folder: Path) -> Iterator[ViewerCl
 
         def ready() -> ViewerClient | None:
             if process.poll() is not None:
-                said = log.read_text(errors="replace")
-                if "adapter" in said:
-                    missing("no Vulkan driver is installed (Debian: mesa-vulkan-drivers)")
-                pytest.fail(f"the viewer ended with status {process.returncode}: {said[-2000:]}")
+                require_graphics()
+                pytest.fail(f"the viewer ended with status {process.returncode}: {log.read_text(errors='replace')}")
             client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
             state = client.get_state()
             return client if len(state.recordings) == len(recordings) and not state.loading else None

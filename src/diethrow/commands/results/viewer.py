@@ -56,5 +56,11 @@ def open_viewer(recordings: Sequence[Path]) -> None:
         command, env=silent_environment(), stderr=subprocess.PIPE, text=True, errors="replace", check=False
     )
     if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.strip()] or ["it does not say why"]
-        raise OSError(f"the viewer ended with status {done.returncode} ({said[-1].strip()}); it wants a screen")
+        reason = failure_line(done.stderr)
+        raise OSError(f"the viewer ended with status {done.returncode} ({reason}); it needs a screen and Vulkan")
+
+
+def failure_line(log: str) -> str:
+    """The line of the viewer's log that says why it ended: where it stopped itself, otherwise the last line."""
+    lines = [line.strip() for line in log.splitlines() if line.strip()] or ["it gives no reason"]
+    return next((line for line in lines if "panicked at" in line), lines[-1])
