@@ -19,7 +19,7 @@ from ...replay.elements import Record
 from ...tracking.footage import WHOLE, Coarseness
 from ...tracking.quality import STANDARD, Quality
 from .account import account_of
-from .fit import fit_kernel, growing, write_model, write_pages, write_recording_kernel
+from .fit import run_fit, growing, write_model, write_pages, record_replay
 from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
 
 
@@ -47,7 +47,7 @@ def analyze(
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
-        fit = fit_kernel(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
+        fit = run_fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = write_model(folder, fit, tracking.frames)
@@ -64,7 +64,7 @@ def analyze(
             estimates=growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
-        write_recording_kernel(folder, record, progress, watch)
+        record_replay(folder, record, progress, watch)
         command = command or same_command("analyze", scene, out, quality, coarseness, intervals)
         write_origin(folder, scene, command, inputs, watch, tracking.corners)
         account = account_of(scene, tracking, read_json(folder / "provenance.json"))

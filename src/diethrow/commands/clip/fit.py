@@ -33,7 +33,7 @@ from ...replay.pages import Account, write_figures, write_report
 from ...replay.recording import write_recording
 from ...tracking.throw import frames_in_flight
 from ...tracking.track import ABSENT, Track
-from .track import bounces_kernel, if_there, smoothed_notices, write_origin
+from .track import find_impacts, if_there, smoothed_notices, write_origin
 
 
 def fit_track(
@@ -52,8 +52,8 @@ def fit_track(
     frames = read_track(track_path)
     paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
-        frames, measured, smoothed = bounces_kernel(frames, track_path, die, None, progress, watch)
-        fit = fit_kernel(frames, measured, die, progress, watch, intervals, table)
+        frames, measured, smoothed = find_impacts(frames, track_path, die, None, progress, watch)
+        fit = run_fit(frames, measured, die, progress, watch, intervals, table)
         write_vertices(folder / "vertices.csv", die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
         simulated = write_model(folder, fit, frames)
@@ -68,14 +68,14 @@ def fit_track(
             estimates=growing(frames, measured, die, fit, progress, watch, table),
             notices=smoothed_notices(track_path),
         )
-        write_recording_kernel(folder, record, progress, watch)
+        record_replay(folder, record, progress, watch)
         write_origin(folder, scene, command, inputs, watch)
         account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
         write_pages(folder, record, account, PLAIN, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
 
-def fit_kernel(
+def run_fit(
     frames: Track,
     measured: Throw,
     die: Die,
@@ -116,7 +116,7 @@ def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
     return simulated
 
 
-def write_recording_kernel(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
     demand_room(folder, _replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)

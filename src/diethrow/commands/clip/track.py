@@ -96,7 +96,7 @@ def track_scene(
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
         frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
-        straight, measured, smoothed = bounces_kernel(frames, scene.path, die, cameras[0], progress, watch)
+        straight, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
         for notice in (notice for clip in clips for notice in clip.notices):
@@ -194,7 +194,7 @@ def _follow(
         raise RunError(f"{scene.path}: {error}") from error
 
 
-def bounces_kernel(
+def find_impacts(
     frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
 ) -> tuple[Track, Throw, Track]:
     """The frames without the error that they share, the flights that they show, and all with those in flight smoothed."""
