@@ -78,26 +78,26 @@ def empty_scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_help_is_answered_without_loading_what_computes() -> None:
+def test_help_imports_no_numerical_library() -> None:
     heavy = ["numpy", "scipy", "numba", "cv2", "av", "rerun", "matplotlib", "pandas", "pydantic", "rich"]
     script = f"import sys, diethrow, diethrow.cli; print([name for name in {heavy} if name in sys.modules])"
     loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
     assert loaded.strip() == "[]"
 
 
-def test_the_version_is_told() -> None:
+def test_version_is_printed() -> None:
     assert invoke("--version")[:2] == (0, f"diethrow {diethrow.__version__}\n")
 
 
 @pytest.mark.parametrize("command", ["analyze", "track", "fit", "throw", "calibrate", "check"])
-def test_every_command_explains_itself_with_an_example(command: str) -> None:
+def test_every_command_has_help_with_an_example(command: str) -> None:
     status, text, _ = invoke(command, "--help")
     assert status == 0
     assert "--out" in text
     assert f"Example:  diethrow {command} " in text
 
 
-def test_every_public_name_is_there_and_no_other() -> None:
+def test_public_names_exist_and_others_raise() -> None:
     for name in diethrow.__all__:
         assert getattr(diethrow, name).__name__ == name
     with pytest.raises(AttributeError, match="no attribute 'thorw'"):
@@ -105,16 +105,16 @@ def test_every_public_name_is_there_and_no_other() -> None:
 
 
 def test_a_missing_option_ends_with_status_2(tmp_path: Path) -> None:
-    status, _, said = invoke("analyze", tmp_path / "scene.toml")
+    status, _, message = invoke("analyze", tmp_path / "scene.toml")
     assert status == 2
-    assert "--out" in said
+    assert "--out" in message
 
 
-def test_a_throw_is_written_as_the_model_makes_it(throw_plan: Path, tmp_path: Path) -> None:
+def test_throw_writes_what_the_model_computes(throw_plan: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    status, said, _ = invoke("throw", throw_plan, "--out", out)
+    status, message, _ = invoke("throw", throw_plan, "--out", out)
     assert status == 0
-    assert said.startswith("3 impacts")
+    assert message.startswith("3 impacts")
     names = {
         "throw.json",
         "bounces.csv",
@@ -130,10 +130,10 @@ def test_a_throw_is_written_as_the_model_makes_it(throw_plan: Path, tmp_path: Pa
     assert [i.time_s for i in read_bounces(out / "bounces.csv")] == [i.time_s for i in expected.throw.impacts]
     poses = read_simulated(out / "simulated.csv")
     np.testing.assert_array_equal(poses.position_m, expected.throw.poses(np.arange(len(poses)) / 1500.0)[0])
-    told = json.loads((out / "throw.json").read_text())
-    assert (told["impact_count"], told["ending"], told["decidable"]) == (3, "impacts_reached", None)
-    assert told["end"]["position_m"] == expected.end.position_m.tolist()
-    assert all(isinstance(message, str) for message in told["messages"])
+    written = json.loads((out / "throw.json").read_text())
+    assert (written["impact_count"], written["ending"], written["decidable"]) == (3, "impacts_reached", None)
+    assert written["end"]["position_m"] == expected.end.position_m.tolist()
+    assert all(isinstance(message, str) for message in written["messages"])
 
 
 def test_provenance_names_the_inputs_by_their_bytes(throw_plan: Path, tmp_path: Path) -> None:
@@ -154,9 +154,9 @@ def test_an_existing_folder_is_refused_with_status_2_and_replaced_by_force(throw
     out = tmp_path / "out"
     out.mkdir()
     (out / "mine.txt").write_text("mine")
-    status, _, said = invoke("throw", throw_plan, "--out", out)
+    status, _, message = invoke("throw", throw_plan, "--out", out)
     assert status == 2
-    assert "--force" in said
+    assert "--force" in message
     assert [file.name for file in out.iterdir()] == ["mine.txt"]
     assert invoke("throw", throw_plan, "--out", out, "--force")[0] == 0
     assert (out / "throw.json").exists()
@@ -165,49 +165,49 @@ def test_an_existing_folder_is_refused_with_status_2_and_replaced_by_force(throw
 
 def test_a_clip_without_a_die_ends_in_one_sentence_and_no_folder(empty_scene: Path, tmp_path: Path) -> None:
     for command in ("analyze", "track"):
-        status, _, said = invoke(command, empty_scene, "--out", tmp_path / "out")
+        status, _, message = invoke(command, empty_scene, "--out", tmp_path / "out")
         assert status == 1
-        assert said.startswith(f"diethrow: {empty_scene}: no die was found in")
-        assert len(said.splitlines()) == 1
+        assert message.startswith(f"diethrow: {empty_scene}: no die was found in")
+        assert len(message.splitlines()) == 1
         assert not (tmp_path / "out").exists()
 
 
 def test_a_background_of_another_size_is_one_sentence(empty_scene: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "background.png"), np.zeros((32, 96), np.uint8))
-    status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
+    status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert status == 2
     for words in ("clip.background = background.png", "96 × 32", "96 × 64"):
-        assert words in said
-    assert len(said.splitlines()) == 1
+        assert words in message
+    assert len(message.splitlines()) == 1
 
 
 def test_a_clip_of_another_camera_is_one_sentence(empty_scene: Path, tmp_path: Path) -> None:
     empty_scene.write_text(empty_scene.read_text().replace("width = 96", "width = 97"))
-    status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
+    status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert status == 2
-    assert "camera.width and camera.height = [97, 64]" in said
-    assert len(said.splitlines()) == 1
+    assert "camera.width and camera.height = [97, 64]" in message
+    assert len(message.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
     "content", [b"", b"\0" * 5000, b"RIFF\xff\xff\xff\xffAVI LIST" + b"\x07" * 3000, b"a film, I swear"]
 )
-def test_a_clip_that_is_none_is_one_sentence(empty_scene: Path, tmp_path: Path, content: bytes) -> None:
+def test_a_damaged_clip_is_one_sentence(empty_scene: Path, tmp_path: Path, content: bytes) -> None:
     (tmp_path / "clip.avi").write_bytes(content)
     empty_scene.write_text(empty_scene.read_text().replace('path = "frames"', 'path = "clip.avi"'))
-    status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
+    status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert status == 2
-    assert said.startswith(f"diethrow: {empty_scene}: clip.path = clip.avi: ")
-    assert len(said.splitlines()) == 1
+    assert message.startswith(f"diethrow: {empty_scene}: clip.path = clip.avi: ")
+    assert len(message.splitlines()) == 1
     assert not (tmp_path / "out").exists()
 
 
-def test_a_rate_that_nobody_tells_is_asked_for(empty_scene: Path, tmp_path: Path) -> None:
+def test_a_missing_frame_rate_is_named(empty_scene: Path, tmp_path: Path) -> None:
     empty_scene.write_text(empty_scene.read_text().replace("fps = 1500.0\n", ""))
-    status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
+    status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert status == 2
-    assert "fps" in said
-    assert len(said.splitlines()) == 1
+    assert "fps" in message
+    assert len(message.splitlines()) == 1
 
 
 def test_a_stopped_run_leaves_no_folder(empty_scene: Path, tmp_path: Path) -> None:
@@ -237,12 +237,13 @@ def test_ctrl_c_ends_with_status_130(
 
     monkeypatch.setattr("diethrow.commands.clip.track.look_through", stopped)
     before = sorted(tmp_path.rglob("*"))
-    status, _, said = invoke("analyze", empty_scene, "--out", tmp_path / "out")
-    assert (status, said) == (130, "diethrow: stopped; no output was left behind\n")
+    status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
+    assert status == 130
+    assert len(message.splitlines()) == 1
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_fit_takes_any_track_and_finds_the_restitution_it_was_made_with(throw_plan: Path, tmp_path: Path) -> None:
+def test_fit_of_any_track_recovers_the_restitution(throw_plan: Path, tmp_path: Path) -> None:
     plan = read_plan(throw_plan)
     throw = throw_die(plan.die, plan.release, SmoothImpact(0.5), until=Until(impacts=3)).throw
     frame = np.arange(int(throw.flights[-1].end_s * 1500.0))
@@ -258,9 +259,9 @@ def test_a_fit_takes_any_track_and_finds_the_restitution_it_was_made_with(throw_
     write_track(tmp_path / "any.csv", track)
     (tmp_path / "scene.toml").write_text(f"[clip]\nfps = 1500.0\n{DIE}")
     out = tmp_path / "out"
-    status, said, notes = invoke("fit", tmp_path / "any.csv", "--scene", tmp_path / "scene.toml", "--out", out)
+    status, message, notes = invoke("fit", tmp_path / "any.csv", "--scene", tmp_path / "scene.toml", "--out", out)
     assert status == 0, notes
-    assert "restitution χ" in said
+    assert "restitution χ" in message
     fit = json.loads((out / "fit.json").read_text())
     chi = fit["parameters"]["chi"]
     # The interval holds the truth in 95 % of all cases; the seed is one of them, and the estimate is near in any case.
@@ -272,10 +273,12 @@ def test_a_fit_takes_any_track_and_finds_the_restitution_it_was_made_with(throw_
     assert {file.name for file in out.iterdir()} == names
 
 
-def test_a_fit_to_what_is_no_track_ends_with_status_1(tmp_path: Path) -> None:
+def test_a_fit_of_a_table_without_poses_ends_with_status_1(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(f"[clip]\nfps = 1500.0\n{DIE}")
     (tmp_path / "any.csv").write_text("time,x\n0,1\n")
-    status, _, said = invoke("fit", tmp_path / "any.csv", "--scene", tmp_path / "scene.toml", "--out", tmp_path / "out")
+    status, _, message = invoke(
+        "fit", tmp_path / "any.csv", "--scene", tmp_path / "scene.toml", "--out", tmp_path / "out"
+    )
     assert status == 1
-    assert "any.csv: column frame is missing" in said
+    assert "any.csv: column frame is missing" in message
     assert not (tmp_path / "out").exists()

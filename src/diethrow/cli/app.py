@@ -1,18 +1,14 @@
-"""The command line: parse, call, print.
+"""The program `diethrow`: its name, its help and its version.
 
-Only typer is imported here, as in `printing` and `progress`. What computes is imported inside the commands, so that
-`--help` answers at once.
+This package imports only typer at its top level. Each command imports what it computes with when it runs, so that
+`diethrow --help` answers at once.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
-
-if TYPE_CHECKING:
-    pass
-
 
 app = typer.Typer(
     name="diethrow",

@@ -1,14 +1,14 @@
-"""cli.clip_commands."""
+"""Commands that work on clips and tracks: analyze, track, fit, predict, batch, trade, check, calibrate."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .app import app
-from .errors import FAILED, MISUSED, one_sentence_errors, options_that_fit, stop_with_status, whose_finished_clips_stay
+from .errors import FAILED, MISUSED, checked_options, finished_clips_kept, one_sentence_errors, stop_with_status
 from .options import (
     AllowOutside,
     EmbedReplay,
@@ -45,12 +45,9 @@ from .printing import (
 )
 from .progress import announce_for_workers, announcing, batch_bar, progress_bars
 
-if TYPE_CHECKING:
-    pass
-
 
 @app.command(
-    epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; a page to send, with the replay in it:  "
+    epilog="Example:  diethrow analyze clips/cube_wood/scene.toml --out out/cube_wood; one page with the replay in it:  "
     "diethrow analyze clips/cube_wood/scene.toml --embed-replay --out out/cube_wood"
 )
 def analyze(
@@ -62,40 +59,44 @@ def analyze(
     intervals: Intervals = "profile",
     chi_within: Annotated[
         float | None,
-        typer.Option("--chi-within", metavar="WIDTH", help="Use the fastest setting that gives χ to ± so much."),
+        typer.Option(
+            "--chi-within", metavar="WIDTH", help="Use the fastest setting whose 95 % interval of χ is ± WIDTH."
+        ),
     ] = None,
     trade_file: Annotated[
         Path | None,
-        typer.Option("--trade", metavar="TRADE.json", help="What diethrow trade measured on such a scene."),
+        typer.Option("--trade", metavar="TRADE.json", help="Measurements of diethrow trade on a similar scene."),
     ] = None,
     embed_replay: EmbedReplay = False,
     figures: Figures = False,
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
-    """From clip to replay: track the die, find its bounces, fit the model, write tables, a recording and a report."""
+    """From clip to replay: track the die, find its bounces, fit the model; write tables, a recording and a report."""
     with one_sentence_errors():
         from ..files.scene import read_scene
 
-        # Before the stages are imported: a mistake in a scene is told at once.
+        # Before the stages are imported, so that a mistake in a scene is reported at once.
         checked = read_scene(scene, allow_outside=allow_outside)
         from ..analysis import Shown
         from ..commands.clip.analyze import analyze as analyze_scene
         from ..tracking.footage import Coarseness
         from .compiling import model_ahead
 
-        with options_that_fit():
+        with checked_options():
             chosen, method = quality_of_name(quality), interval_method(intervals)
         if trade_file is not None and chi_within is None:
-            stop_with_status("--trade without --chi-within; say how well χ is wanted, as in --chi-within 0.01", MISUSED)
+            stop_with_status(
+                "--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01", MISUSED
+            )
         with progress_bars() as progress:
             if chi_within is not None:
                 from ..commands.clip.trade import setting_for
 
                 quality, less = setting_for(checked, chi_within, trade_file, progress)
                 chosen, every, shrink = quality_of_name(quality), less.every, less.shrink
-                told = f"--quality {quality} --every {every} --shrink {shrink}"
-                typer.echo(f"diethrow: for χ to ±{chi_within:g} chosen: {told}", err=True)
+                options = f"--quality {quality} --every {every} --shrink {shrink}"
+                typer.echo(f"diethrow: chosen for χ ± {chi_within:g}: {options}", err=True)
         how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
         how = (*how, *given_option("--intervals", intervals, "profile"))
         drawn = (*flag_words("--embed-replay", embed_replay), *flag_words("--figures", figures))
@@ -152,26 +153,30 @@ def track(
 def fit(
     tracks: Annotated[
         list[Path],
-        typer.Argument(metavar="TRACK.csv...", help="A track, its covariances beside it; several: a joint fit."),
+        typer.Argument(
+            metavar="TRACK.csv...", help="A track, with its covariances beside it; several tracks: a joint fit."
+        ),
     ],
-    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
+    scene: Annotated[
+        Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only its die and table are used.")
+    ],
     out: OutFolder,
     intervals: Intervals = "profile",
     threads: Threads = None,
     scheduler: Scheduler = None,
     force: Force = False,
 ) -> None:
-    """The fitting stage alone, on any track with the columns of track.csv; of several tracks, what they share."""
+    """The fitting stage alone, on any track with the columns of track.csv; of several, the shared parameters."""
     with one_sentence_errors():
         from ..files.scene import read_scene
 
         checked = read_scene(scene, allow_outside=True)  # no footage is opened
-        with options_that_fit():
+        with checked_options():
             method = interval_method(intervals)
         if len(tracks) > 1:
             if method != "profile":
                 stop_with_status(
-                    "--intervals with several tracks; a joint fit draws its intervals from the throws", MISUSED
+                    "--intervals does not apply to several tracks; a joint fit resamples throws; leave it out", MISUSED
                 )
             from ..commands.clip.joint_fit import fit_tracks
 
@@ -201,26 +206,33 @@ def fit(
 
 @app.command(
     epilog="Example:  diethrow predict tosses/*.csv --scene tosses/scene.toml --fit out/joint/fit.json "
-    "--from-frame first-bounce --out out/foretold"
+    "--from-frame first-bounce --out out/predicted"
 )
 def predict(
     tracks: Annotated[list[Path], typer.Argument(metavar="TRACK.csv...", help="Tracks from any tracker.")],
-    scene: Annotated[Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only die and table count.")],
-    fit: Annotated[Path, typer.Option("--fit", metavar="FIT.json", help="The parameters, of one throw or of many.")],
-    out: Annotated[Path, typer.Option("--out", metavar="CSV|DIR", help="Of one track a CSV; of several a folder.")],
+    scene: Annotated[
+        Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only its die and table are used.")
+    ],
+    fit: Annotated[
+        Path,
+        typer.Option("--fit", metavar="FIT.json", help="The fit whose parameters are used, of one throw or of many."),
+    ],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="CSV|DIR", help="A CSV file for one track; a folder for several.")
+    ],
     from_frame: Annotated[
         str,
-        typer.Option("--from-frame", metavar="K|first-bounce", help="Only frames before this one tell the state."),
+        typer.Option("--from-frame", metavar="K|first-bounce", help="Only frames before this one determine the state."),
     ] = "first-bounce",
     draws: Annotated[
         int | None,
         typer.Option(
-            "--draws", min=0, help="Throws drawn for the odds of the faces. [default: 100 for one track, else 0]"
+            "--draws", min=0, help="Throws sampled for the odds of the faces. [default: 100 for one track, else 0]"
         ),
     ] = None,
     force: Force = False,
 ) -> None:
-    """Foretell throws: the state from the frames before K, simulated on to the last frame with the parameters of a fit."""
+    """Predict throws: estimate the state from the frames before K and simulate to the last frame with a fit's parameters."""
     with one_sentence_errors():
         from ..files.scene import read_scene
 
@@ -241,26 +253,26 @@ def predict(
 
 @app.command(epilog="Example:  diethrow batch clips/*/scene.toml --out out/all --workers 4")
 def batch(
-    scenes: Annotated[list[Path], typer.Argument(metavar="SCENES...", help="Scene files; each makes a folder in DIR.")],
+    scenes: Annotated[list[Path], typer.Argument(metavar="SCENES...", help="Scene files; each gets a folder in DIR.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="DIR", help="The folder of all results; begun again, it goes on.")
+        Path, typer.Option("--out", metavar="DIR", help="Folder of all results; an existing one is continued.")
     ],
     workers: Annotated[
-        int | None, typer.Option("--workers", min=1, help="Processes of this machine; left out: one for each core.")
+        int | None, typer.Option("--workers", min=1, help="Number of local processes. [default: one per core]")
     ] = None,
     scheduler: Scheduler = None,
     quality: Fineness = "standard",
     only_track: Annotated[
-        bool, typer.Option("--only-track", help="The tracking stage alone, as diethrow track.")
+        bool, typer.Option("--only-track", help="Run the tracking stage alone, as diethrow track.")
     ] = False,
     allow_outside: AllowOutside = False,
 ) -> None:
-    """Analyse many scenes: results.csv, failures.csv, and a folder for each. A finished clip is done again only where its
-    files, the version or the quality changed.
+    """Analyse many scenes: results.csv, failures.csv, and a folder for each scene.
 
-    The exit status is 1 where a clip failed. Ctrl-C and kill cost the clips in hand; the same command goes on.
+    A finished clip is analysed again only if its files, the version or the quality changed. The exit status is 1 if a clip
+    failed. After Ctrl-C or a kill, the same command continues with the unfinished clips.
     """
-    with one_sentence_errors(), whose_finished_clips_stay():
+    with one_sentence_errors(), finished_clips_kept():
         from ..commands.clip.batch import run_batch
 
         quality_of_name(quality)
@@ -290,15 +302,15 @@ def trade(
     scene: SceneFile,
     out: OutFolder,
     chi_within: Annotated[
-        float, typer.Option("--chi-within", metavar="WIDTH", help="How well χ is wanted: ± so much.")
+        float, typer.Option("--chi-within", metavar="WIDTH", help="Wanted half-width of the 95 % interval of χ.")
     ] = 0.01,
     coverage: Annotated[
-        int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks for each coverage; 0: none.")
+        int, typer.Option("--coverage", min=0, metavar="N", help="Simulated tracks per coverage rate; 0: none.")
     ] = 20,
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
-    """Speed against accuracy on one scene, measured: tracking, fit and model from coarse to fine, and what to use."""
+    """Measure speed against accuracy on one scene: tracking, fit and model from coarse to fine, and the setting to use."""
     with one_sentence_errors():
         from ..files.scene import read_scene
 
@@ -325,14 +337,14 @@ def check(
     scene: SceneFile,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="A folder for check.json and check.html; left out: none."),
+        typer.Option("--out", metavar="DIR", help="Folder for check.json and check.html. [default: none]"),
     ] = None,
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
-    """Before tracking: is the clip fit for it? Timing, blur, pixels, background, scale and vertical, with verdicts.
+    """Check a clip before tracking: timing, blur, pixels, background, scale and vertical, each with a verdict.
 
-    The exit status is 1 where something is bad.
+    The exit status is 1 if a verdict is bad.
     """
     with one_sentence_errors():
         from ..files.scene import read_scene
@@ -355,7 +367,7 @@ def check(
 )
 def calibrate(
     pictures: Annotated[
-        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted to all sides.")
+        list[Path], typer.Argument(metavar="PICTURES...", help="Pictures of the board, tilted in all directions.")
     ],
     out: OutFolder,
     square_mm: Annotated[float, typer.Option("--square-mm", metavar="MM", help="Side of a square as printed.")],
@@ -369,16 +381,18 @@ def calibrate(
     ] = "DICT_4X4_50",
     table: Annotated[
         Path | None,
-        typer.Option("--table", metavar="PICTURE", help="The board flat on the table: gives the camera's place."),
+        typer.Option(
+            "--table", metavar="PICTURE", help="Picture of the board flat on the table: gives the camera's pose."
+        ),
     ] = None,
     thickness_mm: Annotated[
-        float, typer.Option("--thickness-mm", metavar="MM", help="Of the board that lies on the table.")
+        float, typer.Option("--thickness-mm", metavar="MM", help="Thickness of the board that lies on the table.")
     ] = 0.0,
     force: Force = False,
 ) -> None:
     """Camera and table pose from pictures of a ChArUco board or a chessboard: camera.toml, calibration.json and a page."""
     with one_sentence_errors():
-        with options_that_fit():
+        with checked_options():
             from ..tracking.calibration import make_board
 
             columns, rows = two_counts("squares", squares)

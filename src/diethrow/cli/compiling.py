@@ -1,5 +1,4 @@
-"""The kernels are compiled when they are first called, once for an installation: said in one line, so that nobody waits in
-the dark, and shared with a second process where there is a core for it."""
+"""The first compilation of the kernels, once per installation: announced in one line, and shared with a second process."""
 
 from __future__ import annotations
 
@@ -9,18 +8,18 @@ from typing import Any
 
 from ..executors import Processes, cores
 
-SENTENCE = "compiling the kernels, once for this installation; it takes a minute or so, and later runs load them"
+SENTENCE = "compiling the kernels; this takes about a minute, once per installation"
 
 
 @contextmanager
 def announced(say: Callable[[str], None]) -> Iterator[None]:
-    """Say once when a kernel is compiled within the block that was in no cache, and will be."""
+    """Report once, within the block, that a kernel is compiled for the cache."""
     with _at_first_compilation(lambda: say(SENTENCE)):
         yield
 
 
 def is_compiled() -> bool:
-    """Whether the cache of this installation holds the kernel that tracking begins with."""
+    """Whether this installation's cache holds the kernel with which tracking begins."""
     from ..tracking.pose import look
 
     cache: Any = getattr(look, "_cache", None)
@@ -29,10 +28,10 @@ def is_compiled() -> bool:
 
 @contextmanager
 def model_ahead() -> Iterator[None]:
-    """Where anything is compiled within the block, let another process compile what a fit needs of the model meanwhile.
+    """Compile the model's kernels in a second process as soon as anything is compiled within the block.
 
-    Nothing is started where the kernels are in the cache, or where there is but one core. The process is gone when the
-    block ends, however it ends.
+    No process starts if the kernels are in the cache or if there is only one core. The process ends with the block, however
+    the block ends.
     """
     with ExitStack() as stack:
 
@@ -40,14 +39,14 @@ def model_ahead() -> Iterator[None]:
             if cores() > 1:
                 helper = stack.enter_context(Processes(1))
                 stack.callback(helper.stop)
-                helper.submit(compile_model)  # what fails there fails here as well, and is told here
+                helper.submit(compile_model)  # a failure there occurs here as well, and is reported here
 
         stack.enter_context(_at_first_compilation(begin))
         yield
 
 
 def compile_model() -> None:
-    """A throw of no interest, simulated and differentiated in each of the ways that a fit may ask for."""
+    """Simulate and differentiate one throw in every way that a fit may need."""
     import numpy as np
 
     from ..model import CoulombImpact, SmoothImpact, State, make_die, throw_die
@@ -66,7 +65,7 @@ def compile_model() -> None:
 
 @contextmanager
 def _at_first_compilation(do: Callable[[], None]) -> Iterator[None]:
-    """Do it once, when a kernel of ours begins to be compiled within the block that was in no cache, and will be."""
+    """Call `do` once, when the compilation of a kernel of this package that the cache will keep begins."""
     from numba.core import event
     from numba.core.caching import NullCache
 
@@ -75,7 +74,7 @@ def _at_first_compilation(do: Callable[[], None]) -> Iterator[None]:
             self.done = False
 
         def on_start(self, happening: Any) -> None:
-            # Some small kernels are compiled in every run, on purpose; of numba's own functions nobody need know.
+            # Functions of numba itself and kernels without a cache are not announced.
             dispatcher = happening.data["dispatcher"]
             ours = dispatcher.py_func.__module__.startswith("diethrow.")
             if ours and not self.done and not isinstance(dispatcher._cache, NullCache):

@@ -1,27 +1,31 @@
-"""cli.errors."""
+"""Failures of a command: one sentence on standard error, and an exit status.
+
+A ValueError or an OSError is a mistake in the input, or a run without a result; its text is the sentence. Any other exception
+is a fault of the program and shows its traceback.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import typer
 
 from .printing import print_notices
 
-if TYPE_CHECKING:
-    pass
-
-
-FAILED, MISUSED, INTERRUPTED = 1, 2, 130
-"""Exit status: the run gave no result; the scene or the command line is wrong; Ctrl-C."""
+FAILED = 1
+"""Exit status of a run without a result."""
+MISUSED = 2
+"""Exit status of a mistake in a scene or on the command line."""
+INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
 
 
 @contextmanager
 def one_sentence_errors() -> Iterator[None]:
-    """Tell an error in one sentence, with its exit status; DIETHROW_TRACEBACK=1 shows where it came from."""
+    """Report an error in one sentence and stop with its exit status; DIETHROW_TRACEBACK=1 shows the traceback."""
     try:
         yield
     except KeyboardInterrupt:
@@ -42,8 +46,8 @@ def one_sentence_errors() -> Iterator[None]:
 
 
 @contextmanager
-def options_that_fit() -> Iterator[None]:
-    """An option that cannot be is told in one sentence, with the status of a misused command."""
+def checked_options() -> Iterator[None]:
+    """Report an impossible value of an option in one sentence and stop with MISUSED."""
     try:
         yield
     except ValueError as error:
@@ -51,26 +55,29 @@ def options_that_fit() -> Iterator[None]:
 
 
 @contextmanager
-def that_can_go_on() -> Iterator[None]:
-    """A long run that is stopped leaves its work file, and says how to go on."""
+def resumable_work() -> Iterator[None]:
+    """Report after Ctrl-C that the work file of a long run is kept, and how to resume."""
     try:
         yield
     except KeyboardInterrupt:
-        stop_with_status("stopped; no output was left behind, and --resume goes on with what was done", INTERRUPTED)
+        stop_with_status("stopped; no output was left behind; --resume continues from the work done", INTERRUPTED)
 
 
 @contextmanager
-def whose_finished_clips_stay() -> Iterator[None]:
-    """A batch that is stopped keeps what is finished, and says how to go on."""
+def finished_clips_kept() -> Iterator[None]:
+    """Report after Ctrl-C that a batch keeps its finished clips, and how to continue."""
     try:
         yield
     except KeyboardInterrupt:
-        stop_with_status("stopped; what is finished stays, and the same command does the rest", INTERRUPTED)
+        stop_with_status("stopped; finished clips are kept; the same command continues with the others", INTERRUPTED)
 
 
 def _stems_from_interrupt(error: BaseException) -> bool:
-    """Whether this is Ctrl-C in disguise: within a compiled kernel it comes out as a chain of SystemErrors; while a kernel
-    is compiled, LLVM's callback may swallow it, and numba then misses the code that the callback should have handed on."""
+    """Whether the error is a consequence of Ctrl-C.
+
+    A compiled kernel turns it into a chain of SystemErrors. During compilation LLVM's callback may swallow it, and numba then
+    misses the object code that the callback should have passed on.
+    """
     while error.__cause__ is not None:
         error = error.__cause__
     return isinstance(error, KeyboardInterrupt) or "no compiled object yet" in str(error)

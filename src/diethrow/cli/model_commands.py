@@ -1,4 +1,4 @@
-"""cli.model_commands."""
+"""Commands that need no clip: throw, film, odds, basins, lyapunov, paper."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .app import app
-from .errors import one_sentence_errors, options_that_fit, that_can_go_on
+from .errors import checked_options, one_sentence_errors, resumable_work
 from .options import (
     Amplitude,
     Edge,
@@ -41,7 +41,9 @@ def throw(
     out: OutFolder,
     embed_replay: Annotated[
         bool,
-        typer.Option("--embed-replay", help="Also replay.html: the viewer and the recording in one page, 20 MB."),
+        typer.Option(
+            "--embed-replay", help="Also write replay.html: the viewer and the recording in one page of 20 MB."
+        ),
     ] = False,
     force: Force = False,
 ) -> None:
@@ -70,27 +72,28 @@ def film(
         typer.Option(
             "--scene",
             metavar="SCENE",
-            help="Its camera, rate, exposure, surface and marks; left out: a camera that keeps the throw in view.",
+            help="Take camera, rate, exposure, surface and marks from this scene. [default: a camera that sees the whole throw]",
         ),
     ] = None,
-    frames: Annotated[int | None, typer.Option("--frames", help="Left out: as many as the throw lasts.")] = None,
-    start: Annotated[float, typer.Option("--start", metavar="S", help="Leave so much of the fall out [s].")] = 0.0,
-    size: Annotated[int, typer.Option("--size", metavar="PX", help="Width and height, where there is no scene.")] = 512,
+    frames: Annotated[int | None, typer.Option("--frames", help="Number of frames. [default: the whole throw]")] = None,
+    start: Annotated[float, typer.Option("--start", metavar="S", help="Time skipped after the release [s].")] = 0.0,
+    size: Annotated[int, typer.Option("--size", metavar="PX", help="Width and height without a scene.")] = 512,
     fps: Annotated[
-        float | None, typer.Option("--fps", metavar="HZ", help="Recording rate; left out: the scene's.")
+        float | None, typer.Option("--fps", metavar="HZ", help="Recording rate [1/s]. [default: the scene's]")
     ] = None,
     exposure: Annotated[
-        float | None, typer.Option("--exposure", metavar="S", help="Of a frame [s]; left out: the scene's, or 0.0002.")
+        float | None,
+        typer.Option("--exposure", metavar="S", help="Exposure of a frame [s]. [default: the scene's, or 0.0002]"),
     ] = None,
-    bits: Annotated[int, typer.Option("--bits", help="8, 10, 12 or 16 for each pixel.")] = 8,
-    noise: Annotated[float, typer.Option("--noise", help="Factor on the sensor's noise; 0 for none.")] = 1.0,
+    bits: Annotated[int, typer.Option("--bits", help="Bits per pixel: 8, 10, 12 or 16.")] = 8,
+    noise: Annotated[float, typer.Option("--noise", help="Factor on the sensor's noise; 0: none.")] = 1.0,
     blur: Annotated[float, typer.Option("--blur", metavar="PX", help="Standard deviation of the point spread.")] = 0.6,
-    samples: Annotated[int, typer.Option("--samples", help="Light paths for each pixel; more are smoother.")] = 48,
-    seed: Annotated[int, typer.Option("--seed", help="Of textures and noise.")] = 1,
+    samples: Annotated[int, typer.Option("--samples", help="Light paths per pixel; more give less render noise.")] = 48,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of textures and noise.")] = 1,
     threads: Threads = None,
     variant: Annotated[
         str,
-        typer.Option("--variant", help="Of Mitsuba; llvm_ad_mono is twice as fast where LLVM 16 or newer is found."),
+        typer.Option("--variant", help="Variant of Mitsuba; llvm_ad_mono is twice as fast with LLVM 16 or newer."),
     ] = "scalar_rgb",
     force: Force = False,
 ) -> None:
@@ -104,7 +107,7 @@ def film(
         from ..commands.model.film import FilmSettings
         from ..commands.model.film import film as shoot
 
-        with options_that_fit():
+        with checked_options():
             settings = FilmSettings(
                 frames=frames,
                 start_s=start,
@@ -135,36 +138,37 @@ def odds(
     edge: Edge = 0.02,
     mass: Mass = 0.016,
     chi: Annotated[
-        list[float] | None, typer.Option("--chi", help="Restitution, 0 to 1; several: a series each. [default: 0.5]")
+        list[float] | None,
+        typer.Option("--chi", help="Restitution, 0 to 1; repeat the option for a series each. [default: 0.5]"),
     ] = None,
     mu: Mu = None,
     conditions: Annotated[
         str,
         typer.Option(
             "--conditions",
-            help="paper: Euler angles uniform, body spin (0, OMEGA, 0); uniform: every orientation and direction of spin "
+            help="paper: uniform Euler angles, body spin (0, OMEGA, 0); uniform: uniform orientations and spin directions "
             "alike.",
         ),
     ] = "paper",
-    omega: Annotated[float, typer.Option("--omega", help="The spin [rad/s].")] = 40.0,
+    omega: Annotated[float, typer.Option("--omega", help="Angular speed at release [rad/s].")] = 40.0,
     height: Annotated[
         tuple[float, float] | None,
-        typer.Option("--height", metavar="LOW HIGH", help="Range of the release [m]; left out: 15 to 20 edges."),
+        typer.Option("--height", metavar="LOW HIGH", help="Range of release heights [m]. [default: 15 to 20 edges]"),
     ] = None,
-    throws: Annotated[int, typer.Option("--throws", help="For each chi.")] = 100_000,
-    after: Annotated[int, typer.Option("--after", help="Count the lowest face at the first so many impacts.")] = 5,
+    throws: Annotated[int, typer.Option("--throws", help="Throws per chi.")] = 100_000,
+    after: Annotated[int, typer.Option("--after", help="Record the lowest face at the first N impacts.")] = 5,
     amplitude: Amplitude = 0.0,
     frequency: Frequency = 0.0,
     phase: Phase = 0.0,
-    seed: Annotated[int, typer.Option("--seed", help="Of the releases.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the releases.")] = 1,
     threads: Threads = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
-    """Landing probabilities of every face, with intervals; what does not land is told apart."""
-    with one_sentence_errors(), that_can_go_on():
-        with options_that_fit():
+    """Landing probability of every face, with intervals; throws that do not land are counted by how they end."""
+    with one_sentence_errors(), resumable_work():
+        with checked_options():
             from ..commands.model.odds import OddsPlan
             from ..model.laws import Table
 
@@ -223,16 +227,18 @@ def basins(
         typer.Option(
             "--fix",
             metavar="NAME=VALUE",
-            help="Another initial condition. [default: the paper's Fig. 6: "
+            help="Value of another initial condition. [default: the paper's Fig. 6: "
             "psi=0.3, theta=1.2, phi=0.6, no velocity; z0=0.3 where it is no axis]",
         ),
     ] = None,
     zoom: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option("--zoom", metavar="X0 X1 Y0 Y1", help="Only this part of the plane, in as many pixels."),
+        typer.Option(
+            "--zoom", metavar="X0 X1 Y0 Y1", help="Only this part of the plane, with the same number of pixels."
+        ),
     ] = None,
     pixels: Annotated[
-        tuple[int, int], typer.Option("--pixels", metavar="COLUMNS ROWS", help="Of the map: a throw for each.")
+        tuple[int, int], typer.Option("--pixels", metavar="COLUMNS ROWS", help="Size of the map; one throw per pixel.")
     ] = (500, 500),
     shape: Shape = "tetrahedron",
     edge: Edge = 0.040793,
@@ -246,18 +252,19 @@ def basins(
         int | None, typer.Option("--at-impact", help="Colour by the face that is lowest at this impact.")
     ] = None,
     predictability: Annotated[
-        bool, typer.Option("--predictability", help="Measure how near a condition must be known to tell the face.")
+        bool,
+        typer.Option("--predictability", help="Measure how precisely a condition must be known to predict the face."),
     ] = False,
-    samples: Annotated[int, typer.Option("--samples", help="Conditions drawn for --predictability.")] = 8192,
-    seed: Annotated[int, typer.Option("--seed", help="Of those conditions.")] = 1,
+    samples: Annotated[int, typer.Option("--samples", help="Conditions sampled for --predictability.")] = 8192,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of those conditions.")] = 1,
     threads: Threads = None,
     scheduler: Scheduler = None,
     resume: Resume = False,
     force: Force = False,
 ) -> None:
-    """Basins of attraction: the landed face over a plane of initial conditions, as a picture and as data."""
-    with one_sentence_errors(), that_can_go_on():
-        with options_that_fit():
+    """Basins of attraction: the landed face over a plane of initial conditions, as picture and data."""
+    with one_sentence_errors(), resumable_work():
+        with checked_options():
             from ..commands.model.basins import BasinsPlan, axes_of, fixed_from
             from ..model.laws import Table
 
@@ -303,34 +310,37 @@ def lyapunov(
     edge: Edge = 0.02,
     mass: Mass = 0.016,
     chi: Annotated[
-        float, typer.Option("--chi", help="Restitution, 0 to 1; below 1 only a table that oscillates has an exponent.")
+        float, typer.Option("--chi", help="Restitution, 0 to 1; below 1 only an oscillating table has an exponent.")
     ] = 1.0,
     mu: Mu = None,
     amplitude: Amplitude = 0.0,
     frequency: Frequency = 0.0,
     phase: Phase = 0.0,
-    impacts: Annotated[int, typer.Option("--impacts", help="Of each orbit.")] = 10_000,
-    orbits: Annotated[int, typer.Option("--orbits", help="Neighbours of the start, one after the other.")] = 8,
-    leave_out: Annotated[int, typer.Option("--leave-out", help="Impacts at the beginning that do not count.")] = 200,
+    impacts: Annotated[int, typer.Option("--impacts", help="Impacts per orbit.")] = 10_000,
+    orbits: Annotated[int, typer.Option("--orbits", help="Number of orbits, each from a neighbour of the start.")] = 8,
+    leave_out: Annotated[
+        int, typer.Option("--leave-out", help="First impacts of an orbit that are not counted.")
+    ] = 200,
     position: Annotated[
-        tuple[float, float, float], typer.Option("--position", metavar="X Y Z", help="Of the start [m].")
+        tuple[float, float, float], typer.Option("--position", metavar="X Y Z", help="Position at the start [m].")
     ] = (0.0, 0.0, 0.3),
     euler: Annotated[
-        tuple[float, float, float], typer.Option("--euler", metavar="PSI THETA PHI", help="Of the start [rad].")
+        tuple[float, float, float],
+        typer.Option("--euler", metavar="PSI THETA PHI", help="Euler angles at the start [rad]."),
     ] = (0.001, 0.00001, 0.0001),
     velocity: Annotated[
-        tuple[float, float, float], typer.Option("--velocity", metavar="X Y Z", help="Of the start [m/s].")
+        tuple[float, float, float], typer.Option("--velocity", metavar="X Y Z", help="Velocity at the start [m/s].")
     ] = (0.6, 0.0, -0.7),
     omega_body: Annotated[
         tuple[float, float, float],
-        typer.Option("--omega-body", metavar="XI ETA ZETA", help="Angular velocity of the start, body axes [rad/s]."),
+        typer.Option("--omega-body", metavar="XI ETA ZETA", help="Angular velocity at the start, body axes [rad/s]."),
     ] = (0.0, 60.0, 0.0),
-    seed: Annotated[int, typer.Option("--seed", help="Of the neighbours.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the neighbours.")] = 1,
     force: Force = False,
 ) -> None:
-    """The largest Lyapunov exponent of a die that bounces on; the start is the paper's Fig. 5 unless given."""
+    """The largest Lyapunov exponent of a bouncing die; by default from the start of the paper's Fig. 5."""
     with one_sentence_errors():
-        with options_that_fit():
+        with checked_options():
             from ..commands.model.lyapunov import LyapunovPlan
             from ..model.laws import Table
 
@@ -364,18 +374,18 @@ def lyapunov(
 def paper(
     out: OutFolder,
     quick: Annotated[
-        bool, typer.Option("--quick", help="A hundredth of the throws: a few minutes instead of tens.")
+        bool, typer.Option("--quick", help="A hundredth of the throws: some minutes instead of tens.")
     ] = False,
-    seed: Annotated[int, typer.Option("--seed", help="Of everything that is drawn.")] = 1,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of all random numbers.")] = 1,
     threads: Threads = None,
     force: Force = False,
 ) -> None:
-    """Replicate Kapitaniak et al. (2012): figures, odds and exponents on one page, with a verdict for each statement."""
+    """Replicate the results of Kapitaniak et al. (2012) on one page, with a verdict for each statement."""
     with one_sentence_errors():
         from ..paper.replication import paper as replicate
         from ..paper.replication import plan_of, summary
 
-        with options_that_fit():
+        with checked_options():
             plan = plan_of(quick, seed)
         with progress_bars() as progress:
             command = as_typed()

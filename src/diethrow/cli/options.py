@@ -1,4 +1,4 @@
-"""cli.options."""
+"""Options that several commands share, and the values that they stand for."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..tracking.quality import Quality
 
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
-Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Left out: one for each core.")]
+Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Number of threads. [default: one per core]")]
 Scheduler = Annotated[
     str | None,
     typer.Option(
@@ -26,49 +26,47 @@ Scheduler = Annotated[
         help="Work on a Dask cluster, tcp://host:port of its scheduler; needs pip install 'diethrow[distributed]'.",
     ),
 ]
-AllowOutside = Annotated[bool, typer.Option("--allow-outside", help="Let the scene name files outside its own folder.")]
-OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="The folder to make.")]
+AllowOutside = Annotated[bool, typer.Option("--allow-outside", help="Allow files outside the scene's own folder.")]
+OutFolder = Annotated[Path, typer.Option("--out", metavar="DIR", help="Output folder; must not exist yet.")]
 Fineness = Annotated[
     str,
     typer.Option(
         "--quality",
         metavar="fast|standard|fine",
-        help="fast: each frame once, edges alone; standard: twice, and the marks on the faces; fine: the same with more steps.",
+        help="fast: every frame once, edges only; standard: twice, with surface marks; fine: as standard, with more steps.",
     ),
 ]
 Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
-Shrink = Annotated[
-    int, typer.Option("--shrink", min=1, metavar="F", help="Make pictures smaller: the mean of F × F pixels.")
-]
+Shrink = Annotated[int, typer.Option("--shrink", min=1, metavar="F", help="Average F × F pixels into one.")]
 Intervals = Annotated[
     str,
     typer.Option(
         "--intervals",
         metavar="profile|covariance|bootstrap",
-        help="Where intervals come from: the profile of the likelihood, the covariance, or residuals drawn anew.",
+        help="Source of the intervals: the profile likelihood, the covariance, or a bootstrap of the residuals.",
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Replace the folder if it exists, once the new one is complete.")]
+Force = Annotated[bool, typer.Option("--force", help="Replace an existing output once the new one is complete.")]
 EmbedReplay = Annotated[
     bool,
-    typer.Option("--embed-replay", help="Put the viewer and the recording into report.html: 20 MB, and no network."),
+    typer.Option("--embed-replay", help="Embed the viewer and the recording in report.html: 20 MB, needs no network."),
 ]
-Figures = Annotated[bool, typer.Option("--figures", help="Also the figures of the report as PNG and SVG, in figures/.")]
+Figures = Annotated[bool, typer.Option("--figures", help="Also write the report's figures as PNG and SVG to figures/.")]
 
 
 Shape = Annotated[str, typer.Option("--shape", help="tetrahedron, cube, octahedron, dodecahedron or icosahedron.")]
 Edge = Annotated[float, typer.Option("--edge", metavar="M", help="Edge of the die [m].")]
 Mass = Annotated[float, typer.Option("--mass", metavar="KG", help="Mass of the die [kg].")]
-Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction; left out: the paper's smooth impact.")]
-Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Of the table's oscillation [m].")]
-Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Of the table's oscillation [Hz].")]
-Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Of the table at the release [rad].")]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on with a run of the same settings that was stopped.")]
+Mu = Annotated[float | None, typer.Option("--mu", help="Coulomb friction coefficient. [default: smooth impact]")]
+Amplitude = Annotated[float, typer.Option("--amplitude", metavar="M", help="Amplitude of the table's oscillation [m].")]
+Frequency = Annotated[float, typer.Option("--frequency", metavar="HZ", help="Frequency of the oscillation [Hz].")]
+Phase = Annotated[float, typer.Option("--phase", metavar="RAD", help="Phase of the oscillation at release [rad].")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue a stopped run with the same settings.")]
 
 
 @contextmanager
 def executor_for(scheduler: str | None) -> Iterator[Executor | None]:
-    """A Dask cluster as an executor; None where no scheduler is named."""
+    """An executor on the Dask cluster of that scheduler; None without a scheduler."""
     if scheduler is None:
         yield None
         return
@@ -79,7 +77,7 @@ def executor_for(scheduler: str | None) -> Iterator[Executor | None]:
 
 
 def two_counts(name: str, text: str) -> tuple[int, int]:
-    """`7x5` as two numbers."""
+    """`7x5` as two numbers. Raises ValueError, naming the option, for any other text."""
     first, cross, second = text.lower().replace("×", "x").partition("x")
     if not (cross and first.strip().isdecimal() and second.strip().isdecimal()):
         raise ValueError(f"{name} = {text}; wanted two whole numbers with an x between them, as in 7x5")
@@ -87,7 +85,7 @@ def two_counts(name: str, text: str) -> tuple[int, int]:
 
 
 def usable_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     from ..executors import cores
 
     return cores()
@@ -99,7 +97,7 @@ def as_typed() -> tuple[str, ...]:
 
 
 def quality_of_name(name: str) -> Quality:
-    """The tracker's setting of that name. Raises ValueError, in a sentence, where there is none."""
+    """The tracking quality of that name. Raises ValueError for an unknown name."""
     from ..tracking.quality import QUALITIES
 
     if name not in QUALITIES:
@@ -108,7 +106,7 @@ def quality_of_name(name: str) -> Quality:
 
 
 def interval_method(name: str) -> IntervalMethod:
-    """The method of that name. Raises ValueError, in a sentence, where there is none."""
+    """The interval method of that name. Raises ValueError for an unknown name."""
     from ..fitting.throw import INTERVAL_METHODS
 
     for method in INTERVAL_METHODS:
@@ -118,7 +116,7 @@ def interval_method(name: str) -> IntervalMethod:
 
 
 def given_option(name: str, value: int | str, default: int | str) -> tuple[str, ...]:
-    """An option as typed; nothing where it says what goes without saying."""
+    """An option as typed; nothing where it has its default."""
     return () if value == default else (name, str(value))
 
 

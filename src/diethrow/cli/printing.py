@@ -1,4 +1,4 @@
-"""What a command says when it is done: results in a few lines on standard output, notes on standard error."""
+"""Results of a command in a few lines on standard output; notes on standard error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 def print_analysis(result: Analysis) -> None:
-    """What came out, in a few lines."""
+    """The result of an analysis."""
     from rich.console import Console
     from rich.table import Table
 
@@ -34,20 +34,20 @@ def print_analysis(result: Analysis) -> None:
     if result.fit.residual_rms is not None:
         table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
     table.add_row("report", str(result.folder / "report.html"))
-    table.add_row("look at it", f"diethrow replay {result.folder} --open")
+    table.add_row("open it", f"diethrow replay {result.folder} --open")
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
     print_notices((*result.notices, *result.fit.messages))
 
 
 def print_tracking(result: Tracking, out: Path) -> None:
-    """How much was tracked."""
+    """Frames tracked and bounces found."""
     print_notices(result.notices)
     tracked, total = int(result.frames.tracked.sum()), len(result.frames)
     typer.echo(f"{tracked} of {total} frames tracked, {len(result.measured.impacts)} bounces; see {out}")
 
 
 def print_joint_fit(result: FitOfMany) -> None:
-    """What the throws share, in a few lines."""
+    """Parameters that the throws share."""
     from rich.console import Console
     from rich.table import Table
 
@@ -61,30 +61,30 @@ def print_joint_fit(result: FitOfMany) -> None:
 
 
 def print_throw(result: ThrowResult, out: Path) -> None:
-    """How a simulated throw ended."""
-    face = "open" if result.landed_face is None else result.landed_face
+    """Impacts, landed face and ending of a simulated throw."""
+    face = "unknown" if result.landed_face is None else result.landed_face
     typer.echo(f"{result.impact_count} impacts, landed face {face}. {result.ending.value}")
-    typer.echo(f"Look at it:  diethrow replay {out} --open")
+    typer.echo(f"Open it:  diethrow replay {out} --open")
 
 
 def print_shot(shot: Shot, out: Path) -> None:
-    """What was filmed, and what to do with it."""
+    """The size of a rendered clip, and the command that analyses it."""
     typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
     typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
 
 
 def print_batch(result: Batch, out: Path) -> None:
-    """How many clips were finished, and why the others were not."""
+    """Clips finished, and the reason of every failure."""
     for failure in result.failures:
         typer.echo(f"failed: {failure.scene}: {failure.reason.removeprefix(failure.scene + ': ')}", err=True)
     finished = f"{len(result.results)} of {len(result.results) + len(result.failures)} clips finished"
-    typer.echo(f"{finished}, {result.kept} of them before; see {out / 'results.csv'}")
+    typer.echo(f"{finished}, {result.kept} of them earlier; see {out / 'results.csv'}")
     if result.failures:
         typer.echo(f"{len(result.failures)} failed; see {out / 'failures.csv'}")
 
 
 def print_camera(found: CameraFound, pictures: int, out: Path) -> None:
-    """The camera, and its place where that was asked for; of so many `pictures`."""
+    """The camera and, with a picture of the table, its position; `pictures` is how many were given."""
     camera, errors = found.calibration, found.calibration.sigmas
     typer.echo(
         f"{len(camera.boards)} of {pictures} pictures, residuals {camera.rms_px:.3g} px, "
@@ -92,13 +92,13 @@ def print_camera(found: CameraFound, pictures: int, out: Path) -> None:
     )
     if found.table is not None:
         x, y, z = 1e3 * found.table.camera.centre_m
-        typer.echo(f"The camera stands at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
+        typer.echo(f"The camera is at {x:.4g}, {y:.4g}, {z:.4g} mm, {z:.4g} mm above the table")
     print_notices(found.notices)
-    typer.echo(f"Look at it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
+    typer.echo(f"Open it:  {out / 'calibration.html'}; paste {out / 'camera.toml'} into the scene")
 
 
 def print_throws(found: Sequence[ThrowRecording]) -> None:
-    """One row a throw."""
+    """One row per throw."""
     from rich.console import Console
     from rich.table import Table
 
@@ -108,11 +108,15 @@ def print_throws(found: Sequence[ThrowRecording]) -> None:
     for name in ("throw", "χ (95 % interval)", "σ", "face", "verdict"):
         table.add_column(name, no_wrap=name != "throw", overflow="fold")
     for one in found:
-        said = one.properties
-        chi = short_interval(*(said.get(name) for name in ("chi", "chi_low", "chi_high")))
-        rms = said.get("residual_rms")
-        cells = ("" if rms is None else f"{rms:.2f}", str(said.get("landed_face", "")), str(said.get("verdict", "")))
-        table.add_row(one.name, chi if "chi" in said else "", *cells)
+        properties = one.properties
+        chi = short_interval(*(properties.get(name) for name in ("chi", "chi_low", "chi_high")))
+        rms = properties.get("residual_rms")
+        cells = (
+            "" if rms is None else f"{rms:.2f}",
+            str(properties.get("landed_face", "")),
+            str(properties.get("verdict", "")),
+        )
+        table.add_row(one.name, chi if "chi" in properties else "", *cells)
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
@@ -124,12 +128,12 @@ def _with_interval(parameter: Parameter) -> str:
 
 
 def print_trade(result: Trade) -> None:
-    """Every setting in a line, those on the front marked, and the one to use."""
+    """One row per setting, an asterisk for those on the front, and the setting to use."""
     from rich.console import Console
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False)
-    for heading in ("", "setting", "a second", "χ", "±", "off by", "coverage"):
+    for heading in ("", "setting", "per second", "χ", "±", "error", "coverage"):
         table.add_column(heading)
     for s in result.settings:
         chi = "" if s.chi is None else f"{s.chi:.5f}"
@@ -144,7 +148,7 @@ def print_trade(result: Trade) -> None:
 
 
 def print_check(result: Check) -> None:
-    """Every finding in a row."""
+    """One row per finding."""
     from rich.console import Console
     from rich.table import Table
 
@@ -161,14 +165,14 @@ def print_check(result: Check) -> None:
 
 
 def _plain_cells(*texts: str) -> tuple[str, ...]:
-    """Texts that must not be taken for markup."""
+    """Texts with their markup escaped."""
     from rich.markup import escape
 
     return tuple(escape(text) for text in texts)
 
 
 def _restitution(chi: Parameter) -> str:
-    """The value with its interval, in as many digits as the interval bears."""
+    """The value with its interval, in as many digits as the interval's width supports."""
     if chi.value is None:
         return "not determined"
     if chi.low is None or chi.high is None or chi.level is None:
@@ -179,6 +183,6 @@ def _restitution(chi: Parameter) -> str:
 
 
 def print_notices(sentences: tuple[str, ...]) -> None:
-    """Notes, one a line."""
+    """One line per note."""
     for sentence in sentences:
         typer.echo(f"note: {sentence}", err=True)

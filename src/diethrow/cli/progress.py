@@ -1,4 +1,4 @@
-"""What a command says while it works, on standard error: bars, one for each stage, and that kernels are compiled."""
+"""Progress on standard error: one bar per stage, and the announcement of the first compilation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 @contextmanager
 def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar for each stage on standard error; nothing where that is not a terminal."""
+    """One bar per stage on standard error; nothing if that is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
@@ -26,21 +26,21 @@ def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
     ):
         tasks: dict[str, TaskID] = {}
 
-        def tell(stage: str, done: int, total: int) -> None:
+        def report(stage: str, done: int, total: int) -> None:
             if stage not in tasks:
                 for earlier in tasks.values():
                     bars.update(earlier, total=1, completed=1)
                 tasks[stage] = bars.add_task(stage, total=None)
             bars.update(tasks[stage], completed=done, total=total or None)
 
-        yield tell
+        yield report
         for task in tasks.values():
             bars.update(task, total=1, completed=1)
 
 
 @contextmanager
 def announcing() -> Iterator[None]:
-    """Say in one line that kernels are compiled, in the first run of an installation."""
+    """Announce the compilation of kernels in one line."""
     from .compiling import announced
 
     with announced(lambda sentence: typer.echo(f"diethrow: {sentence}", err=True)):
@@ -48,7 +48,7 @@ def announcing() -> Iterator[None]:
 
 
 def announce_for_workers() -> None:
-    """Say the same where processes of this machine will compile, each for itself, and say nothing."""
+    """Announce the compilation that the silent worker processes of this machine will do."""
     from .compiling import SENTENCE, is_compiled
 
     if not is_compiled():
@@ -57,7 +57,7 @@ def announce_for_workers() -> None:
 
 @contextmanager
 def batch_bar() -> Iterator[Callable[[Standing], None]]:
-    """A bar with the time left on standard error; a line for each clip where that is not a terminal."""
+    """A bar with the time left on standard error; one line per clip if that is not a terminal."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -72,15 +72,15 @@ def batch_bar() -> Iterator[Callable[[Standing], None]]:
     with Progress(*columns, console=console, disable=not console.is_terminal) as bars:
         clips = bars.add_task("", total=None)
 
-        def tell(standing: Standing) -> None:
+        def report(standing: Standing) -> None:
             failed = f"{standing.failed} failed, " if standing.failed else ""
             left = "" if standing.left_s is None else f"about {_duration(standing.left_s)} left"
             bars.update(clips, completed=standing.done, total=standing.total, description=f"{failed}{left}")
             if not console.is_terminal:
-                told = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
-                typer.echo(f"{told}: {standing.last}", err=True)
+                line = f"{standing.done} of {standing.total} clips done, {failed}{left}".rstrip(", ")
+                typer.echo(f"{line}: {standing.last}", err=True)
 
-        yield tell
+        yield report
 
 
 def _duration(seconds: float) -> str:

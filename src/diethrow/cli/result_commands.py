@@ -1,4 +1,4 @@
-"""cli.result_commands."""
+"""Commands that work on folders of results: replay, rerun."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def replay(
     throws: Annotated[
         list[Path],
         typer.Argument(
-            metavar="DIR...", help="Folders that analyze, fit or throw made; a folder of them stands for all."
+            metavar="DIR...", help="Folders made by analyze, fit or throw, or a folder that holds such folders."
         ),
     ],
     out: Annotated[
@@ -32,26 +32,27 @@ def replay(
         typer.Option(
             "--out",
             metavar="FILE.rrd|DIR",
-            help="FILE.rrd: all throws in one recording. DIR: a recording for each, and throws.csv. Left out: neither.",
+            help="FILE.rrd: all throws in one recording. DIR: one recording per throw, and throws.csv. [default: neither]",
         ),
     ] = None,
     align: Annotated[
-        str, typer.Option("--align", metavar="bounce|frame", help="Set the clocks by the first bounce, or by frame 0.")
+        str,
+        typer.Option("--align", metavar="bounce|frame", help="Align the clocks at the first bounce, or at frame 0."),
     ] = "bounce",
     models: Annotated[
         bool | None,
         typer.Option(
             "--models/--throws",
-            help="Several models of one throw, or several throws; left out: models where all come from one clip or track.",
+            help="Several models of one throw, or several throws. [default: models if all come from one clip or track]",
             show_default=False,
         ),
     ] = None,
     look: Annotated[
-        bool, typer.Option("--open", help="Show it in the viewer, which then tells nobody and serves nobody else.")
+        bool, typer.Option("--open", help="Open the viewer: without statistics, listening on localhost only.")
     ] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace what --out names.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the output if it exists.")] = False,
 ) -> None:
-    """Look at throws: a table, one recording of several, and the viewer."""
+    """Show throws: a table, one recording of several throws, or the viewer."""
     with one_sentence_errors():
         from ..commands.results.replays import find_recordings, gather, join
 
@@ -80,11 +81,11 @@ def rerun(
         typer.Option(
             "--within",
             min=0.0,
-            help="Largest difference, as a share of the largest number of a column; 0: bit for bit.",
+            help="Largest difference allowed, as a share of the column's largest number; 0: bit for bit.",
         ),
     ] = 1e-6,
 ) -> None:
-    """Make results again from their provenance, and say whether the numbers agree. Nothing is written.
+    """Repeat a run from its provenance and report whether the numbers agree. Nothing is written.
 
     The exit status is 0 where they do, 1 where they do not or cannot be made again.
     """

@@ -19,7 +19,7 @@ from ...replay.elements import Record
 from ...tracking.footage import WHOLE, Coarseness
 from ...tracking.quality import STANDARD, Quality
 from .account import account_of
-from .fit import run_fit, growing, write_model, write_pages, record_replay
+from .fit import growing, record_replay, run_fit, write_model, write_pages
 from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
 
 
