@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
-from diethrow.model.ensembles.chaos import decidable_many
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.ensembles.chaos import decidable_in_double_precision_many
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.body import body_of
 from diethrow.model.throw.simulate import EXACT, Precision
 
@@ -57,7 +57,7 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
 
     def land(block: Array) -> NDArray[np.int64]:
         landed = np.empty((len(block), 3), np.int64)
-        settings = engine.Precision(precision.root_m, precision.switch, precision.turn_rad)
+        settings = engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
         law = engine.law_of(engine.SMOOTH, np.array([chi]))
         engine.land_many(body_of(CUBE), law, engine.LEVEL, settings, block, 10_000_000, landed)
         return landed[:, 0]
@@ -67,15 +67,15 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
 
 
 def judged(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.int64], NDArray[np.bool_], Array]:
-    """`decidable_many` for the cube."""
-    return decidable_many(CUBE, starts, SmoothImpact(chi), precision=precision)
+    """`decidable_in_double_precision_many` for the cube."""
+    return decidable_in_double_precision_many(CUBE, starts, SmoothImpact(chi), precision=precision)
 
 
 def main(count: int, seed: int) -> None:
     """Print the table."""
     starts = releases(count, seed)
-    fine, coarse = Precision(root_m=1e-13), Precision(root_m=1e-11)
-    decidable_many(CUBE, starts[:2], SmoothImpact(0.5))
+    fine, coarse = Precision(contact_tolerance_m=1e-13), Precision(contact_tolerance_m=1e-11)
+    decidable_in_double_precision_many(CUBE, starts[:2], SmoothImpact(0.5))
     faces(starts[:2], 0.5, EXACT)
     print(f"{count} throws each, seed {seed}")
     print(

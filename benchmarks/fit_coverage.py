@@ -29,7 +29,7 @@ from diethrow.fitting.estimation.observations import pose_errors, sight, whitene
 from diethrow.fitting.throw.physics import Physics, course
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL
 from diethrow.model.throw.motion import Throw
 from diethrow.tracking.track import Track
 

@@ -21,7 +21,7 @@ from throws import FPS, random_release, roughly_measured, seen
 
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track

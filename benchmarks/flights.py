@@ -26,7 +26,7 @@ from footage_of_throws import studio
 from numpy.typing import NDArray
 
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

@@ -37,7 +37,7 @@ from replay_records import ArrayClip
 
 from diethrow.commands.clip.track import open_footage, track_only, track_scene
 from diethrow.files.scene import read_scene
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.footage.photron import unpack_12bit
@@ -112,7 +112,7 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
         pixels = np.empty((len(clip), clip.height_px, clip.width_px), np.uint16)
         for k, frame in enumerate(clip.frames()):
             pixels[k] = frame
-        memory = Held(pixels, clip.times_s, clip.bit_depth)
+        memory = HeldContact(pixels, clip.times_s, clip.bit_depth)
         held = len(clip) / seconds(lambda: track_scene(scene, quality=QUALITIES[quality], clips=[memory]))
     return {
         "frames": len(clip),
@@ -127,7 +127,7 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
     }
 
 
-class Held(ArrayClip):
+class HeldContact(ArrayClip):
     """A clip decoded into memory; of further passes no more is copied than is looked at."""
 
     in_any_order = True

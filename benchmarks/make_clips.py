@@ -21,7 +21,7 @@ from diethrow.commands.model.film import Shot, scene_text, write_clip
 from diethrow.files.outputs import whole_folder
 from diethrow.files.truth import visibility
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.replay.render.film import Effort

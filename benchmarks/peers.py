@@ -47,7 +47,7 @@ from scipy.stats import binomtest
 
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_conjugate,

@@ -18,7 +18,7 @@ import replay_records as made
 
 from diethrow.files.records import simulated_track
 from diethrow.fitting.results import Fit
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.replay.elements.record import Record

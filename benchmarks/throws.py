@@ -42,7 +42,7 @@ from scipy.spatial import ConvexHull
 from diethrow.model import engine
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.body import body_of
 from diethrow.model.throw.simulate import EXACT, IMPACT_CAP, Precision
 
@@ -160,7 +160,7 @@ def land(die: Die, chi: float, starts: Array, precision: Precision = EXACT) -> C
         body_of(die),
         engine.law_of(law.code, law.parameters),
         engine.LEVEL,
-        engine.Precision(precision.root_m, precision.switch, precision.turn_rad),
+        engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad),
         starts,
         IMPACT_CAP,
         landed,
@@ -274,7 +274,8 @@ def print_root(sizes: Sizes) -> bool:
     for chi in CHIS:
         exact = land_on_threads(CUBE, chi, starts, EXACT, sizes.threads)
         fine, coarse = (
-            land_on_threads(CUBE, chi, starts, replace(EXACT, root_m=root), sizes.threads) for root in (1e-13, 1e-11)
+            land_on_threads(CUBE, chi, starts, replace(EXACT, contact_tolerance_m=root), sizes.threads)
+            for root in (1e-13, 1e-11)
         )
         flipped = land_on_threads(CUBE, chi, last_bit_flipped(starts), EXACT, sizes.threads)
         print(f"{chi:4.1f} {changed(fine, coarse):>18} {changed(exact, fine):>20} {changed(exact, flipped):>24}")
@@ -283,13 +284,13 @@ def print_root(sizes: Sizes) -> bool:
 
 def print_switch(sizes: Sizes) -> bool:
     """What hangs on the speed at which vertices are held, and what it costs."""
-    print_settings("switch", [(f"{switch:g}", replace(EXACT, switch=switch)) for switch in SWITCHES], sizes)
+    print_settings("switch", [(f"{switch:g}", replace(EXACT, slowest_bounce=switch)) for switch in SWITCHES], sizes)
     return False
 
 
 def print_turn(sizes: Sizes) -> bool:
     """What hangs on the step of held contact, and what it costs."""
-    print_settings("turn", [(f"{turn:g}", replace(EXACT, turn_rad=turn)) for turn in TURNS], sizes)
+    print_settings("turn", [(f"{turn:g}", replace(EXACT, step_turn_rad=turn)) for turn in TURNS], sizes)
     return False
 
 
@@ -333,7 +334,7 @@ def changed(one: Counts, other: Counts) -> str:
 def ends(chi: float, starts: Array, precision: Precision) -> list[tuple[float, Array]]:
     """Time [s] and state (13,) of the last event of each throw of the cube."""
     body, law = body_of(CUBE), engine.law_of(engine.SMOOTH, np.array([chi]))
-    fine = engine.Precision(precision.root_m, precision.switch, precision.turn_rad)
+    fine = engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
     results = []
     for start in starts:
         _, _, _, time_s, state, _, _ = engine.run_throw(

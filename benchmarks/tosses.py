@@ -39,12 +39,11 @@ from diethrow.fitting.predict.release_state import Outset, outset_of
 from diethrow.fitting.throw.physics import LOAD, Physics
 from diethrow.model import engine
 from diethrow.model.die.die import Die
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL
 from diethrow.model.rotations import rotation_between
 from diethrow.model.throw.body import body_of
-from diethrow.model.throw.impulse import impulse_N_s
 from diethrow.model.throw.motion import Flight, State
-from diethrow.model.throw.touch import Touch
+from diethrow.model.throw.touch import Touch, impulse_N_s
 from diethrow.model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]

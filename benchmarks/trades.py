@@ -40,9 +40,9 @@ from diethrow.commands.clip.trade import (
 )
 from diethrow.executors import one_thread
 from diethrow.files.scene import Scene, read_scene
-from diethrow.model.ensembles.landings import Stage
+from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.ensembles.stepping import stepped_landings
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Precision
 from diethrow.replay.pages.trade import Setting, speed_against_doubt
 from diethrow.tracking.footage.decimation import WHOLE, Coarseness
@@ -184,7 +184,7 @@ def measured_model(rounds: int, throws: int) -> list[Row]:
     law = SmoothImpact(CHI)
     ways: list[tuple[str, int, Callable[[], Faces]]] = []
     for tolerance in TOLERANCES_M:
-        stage = Stage(DIE, law, precision=Precision(root_m=tolerance))
+        stage = ThrowSetup(DIE, law, precision=Precision(contact_tolerance_m=tolerance))
         # About as long as the others take.
         many = np.tile(starts, (50, 1))
         ways.append((f"diethrow, events, roots to {tolerance:.0e} m", 50, partial(by_events, stage, many)))
@@ -212,7 +212,7 @@ def measured_model(rounds: int, throws: int) -> list[Row]:
     return marked(over_rounds(settings, speeds), lambda s: s.error)
 
 
-def by_events(stage: Stage, starts: NDArray[np.float64]) -> Faces:
+def by_events(stage: ThrowSetup, starts: NDArray[np.float64]) -> Faces:
     """Numbers of the faces."""
     return np.asarray(stage.throw(starts).face)
 

@@ -21,7 +21,7 @@ from scipy.stats import norm
 
 from ...model import engine
 from ...model.die import Die
-from ...model.ensembles import Stage
+from ...model.ensembles import ThrowSetup
 from ...model.rotations import matrix_from_quat
 from ...model.throw import (
     BOUNCING_CAP,
@@ -29,7 +29,7 @@ from ...model.throw import (
     Precision,
     State,
     Until,
-    kernel_starts,
+    kernel_states,
     packed_state,
     touching_vertices,
     world_poses,
@@ -107,13 +107,13 @@ def simulated_throws(
     firsts = np.concatenate([[0], np.cumsum([len(times) for times in times_s])]).astype(np.int64)
     times = clock * np.concatenate([np.empty(0), *times_s])
     poses = np.empty((len(times), 7))
-    if physics.body.moment_kg_m2 is None:
+    if physics.body.isotropic_inertia_kg_m2 is None:
         for start, low, high in zip(starts, firsts, firsts[1:], strict=False):
             if high > low:
                 throw = physics.throw(start, Until(time_s=float(times[high - 1]))).throw
                 poses[low:high] = np.hstack(throw.poses(times[low:high]))
         return length * poses[:, :3], poses[:, 3:]
-    packed = kernel_starts(physics.body, physics.plane, np.array([packed_state(start) for start in starts]))
+    packed = kernel_states(physics.body, physics.plane, np.array([packed_state(start) for start in starts]))
     begins = np.array([start.time_s for start in starts])
     law = engine.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
@@ -244,5 +244,7 @@ def _drawn(physics: Physics, parameters: dict[str, Parameter], rng: np.random.Ge
 def _landing(physics: Physics, state: State) -> int:
     """The face on which one throw lands; 0 for none."""
     start = lifted(physics, in_true_units(physics, state))
-    stage = Stage(physics.body, physics.law, physics.plane, Precision(switch=QUICK.switch, turn_rad=QUICK.turn))
+    stage = ThrowSetup(
+        physics.body, physics.law, physics.plane, Precision(slowest_bounce=QUICK.switch, step_turn_rad=QUICK.turn)
+    )
     return int(stage.throw(packed_state(start)[None]).face[0])

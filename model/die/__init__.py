@@ -1,6 +1,6 @@
 """model.die."""
 
-from .die import ROUNDEST as ROUNDEST
+from .die import MAX_CORNER_RADIUS_FRACTION as MAX_CORNER_RADIUS_FRACTION
 from .die import Die as Die
 from .die import die_from_solid as die_from_solid
 from .die import loaded_die as loaded_die

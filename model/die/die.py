@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid, unit_inertia
 
-ROUNDEST = 0.95
+MAX_CORNER_RADIUS_FRACTION = 0.95
 """Largest corner radius, as a part of the inscribed radius: beyond it a die is a ball that never comes to rest."""
 
 
@@ -63,7 +63,7 @@ class Die:
         return self.inertia_tensor_kg_m2 is None
 
     @property
-    def moment_kg_m2(self) -> float | None:
+    def isotropic_inertia_kg_m2(self) -> float | None:
         """The one moment of inertia about every axis through the centre of mass, wherever that lies; None where the axes
         differ."""
         if self.inertia_tensor_kg_m2 is None:
@@ -90,10 +90,10 @@ def make_die(
         if value is not None:
             check_positive(name, value)
     solid = isohedral_solid(shape, edge_m)
-    if not 0 <= corner_radius_m <= ROUNDEST * solid.inradius:
+    if not 0 <= corner_radius_m <= MAX_CORNER_RADIUS_FRACTION * solid.inradius:
         raise ValueError(
             f"corner_radius_m = {corner_radius_m}: wanted 0 or more, "
-            f"and at most {ROUNDEST:g} of the inscribed radius {solid.inradius:.6g}"
+            f"and at most {MAX_CORNER_RADIUS_FRACTION:g} of the inscribed radius {solid.inradius:.6g}"
         )
     most = 2.0 / 3.0 * mass_kg * solid.circumradius**2
     if inertia_kg_m2 is not None and not 1e-3 * most <= inertia_kg_m2 <= most:

@@ -1,4 +1,40 @@
-"""model.engine.slip."""
+"""The impulse of an impact with Coulomb friction, integrated along the normal impulse.
+
+The impact takes no time; the normal impulse p is its independent variable (Routh 1905; Darboux 1880; Keller, J. Appl.
+Mech. 53, 1, 1986). The contact velocity c = (s ŝ, w), with slip s along the unit vector ŝ and normal velocity w, obeys
+
+    dc/dp = M (ẑ - μ ŝ),    M = [[T, b], [bᵀ, a]]    (contact matrix: an impulse S changes c by M S)
+
+    dw/dp = a - μ b·ŝ = h,    ds/dp = ŝ·b - μ ŝᵀT ŝ = f,    s dφ/dp = t̂·b - μ t̂ᵀT ŝ = g    (φ the angle of ŝ, t̂ ⊥ ŝ).
+
+**Turning slip.** The last equation is singular at s = 0. With dp = s dτ the slip vector v = s ŝ obeys
+v' = |v| b - μ T v, which is nearly linear, and analytic as long as v ≠ 0. It is solved by Taylor series in τ of order
+`ORDER`. A step covers a fixed part of the distance to the nearest singularity, so that only rounding limits the accuracy,
+and the same polynomials locate every event. Steps in φ would be fewer, but they divide by g, which is zero in every
+planar impact.
+
+**Straight slip.** Once s |g| is below rounding, the direction of slip is treated as constant. A displacement v⊥ across an
+invariant direction (g = 0) obeys v⊥' = -μ (t̂ᵀT t̂) v⊥, so v⊥ never exceeds s g/(μ t̂ᵀT t̂), whether the direction is stable
+or not. From there on, and from the beginning in planar impacts, everything has a closed form. If the slip grows (f > 0),
+the direction is that of the unique solution below, because an error along ŝ itself would grow with the slip.
+
+**Towards a stop.** τ goes to infinity while p stays finite. Within a dozen degrees of the direction in which the slip
+stops, the remainder is one power series in the angle, used whole if no event lies on it. With steps in τ alone an
+impact that sticks takes twice the time.
+
+**After a stop.** The contact sticks if the impulse that holds it, -T⁻¹b per unit p, lies within the friction cone,
+|T⁻¹b| ≤ μ. Otherwise it slides on along the ŝ with (μT + f) ŝ = b and f > 0. |(μT + f)⁻¹ b| falls with f from
+|T⁻¹b|/μ > 1 to 0, so there is exactly one.
+
+**Jamming.** h < 0 (friction drives the contact into the table) does not last. T a ≥ b bᵀ makes f < 0 wherever h < 0, so
+the slip stops, and from then on h is positive, whether the contact sticks (a - bᵀT⁻¹b) or slides (f > 0).
+
+**End of the impact.** Newton: w = -χ w(0). Poisson: the impulse of restitution is χ times that of compression. Stronge
+(Proc. R. Soc. A 431, 169, 1990): the work of the normal force in restitution is -χ² times that in compression. Friction
+only removes energy, so Stronge's restitution never creates any, whatever the slip does; `benchmarks/impact_energy.py`
+counts how often Newton's does. If w passes zero more than once, every part with w < 0 counts as compression and every
+other part as restitution.
+"""
 
 from __future__ import annotations
 

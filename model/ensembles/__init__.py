@@ -1,26 +1,26 @@
 """model.ensembles."""
 
-from .basins import FIG_6 as FIG_6
+from .basins import FIG_6_CONDITIONS as FIG_6_CONDITIONS
 from .basins import Axis as Axis
 from .basins import Window as Window
+from .basins import final_configurations as final_configurations
 from .basins import map_rows as map_rows
-from .basins import outcomes as outcomes
-from .chaos import Exponents as Exponents
-from .chaos import Growth as Growth
-from .chaos import decided_by_double as decided_by_double
-from .chaos import growth as growth
-from .chaos import largest_exponent as largest_exponent
+from .chaos import ErrorGrowth as ErrorGrowth
+from .chaos import LyapunovExponents as LyapunovExponents
+from .chaos import decidable_in_double_precision as decidable_in_double_precision
+from .chaos import error_growth as error_growth
+from .chaos import largest_lyapunov_exponent as largest_lyapunov_exponent
 from .landings import ENDING_OF_INDEX as ENDING_OF_INDEX
-from .landings import Stage as Stage
+from .landings import ThrowSetup as ThrowSetup
 from .landings import check_releases as check_releases
+from .landings import chunks_in_order as chunks_in_order
 from .landings import drawn_states as drawn_states
-from .landings import in_order as in_order
 from .odds import Share as Share
 from .odds import Tally as Tally
 from .odds import tally_throws as tally_throws
-from .predictability import Exponent as Exponent
 from .predictability import Fairness as Fairness
-from .predictability import Sensitivity as Sensitivity
+from .predictability import FinalStateSensitivity as FinalStateSensitivity
+from .predictability import UncertaintyExponent as UncertaintyExponent
 from .predictability import fairness_by_dynamics as fairness_by_dynamics
 from .predictability import final_state_sensitivity as final_state_sensitivity
 from .predictability import uncertainty_exponent as uncertainty_exponent

@@ -17,15 +17,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from .landings import Landings, Stage, in_order
+from .landings import Landings, ThrowSetup, chunks_in_order
 from .releases import CONDITIONS, states_of
 
 Array = NDArray[np.float64]
 
-FIG_6 = {"z0": 0.3, "psi": 0.3, "theta": 1.2, "phi": 0.6}
+FIG_6_CONDITIONS = {"z0": 0.3, "psi": 0.3, "theta": 1.2, "phi": 0.6}
 """What the paper's Fig. 6 keeps fixed; every other condition is zero. z0 serves where it is no axis."""
 
-MOST_PIXELS = 400_000_000
+MAX_PIXELS = 400_000_000
 """Of one map: beyond them its arrays fill an ordinary machine's memory."""
 
 
@@ -61,7 +61,7 @@ class Window:
 
     x: Axis
     y: Axis
-    fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6))
+    fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6_CONDITIONS))
     """Values of the other CONDITIONS; what is not named is zero."""
 
     def __post_init__(self) -> None:
@@ -72,9 +72,9 @@ class Window:
                 raise ValueError(f"fixed condition {name!r}: wanted one of {', '.join(CONDITIONS)}")
             if not np.isfinite(value):
                 raise ValueError(f"{name} = {value}: wanted a finite number")
-        if self.x.pixels * self.y.pixels > MOST_PIXELS:
+        if self.x.pixels * self.y.pixels > MAX_PIXELS:
             raise ValueError(
-                f"{self.x.pixels} × {self.y.pixels} pixels: wanted at most {MOST_PIXELS}; map it in parts, by zooms"
+                f"{self.x.pixels} × {self.y.pixels} pixels: wanted at most {MAX_PIXELS}; map it in parts, by zooms"
             )
 
     def states(self, points: Array) -> Array:
@@ -88,7 +88,7 @@ class Window:
 
 
 def map_rows(
-    stage: Stage,
+    stage: ThrowSetup,
     window: Window,
     *,
     first: int = 0,
@@ -100,21 +100,23 @@ def map_rows(
     """Throw from every pixel, `rows` rows at a time; yields (i, j, landings of rows i to j - 1, x running fastest).
 
     `first` is the row to begin with, `after` the number of impacts at which the lowest face is noted; `threads` and
-    `executor` are those of `in_order`.
+    `executor` are those of `chunks_in_order`.
     """
     xs, ys = window.x.centres, window.y.centres
-    yield from in_order(
+    yield from chunks_in_order(
         partial(landings_of_rows, stage, window, xs, ys, after), first, len(ys), rows, threads, executor
     )
 
 
-def landings_of_rows(stage: Stage, window: Window, xs: Array, ys: Array, after: int, i: int, j: int) -> Landings:
+def landings_of_rows(stage: ThrowSetup, window: Window, xs: Array, ys: Array, after: int, i: int, j: int) -> Landings:
     """The throws from all pixels of rows i to j - 1, of centres `xs` (columns,) and `ys` (rows,), x running fastest."""
     points = np.stack(np.broadcast_arrays(xs, ys[i:j, None]), axis=-1).reshape(-1, 2)
     return stage.throw(window.states(points), after)
 
 
-def outcomes(stage: Stage, window: Window, points: Array, after: int | None = None) -> NDArray[np.int64]:
+def final_configurations(
+    stage: ThrowSetup, window: Window, points: Array, after: int | None = None
+) -> NDArray[np.int64]:
     """The final configuration (n,) of throws from points (n, 2) of the plane, as one number each.
 
     The number of the face that the die lands on, or, where it lands on none, minus one less the index of its ending.

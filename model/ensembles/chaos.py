@@ -55,7 +55,7 @@ _LEAVES_OFF = (engine.IMPACT_CAP, engine.SPUN_LONG, engine.TIME_REACHED)
 
 
 @dataclass(frozen=True, eq=False)
-class Growth:
+class ErrorGrowth:
     """By how much a throw magnifies small disturbances of its release."""
 
     times_s: Array
@@ -83,7 +83,7 @@ class Decidability:
     """Whether a throw, as it was computed, can be trusted with its outcome."""
 
     decidable: bool
-    growth: float
+    error_growth: float
     """Factor by which an error of the release has grown at the decision."""
     error_m: float
     """[m] error of the state at the decision, times the circumradius; where the throw is undecidable, at the event at
@@ -95,7 +95,7 @@ class Decidability:
 
 
 @dataclass(frozen=True, eq=False)
-class Exponents:
+class LyapunovExponents:
     """Largest Lyapunov exponents of a set of orbits."""
 
     per_second: float
@@ -115,7 +115,7 @@ class Exponents:
     """(orbits, impacts) since the last impact that was left out."""
 
 
-def growth(
+def error_growth(
     die: Die,
     release: State,
     law: ImpactLaw,
@@ -123,7 +123,7 @@ def growth(
     table: Table = LEVEL,
     precision: Precision = EXACT,
     impacts: int | None = None,
-) -> Growth:
+) -> ErrorGrowth:
     """The growth of disturbances along a throw, to its decision, or to a number of impacts.
 
     A throw that never ends is left after `simulate.BOUNCING_CAP` impacts. Raises ValueError as `throw_die` does.
@@ -145,12 +145,12 @@ def growth(
     )
     maps, exponents = derivatives.run_growth(body, packed, plane, start, float(release.time_s), log, knots)
     largest = np.linalg.norm(maps, ord=2, axis=(1, 2)) if len(log) else np.empty(0)
-    return Growth(
+    return ErrorGrowth(
         log[:, 0].copy(), log[:, 1].astype(np.int64), np.log10(largest) + exponents, _ending(code, law, table)
     )
 
 
-def decided_by_double(
+def decidable_in_double_precision(
     die: Die, release: State, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
 ) -> Decidability:
     """Whether double precision, at this setting of the simulator, decides the outcome of a throw.
@@ -168,14 +168,14 @@ def decided_by_double(
         release_error(start[None], body.radius),
         _cap(law, table),
     )
-    grown = growth(die, release, law, table=table, precision=precision).at_end
+    grown = error_growth(die, release, law, table=table, precision=precision).at_end
     decidable = bool(margin > 1.0) and (face >= 0 or code not in _LEAVES_OFF)
     ending = _ending(code, law, table)
     sentence = _sentence(decidable, ending, int(impacts), grown, float(margin))
     return Decidability(decidable, grown, float(error) * body.radius, float(margin), sentence)
 
 
-def decidable_many(
+def decidable_in_double_precision_many(
     die: Die, starts: Array, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Array]:
     """Throws from packed starts (n, 13), as the kernels have them, each with its decidability.
@@ -211,7 +211,7 @@ def release_error(starts: Array, radius_m: float) -> Array:
     return error
 
 
-def largest_exponent(
+def largest_lyapunov_exponent(
     die: Die,
     start: State,
     law: ImpactLaw,
@@ -223,7 +223,7 @@ def largest_exponent(
     left_out: int = 200,
     seed: int = 0,
     progress: Callable[[int, int], None] | None = None,
-) -> Exponents:
+) -> LyapunovExponents:
     """The largest Lyapunov exponent of the motion that begins with `start`, from `orbits` orbits of `impacts` each.
 
     The orbits begin 1e-6 (in units of R and √(R/g)) apart from each other, so that they share energy and ω_z and, where
@@ -265,12 +265,12 @@ def largest_exponent(
     return exponents_of(die, logs, times, left_out)
 
 
-def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> Exponents:
+def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> LyapunovExponents:
     """The exponents of logged growth (orbits, impacts) and the instants [s] of the impacts since the beginning."""
     per_second, second_error = _ratio(logs, np.diff(times_s, axis=1, prepend=0.0))
     per_impact, impact_error = _ratio(logs, np.ones_like(logs))
     unit = float(np.sqrt(die.solid.edge_m / engine.LEVEL.g))
-    return Exponents(
+    return LyapunovExponents(
         per_second,
         second_error,
         per_impact,
@@ -314,7 +314,7 @@ def _nearby(start: Array, body: engine.Body, table: Table, rng: np.random.Genera
 
 
 def _packed(precision: Precision) -> engine.Precision:
-    return engine.Precision(precision.root_m, precision.switch, precision.turn_rad)
+    return engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
 
 
 def _endless(law: ImpactLaw, table: Table) -> bool:

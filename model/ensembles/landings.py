@@ -31,7 +31,7 @@ from ..die import Die
 from ..engine import asymmetric
 from ..laws import LEVEL, ImpactLaw, Table
 from ..rotations import quat_multiply
-from ..throw import BOUNCING_CAP, ENDINGS, EXACT, IMPACT_CAP, Ending, Precision, body_of, kernel_starts
+from ..throw import BOUNCING_CAP, ENDINGS, EXACT, IMPACT_CAP, Ending, Precision, body_of, kernel_states
 from .releases import BLOCK, Array, Conditions
 
 Indices = NDArray[np.int64]
@@ -60,7 +60,7 @@ class Landings:
 
 
 @dataclass(frozen=True)
-class Stage:
+class ThrowSetup:
     """What all throws of an ensemble have in common."""
 
     die: Die
@@ -81,12 +81,14 @@ class Stage:
         n = len(states)
         landed, lowest = np.zeros((n, 3), np.int64), np.zeros((n, after + 1), np.int64)
         law = engine.law_of(self.law.code, self.law.parameters)
-        precision = engine.Precision(self.precision.root_m, self.precision.switch, self.precision.turn_rad)
+        precision = engine.Precision(
+            self.precision.contact_tolerance_m, self.precision.slowest_bounce, self.precision.step_turn_rad
+        )
         cap = BOUNCING_CAP if self.endless else IMPACT_CAP
-        starts = kernel_starts(self.die, self.table, states)
+        starts = kernel_states(self.die, self.table, states)
         # Of a loaded die under the smooth impact `tops` can prove more: that it spins on for ever.
         plain = self.law.code == engine.SMOOTH
-        if self.die.is_spherical_top or (not plain and self.die.moment_kg_m2 is not None):
+        if self.die.is_spherical_top or (not plain and self.die.isotropic_inertia_kg_m2 is not None):
             body = body_of(self.die)
             _follow_many(body, law, self.table.plane, precision, starts, cap, landed, lowest)
         else:
@@ -95,7 +97,7 @@ class Stage:
                     f"{type(self.law).__name__} on a {self.die.solid.name} that is no spherical top: wanted SmoothImpact, "
                     "or a die with one moment of inertia"
                 )
-            top, turn = throw.top_from_die(self.die)
+            top, turn = throw.asymmetric_body_of(self.die)
             starts[:, 3:7] = quat_multiply(starts[:, 3:7], turn)
             _follow_tops(top, law, self.table.plane, precision, starts, cap, landed, lowest)
         endings = np.where(landed[:, 2] < 0, -1, _OF_CODE[landed[:, 2]])
@@ -114,7 +116,7 @@ def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: i
     return np.concatenate(parts) if parts else np.empty((0, 13))
 
 
-def in_order(
+def chunks_in_order(
     work: Callable[[int, int], T],
     first: int,
     end: int,
@@ -148,7 +150,7 @@ def in_order(
             pool.shutdown()
 
 
-def check_releases(stage: Stage, conditions: Conditions) -> None:
+def check_releases(stage: ThrowSetup, conditions: Conditions) -> None:
     """Raises ValueError for conditions that could release the die below the table."""
     lowest_m = conditions.lowest_m(stage.die)
     height = lowest_m * cos(stage.table.tilt_rad) - (stage.table.amplitude_m if stage.table.moves else 0.0)

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from .landings import ENDING_OF_INDEX, Indices, Landings, Stage, check_releases, drawn_states, in_order
+from .landings import ENDING_OF_INDEX, Indices, Landings, ThrowSetup, check_releases, chunks_in_order, drawn_states
 from .releases import BLOCK, Conditions
 
 
@@ -110,7 +110,7 @@ def wilson_interval(count: int, of: int, level: float = 0.95) -> tuple[float, fl
 
 
 def tally_throws(
-    stage: Stage,
+    stage: ThrowSetup,
     conditions: Conditions,
     throws: int,
     seed: int,
@@ -123,7 +123,7 @@ def tally_throws(
 ) -> Iterator[Tally]:
     """Throw `throws` times and yield the tally so far after every chunk; the last is the tally of all.
 
-    `begun` is a tally of the same ensemble to go on from. `chunk`, `threads` and `executor` (see `in_order`) change the
+    `begun` is a tally of the same ensemble to go on from. `chunk`, `threads` and `executor` (see `chunks_in_order`) change the
     speed, never a count. Raises ValueError for conditions that could release the die below the table.
     """
     check_releases(stage, conditions)
@@ -134,12 +134,12 @@ def tally_throws(
     tally = Tally.nothing(len(stage.die.solid.faces), after) if begun is None else begun
     work = partial(tally_of, stage, conditions, seed, after)
     yield tally
-    for _, _, part in in_order(work, tally.throws, throws, chunk, threads, executor):
+    for _, _, part in chunks_in_order(work, tally.throws, throws, chunk, threads, executor):
         tally += part
         yield tally
 
 
-def tally_of(stage: Stage, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
+def tally_of(stage: ThrowSetup, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
     """The tally of throws number `first` to `end` - 1 of a seed alone."""
     states = drawn_states(conditions, stage.die, seed, first, end)
     return Tally.of(stage.throw(states, after), len(stage.die.solid.faces))

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
-from .landings import in_order
+from .landings import chunks_in_order
 from .odds import Share
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ SMALL = 0.15
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivity:
+class FinalStateSensitivity:
     """How often neighbours at a distance end elsewhere. Whole numbers, per group of conditions."""
 
     epsilons: Array
@@ -73,7 +73,7 @@ class Sensitivity:
 
 
 @dataclass(frozen=True)
-class Exponent:
+class UncertaintyExponent:
     """The slope of log f against log ε: f(ε) = prefactor × ε^value over the range it was taken from."""
 
     value: float
@@ -134,7 +134,7 @@ def final_state_sensitivity(
     seed: int = 0,
     threads: int = 1,
     progress: Callable[[int, int], None] | None = None,
-) -> Sensitivity:
+) -> FinalStateSensitivity:
     """How conditions drawn uniformly between `low` and `high` (d,) end, and their neighbours at each of `epsilons`.
 
     A size of 1 is the distance from low to high along each axis. `conditions` is rounded up to a multiple of GROUPS;
@@ -156,7 +156,7 @@ def final_state_sensitivity(
 
     uncertain, decided = np.zeros((GROUPS, len(sizes)), np.int64), np.zeros(len(sizes) + 1, np.int64)
     ends = []
-    for group, done, part in in_order(work, 0, GROUPS, 1, threads):
+    for group, done, part in chunks_in_order(work, 0, GROUPS, 1, threads):
         uncertain[group] = part[0]
         decided += part[1]
         ends.append(part[2])
@@ -164,10 +164,10 @@ def final_state_sensitivity(
             progress(done, GROUPS)
     shares = np.unique(np.concatenate(ends), return_counts=True)[1] / (GROUPS * each)
     chance = 1.0 - float((shares ** (1 + 2 * len(low))).sum())
-    return Sensitivity(sizes, len(low), each, uncertain, decided, chance)
+    return FinalStateSensitivity(sizes, len(low), each, uncertain, decided, chance)
 
 
-def uncertainty_exponent(sensitivity: Sensitivity) -> Exponent | None:
+def uncertainty_exponent(sensitivity: FinalStateSensitivity) -> UncertaintyExponent | None:
     """α of f(ε) ~ ε^α, by weighted least squares of log f on log ε.
 
     The exponent is a limit of small ε. So sizes count at which at least FEWEST conditions are uncertain, and f is no
@@ -188,7 +188,9 @@ def uncertainty_exponent(sensitivity: Sensitivity) -> Exponent | None:
     error = float(np.sqrt((GROUPS - 1) * np.mean((slopes - slopes.mean()) ** 2)))
     ends = sensitivity.epsilons[serves]
     level = np.average(np.log(total[serves] / throws) - slope * x, weights=weights)
-    return Exponent(slope, error, float(ends[0]), float(ends[-1]), float(np.exp(level)), sensitivity.dimensions)
+    return UncertaintyExponent(
+        slope, error, float(ends[0]), float(ends[-1]), float(np.exp(level)), sensitivity.dimensions
+    )
 
 
 def fairness_by_dynamics(

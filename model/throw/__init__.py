@@ -1,11 +1,11 @@
 """model.throw."""
 
-from .asymmetric_throw import top_from_die as top_from_die
+from .asymmetric_throw import asymmetric_body_of as asymmetric_body_of
 from .body import body_of as body_of
-from .body import kernel_starts as kernel_starts
+from .body import kernel_states as kernel_states
 from .body import touching_vertices as touching_vertices
 from .body import world_poses as world_poses
-from .held_contact import Held as Held
+from .held_contact import HeldContact as HeldContact
 from .motion import Flight as Flight
 from .motion import Impact as Impact
 from .motion import State as State

@@ -18,7 +18,7 @@ from .touch import packed_state, unpacked_state
 
 
 @dataclass(frozen=True, eq=False)
-class TopThrow:
+class AsymmetricThrow:
     """A throw of a die that is no spherical top; states can be asked for at any instant of it."""
 
     die: Die
@@ -42,7 +42,7 @@ class TopThrow:
     def at(self, time_s: float) -> State:
         """The state at an instant between release and end: position and velocity are those of the centroid."""
         state = self.packed_states([time_s])[0]
-        return body_state(self.die, unpacked_state(state, time_s))
+        return centroid_state(self.die, unpacked_state(state, time_s))
 
     def packed_states(self, times_s: ArrayLike) -> Array:
         """States (n, 13) of the centre of mass at times (n,) [s]."""
@@ -58,14 +58,14 @@ class TopThrow:
 
         Kept, because a long throw is asked for one state a flight: a thousand flights took 40 s without.
         """
-        top, turn = top_from_die(self.die)
+        top, turn = asymmetric_body_of(self.die)
         knots = self.knots.copy()
         knots[:, 4] -= self.die.corner_radius_m
         knots[:, 5:9] = quat_multiply(knots[:, 5:9], turn)
         return top, turn, knots
 
 
-def throw_top(
+def throw_asymmetric_die(
     die: Die,
     release: State,
     law: Law,
@@ -76,7 +76,7 @@ def throw_top(
     impacts: int | None = None,
     stop_when_decided: bool = True,
     impact_cap: int = 100_000,
-) -> TopThrow:
+) -> AsymmetricThrow:
     """Follow any die, spherical top or not, from its release until its face is decided or a limit is reached.
 
     `release` has the centroid's position and velocity, as everywhere; `law` is the smooth impact (`kernels.SMOOTH`,
@@ -89,7 +89,7 @@ def throw_top(
             "use SmoothImpact, or a die with one moment of inertia"
         )
     plane = Plane(*(float(value) for value in plane))  # kernels are compiled for floats
-    top, turn = top_from_die(die)
+    top, turn = asymmetric_body_of(die)
     start = packed_state(centre_of_mass_state(die, release))
     start[2] -= die.corner_radius_m
     start[3:7] = quat_multiply(start[3:7], turn)
@@ -108,7 +108,7 @@ def throw_top(
     for rows, first in ((log, 2), (knots, 2)):
         rows[:, first + 2] += die.corner_radius_m
         rows[:, first + 3 : first + 7] = quat_multiply(rows[:, first + 3 : first + 7], back)
-    return TopThrow(die, plane, code, count, face + 1 if face >= 0 else None, end, log, knots)
+    return AsymmetricThrow(die, plane, code, count, face + 1 if face >= 0 else None, end, log, knots)
 
 
 def centre_of_mass_state(die: Die, state: State) -> State:
@@ -116,7 +116,7 @@ def centre_of_mass_state(die: Die, state: State) -> State:
     return _shifted(die, state, 1.0)
 
 
-def body_state(die: Die, state: State) -> State:
+def centroid_state(die: Die, state: State) -> State:
     """The state whose position and velocity are those of the centroid, from the centre of mass's."""
     return _shifted(die, state, -1.0)
 
@@ -135,7 +135,7 @@ def _shifted(die: Die, state: State, sign: float) -> State:
     )
 
 
-def top_from_die(die: Die) -> tuple[Top, Array]:
+def asymmetric_body_of(die: Die) -> tuple[Top, Array]:
     """The die in its principal axes, and the quaternion (4,) that takes those axes to the die's.
 
     Corners are those of the inner solid; heights then count from `corner_radius_m` above the table, because a vertical

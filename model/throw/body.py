@@ -6,7 +6,7 @@ force has the same moment at the lowest point of a sphere as at its centre. With
 
 A die with one moment of inertia about a centre of mass that is not the centroid flies as any other with that moment: the
 kernels know of the centroid only through the vertices. So they are given those from the centre of mass, and states of it
-(`kernel_starts`); poses come back as those of the centroid (`world_poses`).
+(`kernel_states`); poses come back as those of the centroid (`world_poses`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def body_of(die: Die) -> engine.Body:
 
     Raises ValueError for a centre of mass in the rounded shell, and for a die whose axes differ.
     """
-    moment = die.moment_kg_m2
+    moment = die.isotropic_inertia_kg_m2
     centre = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
     vertices = np.ascontiguousarray(touching_vertices(die) - centre)
     return engine.Body(
@@ -43,7 +43,7 @@ def body_of(die: Die) -> engine.Body:
     )
 
 
-def kernel_starts(die: Die, table: Table, states: Array) -> Array:
+def kernel_states(die: Die, table: Table, states: Array) -> Array:
     """States (n, 13) of the centroid, in world axes, as the kernels have them: of the centre of mass, in the table's
     axes, heights less the corners' radius."""
     starts = np.array(states, float)

@@ -25,7 +25,7 @@ Differential Equations I, 1993, II.5), with steps of a fixed turn, since the mot
 does is not unique but for its velocities. There the motion is followed by steps of half the old and half the new
 velocities, the new ones from `kernels.friction_step` (Moreau; Jean 1999; Stewart & Trinkle, Int. J. Numer. Meth. Eng.
 39, 2673, 1996): sticking is exact, the impulses create no energy, and the error falls with the step, of which
-`Precision.turn_rad` sets the tenfold. (Keeping turned vertices at the table's height adds to the energy, some 1e-6 of it
+`Precision.step_turn_rad` sets the tenfold. (Keeping turned vertices at the table's height adds to the energy, some 1e-6 of it
 in a throw.) A die that has lost what energy could turn it over has landed; one whose three corners hold stands still,
 and on a table that moves it has landed if they would hold it at the table's lowest acceleration, too.
 
@@ -49,7 +49,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Held(Flight):
+class HeldContact(Flight):
     """Motion in contact with the table, from the instant of `start` until `end_s`."""
 
     vertices: tuple[int, ...]

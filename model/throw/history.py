@@ -16,9 +16,9 @@ from ..die import Die
 from ..laws import LEVEL, Table
 from ..rotations import matrix_from_quat, quat_multiply
 from ..world import GRAVITY_M_S2
-from .asymmetric_throw import TopThrow, body_state
+from .asymmetric_throw import AsymmetricThrow, centroid_state
 from .body import body_of, touching_vertices
-from .held_contact import Held
+from .held_contact import HeldContact
 from .motion import Flight, Impact, State, Throw, energy_J
 from .touch import packed_state, unpacked_state
 
@@ -63,17 +63,17 @@ def throw_from_log(
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Tumble(Flight):
+class AsymmetricMotion(Flight):
     """Motion of a die that is no spherical top, in flight or on the table, between two events."""
 
-    motion: TopThrow
+    motion: AsymmetricThrow
     """The whole throw, in the table's axes."""
     table: Table
 
     def at(self, time_s: float) -> State:
         """The state at any instant of the stretch; outside it, at its nearer end."""
         state = self.motion.at(min(max(time_s, self.start.time_s), self.end_s))
-        return in_axes(state, self.table.world_from_table) if self.table.tilt_rad else state
+        return rotated_state(state, self.table.world_from_table) if self.table.tilt_rad else state
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
@@ -82,7 +82,7 @@ class Tumble(Flight):
         return positions, np.array([s.quaternion for s in states]).reshape(-1, 4)
 
 
-def in_axes(state: State, turn: Array) -> State:
+def rotated_state(state: State, turn: Array) -> State:
     """The same state in other axes, to which the quaternion `turn` (4,) wxyz takes."""
     matrix = matrix_from_quat(turn)
     return State(
@@ -94,33 +94,36 @@ def in_axes(state: State, turn: Array) -> State:
     )
 
 
-def throw_from_top(motion: TopThrow, release: State, table: Table) -> Throw:
+def throw_from_asymmetric(motion: AsymmetricThrow, release: State, table: Table) -> Throw:
     """The Throw of a die that is no spherical top; `release` in world axes."""
     die, turned = motion.die, table.world_from_table
     events = [(float(row[0]), row) for row in motion.log]
     starts = [release]
     for time, row in events:
-        state = body_state(die, unpacked_state(_after(row), time))
-        starts.append(in_axes(state, turned) if table.tilt_rad else state)
+        state = centroid_state(die, unpacked_state(_after(row), time))
+        starts.append(rotated_state(state, turned) if table.tilt_rad else state)
     ends = [*(time for time, _ in events), motion.end_s]
     flights = tuple(
-        Tumble(start=start, end_s=end, motion=motion, table=table) for start, end in zip(starts, ends, strict=True)
+        AsymmetricMotion(start=start, end_s=end, motion=motion, table=table)
+        for start, end in zip(starts, ends, strict=True)
     )
-    return Throw(flights, top_impacts(die, table, motion.log, flights))
+    return Throw(flights, asymmetric_impacts(die, table, motion.log, flights))
 
 
-def top_impacts(die: Die, table: Table, log: Array, flights: Sequence[Flight]) -> tuple[Impact, ...]:
-    """The logged events between the flights of a die that is no spherical top; states of the log as in `TopThrow`."""
+def asymmetric_impacts(die: Die, table: Table, log: Array, flights: Sequence[Flight]) -> tuple[Impact, ...]:
+    """The logged events between the flights of a die that is no spherical top; states of the log as in `AsymmetricThrow`."""
     faces = [_lowest_half_way(die, flight) for flight in flights] if len(log) else []
     impacts = []
     for k, row in enumerate(log):
-        before = body_state(die, unpacked_state(row[2:15], float(row[0])))
-        before = in_axes(before, table.world_from_table) if table.tilt_rad else before
-        impacts.append(_top_impact(die, table, row, before, flights[k + 1].start, (faces[k], faces[k + 1])))
+        before = centroid_state(die, unpacked_state(row[2:15], float(row[0])))
+        before = rotated_state(before, table.world_from_table) if table.tilt_rad else before
+        impacts.append(_asymmetric_impact(die, table, row, before, flights[k + 1].start, (faces[k], faces[k + 1])))
     return tuple(impacts)
 
 
-def _top_impact(die: Die, table: Table, row: Array, before: State, after: State, faces: tuple[int, int]) -> Impact:
+def _asymmetric_impact(
+    die: Die, table: Table, row: Array, before: State, after: State, faces: tuple[int, int]
+) -> Impact:
     """One logged event of a die that is no spherical top."""
     strikes = row[1] >= 0
     vertices = [int(row[1])] if strikes else []
@@ -163,7 +166,7 @@ def _flight(stage: _Stage, packed: Array, begin: float, end: float, pair: tuple[
         vertices = stage.die.solid.faces[engine.lowest_row(stage.die.solid.normals, packed)]
     if not len(knots):
         knots = np.concatenate([[begin], packed])[None]
-    motion = Held(
+    motion = HeldContact(
         start=unpacked_state(packed, begin),
         end_s=end,
         vertices=vertices,

@@ -41,7 +41,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Exact motion under gravity alone from the instant of `start` until `end_s`; its counterpart is `contact.Held`."""
+    """Exact motion under gravity alone from the instant of `start` until `end_s`; its counterpart is `contact.HeldContact`."""
 
     start: State
     end_s: float

@@ -41,9 +41,9 @@ from .. import engine
 from ..die import Die
 from ..laws import LEVEL, ImpactLaw, Table
 from ..rotations import matrix_from_quat, quat_conjugate
-from .asymmetric_throw import throw_top
+from .asymmetric_throw import throw_asymmetric_die
 from .body import body_of, touching_vertices
-from .history import in_axes, throw_from_log, throw_from_top
+from .history import rotated_state, throw_from_asymmetric, throw_from_log
 from .motion import State, Throw
 from .touch import packed_state
 
@@ -132,19 +132,20 @@ class ThrowResult:
 class Precision:
     """Where speed is traded for accuracy. The defaults are as exact as doubles allow; see `contact` and `touch`."""
 
-    root_m: float = engine.FINE.root
+    contact_tolerance_m: float = engine.FINE.root
     """[m] a vertex this near the table touches; 0 for no farther than rounding."""
-    switch: float = engine.FINE.switch
+    slowest_bounce: float = engine.FINE.switch
     """Speed of the slowest bounce that is simulated before the vertex is held, in units of √(g R)."""
-    turn_rad: float = engine.FINE.turn
+    step_turn_rad: float = engine.FINE.turn
     """Turn of the die in one step of held contact."""
 
     def __post_init__(self) -> None:
-        if not (0 <= self.root_m < np.inf and 0 < self.switch < 1 and 0 < self.turn_rad <= 1):
-            raise ValueError(
-                f"root_m = {self.root_m}, switch = {self.switch}, turn_rad = {self.turn_rad}: "
-                "wanted root_m of 0 or more, a switch between 0 and 1, a turn above 0 and up to 1"
-            )
+        if not 0.0 <= self.contact_tolerance_m < np.inf:
+            raise ValueError(f"contact_tolerance_m = {self.contact_tolerance_m}: wanted a finite height, 0 or more")
+        if not 0.0 < self.slowest_bounce < 1.0:
+            raise ValueError(f"slowest_bounce = {self.slowest_bounce}: wanted a number above 0 and below 1")
+        if not 0.0 < self.step_turn_rad <= 1.0:
+            raise ValueError(f"step_turn_rad = {self.step_turn_rad}: wanted an angle above 0, at most 1 rad")
 
 
 EXACT = Precision()
@@ -178,7 +179,7 @@ def throw_die(
         body_of(die),
         engine.law_of(law.code, law.parameters),
         table.plane,
-        engine.Precision(precision.root_m, precision.switch, precision.turn_rad),
+        engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad),
         start,
         float(release.time_s),
         duration,
@@ -203,12 +204,12 @@ def _throw_top(
     cap: int,
 ) -> ThrowResult:
     """The same for a die that is no spherical top; see `tops`."""
-    motion = throw_top(
+    motion = throw_asymmetric_die(
         die,
-        in_axes(release, quat_conjugate(table.world_from_table)) if table.tilt_rad else release,
+        rotated_state(release, quat_conjugate(table.world_from_table)) if table.tilt_rad else release,
         engine.law_of(law.code, law.parameters),
         plane=table.plane,
-        precision=engine.Precision(precision.root_m, precision.switch, precision.turn_rad),
+        precision=engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad),
         duration_s=duration_s,
         impacts=until.impacts,
         stop_when_decided=until == Until(),
@@ -216,7 +217,7 @@ def _throw_top(
     )
     capped = motion.code == engine.IMPACT_CAP and cap == BOUNCING_CAP
     ending = Ending.BOUNCING if capped else ENDINGS[motion.code]
-    return ThrowResult(throw_from_top(motion, release, table), ending, motion.landed_face)
+    return ThrowResult(throw_from_asymmetric(motion, release, table), ending, motion.landed_face)
 
 
 def checked_release(die: Die, release: State, table: Table = LEVEL) -> Array:
@@ -226,7 +227,7 @@ def checked_release(die: Die, release: State, table: Table = LEVEL) -> Array:
     """
     start = packed_state(release)
     if table.tilt_rad:
-        start = packed_state(in_axes(release, quat_conjugate(table.world_from_table)))
+        start = packed_state(rotated_state(release, quat_conjugate(table.world_from_table)))
     start[2] -= die.corner_radius_m
     heights = touching_vertices(die) @ matrix_from_quat(start[3:7])[2] + start[2]
     lowest = float(heights.min()) - engine.table_height(table.plane, float(release.time_s))

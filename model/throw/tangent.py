@@ -68,13 +68,13 @@ from ..die import Die, inner_vertices
 from ..engine import derivatives
 from ..laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
-from . import tangent_asymmetric
-from .asymmetric_throw import body_state
+from . import asymmetric_tangent
+from .asymmetric_tangent import SHIFTS, cross_matrix
+from .asymmetric_throw import centroid_state
 from .body import body_of
-from .history import in_axes, throw_from_log
+from .history import rotated_state, throw_from_log
 from .motion import Flight, State, Throw
 from .simulate import Ending, checked_release
-from .tangent_asymmetric import SHIFTS, cross_matrix
 from .touch import packed_state, unpacked_state
 
 Array = NDArray[np.float64]
@@ -165,7 +165,7 @@ def propagate(
     is_top = not die.is_spherical_top or any(name in SHIFTS for name in parameters)
     air = _air(drag_per_m, parameters)
     run = (
-        partial(tangent_asymmetric.run_tangent, die, parameters)
+        partial(asymmetric_tangent.run_tangent, die, parameters)
         if is_top
         else partial(derivatives.run_tangent, _body(die))
     )
@@ -189,7 +189,7 @@ def propagate(
     back = np.argsort(order, kind="stable")
     end_s = float(max([start.time_s, *times[-1:], *log[-1:, 0]]))
     if is_top:
-        make_throw = partial(tangent_asymmetric.throw_from_flights, die, start, table, log, end_s)
+        make_throw = partial(asymmetric_tangent.throw_from_flights, die, start, table, log, end_s)
     else:
         make_throw = partial(_throw_in_air, die, packed, float(start.time_s), log, end_s, table, drag_per_m)
     positions, quaternions, jacobian = _in_world(die, table, parameters, poses[back], jacobian[back])
@@ -201,11 +201,11 @@ def _after(die: Die, table: Table, row: Array, is_top: bool) -> State:
     """The state after a logged impact, in world axes."""
     packed = np.concatenate([row[2:9], row[15:21]])
     if is_top:
-        state = body_state(die, unpacked_state(packed, row[0]))
+        state = centroid_state(die, unpacked_state(packed, row[0]))
     else:
         packed[2] += die.corner_radius_m
         state = unpacked_state(packed, row[0])
-    return in_axes(state, table.world_from_table) if table.tilt_rad else state
+    return rotated_state(state, table.world_from_table) if table.tilt_rad else state
 
 
 def _check_names(parameters: Sequence[str]) -> None:
@@ -228,7 +228,7 @@ def _packed(die: Die, start: State, table: Table) -> Array:
     """The start as the kernels have it (13,), wherever it lies: in the table's axes, less the radius of the corners."""
     packed = packed_state(start)
     if table.tilt_rad:
-        packed = packed_state(in_axes(start, quat_conjugate(table.world_from_table)))
+        packed = packed_state(rotated_state(start, quat_conjugate(table.world_from_table)))
     packed[2] -= die.corner_radius_m
     return packed
 

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 
 from .. import engine
 from ..die import Die
+from ..laws import ImpactLaw
 from .motion import State
 
 Array = NDArray[np.float64]
@@ -91,6 +92,16 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
     engine.advance(packed, spin, dt, engine.LEVEL)
     arm = np.array(engine.arm_of(die.solid.vertices[vertex], packed))
     return Touch(unpacked_state(packed, begin + dt), int(vertex), arm, float(velocity))
+
+
+def impulse_N_s(die: Die, touch: Touch, law: ImpactLaw) -> Array:
+    """Impulse (3,) [N s] of the table on the die, world axes."""
+    state = touch.state
+    packed = np.concatenate([state.position_m, state.quaternion, state.velocity_m_s, state.omega_rad_s])
+    arm = (float(touch.arm_m[0]), float(touch.arm_m[1]), float(touch.arm_m[2]))
+    return np.array(
+        engine.impulse(engine.law_of(law.code, law.parameters), die.mass_kg, die.inertia_kg_m2, arm, 0.0, packed)
+    )
 
 
 def packed_state(state: State) -> Array:

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from ...model.ensembles import ENDING_OF_INDEX, Axis, Exponent, Fairness, Sensitivity, Share
+from ...model.ensembles import ENDING_OF_INDEX, Axis, Fairness, FinalStateSensitivity, Share, UncertaintyExponent
 from ...model.throw import Ending
 from ..elements import FACE_COLOURS, MEASURED, NOWHERE, OPEN, SIMULATED, TOP, hex_colour
 
@@ -99,7 +99,7 @@ def lowest_again(ax: Axes, shares: Mapping[str, Sequence[Share]], faces: int) ->
     return _plain(ax)
 
 
-def uncertain_shares(ax: Axes, sensitivity: Sensitivity, exponent: Exponent | None = None) -> Axes:
+def uncertain_shares(ax: Axes, sensitivity: FinalStateSensitivity, exponent: UncertaintyExponent | None = None) -> Axes:
     """Share of the initial conditions whose neighbours at a distance end elsewhere, with the fitted slope."""
     values = np.array([share.value for share in sensitivity.shares])
     low, high = np.array([share.interval for share in sensitivity.shares]).T

@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import ArrayLike, NDArray
 
 from ...model.die import Solid
-from ...model.throw import Held, Impact, Throw
+from ...model.throw import HeldContact, Impact, Throw
 from ...tracking.throw import Carried
 from ..elements import BLACK, COLOURS, Colour, Motion, bounce_sentence, impulse_of, mixed
 from .dice import flight_begins
@@ -136,7 +136,7 @@ def _stretches(throw: Throw) -> list[str]:
     """A name for every stretch between two events: the flights in their order, and what is held on the table."""
     names, flown = [], 0
     for flight in throw.flights:
-        if isinstance(flight, Held):
+        if isinstance(flight, HeldContact):
             kinds = {1: "on vertex", 2: "on edge"}
             names.append(" ".join([kinds.get(len(flight.vertices), "on face"), *map(str, flight.vertices)]))
         elif isinstance(flight, Carried):

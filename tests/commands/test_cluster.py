@@ -20,7 +20,7 @@ from diethrow.cli.app import app
 from diethrow.files.records import write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL
 from diethrow.model.throw.simulate import Until
 
 pytest.importorskip("distributed")

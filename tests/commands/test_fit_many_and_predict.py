@@ -14,7 +14,7 @@ from diethrow.cli.app import app
 from diethrow.files.records import read_simulated, write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL
 from diethrow.model.throw.simulate import Until
 
 CUBE = make_die("cube", 0.016, 0.0048)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model.ensembles.landings import Stage
+from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.ensembles.stepping import stepped_landings
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
+from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import Ending, Until, throw_die
 
@@ -67,7 +67,7 @@ def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: T
     rng = np.random.default_rng(5)
     states = [random_release(rng, CUBE) for _ in range(throws)]
     starts = np.array([[*s.position_m, *s.quaternion, *s.velocity_m_s, *s.omega_rad_s] for s in states])
-    faces = Stage(CUBE, SmoothImpact(0.3)).throw(starts).face
+    faces = ThrowSetup(CUBE, SmoothImpact(0.3)).throw(starts).face
     alone = [throw_die(CUBE, state, SmoothImpact(0.3)).landed_face for state in states[:5]]
     np.testing.assert_array_equal(faces[:5], alone)
     happened(f"{len(faces)} landed, the first on {faces[:5].tolist()}")

@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 
 from diethrow.model.die.die import Die, loaded_die, make_die
 from diethrow.model.die.solid import isohedral_solid
-from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
-from diethrow.model.laws.tables import Table
+from diethrow.model.laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
@@ -19,7 +18,7 @@ from diethrow.model.rotations import (
     quat_from_rotvec,
     quat_multiply,
 )
-from diethrow.model.throw.held_contact import Held
+from diethrow.model.throw.held_contact import HeldContact
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import Ending, Precision, ThrowResult, Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
@@ -392,7 +391,7 @@ def test_a_vertex_that_passes_the_table_by_less_than_rounding_hardly_feels_it(di
         throw = throw_die(die, release, law, until=Until(time_s=2 * lowest)).throw
         if depth < -1e-14:
             assert not throw.impacts
-        assert not [f for f in throw.flights if isinstance(f, Held) and f.end_s - f.start.time_s > 1e-6]
+        assert not [f for f in throw.flights if isinstance(f, HeldContact) and f.end_s - f.start.time_s > 1e-6]
         end, free = throw.at(2 * lowest), replace(throw.flights[0], end_s=np.inf).at(2 * lowest)
         np.testing.assert_allclose(end.velocity_m_s, free.velocity_m_s, atol=1e-6)
         np.testing.assert_allclose(end.omega_rad_s, free.omega_rad_s, atol=1e-6 / die.solid.circumradius * 10)
@@ -640,9 +639,9 @@ def test_boundless_friction_sticks_and_vanishing_friction_is_the_smooth_impact(c
         (lambda: Table(amplitude_m=-1e-3, frequency_hz=5.0), r"amplitude_m = -0\.001.*turn the phase by pi"),
         (lambda: Until(time_s=np.nan), "time_s = nan: wanted a finite time"),
         (lambda: Until(impacts=-1), "impacts = -1: wanted 0 or more"),
-        (lambda: Precision(root_m=-1e-12), "root_m = -1e-12.*wanted root_m of 0 or more"),
-        (lambda: Precision(switch=np.nan), "switch = nan.*a switch between 0 and 1"),
-        (lambda: Precision(turn_rad=0.0), r"turn_rad = 0\.0.*a turn above 0"),
+        (lambda: Precision(contact_tolerance_m=-1e-12), "contact_tolerance_m = -1e-12"),
+        (lambda: Precision(slowest_bounce=np.nan), "slowest_bounce = nan"),
+        (lambda: Precision(step_turn_rad=0.0), r"step_turn_rad = 0\.0"),
         (lambda: SmoothImpact(np.nan), "chi = nan: wanted a coefficient of restitution from 0 to 1"),
         (lambda: SmoothImpact(-1e-9), "chi = -1e-09"),
         (lambda: CoulombImpact(0.5, np.nan), "mu = nan: wanted a coefficient of friction"),

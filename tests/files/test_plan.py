@@ -9,8 +9,7 @@ import pytest
 
 from diethrow.files.plan import read_plan
 from diethrow.files.settings import SceneError
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
-from diethrow.model.laws.tables import Table
+from diethrow.model.laws import CoulombImpact, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
 
 PLAN = """\

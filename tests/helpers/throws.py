@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import inner_vertices
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

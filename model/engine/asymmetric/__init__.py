@@ -2,8 +2,8 @@
 
 A loaded die or a truncated dipyramid does not turn at a constant rate in flight, so its path stands apart from the one
 of `kernels`, which spherical tops never leave. Here positions are those of the **centre of mass**, and body axes are
-the principal axes of inertia; `top_from_die`, `centre_of_mass_state` and `body_state` change over at the door. The
-friendly function is `throw_top`.
+the principal axes of inertia; `asymmetric_body_of`, `centre_of_mass_state` and `centroid_state` change over at the door. The
+friendly function is `throw_asymmetric_die`.
 
 **Motion.** The angular momentum L about the centre changes only by the table. In flight it is constant, the centre
 moves on a parabola, and what remains is the attitude: q' = q ω/2 with ω = I⁻¹ Rᵀ L in body axes. It is integrated with

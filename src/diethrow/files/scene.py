@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from ..model.die import ROUNDEST, SHAPES, Die, make_die
+from ..model.die import MAX_CORNER_RADIUS_FRACTION, SHAPES, Die, make_die
 from ..model.laws import Table as ModelTable
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import Rounding
@@ -474,12 +474,12 @@ def die_from(table: DieTable, path: Path) -> Die:
     if table.marks == "pips" and table.shape != "cube":
         raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
     die = make_die(table.shape, table.edge_m, table.mass_kg, marks=table.marks)
-    largest = ROUNDEST * die.solid.inradius
+    largest = MAX_CORNER_RADIUS_FRACTION * die.solid.inradius
     given = table.corner_radius_m
     radius = given if isinstance(given, float) else 0.0
     if radius > largest:
         guess = _unit_guess(radius, (1e-3, 1e-6), lambda radius: radius <= largest)
-        wanted = f"wanted metres, at most {ROUNDEST:g} of the inscribed radius, {largest:.4g}{guess}"
+        wanted = f"wanted metres, at most {MAX_CORNER_RADIUS_FRACTION:g} of the inscribed radius, {largest:.4g}{guess}"
         raise refuse(path, "die.corner_radius_m", radius, wanted)
     _check_inertia(table, die, path)
     return make_die(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..model.die import make_die
-from ..model.ensembles import BLOCK, Stage, UniformConditions, drawn_states, in_order
+from ..model.ensembles import BLOCK, ThrowSetup, UniformConditions, chunks_in_order, drawn_states
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
 from .values import MASS_KG, Picture, Result, Run, Table, Verdict, drawing
@@ -85,14 +85,14 @@ def bounces(run: Run) -> tuple[Result, ...]:
 def settled(run: Run, shape: str, chi: float) -> Counts:
     """(n,) number of the last impact at which the lowest face was not yet the one that the die landed on."""
     die = make_die(shape, EDGES_M[shape], MASS_KG)
-    stage, conditions = Stage(die, SmoothImpact(chi)), UniformConditions(SPIN_RAD_S, (RELEASE_M, RELEASE_M))
+    stage, conditions = ThrowSetup(die, SmoothImpact(chi)), UniformConditions(SPIN_RAD_S, (RELEASE_M, RELEASE_M))
 
     def work(first: int, end: int) -> Counts:
         landings = stage.throw(drawn_states(conditions, die, run.seed, first, end), NOTED)
         return last_other(landings.lowest, landings.face)
 
     throws = run.effort.bounce_throws
-    return np.concatenate([part for _, _, part in in_order(work, 0, throws, BLOCK // 4, run.threads)])
+    return np.concatenate([part for _, _, part in chunks_in_order(work, 0, throws, BLOCK // 4, run.threads)])
 
 
 def last_other(lowest: Counts, face: Counts) -> Counts:

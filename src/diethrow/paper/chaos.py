@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..model.die import Die
-from ..model.ensembles import CONDITIONS, Exponents, largest_exponent, states_of
+from ..model.ensembles import CONDITIONS, LyapunovExponents, largest_lyapunov_exponent, states_of
 from ..model.laws import LEVEL, SmoothImpact, Table
 from ..model.throw import State, unpacked_state
 from ..replay.elements import FACE_COLOURS, hex_colour
@@ -38,8 +38,8 @@ def exponents(run: Run) -> tuple[Result, ...]:
     """Both pairs of numbers."""
     dice = (tetrahedron(), cube())
     total, done = len(dice) * (len(HEIGHTS_M) + len(MOTIONS)), 0
-    at_chi_1: dict[tuple[str, float], Exponents | str] = {}
-    moving: dict[tuple[str, tuple[float, float]], Exponents | str] = {}
+    at_chi_1: dict[tuple[str, float], LyapunovExponents | str] = {}
+    moving: dict[tuple[str, tuple[float, float]], LyapunovExponents | str] = {}
     for die in dice:
         for height in HEIGHTS_M:
             at_chi_1[die.solid.name, height] = _exponent(run, die, height, 1.0, LEVEL)
@@ -59,10 +59,10 @@ def start_of(height_m: float) -> State:
     return unpacked_state(states_of(np.array([[given.get(name, 0.0) for name in CONDITIONS]]))[0], 0.0)
 
 
-def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> Exponents | str:
+def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> LyapunovExponents | str:
     """The exponent, or why there is none: on a weakly moving table a die comes to lie."""
     try:
-        return largest_exponent(
+        return largest_lyapunov_exponent(
             die,
             start_of(height_m),
             SmoothImpact(chi),
@@ -78,8 +78,8 @@ def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> 
         return str(error)
 
 
-def _at_chi_1(run: Run, found: dict[tuple[str, float], Exponents | str]) -> Result:
-    kept = {key: each for key, each in found.items() if isinstance(each, Exponents)}
+def _at_chi_1(run: Run, found: dict[tuple[str, float], LyapunovExponents | str]) -> Result:
+    kept = {key: each for key, each in found.items() if isinstance(each, LyapunovExponents)}
     stated = STATED["tetrahedron"] / STATED["cube"]
     ratios = {
         unit: [_ratio(kept["tetrahedron", height], kept["cube", height], unit) for height in HEIGHTS_M]
@@ -136,15 +136,15 @@ def _on_ratios(stated: float, ratios: dict[str, list[tuple[float, float]]]) -> s
     return f"The ratio of tetrahedron to cube, which no unit changes, is {stated:.2f} in the paper; here {', '.join(rows)}."
 
 
-def _ratio(a: Exponents, b: Exponents, unit: str) -> tuple[float, float]:
+def _ratio(a: LyapunovExponents, b: LyapunovExponents, unit: str) -> tuple[float, float]:
     """The ratio of two exponents and its standard error."""
     x, y = getattr(a, unit), getattr(b, unit)
     spread = np.hypot(getattr(a, f"{unit}_error") / x, getattr(b, f"{unit}_error") / y)
     return float(x / y), float(abs(x / y) * spread)
 
 
-def _on_moving(found: dict[tuple[str, tuple[float, float]], Exponents | str]) -> Result:
-    kept = {key: each for key, each in found.items() if isinstance(each, Exponents)}
+def _on_moving(found: dict[tuple[str, tuple[float, float]], LyapunovExponents | str]) -> Result:
+    kept = {key: each for key, each in found.items() if isinstance(each, LyapunovExponents)}
     larger = sum(
         kept["cube", motion].per_second > kept["tetrahedron", motion].per_second
         for motion in MOTIONS
@@ -155,7 +155,7 @@ def _on_moving(found: dict[tuple[str, tuple[float, float]], Exponents | str]) ->
     span = f"{cell(min(spread))} to {cell(max(spread))} s⁻¹" if spread else "no exponent"
     rows = [
         (name, 1e3 * motion[0], motion[1], *(_told(each, unit) for unit in UNITS))
-        if isinstance(each, Exponents)
+        if isinstance(each, LyapunovExponents)
         else (name, 1e3 * motion[0], motion[1], "comes to lie on the table", "—", "—")
         for (name, motion), each in found.items()
     ]
@@ -186,17 +186,17 @@ def _on_moving(found: dict[tuple[str, tuple[float, float]], Exponents | str]) ->
     )
 
 
-def _told(each: Exponents, unit: str) -> str:
+def _told(each: LyapunovExponents, unit: str) -> str:
     return f"{getattr(each, unit):.3f} ± {getattr(each, f'{unit}_error'):.3f}"
 
 
-def _plain(each: Exponents | str) -> dict[str, Any]:
+def _plain(each: LyapunovExponents | str) -> dict[str, Any]:
     if isinstance(each, str):
         return {"message": each}
     return {name: getattr(each, name) for unit in UNITS for name in (unit, f"{unit}_error")} | {"impacts": each.impacts}
 
 
-def _draw(run: Run, kept: dict[tuple[str, float], Exponents]) -> Picture:
+def _draw(run: Run, kept: dict[tuple[str, float], LyapunovExponents]) -> Picture:
     """The estimate against the number of impacts that it was taken from, from the start of Fig. 5."""
     figure = drawing((8.4, 3.4))
     ax = figure.subplots()

@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 
 from ..commands.model.basins import BALL_EPSILONS, EPSILONS
 from ..model.ensembles import (
-    FIG_6,
+    FIG_6_CONDITIONS,
     Axis,
-    Exponent,
-    Sensitivity,
-    Stage,
+    FinalStateSensitivity,
+    ThrowSetup,
+    UncertaintyExponent,
     Window,
+    final_configurations,
     final_state_sensitivity,
     map_rows,
-    outcomes,
     uncertainty_exponent,
 )
 from ..model.laws import SmoothImpact
@@ -113,14 +113,14 @@ class _Steps:
         return value
 
 
-def stage_of(chi: float) -> Stage:
+def stage_of(chi: float) -> ThrowSetup:
     """The tetrahedron of the figure."""
-    return Stage(tetrahedron(), SmoothImpact(chi))
+    return ThrowSetup(tetrahedron(), SmoothImpact(chi))
 
 
 def plane_of(pixels: int) -> Window:
     """The plane of the figure."""
-    return Window(Axis("z0", *HEIGHTS_M, pixels), Axis("omega_eta", *SPINS_RAD_S, pixels), dict(FIG_6))
+    return Window(Axis("z0", *HEIGHTS_M, pixels), Axis("omega_eta", *SPINS_RAD_S, pixels), dict(FIG_6_CONDITIONS))
 
 
 def _map(run: Run, chi: float) -> Faces:
@@ -134,10 +134,10 @@ def _map(run: Run, chi: float) -> Faces:
     return face
 
 
-def _uncertain(run: Run, chi: float, after: int | None) -> tuple[Sensitivity, Exponent | None]:
+def _uncertain(run: Run, chi: float, after: int | None) -> tuple[FinalStateSensitivity, UncertaintyExponent | None]:
     stage, window = stage_of(chi), plane_of(1)
     sensitivity = final_state_sensitivity(
-        lambda points: outcomes(stage, window, points, after),
+        lambda points: final_configurations(stage, window, points, after),
         (HEIGHTS_M[0], SPINS_RAD_S[0]),
         (HEIGHTS_M[1], SPINS_RAD_S[1]),
         BALL_EPSILONS if chi == 1.0 else EPSILONS,
@@ -148,7 +148,7 @@ def _uncertain(run: Run, chi: float, after: int | None) -> tuple[Sensitivity, Ex
     return sensitivity, uncertainty_exponent(sensitivity)
 
 
-Measured = dict[Any, tuple[Sensitivity, Exponent | None]]
+Measured = dict[Any, tuple[FinalStateSensitivity, UncertaintyExponent | None]]
 
 
 def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
@@ -178,13 +178,13 @@ def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
     return (Verdict.REPRODUCED if finer and smooth and grows else Verdict.NOT_REPRODUCED), ours, why
 
 
-def share_at(sensitivity: Sensitivity, epsilon: float) -> float:
+def share_at(sensitivity: FinalStateSensitivity, epsilon: float) -> float:
     """f at a distance, between the measured ones along the logarithm."""
     shares = [share.value for share in sensitivity.shares]
     return float(np.interp(np.log(epsilon), np.log(sensitivity.epsilons), shares))
 
 
-def _exponent(exponent: Exponent | None) -> str:
+def _exponent(exponent: UncertaintyExponent | None) -> str:
     return "not determined" if exponent is None else f"{exponent.value:.3f} ± {exponent.standard_error:.3f}"
 
 
@@ -196,7 +196,7 @@ def _rows(by_chi: Measured, by_impact: Measured) -> Iterator[tuple[Any, ...]]:
         yield CHI, f"lowest at impact {k}", *_cells(sensitivity, exponent)
 
 
-def _cells(sensitivity: Sensitivity, exponent: Exponent | None) -> tuple[Any, ...]:
+def _cells(sensitivity: FinalStateSensitivity, exponent: UncertaintyExponent | None) -> tuple[Any, ...]:
     return (
         share_at(sensitivity, COMPARED_AT),
         sensitivity.chance,
@@ -221,7 +221,7 @@ def _table(by_chi: Measured, by_impact: Measured) -> Table:
     )
 
 
-def _plain(measured: tuple[Sensitivity, Exponent | None]) -> dict[str, Any]:
+def _plain(measured: tuple[FinalStateSensitivity, UncertaintyExponent | None]) -> dict[str, Any]:
     sensitivity, exponent = measured
     return {
         "epsilon": sensitivity.epsilons,

@@ -12,7 +12,7 @@ from itertools import pairwise
 from math import inf, sqrt
 
 from ..commands.model.odds import told
-from ..model.ensembles import PaperConditions, Share, Stage, Tally, UniformConditions, tally_throws
+from ..model.ensembles import PaperConditions, Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
 from .values import CHI, CUBE_EDGE_M, Picture, Result, Run, Table, Verdict, cell, cube, drawing
@@ -67,7 +67,7 @@ def odds_results(run: Run) -> tuple[Result, ...]:
 
 
 def _thrown(run: Run, conditions: PaperConditions | UniformConditions, chi: float, throws: int) -> Iterator[Tally]:
-    stage = Stage(cube(), SmoothImpact(chi))
+    stage = ThrowSetup(cube(), SmoothImpact(chi))
     return tally_throws(stage, conditions, throws, run.seed, after=NOTED, threads=run.threads)
 
 

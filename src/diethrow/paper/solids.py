@@ -12,7 +12,7 @@ import numpy as np
 
 from ..commands.model.odds import told
 from ..model.die import SHAPES, die_from_solid, make_die, truncated_dipyramid
-from ..model.ensembles import Share, Stage, Tally, UniformConditions, tally_throws
+from ..model.ensembles import Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
 from .values import MASS_KG, Picture, Result, Run, Table, Verdict, cell, drawing
@@ -127,7 +127,7 @@ def fig_2(run: Run) -> tuple[Result, ...]:
 
 def _thrown(run: Run, chi: float, cut: float) -> Tally:
     solid = truncated_dipyramid(SIDES, RADIUS_M, RADIUS_M, cut)
-    stage = Stage(die_from_solid(solid, MASS_KG), SmoothImpact(chi))
+    stage = ThrowSetup(die_from_solid(solid, MASS_KG), SmoothImpact(chi))
     conditions = UniformConditions(SPIN_RAD_S, HEIGHT_M)
     throws = run.effort.dipyramid_throws
     *_, tally = tally_throws(stage, conditions, throws, run.seed, chunk=AT_ONCE, threads=run.threads)

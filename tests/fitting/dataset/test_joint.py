@@ -14,7 +14,7 @@ from diethrow.fitting.dataset.joint_fit import JointFit, fit_jointly
 from diethrow.fitting.predict.prediction import simulated_poses
 from diethrow.fitting.throw.physics import LOAD, Physics
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.simulate import Until
 from diethrow.tracking.track import TRACKED, Track

@@ -12,7 +12,7 @@ from diethrow.fitting.estimation.observations import sight
 from diethrow.fitting.free.flights import fit_flights, moved_state
 from diethrow.fitting.free.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.impact_laws import CoulombImpact
+from diethrow.model.laws import CoulombImpact
 from diethrow.model.throw.motion import Flight, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 

@@ -13,8 +13,7 @@ from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.shaken_table import SHAKE, shakes_seen
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.impact_laws import SmoothImpact
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.laws import LEVEL, SmoothImpact, Table
 from diethrow.model.throw.motion import Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track

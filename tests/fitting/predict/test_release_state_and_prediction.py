@@ -14,7 +14,7 @@ from diethrow.fitting.results import Parameter
 from diethrow.fitting.throw.physics import LOAD, Physics
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.laws import LEVEL, Table
 from diethrow.model.rotations import matrix_from_quat, rotation_between
 from diethrow.model.throw.motion import State, Throw, energy_J
 from diethrow.model.throw.simulate import Until, throw_die

@@ -16,8 +16,7 @@ from diethrow.fitting.throw.clock_and_scale import as_tracked
 from diethrow.fitting.throw.physics import EFFECTS, Physics
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.laws import LEVEL, CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

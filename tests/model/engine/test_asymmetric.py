@@ -11,9 +11,9 @@ from diethrow.model import throw
 from diethrow.model.die.die import die_from_solid, loaded_die
 from diethrow.model.die.solid import convex_solid, isohedral_solid, truncated_dipyramid
 from diethrow.model.engine.types import IMPACTS_REACHED, LEVEL, RESTED, SPINNING, TIME_REACHED, Law, Plane, SmoothLaw
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
-from diethrow.model.throw.asymmetric_throw import body_state, centre_of_mass_state, throw_top
+from diethrow.model.throw.asymmetric_throw import centre_of_mass_state, centroid_state, throw_asymmetric_die
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import throw_die
 from diethrow.model.world import GRAVITY_M_S2
@@ -50,7 +50,7 @@ def test_a_spherical_top_thrown_as_any_other_die_strikes_at_the_same_instants_wi
     for _ in range(4):
         release = random_release(rng, die)
         one = throw_die(die, release, SmoothImpact(0.5)).throw.impacts[:5]
-        two = throw_top(die, release, smooth(0.5)).impacts[:5]
+        two = throw_asymmetric_die(die, release, smooth(0.5)).impacts[:5]
         assert [i.vertices[0] for i in one] == two[:, 1].astype(int).tolist()
         # Rounding of 1e-16, grown by up to five impacts.
         np.testing.assert_allclose(two[:, 0], [i.time_s for i in one], atol=1e-10)
@@ -68,7 +68,7 @@ def test_a_tumbling_box_turns_over_as_eulers_equations_have_it():
 
     times = np.linspace(0.0, 1.0, 21)
     other = solve_ivp(rates, (0.0, 1.0), [*start.omega_rad_s, 1, 0, 0, 0], "DOP853", times, rtol=1e-13, atol=1e-13)
-    states = throw_top(BOX, start, smooth(0.5), duration_s=1.0).packed_states(times)
+    states = throw_asymmetric_die(BOX, start, smooth(0.5), duration_s=1.0).packed_states(times)
     turned = np.array([rotation_between(a, b) for a, b in zip(states[:, 3:7], other.y[3:].T, strict=True)])
     # The middle axis is unstable: it has turned over, and the reference's 1e-13 has grown as the tilt has.
     assert other.y[1].min() < -29.0
@@ -78,7 +78,9 @@ def test_a_tumbling_box_turns_over_as_eulers_equations_have_it():
 @each_top
 def test_free_flight_keeps_energy_and_angular_momentum(die):
     release = random_release(np.random.default_rng(2), die, spin_rad_s=200.0, clearance_m=30.0)
-    states = throw_top(die, release, smooth(0.5), duration_s=2.0).packed_states(np.linspace(0, 2, 101) + release.time_s)
+    states = throw_asymmetric_die(die, release, smooth(0.5), duration_s=2.0).packed_states(
+        np.linspace(0, 2, 101) + release.time_s
+    )
     energy, L, _ = energies_and_momenta(die, states)
     # Some two thousand steps.
     np.testing.assert_allclose(energy, energy[0], rtol=1e-13)
@@ -90,7 +92,7 @@ def test_an_impact_changes_momenta_by_one_vertical_impulse_and_turns_the_velocit
     rng = np.random.default_rng(3)
     shift = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
     for chi in (0.0, 0.4, 1.0):
-        throw = throw_top(die, random_release(rng, die), smooth(chi), impacts=3, stop_when_decided=False)
+        throw = throw_asymmetric_die(die, random_release(rng, die), smooth(chi), impacts=3, stop_when_decided=False)
         for row in throw.impacts:
             R = matrix_from_quat(row[5:9])
             J = R @ die.inertia_tensor_kg_m2 @ R.T
@@ -108,7 +110,7 @@ def test_an_impact_changes_momenta_by_one_vertical_impulse_and_turns_the_velocit
 @each_top
 def test_an_elastic_throw_keeps_its_energy(die):
     release = random_release(np.random.default_rng(4), die)
-    throw = throw_top(die, release, smooth(1.0), impacts=2000)
+    throw = throw_asymmetric_die(die, release, smooth(1.0), impacts=2000)
     assert (throw.code, throw.impact_count) == (IMPACTS_REACHED, 2000)
     end = throw.at(throw.end_s)
     # Rounding at each impact and step.
@@ -121,7 +123,7 @@ def test_a_throw_never_gains_energy_keeps_its_vertical_spin_momentum_and_stays_a
     rng = np.random.default_rng(5)
     for _ in range(6):
         release = random_release(rng, die)
-        throw = throw_top(die, release, smooth(chi), duration_s=1.0, stop_when_decided=False)
+        throw = throw_asymmetric_die(die, release, smooth(chi), duration_s=1.0, stop_when_decided=False)
         assert throw.code == TIME_REACHED
         states = throw.packed_states(release.time_s + np.linspace(0.0, 1.0, 700))
         energy, L, low = energies_and_momenta(die, states)
@@ -139,12 +141,12 @@ def test_every_throw_comes_to_rest_on_a_face_and_keeps_to_it(die, chi):
     rng = np.random.default_rng(6)
     for k in range(25):
         release = random_release(rng, die)
-        throw = throw_top(die, release, smooth(chi))
+        throw = throw_asymmetric_die(die, release, smooth(chi))
         assert throw.code == RESTED
         if k < 3:
             # The limit in time replaces the stop: the face that was decided must be the one it ends on.
             wait = throw.end_s - release.time_s + 0.3
-            longer = throw_top(die, release, smooth(chi), duration_s=wait, stop_when_decided=False)
+            longer = throw_asymmetric_die(die, release, smooth(chi), duration_s=wait, stop_when_decided=False)
             assert longer.landed_face == throw.landed_face
             up = longer.at(longer.end_s).rotation[2]
             assert int(np.argmin(die.solid.normals @ up)) + 1 == throw.landed_face
@@ -153,7 +155,9 @@ def test_every_throw_comes_to_rest_on_a_face_and_keeps_to_it(die, chi):
 def test_a_loaded_die_lands_on_its_heavy_side_more_often():
     heavy = loaded_die(isohedral_solid("cube", 0.02), 0.011, 0.005, [0.0, 0.0, 0.008])
     rng = np.random.default_rng(7)
-    faces = Counter(throw_top(heavy, random_release(rng, heavy), smooth(0.5)).landed_face for _ in range(200))
+    faces = Counter(
+        throw_asymmetric_die(heavy, random_release(rng, heavy), smooth(0.5)).landed_face for _ in range(200)
+    )
     # Face 1 is +z. A fair die would give 33 of 200, 5 more or less: these bounds are 4 and 3 of those away.
     assert faces[1] > 55
     assert faces[6] < 20
@@ -179,7 +183,7 @@ def test_the_same_throw_in_any_size_and_mass_has_the_same_history(die, length, m
         release.velocity_m_s * root,
         release.omega_rad_s / root,
     )
-    one, two = throw_top(die, release, smooth(0.3)), throw_top(scaled, large, smooth(0.3))
+    one, two = throw_asymmetric_die(die, release, smooth(0.3)), throw_asymmetric_die(scaled, large, smooth(0.3))
     assert one.impacts[:5, 1].tolist() == two.impacts[:5, 1].tolist()
     # Rounding of the scaling, grown by five impacts.
     np.testing.assert_allclose(two.impacts[:5, 0] / root, one.impacts[:5, 0], atol=1e-9)
@@ -196,7 +200,7 @@ def test_a_box_let_go_on_its_edge_falls_as_its_energy_has_it():
     height = -(solid.vertices @ rotation[2]).min()
     assert height == pytest.approx(far * np.cos(begin), rel=1e-12)
     release = State(0.0, np.array([0, 0, height]), quat_from_matrix(rotation), np.zeros(3), np.zeros(3))
-    throw = throw_top(BOX, release, smooth(0.0), duration_s=0.2, stop_when_decided=False)
+    throw = throw_asymmetric_die(BOX, release, smooth(0.0), duration_s=0.2, stop_when_decided=False)
     assert sorted(throw.log[0, 21:23].astype(int)) == sorted(edge)
     J, m, g = BOX.inertia_tensor_kg_m2[0, 0], BOX.mass_kg, GRAVITY_M_S2
     end = np.pi / 2 - corner  # the broad side is down
@@ -216,7 +220,7 @@ def test_a_box_let_go_on_its_edge_falls_as_its_energy_has_it():
 def test_an_oscillating_table_adds_the_energy_of_its_impulse(die):
     plane = Plane(0.0, 0.0, GRAVITY_M_S2, 0.001, 2 * np.pi * 40.0, 0.3)
     release = random_release(np.random.default_rng(9), die)
-    throw = throw_top(die, release, smooth(0.6), plane=plane, duration_s=1.0, stop_when_decided=False)
+    throw = throw_asymmetric_die(die, release, smooth(0.6), plane=plane, duration_s=1.0, stop_when_decided=False)
     shift = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
     assert throw.code == TIME_REACHED
     for row in throw.impacts:
@@ -233,8 +237,8 @@ def test_an_oscillating_table_adds_the_energy_of_its_impulse(die):
 
 def test_a_table_of_no_amplitude_is_a_table_at_rest():
     release = random_release(np.random.default_rng(10), LOADED)
-    one = throw_top(LOADED, release, smooth(0.5))
-    two = throw_top(LOADED, release, smooth(0.5), plane=Plane(0.0, 0.0, GRAVITY_M_S2, 0.0, 1e5, 1.0))
+    one = throw_asymmetric_die(LOADED, release, smooth(0.5))
+    two = throw_asymmetric_die(LOADED, release, smooth(0.5), plane=Plane(0.0, 0.0, GRAVITY_M_S2, 0.0, 1e5, 1.0))
     np.testing.assert_array_equal(one.log, two.log)
 
 
@@ -244,7 +248,7 @@ def test_a_die_on_a_gently_moving_table_stays_on_its_face_and_a_hard_one_throws_
         # At the release the table is lowest, and at rest.
         plane = Plane(0.0, 0.0, GRAVITY_M_S2, push * GRAVITY_M_S2 / rate**2, rate, -np.pi / 2)
         flat = State(0.0, np.array([0, 0, 0.02 - plane.amplitude]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.eye(3)[2])
-        throw = throw_top(BOX, flat, smooth(0.5), plane=plane, duration_s=0.3, stop_when_decided=push < 1.0)
+        throw = throw_asymmetric_die(BOX, flat, smooth(0.5), plane=plane, duration_s=0.3, stop_when_decided=push < 1.0)
         assert throw.code == code
     held, let_go = throw.log[throw.log[:, 1] < 0][:2]
     assert held[22] == -2
@@ -256,8 +260,8 @@ def test_a_tilted_table_carries_the_die_down_and_changes_nothing_else():
     release = random_release(np.random.default_rng(11), LOADED)
     tilt = 0.2
     g = GRAVITY_M_S2 * np.cos(tilt)
-    level = throw_top(LOADED, release, smooth(0.5), plane=Plane(0, 0, g, 0, 0, 0))
-    tilted = throw_top(LOADED, release, smooth(0.5), plane=Plane(GRAVITY_M_S2 * np.sin(tilt), 0, g, 0, 0, 0))
+    level = throw_asymmetric_die(LOADED, release, smooth(0.5), plane=Plane(0, 0, g, 0, 0, 0))
+    tilted = throw_asymmetric_die(LOADED, release, smooth(0.5), plane=Plane(GRAVITY_M_S2 * np.sin(tilt), 0, g, 0, 0, 0))
     np.testing.assert_allclose(level.impacts[:, :2], tilted.impacts[:, :2], atol=1e-12)
     drift = 0.5 * GRAVITY_M_S2 * np.sin(tilt) * (tilted.end_s - release.time_s) ** 2
     moved = tilted.at(tilted.end_s).position_m[0] - level.at(level.end_s).position_m[0]
@@ -272,7 +276,7 @@ def test_rounded_corners_are_a_sharp_inner_die_on_a_raised_table():
     release = random_release(np.random.default_rng(12), BOX)
     low = State(release.time_s, release.position_m - [0, 0, radius], *(getattr(release, n) for n in
                 ("quaternion", "velocity_m_s", "omega_rad_s")))  # fmt: skip
-    one, two = throw_top(rounded, release, smooth(0.5)), throw_top(sharp, low, smooth(0.5))
+    one, two = throw_asymmetric_die(rounded, release, smooth(0.5)), throw_asymmetric_die(sharp, low, smooth(0.5))
     np.testing.assert_allclose(one.impacts[:4, :2], two.impacts[:4, :2], atol=1e-10)
     assert one.landed_face == two.landed_face
 
@@ -281,7 +285,7 @@ def test_states_of_centroid_and_centre_of_mass_are_two_views_of_one_motion():
     rng = np.random.default_rng(13)
     state = State(0.5, rng.normal(size=3), random_quaternion(rng), rng.normal(size=3), rng.normal(size=3))
     centre = centre_of_mass_state(LOADED, state)
-    back = body_state(LOADED, centre)
+    back = centroid_state(LOADED, centre)
     np.testing.assert_allclose(back.position_m, state.position_m, atol=1e-16)
     np.testing.assert_allclose(back.velocity_m_s, state.velocity_m_s, atol=1e-16)
     # The velocity of the centre of mass is the derivative of its place.
@@ -294,7 +298,7 @@ def test_states_of_centroid_and_centre_of_mass_are_two_views_of_one_motion():
 def test_a_die_at_rest_on_its_face_has_landed_and_one_that_spins_there_too():
     for spin in (0.0, 500.0):
         flat = State(0.0, np.array([0, 0, 0.02]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([0, 0, spin]))
-        throw = throw_top(BOX, flat, smooth(0.5))
+        throw = throw_asymmetric_die(BOX, flat, smooth(0.5))
         assert (throw.code, throw.impact_count) == (RESTED, 0)
         assert BOX.solid.normals[throw.landed_face - 1] == pytest.approx([0.0, 0.0, -1.0])
 
@@ -315,7 +319,7 @@ def test_a_die_held_on_one_vertex_moves_as_newton_and_euler_have_it_with_a_force
     # The release is given at the centroid.
     at, v = np.array([0.0, 0.0, -arm[2]]) - R0 @ shift, v0 - np.cross(w0, R0 @ shift)
     release = State(0.0, at, quat_from_matrix(R0), v, w0)
-    throw = throw_top(die, release, smooth(0.0), duration_s=0.03, stop_when_decided=False)
+    throw = throw_asymmetric_die(die, release, smooth(0.0), duration_s=0.03, stop_when_decided=False)
     assert throw.impact_count == 0
     assert throw.log[0, 21:23].tolist() == [0, -1]
 
@@ -346,7 +350,7 @@ def test_a_top_that_sleeps_on_its_tip_spins_for_ever_and_says_so():
     lean = quat_from_rotvec([0.02, 0.0, 0.0])
     low = float((die.solid.vertices @ matrix_from_quat(lean)[2]).min())
     release = State(0.0, np.array([0, 0, -low]), lean, np.zeros(3), np.array([0.0, 0.0, 600.0]))
-    throw = throw_top(die, release, smooth(0.3))
+    throw = throw_asymmetric_die(die, release, smooth(0.3))
     assert throw.code == SPINNING
     assert throw.landed_face is None
 
@@ -354,10 +358,10 @@ def test_a_top_that_sleeps_on_its_tip_spins_for_ever_and_says_so():
 def test_a_throw_the_path_cannot_follow_is_refused_by_name():
     release = random_release(np.random.default_rng(14), LOADED)
     with pytest.raises(ValueError, match=r"impact law 7 .*smooth impact"):
-        throw_top(LOADED, release, SmoothLaw(7, np.array([0.5])))
+        throw_asymmetric_die(LOADED, release, SmoothLaw(7, np.array([0.5])))
     below = State(0.0, np.zeros(3), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     with pytest.raises(ValueError, match="below the table; raise the die"):
-        throw_top(LOADED, below, smooth(0.5), plane=LEVEL)
+        throw_asymmetric_die(LOADED, below, smooth(0.5), plane=LEVEL)
     deep = loaded_die(isohedral_solid("cube", 0.02), 0.001, 1.0, [0.0, 0.0, 0.0099], corner_radius_m=0.001)
     with pytest.raises(ValueError, match="wanted it deeper inside the cube"):
-        throw.top_from_die(deep)
+        throw.asymmetric_body_of(deep)

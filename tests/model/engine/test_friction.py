@@ -5,13 +5,11 @@ import pytest
 from random_throws import DICE, random_quaternion
 
 from diethrow.model import engine
-from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
-from diethrow.model.laws.tables import LEVEL
+from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.body import body_of
-from diethrow.model.throw.impulse import impulse_N_s
 from diethrow.model.throw.motion import State
-from diethrow.model.throw.touch import Touch
+from diethrow.model.throw.touch import Touch, impulse_N_s
 from diethrow.model.world import GRAVITY_M_S2
 
 ENDINGS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}

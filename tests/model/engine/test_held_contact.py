@@ -10,12 +10,11 @@ from scipy.integrate import quad, solve_ivp
 from diethrow.model import engine
 from diethrow.model.die.die import Die, die_from_solid
 from diethrow.model.die.solid import convex_solid
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
-from diethrow.model.laws.tables import Table
+from diethrow.model.laws import CoulombImpact, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw import body
-from diethrow.model.throw.held_contact import Held
-from diethrow.model.throw.history import in_axes
+from diethrow.model.throw.held_contact import HeldContact
+from diethrow.model.throw.history import rotated_state
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
@@ -61,8 +60,8 @@ def exact_octahedron():
     return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
 
 
-def stretches(result) -> list[Held]:
-    return [flight for flight in result.throw.flights if isinstance(flight, Held)]
+def stretches(result) -> list[HeldContact]:
+    return [flight for flight in result.throw.flights if isinstance(flight, HeldContact)]
 
 
 def lagrange_top(die, start: State, vertex: int, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,7 +158,7 @@ def test_a_die_released_on_an_edge_falls_as_its_energy_says_until_the_next_verte
         return 2 * u * np.sqrt((k + (d * np.sin(lean)) ** 2) / fall)
 
     expected = quad(seconds, 0, np.sqrt(flat - tilt), epsabs=0, epsrel=1e-12, limit=200)[0]
-    fine = Precision(turn_rad=turn)
+    fine = Precision(step_turn_rad=turn)
     held = throw_die(die, start, SmoothImpact(0.0), until=Until(time_s=2 * expected), precision=fine).throw.flights[1]
     assert set(held.vertices) == set(die.solid.edges[0].tolist())
     assert held.end_s == pytest.approx(expected, rel=accuracy)
@@ -219,7 +218,7 @@ def test_held_vertices_stay_on_the_table_and_nothing_goes_below_it(die, chi):
             heights = positions[:, 2, None] + matrix_from_quat(quaternions)[:, 2] @ die.solid.vertices.T
             # A vertex counts as standing on the table within 1e-10 R.
             assert heights.min() > -1.001e-10 * die.solid.circumradius
-            if isinstance(flight, Held) and len(flight.vertices) < 3:
+            if isinstance(flight, HeldContact) and len(flight.vertices) < 3:
                 assert np.abs(heights[:, list(flight.vertices)]).max() < 1e-17 + 1e-15 * die.solid.circumradius
                 seen += 1
     assert seen > 0 or chi > 0.0
@@ -231,7 +230,7 @@ def test_no_vertex_dips_below_the_table_within_a_step_of_held_contact():
     for _ in range(20):
         release = random_release(rng, die, spin_rad_s=float(rng.uniform(0, 60)), clearance_m=0.02)
         for held in throw_die(die, release, SmoothImpact(0.0)).throw.flights:
-            if isinstance(held, Held) and len(held.vertices) < 3:
+            if isinstance(held, HeldContact) and len(held.vertices) < 3:
                 positions, quaternions = held.poses(np.linspace(held.start.time_s, held.end_s, 300))
                 heights = positions[:, 2, None] + matrix_from_quat(quaternions)[:, 2] @ die.solid.vertices.T
                 # A vertex counts as standing on the table within 1e-10 R, and the motion between is known to as much.
@@ -258,7 +257,7 @@ def test_the_chatter_of_a_die_dropped_on_its_tip_lasts_as_long_as_the_geometric_
     fall = np.sqrt(2 * drop / G)
     assert result.ending is Ending.BALANCED
     assert result.landed_face is None
-    speed, slowest = G * fall, EXACT.switch * np.sqrt(G * die.solid.circumradius)
+    speed, slowest = G * fall, EXACT.slowest_bounce * np.sqrt(G * die.solid.circumradius)
     assert result.impact_count == int(np.ceil(np.log(slowest / speed) / np.log(chi)))
     # What is left out: the bounces that are slower.
     left_out = 2 * slowest / G / (1 - chi)
@@ -375,7 +374,7 @@ def test_what_the_switch_leaves_out_of_the_motion_is_as_short_as_the_switch_is_s
         release = random_release(rng, die, spin_rad_s=10.0, clearance_m=0.005)
         firsts = []
         for switch in (1e-6, 1e-8, 1e-10):
-            held = stretches(throw_die(die, release, SmoothImpact(chi), precision=Precision(switch=switch)))
+            held = stretches(throw_die(die, release, SmoothImpact(chi), precision=Precision(slowest_bounce=switch)))
             firsts.append(held[0] if held else None)
         if None in firsts:
             continue
@@ -431,7 +430,7 @@ def test_friction_that_a_shaking_slope_overcomes_now_and_then_holds_no_die():
     table = Table(tilt_rad=0.2, amplitude_m=0.5 * G * np.cos(0.2) / rate**2, frequency_hz=20.0)
     down = die.solid.normals[0]
     release = State(0.0, np.array([0.0, 0.0, 0.0]), turned_down(down), np.zeros(3), np.zeros(3))
-    lying = in_axes(replace(release, position_m=die.solid.inradius * UP), table.world_from_table)
+    lying = rotated_state(replace(release, position_m=die.solid.inradius * UP), table.world_from_table)
     moving = table.amplitude_m * rate * (matrix_from_quat(table.world_from_table) @ UP)
     release = replace(lying, velocity_m_s=moving)
     end = throw_die(die, release, CoulombImpact(0.0, 0.22), table=table, until=Until(time_s=1.0))

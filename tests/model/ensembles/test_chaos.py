@@ -7,9 +7,13 @@ from random_throws import DICE, random_quaternion, random_release
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
 from diethrow.model.engine import derivatives
-from diethrow.model.ensembles.chaos import decidable_many, decided_by_double, growth, largest_exponent
-from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.ensembles.chaos import (
+    decidable_in_double_precision,
+    decidable_in_double_precision_many,
+    error_growth,
+    largest_lyapunov_exponent,
+)
+from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
@@ -207,7 +211,7 @@ def test_with_loss_the_exponents_add_up_to_two_log_chi_an_impact():
 )
 def test_the_largest_exponent_at_chi_one_is_the_one_known_from_two_neighbours(shape, edge_m, per_second, per_impact):
     die = make_die(shape, edge_m, 0.016)
-    found = largest_exponent(die, paper_start(), SmoothImpact(1.0), impacts=3000, orbits=3)
+    found = largest_lyapunov_exponent(die, paper_start(), SmoothImpact(1.0), impacts=3000, orbits=3)
     assert found.per_second == pytest.approx(per_second, abs=0.15 + 3 * found.per_second_error)
     assert found.per_impact == pytest.approx(per_impact, abs=0.05 + 3 * found.per_impact_error)
     assert found.per_unit == pytest.approx(found.per_second * np.sqrt(edge_m / 9.81))
@@ -227,7 +231,7 @@ def test_the_exponent_is_that_of_two_neighbouring_throws(chi, table):
         logs.append(np.log(np.linalg.norm(gap) / apart_by))
         two = disturbed(one, gap / np.linalg.norm(gap) * apart_by * unit)
     rates = np.array(logs[50:]).reshape(-1, 10).mean(1) / step_s
-    found = largest_exponent(CUBE, paper_start(), law, table=table, impacts=3000, orbits=3)
+    found = largest_lyapunov_exponent(CUBE, paper_start(), law, table=table, impacts=3000, orbits=3)
     error = np.hypot(found.per_second_error, rates.std(ddof=1) / np.sqrt(len(rates)))
     assert rates.mean() == pytest.approx(found.per_second, abs=3 * error)
 
@@ -244,7 +248,7 @@ def test_a_point_that_bounces_for_ever_has_no_chaos():
 
 
 def test_the_exponent_does_not_depend_on_the_size_of_the_die_but_by_its_unit():
-    small = largest_exponent(CUBE, paper_start(), SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    small = largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
     large_start = State(
         0.0,
         100 * paper_start().position_m,
@@ -253,19 +257,19 @@ def test_the_exponent_does_not_depend_on_the_size_of_the_die_but_by_its_unit():
         paper_start().omega_rad_s / 10,
     )
     die = make_die("cube", 2.0, 0.016)
-    large = largest_exponent(die, large_start, SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    large = largest_lyapunov_exponent(die, large_start, SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
     # The orbits are the same until rounding has grown by e^2.9 an impact: compare the first eight.
     np.testing.assert_allclose(large.logs[0, :8], small.logs[0, :8], rtol=1e-4)
 
 
 def test_what_has_no_exponent_is_refused_by_name():
     with pytest.raises(ValueError, match=r"chi = 0\.5 on a table at rest: every throw ends"):
-        largest_exponent(CUBE, paper_start(), SmoothImpact(0.5))
+        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(0.5))
     with pytest.raises(ValueError, match="wanted 2, 1, 0 or more"):
-        largest_exponent(CUBE, paper_start(), SmoothImpact(1.0), orbits=0)
+        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(1.0), orbits=0)
     weak = Table(amplitude_m=1e-5, frequency_hz=10.0)
     with pytest.raises(ValueError, match=r"the die bounced only .* times"):
-        largest_exponent(CUBE, paper_start(), SmoothImpact(0.3), table=weak)
+        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(0.3), table=weak)
 
 
 def on_an_edge(lean_rad: float) -> State:
@@ -277,7 +281,7 @@ def on_an_edge(lean_rad: float) -> State:
 
 def test_a_die_dropped_by_a_millimetre_onto_a_face_is_decided():
     start = State(0.0, np.array([0.0, 0.0, 0.011]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
-    check = decided_by_double(CUBE, start, SmoothImpact(0.5))
+    check = decidable_in_double_precision(CUBE, start, SmoothImpact(0.5))
     assert check.decidable
     assert check.margin > 1e6
     assert check.sentence.startswith("Double precision decides this throw")
@@ -285,20 +289,20 @@ def test_a_die_dropped_by_a_millimetre_onto_a_face_is_decided():
 
 def test_a_die_that_leans_is_decided_and_one_that_leans_by_rounding_is_not():
     law = SmoothImpact(0.3)
-    leaning = decided_by_double(CUBE, on_an_edge(1e-3), law)
+    leaning = decidable_in_double_precision(CUBE, on_an_edge(1e-3), law)
     assert leaning.decidable
     for lean in (0.0, 1e-15, -3e-16):
-        check = decided_by_double(CUBE, on_an_edge(lean), law)
+        check = decidable_in_double_precision(CUBE, on_an_edge(lean), law)
         assert not check.decidable, (lean, check)
         assert check.margin <= 1.0
         assert "not decide" in check.sentence
 
 
 def test_a_throw_of_hundreds_of_elastic_bounces_is_not_decided_and_the_growth_says_why():
-    check = decided_by_double(CUBE, paper_start(), SmoothImpact(1.0))
+    check = decidable_in_double_precision(CUBE, paper_start(), SmoothImpact(1.0))
     assert not check.decidable
-    assert check.growth > 1e16
-    grown = growth(CUBE, paper_start(), SmoothImpact(1.0), impacts=20)
+    assert check.error_growth > 1e16
+    grown = error_growth(CUBE, paper_start(), SmoothImpact(1.0), impacts=20)
     assert grown.ending is Ending.IMPACTS_REACHED
     assert len(grown.at_impacts) == 20
     # e^2.9 an impact on average, with a wide spread.
@@ -318,8 +322,10 @@ def random_starts(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize(("chi", "decided"), [(0.3, 0.99), (0.5, 0.95), (0.7, 0.4)])
 def test_every_throw_whose_face_a_tolerance_changes_was_called_undecidable(chi, decided):
     starts, law = random_starts(3000, 90), SmoothImpact(chi)
-    fine, _, _ = decidable_many(CUBE, starts, law, precision=Precision(root_m=1e-13))
-    coarse, decidable, _ = decidable_many(CUBE, starts, law, precision=Precision(root_m=1e-11))
+    fine, _, _ = decidable_in_double_precision_many(CUBE, starts, law, precision=Precision(contact_tolerance_m=1e-13))
+    coarse, decidable, _ = decidable_in_double_precision_many(
+        CUBE, starts, law, precision=Precision(contact_tolerance_m=1e-11)
+    )
     assert not ((fine[:, 0] != coarse[:, 0]) & decidable).any()
     assert decidable.mean() > decided
     if chi == 0.7:  # the question is not idle
@@ -328,10 +334,10 @@ def test_every_throw_whose_face_a_tolerance_changes_was_called_undecidable(chi, 
 
 def test_many_throws_are_judged_as_each_alone_and_land_as_they_do():
     starts, law = random_starts(20, 91), SmoothImpact(0.6)
-    landed, decidable, _ = decidable_many(CUBE, starts, law, precision=EXACT)
+    landed, decidable, _ = decidable_in_double_precision_many(CUBE, starts, law, precision=EXACT)
     for k, start in enumerate(starts):
         release = unpacked_state(start, 0.0)
-        assert decided_by_double(CUBE, release, law).decidable == decidable[k]
+        assert decidable_in_double_precision(CUBE, release, law).decidable == decidable[k]
         assert throw_die(CUBE, release, law).landed_face == landed[k, 0] + 1
 
 
@@ -339,8 +345,8 @@ def test_many_throws_are_judged_as_each_alone_and_land_as_they_do():
 @pytest.mark.parametrize("table", [LEVEL, Table(tilt_rad=0.1), SHAKEN], ids=["at rest", "tilted", "oscillating"])
 def test_every_law_and_table_has_an_answer(law, table):
     start = random_release(np.random.default_rng(92), CUBE)
-    check = decided_by_double(CUBE, start, law, table=table)
-    assert np.isfinite(check.growth)
-    assert check.growth > 1.0
+    check = decidable_in_double_precision(CUBE, start, law, table=table)
+    assert np.isfinite(check.error_growth)
+    assert check.error_growth > 1.0
     assert isinstance(check.decidable, bool)
     assert check.decidable == (check.margin > 1.0) or "left before its end" in check.sentence

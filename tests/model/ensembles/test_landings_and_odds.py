@@ -12,8 +12,8 @@ from scipy.stats import binomtest, chi2
 
 from diethrow.model.die.die import loaded_die, make_die
 from diethrow.model.die.solid import SHAPES
-from diethrow.model.ensembles.basins import Axis, Window, map_rows, outcomes
-from diethrow.model.ensembles.landings import ENDING_OF_INDEX, Stage, drawn_states, in_order
+from diethrow.model.ensembles.basins import Axis, Window, final_configurations, map_rows
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX, ThrowSetup, chunks_in_order, drawn_states
 from diethrow.model.ensembles.odds import Tally, tally_throws, wilson_interval
 from diethrow.model.ensembles.predictability import (
     GROUPS,
@@ -29,8 +29,7 @@ from diethrow.model.ensembles.releases import (
     UniformConditions,
     states_of,
 )
-from diethrow.model.laws.impact_laws import CoulombImpact, SmoothImpact
-from diethrow.model.laws.tables import Table
+from diethrow.model.laws import CoulombImpact, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
 from diethrow.model.throw.body import body_of
 from diethrow.model.throw.simulate import Ending, Until, throw_die
@@ -39,14 +38,14 @@ from diethrow.model.throw.touch import unpacked_state
 Array = NDArray[np.float64]
 
 CUBE = make_die("cube", 0.02, 0.016)
-STAGE = Stage(CUBE, SmoothImpact(0.5))
+STAGE = ThrowSetup(CUBE, SmoothImpact(0.5))
 UNIFORM = UniformConditions(40.0, (0.1, 0.4))
 PAPER = PaperConditions((0.0, 40.0, 0.0), (0.3, 0.4))
 WINDOW = Window(Axis("z0", 0.1, 0.4, 24), Axis("omega_eta", 0.0, 50.0, 30))
-TETRAHEDRON = Stage(make_die("tetrahedron", 0.040793, 0.016), SmoothImpact(0.2))
+TETRAHEDRON = ThrowSetup(make_die("tetrahedron", 0.040793, 0.016), SmoothImpact(0.2))
 
 
-def last_tally(stage: Stage, conditions: Conditions, throws: int, seed: int = 1, **how: int) -> Tally:
+def last_tally(stage: ThrowSetup, conditions: Conditions, throws: int, seed: int = 1, **how: int) -> Tally:
     *_, tally = tally_throws(stage, conditions, throws, seed, **how)
     return tally
 
@@ -108,7 +107,7 @@ def test_many_throws_land_as_they_do_one_by_one() -> None:
 def test_uniform_orientations_and_directions_of_spin_make_fair_dice(shape: str) -> None:
     # The symmetries of the die carry each face onto each other, and leave these conditions as they are.
     die = make_die(shape, 0.02, 0.016)
-    tally = last_tally(Stage(die, SmoothImpact(0.3)), UniformConditions(30.0, (0.1, 0.2)), 6000, seed=11)
+    tally = last_tally(ThrowSetup(die, SmoothImpact(0.3)), UniformConditions(30.0, (0.1, 0.2)), 6000, seed=11)
     expected = tally.rested / len(tally.landed)
     statistic = ((tally.landed - expected) ** 2).sum() / expected
     # Of five shapes and one seed: a fair die would fail once in 10 000 seeds a shape.
@@ -119,7 +118,7 @@ def test_uniform_orientations_and_directions_of_spin_make_fair_dice(shape: str) 
 def test_a_load_makes_its_side_land_more_often() -> None:
     # A fifth of the mass close below face 1.
     heavy = loaded_die(CUBE.solid, 0.016, 0.004, 0.9 * CUBE.solid.normals[0] * CUBE.solid.inradius)
-    tally = last_tally(Stage(heavy, SmoothImpact(0.2)), UniformConditions(20.0, (0.05, 0.1)), 400)
+    tally = last_tally(ThrowSetup(heavy, SmoothImpact(0.2)), UniformConditions(20.0, (0.05, 0.1)), 400)
     low, _ = wilson_interval(int(tally.landed[0]), tally.rested, 0.999)
     assert low > 1 / 6
     assert tally.landed[0] == tally.landed.max()
@@ -130,19 +129,19 @@ def test_tops_are_counted_apart_and_friction_stops_them() -> None:
     smooth = last_tally(STAGE, upright, 300)
     assert smooth.endings[ENDING_OF_INDEX.index(Ending.SPINNING)] > 0
     assert smooth.rested + smooth.endings.sum() - smooth.endings[0] == 300
-    rough = last_tally(Stage(CUBE, CoulombImpact(0.5, 0.3)), upright, 60)
+    rough = last_tally(ThrowSetup(CUBE, CoulombImpact(0.5, 0.3)), upright, 60)
     assert rough.rested == 60
 
 
 def test_what_bounces_for_ever_is_said_to() -> None:
-    elastic = last_tally(Stage(CUBE, SmoothImpact(1.0)), UNIFORM, 20)
+    elastic = last_tally(ThrowSetup(CUBE, SmoothImpact(1.0)), UNIFORM, 20)
     assert elastic.endings[ENDING_OF_INDEX.index(Ending.BOUNCING)] == 20
     assert elastic.rested == 0
 
 
 def test_a_tilted_table_is_the_level_one_in_its_own_axes() -> None:
     table = Table(tilt_rad=0.2, downhill_rad=0.5)
-    stage = Stage(CUBE, SmoothImpact(0.3), table)
+    stage = ThrowSetup(CUBE, SmoothImpact(0.3), table)
     states = drawn_states(UNIFORM, CUBE, 5, 0, 20)
     many = stage.throw(states)
     for k, state in enumerate(states):
@@ -206,7 +205,7 @@ def test_work_that_fails_says_so_and_ends_the_others() -> None:
             raise ValueError("the thirtieth")
         return j
 
-    parts = in_order(work, 0, 1000, 10, 3)
+    parts = chunks_in_order(work, 0, 1000, 10, 3)
     assert [next(parts)[1] for _ in range(3)] == [10, 20, 30]
     with pytest.raises(ValueError, match="the thirtieth"):
         next(parts)
@@ -215,14 +214,14 @@ def test_work_that_fails_says_so_and_ends_the_others() -> None:
 # --- maps ----------------------------------------------------------------------------------------------------------
 
 
-def whole_map(stage: Stage, window: Window, rows: int = 8, threads: int = 1) -> NDArray[np.int64]:
+def whole_map(stage: ThrowSetup, window: Window, rows: int = 8, threads: int = 1) -> NDArray[np.int64]:
     faces = np.concatenate([part.face for _, _, part in map_rows(stage, window, rows=rows, threads=threads)])
     return faces.reshape(window.y.pixels, window.x.pixels)
 
 
 def test_a_zoom_is_the_crop_of_a_finer_map_pixel_for_pixel() -> None:
     # 0.2 and 0.3 are no doubles; a coordinate off in its last bit would show at this restitution.
-    stage = Stage(TETRAHEDRON.die, SmoothImpact(0.7))
+    stage = ThrowSetup(TETRAHEDRON.die, SmoothImpact(0.7))
     finer = Window(Axis("z0", 0.1, 0.4, 90), Axis("omega_eta", 10.0, 40.0, 60))
     zoom = Window(Axis("z0", 0.2, 0.3, 30), Axis("omega_eta", 15.0, 25.0, 20))
     np.testing.assert_array_equal(zoom.x.centres, finer.x.centres[30:60])
@@ -254,13 +253,13 @@ def test_a_release_below_the_table_is_no_throw() -> None:
 
 
 def test_outcomes_name_what_is_no_face_by_its_ending() -> None:
-    stage = Stage(CUBE, SmoothImpact(1.0))
+    stage = ThrowSetup(CUBE, SmoothImpact(1.0))
     bounces = -1 - ENDING_OF_INDEX.index(Ending.BOUNCING)
     points = np.array([[0.3, 20.0], [0.2, 1.0]])
-    assert outcomes(stage, WINDOW, points).tolist() == [bounces, bounces]
+    assert final_configurations(stage, WINDOW, points).tolist() == [bounces, bounces]
     alone = throw_die(CUBE, unpacked_state(WINDOW.states(points)[0], 0.0), stage.law, until=Until(impacts=4))
     down = CUBE.solid.normals @ matrix_from_quat(alone.throw.at(alone.throw.bounces[3].time_s).quaternion)[2]
-    assert outcomes(stage, WINDOW, points, after=4)[0] == int(down.argmin()) + 1
+    assert final_configurations(stage, WINDOW, points, after=4)[0] == int(down.argmin()) + 1
 
 
 @pytest.mark.parametrize(
@@ -371,10 +370,10 @@ def test_sizes_that_cannot_be_are_refused() -> None:
 
 def test_a_throw_at_small_restitution_is_predictable_as_the_paper_defines_it() -> None:
     # Few bounces, so that basins are open sets: at 1e-6 of the window nearly every neighbour lands alike.
-    stage = Stage(TETRAHEDRON.die, SmoothImpact(0.05))
+    stage = ThrowSetup(TETRAHEDRON.die, SmoothImpact(0.05))
 
     def outcome(points: Array) -> NDArray[np.int64]:
-        return outcomes(stage, WINDOW, points)
+        return final_configurations(stage, WINDOW, points)
 
     sensitivity = final_state_sensitivity(outcome, [0.1, 0.0], [0.4, 50.0], [1e-6], conditions=256)
     assert sensitivity.shares[0].value < 0.02
@@ -384,15 +383,17 @@ def test_a_loaded_die_that_rubs_lands_on_its_heavy_side_more_often() -> None:
     loaded = replace(CUBE, centre_of_mass_m=np.array([0.0, 0.0, 0.003]))
     heavy = int(np.argmax(loaded.solid.normals[:, 2])) + 1
     starts = drawn_states(UNIFORM, loaded, 0, 0, 60)
-    landed = Stage(loaded, CoulombImpact(0.4, 0.3)).throw(starts).face
+    landed = ThrowSetup(loaded, CoulombImpact(0.4, 0.3)).throw(starts).face
     # A fair die does so in 17 or more of 60 throws with odds of 2 in 100; this one has no other stable side to speak of.
     assert (landed == heavy).sum() >= 17
     assert (landed > 0).all()
 
 
 def test_one_moment_of_inertia_is_told_wherever_the_mass_lies() -> None:
-    assert CUBE.moment_kg_m2 == CUBE.inertia_kg_m2
-    assert replace(CUBE, centre_of_mass_m=np.array([0.0, 0.0, 0.003])).moment_kg_m2 == pytest.approx(CUBE.inertia_kg_m2)
-    assert loaded_die(CUBE.solid, 0.016, 0.004, [0.0, 0.0, 0.008]).moment_kg_m2 is None
+    assert CUBE.isotropic_inertia_kg_m2 == CUBE.inertia_kg_m2
+    assert replace(CUBE, centre_of_mass_m=np.array([0.0, 0.0, 0.003])).isotropic_inertia_kg_m2 == pytest.approx(
+        CUBE.inertia_kg_m2
+    )
+    assert loaded_die(CUBE.solid, 0.016, 0.004, [0.0, 0.0, 0.008]).isotropic_inertia_kg_m2 is None
     with pytest.raises(ValueError, match="deeper inside the cube"):
         body_of(replace(make_die("cube", 0.02, 0.016, corner_radius_m=0.008), centre_of_mass_m=np.array([0, 0, 0.003])))

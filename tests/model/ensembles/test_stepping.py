@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from diethrow.model.die.die import make_die
-from diethrow.model.ensembles.landings import Stage, drawn_states
+from diethrow.model.ensembles.landings import ThrowSetup, drawn_states
 from diethrow.model.ensembles.releases import UniformConditions
 from diethrow.model.ensembles.stepping import stepped_landings
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 
 CUBE = make_die("cube", 0.02, 0.016)
 
@@ -21,7 +21,7 @@ def releases(count: int) -> np.ndarray:
 def test_smaller_steps_land_more_often_where_events_do() -> None:
     """Throws from a few centimetres at χ 0.2, which a step of 20 µs follows through most of their impacts."""
     starts = releases(300)
-    exact = Stage(CUBE, SmoothImpact(0.2)).throw(starts).face
+    exact = ThrowSetup(CUBE, SmoothImpact(0.2)).throw(starts).face
     alike = [float((stepped_landings(CUBE, 0.2, starts, step_s) == exact).mean()) for step_s in (2e-3, 2e-4, 2e-5)]
     assert alike[0] < alike[1] < alike[2]
     assert alike[2] > 0.95

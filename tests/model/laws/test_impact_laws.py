@@ -6,12 +6,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_throws import DICE, random_release
 
-from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
-from diethrow.model.throw.impulse import impulse_N_s
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.model.throw.touch import Touch, next_touch
+from diethrow.model.throw.touch import Touch, impulse_N_s, next_touch
 
 SMOOTH = [SmoothImpact(chi) for chi in (0.0, 0.1, 0.5, 0.9, 1.0)]
 NEWTON = [CoulombImpact(0.5, 0.3, "newton"), CoulombImpact(1.0, 0.1, "newton")]

@@ -9,10 +9,9 @@ from random_throws import DICE, lowest_vertex_m, random_release
 from scipy.optimize import brentq
 
 from diethrow.model import engine
-from diethrow.model.laws.impact_laws import SmoothImpact
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.laws import LEVEL, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.throw.held_contact import Held
+from diethrow.model.throw.held_contact import HeldContact
 from diethrow.model.throw.motion import Flight, State, energy_J
 from diethrow.model.throw.simulate import Ending, Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
@@ -119,7 +118,7 @@ def test_held_contact_on_a_leaning_table_stays_in_its_plane_and_obeys_the_energy
         release = turned(random_release(rng, die, spin_rad_s=10.0, clearance_m=0.01), LEANING)
         until = Until(time_s=release.time_s + 0.5)
         for held in throw_die(die, release, SmoothImpact(0.0), until=until, table=LEANING).throw.flights:
-            if not isinstance(held, Held) or held.end_s - held.start.time_s < 1e-3:
+            if not isinstance(held, HeldContact) or held.end_s - held.start.time_s < 1e-3:
                 continue
             states = [held.at(t) for t in np.linspace(held.start.time_s, held.end_s, 10)]
             for state in states:
@@ -255,7 +254,7 @@ def test_a_die_flat_on_a_shaking_table_is_thrown_up_where_the_table_falls_faster
     velocity = np.array([0.0, 0.0, table.amplitude_m * rate])
     release = State(0.0, np.array([0, 0, die.solid.inradius]), quaternion, velocity, np.zeros(3))
     throw = throw_die(die, release, SmoothImpact(chi), until=Until(time_s=0.5), table=table).throw
-    flat = [f for f in throw.flights if isinstance(f, Held) and len(f.vertices) > 2]
+    flat = [f for f in throw.flights if isinstance(f, HeldContact) and len(f.vertices) > 2]
     assert flat[0].end_s == pytest.approx(np.arcsin(0.5) / rate, rel=1e-9)
     for held in flat:
         for t in np.linspace(held.start.time_s, held.end_s, 5):

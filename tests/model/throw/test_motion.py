@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, Throw, energy_J
 from diethrow.model.throw.simulate import Until, throw_die

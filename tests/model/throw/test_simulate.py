@@ -8,7 +8,7 @@ from random_throws import DICE, random_release
 
 from diethrow.model.die.die import make_die
 from diethrow.model.die.solid import lowest_face
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,

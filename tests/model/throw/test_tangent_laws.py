@@ -10,8 +10,7 @@ from scipy.integrate import solve_ivp
 from diethrow.model import engine
 from diethrow.model.die.die import Die, die_from_solid, loaded_die, make_die
 from diethrow.model.die.solid import truncated_dipyramid
-from diethrow.model.laws.impact_laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
-from diethrow.model.laws.tables import LEVEL, Table
+from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die

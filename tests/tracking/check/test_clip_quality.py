@@ -12,7 +12,7 @@ from random_throws import random_quaternion
 from replay_records import ArrayClip
 
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2

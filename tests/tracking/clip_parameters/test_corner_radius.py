@@ -14,7 +14,7 @@ from replay_records import ArrayClip
 from rounded_dice import photograph_rounded
 
 from diethrow.model.die.solid import SHAPES
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

@@ -13,7 +13,7 @@ from random_throws import random_quaternion
 
 from diethrow.files.scene import read_scene
 from diethrow.model.die.symmetry import symmetry_rotations
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 
 from diethrow.model.die.symmetry import symmetry_rotations
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

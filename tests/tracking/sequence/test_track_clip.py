@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.laws.impact_laws import SmoothImpact
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die

@@ -14,7 +14,7 @@ from throws import FPS, frame_covariance, initial_errors, random_release, seen, 
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.symmetry import symmetry_rotations
-from diethrow.model.laws.impact_laws import CoulombImpact, ImpactLaw, SmoothImpact
+from diethrow.model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_matrix,

@@ -43,7 +43,7 @@ from ...fitting.free import common_restitution, fit_flights, measure_bounces, mo
 from ...fitting.results import Fit, Parameter
 from ...fitting.throw import LEVEL_OF_INTERVALS, IntervalMethod, fit_throw
 from ...model.die import Die, die_symmetries
-from ...model.ensembles import Stage, stepped_landings
+from ...model.ensembles import ThrowSetup, stepped_landings
 from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
@@ -410,10 +410,10 @@ def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
     plain = replace(die, corner_radius_m=0.0)
     starts = _starts(plain, fit.initial)
     law = SmoothImpact(chi)
-    exact = Stage(plain, law).throw(starts).face
+    exact = ThrowSetup(plain, law).throw(starts).face
     choices: list[tuple[str, Callable[[], NDArray[np.int64]]]] = []
     for tolerance in TOLERANCES_M:
-        stage = Stage(plain, law, precision=Precision(root_m=tolerance))
+        stage = ThrowSetup(plain, law, precision=Precision(contact_tolerance_m=tolerance))
         choices.append((f"events, roots to {tolerance:.0e} m", partial(_landed, stage, starts)))
     for step_s in STEPS_S:
         for single in (False, True):
@@ -428,7 +428,7 @@ def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
         yield Setting("model", name, THROWS / seconds, seconds, float((faces != exact).mean()))
 
 
-def _landed(stage: Stage, starts: Array) -> NDArray[np.int64]:
+def _landed(stage: ThrowSetup, starts: Array) -> NDArray[np.int64]:
     return stage.throw(starts).face
 
 

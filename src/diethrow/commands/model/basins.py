@@ -22,17 +22,17 @@ from ...files.work_file import WorkFile
 from ...model.die import make_die
 from ...model.ensembles import (
     ENDING_OF_INDEX,
-    FIG_6,
+    FIG_6_CONDITIONS,
     Axis,
-    Exponent,
     Fairness,
-    Sensitivity,
-    Stage,
+    FinalStateSensitivity,
+    ThrowSetup,
+    UncertaintyExponent,
     Window,
     fairness_by_dynamics,
+    final_configurations,
     final_state_sensitivity,
     map_rows,
-    outcomes,
     uncertainty_exponent,
 )
 from ...model.laws import LEVEL, Table
@@ -61,7 +61,7 @@ class BasinsPlan:
 
     x: Axis
     y: Axis
-    fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6))
+    fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6_CONDITIONS))
     shape: str = "tetrahedron"
     edge_m: float = 0.040793
     mass_kg: float = 0.016
@@ -91,9 +91,9 @@ class BasinsPlan:
         return Window(self.x, self.y, dict(self.fixed))
 
     @property
-    def stage(self) -> Stage:
+    def stage(self) -> ThrowSetup:
         """Die, law and table."""
-        return Stage(make_die(self.shape, self.edge_m, self.mass_kg), law_of(self.chi, self.mu), self.table)
+        return ThrowSetup(make_die(self.shape, self.edge_m, self.mass_kg), law_of(self.chi, self.mu), self.table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +118,8 @@ class BasinMap:
 class Predictability:
     """What was measured of the paper's two definitions."""
 
-    sensitivity: Sensitivity
-    exponent: Exponent | None
+    sensitivity: FinalStateSensitivity
+    exponent: UncertaintyExponent | None
     balls: tuple[Fairness, ...]
 
 
@@ -194,7 +194,7 @@ def axes_of(
 
 def fixed_from(words: Sequence[str]) -> dict[str, float]:
     """Fixed conditions from words NAME=VALUE, over those of the paper's Fig. 6. Raises ValueError for other words."""
-    fixed = dict(FIG_6)
+    fixed = dict(FIG_6_CONDITIONS)
     for word in words:
         name, _, value = word.partition("=")
         try:
@@ -368,7 +368,7 @@ def _measured(plan: BasinsPlan, threads: int, progress: Progress) -> Predictabil
     stage, window, faces = plan.stage, plan.window, len(plan.stage.die.solid.faces)
 
     def outcome(points: Array) -> NDArray[np.int64]:
-        return outcomes(stage, window, points, plan.at_impact)
+        return final_configurations(stage, window, points, plan.at_impact)
 
     sensitivity = final_state_sensitivity(
         outcome,

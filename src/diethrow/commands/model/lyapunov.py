@@ -15,7 +15,7 @@ from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.records import write_json
 from ...model.die import Die, make_die
-from ...model.ensembles import Exponents, Growth, growth, largest_exponent
+from ...model.ensembles import ErrorGrowth, LyapunovExponents, error_growth, largest_lyapunov_exponent
 from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
 from ...model.throw import State, checked_release
@@ -90,7 +90,7 @@ def lyapunov(
     force: bool = False,
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
-) -> Exponents | Growth:
+) -> LyapunovExponents | ErrorGrowth:
     """The exponents of a motion that goes on, or the growth along one that ends, written to the folder `out`.
 
     Raises OutputExistsError for a folder that exists (unless `force`).
@@ -114,10 +114,10 @@ def lyapunov(
     return result
 
 
-def _computed(plan: LyapunovPlan, progress: Progress) -> Exponents | Growth:
+def _computed(plan: LyapunovPlan, progress: Progress) -> LyapunovExponents | ErrorGrowth:
     if plan.ends:
-        return growth(plan.die, plan.start, plan.law, table=plan.table)
-    return largest_exponent(
+        return error_growth(plan.die, plan.start, plan.law, table=plan.table)
+    return largest_lyapunov_exponent(
         plan.die,
         plan.start,
         plan.law,
@@ -130,9 +130,9 @@ def _computed(plan: LyapunovPlan, progress: Progress) -> Exponents | Growth:
     )
 
 
-def lyapunov_table(plan: LyapunovPlan, result: Exponents | Growth) -> dict[str, Any]:
+def lyapunov_table(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> dict[str, Any]:
     """What lyapunov.json holds."""
-    if isinstance(result, Growth):
+    if isinstance(result, ErrorGrowth):
         return {
             "exponent": None,
             "growth": {
@@ -165,7 +165,7 @@ def _no_exponent(plan: LyapunovPlan) -> str:
     )
 
 
-def _messages(plan: LyapunovPlan, result: Exponents) -> list[str]:
+def _messages(plan: LyapunovPlan, result: LyapunovExponents) -> list[str]:
     """What the numbers do not say by themselves."""
     messages = []
     half = result.logs.shape[1] // 2
@@ -181,12 +181,12 @@ def _messages(plan: LyapunovPlan, result: Exponents) -> list[str]:
     return messages
 
 
-def draw(path: Path, plan: LyapunovPlan, result: Exponents | Growth) -> None:
+def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> None:
     """The picture: how the estimates settle, or how an error grows."""
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
-    if isinstance(result, Growth):
+    if isinstance(result, ErrorGrowth):
         growth_curve(ax, result.at_impacts)
     else:
         convergence(ax, result.logs, result.times_s, result.per_second, result.per_second_error)
@@ -194,9 +194,9 @@ def draw(path: Path, plan: LyapunovPlan, result: Exponents | Growth) -> None:
     figure.savefig(path)
 
 
-def summary(plan: LyapunovPlan, result: Exponents | Growth) -> tuple[str, ...]:
+def summary(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> tuple[str, ...]:
     """What the terminal shows."""
-    if isinstance(result, Growth):
+    if isinstance(result, ErrorGrowth):
         last = f"An error of the release grows {result.at_end:.2e} times over {len(result.at_impacts)} impacts."
         return last, _no_exponent(plan)
     lines = [

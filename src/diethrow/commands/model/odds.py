@@ -26,8 +26,8 @@ from ...model.ensembles import (
     Conditions,
     PaperConditions,
     Share,
-    Stage,
     Tally,
+    ThrowSetup,
     UniformConditions,
     check_releases,
     tally_throws,
@@ -92,10 +92,10 @@ class OddsPlan:
         return UniformConditions(self.omega_rad_s, height)
 
     @property
-    def stages(self) -> tuple[Stage, ...]:
+    def stages(self) -> tuple[ThrowSetup, ...]:
         """One for each χ."""
         die = make_die(self.shape, self.edge_m, self.mass_kg)
-        return tuple(Stage(die, law_of(chi, self.mu), self.table) for chi in self.chi)
+        return tuple(ThrowSetup(die, law_of(chi, self.mu), self.table) for chi in self.chi)
 
 
 def law_of(chi: float, mu: float | None) -> ImpactLaw:

@@ -14,7 +14,7 @@ from ...files.plan import Plan
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.records import simulated_track, state_table, write_bounces, write_json, write_simulated, write_vertices
 from ...files.settings import refuse
-from ...model.ensembles import decided_by_double
+from ...model.ensembles import decidable_in_double_precision
 from ...model.throw import Ending, ThrowResult, Until, throw_die
 from ...replay.figures import throw_heights
 from ...replay.pages import throw_page
@@ -77,7 +77,7 @@ def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
     if result.landed_face is None and result.ending is not Ending.RESTED:
         messages.append("The landed face is open: the throw ended before the die had settled on one.")
     asked = result.landed_face is not None or result.ending not in _LEFT
-    check = decided_by_double(plan.die, plan.release, plan.law, table=plan.model_table) if asked else None
+    check = decidable_in_double_precision(plan.die, plan.release, plan.law, table=plan.model_table) if asked else None
     messages.append(
         check.sentence if check else "Whether double precision decides this throw is open: it has no end yet."
     )
@@ -87,7 +87,7 @@ def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
         "impact_count": result.impact_count,
         "end": state_table(result.end),
         "decidable": check.decidable if check else None,
-        "error_growth": check.growth if check else None,
+        "error_growth": check.error_growth if check else None,
         "error_m": check.error_m if check and np.isfinite(check.error_m) else None,
         "margin": check.margin if check and np.isfinite(check.margin) else None,
         "messages": messages,

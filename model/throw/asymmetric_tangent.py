@@ -32,7 +32,7 @@ from ..laws import Table
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from ..world import GRAVITY_M_S2
 from . import asymmetric_throw
-from .history import in_axes, top_impacts
+from .history import asymmetric_impacts, rotated_state
 from .motion import Flight, State, Throw
 from .touch import packed_state, unpacked_state
 
@@ -45,7 +45,7 @@ SHIFTS = {
 }
 """Body axes along which the centre of mass moves, by parameter."""
 
-_top = lru_cache(maxsize=16)(asymmetric_throw.top_from_die)
+_top = lru_cache(maxsize=16)(asymmetric_throw.asymmetric_body_of)
 """A fit asks for the same die again and again."""
 
 
@@ -64,7 +64,7 @@ def run_tangent(
     seed: Array,
     sources: engine.Sources,
 ) -> tuple[int, Array, Array, Array, Array]:
-    """As `kernels.run_tangent`, in and out in terms of the centroid and ω. The log alone is that of `tops.TopThrow`."""
+    """As `kernels.run_tangent`, in and out in terms of the centroid and ω. The log alone is that of `tops.AsymmetricThrow`."""
     if law.code != engine.SMOOTH:
         raise ValueError(
             f"impact law {law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
@@ -146,7 +146,7 @@ def cross_matrix(vectors: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class TopFlight(Flight):
+class AsymmetricFlight(Flight):
     """Free flight of a die that is no spherical top; before and after it, where the same motion would lead."""
 
     die: Die
@@ -163,7 +163,7 @@ class TopFlight(Flight):
         before, after = matrix_from_quat(centre.quaternion), matrix_from_quat(quaternion)
         momentum = before @ _tensor(self.die) @ before.T @ centre.omega_rad_s
         omega = after @ np.linalg.solve(_tensor(self.die), after.T @ momentum)
-        return asymmetric_throw.body_state(self.die, State(time_s, position, quaternion, velocity, omega))
+        return asymmetric_throw.centroid_state(self.die, State(time_s, position, quaternion, velocity, omega))
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
@@ -185,9 +185,10 @@ class TopFlight(Flight):
 def throw_from_flights(die: Die, start: State, table: Table, log: Array, end_s: float) -> Throw:
     """The Throw of a start and a log of impacts, as `run_tangent` returns it."""
     after = [
-        asymmetric_throw.body_state(die, unpacked_state(np.concatenate([row[2:9], row[15:21]]), row[0])) for row in log
+        asymmetric_throw.centroid_state(die, unpacked_state(np.concatenate([row[2:9], row[15:21]]), row[0]))
+        for row in log
     ]
-    starts = [start, *(in_axes(state, table.world_from_table) if table.tilt_rad else state for state in after)]
+    starts = [start, *(rotated_state(state, table.world_from_table) if table.tilt_rad else state for state in after)]
     ends = [*(float(t) for t in log[:, 0]), end_s]
-    flights = tuple(TopFlight(start=s, end_s=e, die=die, table=table) for s, e in zip(starts, ends, strict=True))
-    return Throw(flights, top_impacts(die, table, log, flights))
+    flights = tuple(AsymmetricFlight(start=s, end_s=e, die=die, table=table) for s, e in zip(starts, ends, strict=True))
+    return Throw(flights, asymmetric_impacts(die, table, log, flights))
