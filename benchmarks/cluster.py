@@ -17,7 +17,7 @@ from pathlib import Path
 
 from distributed import LocalCluster
 
-from diethrow.commands.model.odds import OddsPlan, odds
+from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.executors import cluster_at
 
 

@@ -17,15 +17,15 @@ import numpy as np
 from footage_files import write_photron
 from numpy.typing import NDArray
 
-from diethrow.commands.model.film import Shot, scene_text, write_clip
+from diethrow.commands.model.filmed_throw import Shot, scene_text, write_clip
 from diethrow.files.outputs import whole_folder
 from diethrow.files.truth import visibility
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.replay.render.film import Effort
-from diethrow.replay.render.film_set import Look, lamp_beside
+from diethrow.replay.render.mitsuba_scene import Look, lamp_beside
+from diethrow.replay.render.renderer import Effort
 from diethrow.replay.render.sensor import Sensor
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.clip import open_clip

@@ -20,7 +20,7 @@ import numpy as np
 from footage_files import write_video
 from make_data_samples import X264
 
-from diethrow.commands.model.film import FilmSettings, film
+from diethrow.commands.model.filmed_throw import FilmSettings, film
 from diethrow.files.plan import read_plan
 from diethrow.tracking.footage.clip import open_clip
 

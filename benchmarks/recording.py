@@ -22,7 +22,7 @@ from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.replay.elements.record import Record
-from diethrow.replay.recording.recording import write_recording
+from diethrow.replay.recording.throw_recording import write_recording
 from diethrow.tracking.track import Track
 
 FPS = 1500.0

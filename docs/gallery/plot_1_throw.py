@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from diethrow.model import CoulombImpact, SmoothImpact, State, make_die, throw_die
-from diethrow.replay.figures.throw_figures import throw_heights
+from diethrow.replay.figures.throw_plots import throw_heights
 
 die = make_die("cube", edge_m=0.02, mass_kg=0.016)
 release = State(0.0, np.array([0, 0, 0.3]), np.array([1.0, 0, 0, 0]), np.array([0.6, 0, -0.7]), np.array([3.0, 40, 2]))

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 
-from diethrow.commands.model.basins import BasinsPlan, axes_of, basins
-from diethrow.replay.figures.maps import basin_map
+from diethrow.commands.model.basin_maps import BasinsPlan, axes_of, basins
+from diethrow.replay.figures.ensembles import basin_map
 
 x, y = axes_of(("z0", 0.1, 0.4), ("omega_eta", 0.0, 50.0), None, (300, 200))
 plan = BasinsPlan(x, y)

@@ -4,7 +4,7 @@ from .account import Account as Account
 from .calibration import calibration_page as calibration_page
 from .captioned_figures import write_figures as write_figures
 from .check import check_page as check_page
-from .page import STYLE as STYLE
+from .page_parts import STYLE as STYLE
 from .report import write_report as write_report
 from .throw import throw_page as throw_page
 from .trade import Setting as Setting

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...tracking.calibration import INTRINSICS, Calibration, SeenBoard, TablePose
 from ..elements import AXIS_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
-from .page import as_address, as_table, captioned, drawing, plotted, whole_page
+from .page_parts import as_address, as_table, captioned, drawing, plotted, whole_page
 
 BLUE, ORANGE, GREY = hex_colour(MEASURED), hex_colour(SIMULATED), hex_colour(IMPACT)
 ARROW_SHARE = 0.06

@@ -15,9 +15,9 @@ from matplotlib.axes import Axes
 from ...tracking.camera import Camera
 from ...tracking.footage import Clip
 from ..elements import Motion, Record, motions_of, residuals
-from ..figures import COLUMNS, bounce_strip, rows_of_strip, stroboscope, throw_figures
+from ..figures import COLUMNS, bounce_strip, rows_of_strip, stroboscope, throw_plots
 from .account import Account
-from .page import SAVING, as_address, captioned, drawing, legended
+from .page_parts import SAVING, as_address, captioned, drawing, legended
 
 WIDE, NARROW = 8.4, 5.2
 """Widths [inches]: of the page's text, and of what needs less."""
@@ -117,13 +117,13 @@ def heights(record: Record) -> Plate:
 
     def draw(ax: Axes) -> Axes:
         measured = track.time_s, track.position_m, track.quaternion
-        throw_figures.corner_heights(ax, solid, *measured, record.measured.bounces, label="measured")
+        throw_plots.corner_heights(ax, solid, *measured, record.measured.bounces, label="measured")
         if simulated is not None:
             seen = np.flatnonzero(track.tracked)
             # The model goes on where nothing was seen; the figure shows the stretch that can be compared.
             rows = slice(seen[0], seen[-1] + 1) if len(seen) and len(simulated) == len(track) else slice(None)
             model = simulated.time_s[rows], simulated.position_m[rows], simulated.quaternion[rows]
-            throw_figures.corner_heights(ax, solid, *model, label="simulated")
+            throw_plots.corner_heights(ax, solid, *model, label="simulated")
         return ax
 
     caption = "Height of every corner over time: measured dots"
@@ -139,7 +139,7 @@ def restitutions(record: Record) -> Iterator[Plate]:
     chi = record.fit.parameters.get("chi") if record.fit is not None else None
     caption = "Apparent restitution of every bounce with its interval"
     caption += ", and the fitted χ with its own as a band." if chi is not None and chi.value is not None else "."
-    yield Plate("restitution", (NARROW, 2.9), caption, lambda ax: throw_figures.restitution(ax, impacts, chi))
+    yield Plate("restitution", (NARROW, 2.9), caption, lambda ax: throw_plots.restitution(ax, impacts, chi))
 
 
 def misfits(record: Record, account: Account) -> Iterator[Plate]:
@@ -157,26 +157,26 @@ def misfits(record: Record, account: Account) -> Iterator[Plate]:
             (WIDE, 2.3),
             "Measured minus simulated position, world axes, in standard errors of the measured one. "
             + (SMOOTHED if alone is None else FRAMES_ALONE),
-            lambda ax: throw_figures.position_sigmas(ax, in_sigmas, impacts),
+            lambda ax: throw_plots.position_sigmas(ax, in_sigmas, impacts),
         )
         yield Plate(
             "residuals_rotation_sigmas",
             (WIDE, 2.3),
             "The rotation from the simulated to the measured orientation about the world axes, likewise.",
-            lambda ax: throw_figures.turn_sigmas(ax, in_sigmas, impacts),
+            lambda ax: throw_plots.turn_sigmas(ax, in_sigmas, impacts),
         )
     if len(rest.frame):
         yield Plate(
             "residuals_position",
             (WIDE, 2.3),
             "Measured minus simulated position in millimetres.",
-            lambda ax: throw_figures.position_residuals(ax, rest, impacts),
+            lambda ax: throw_plots.position_residuals(ax, rest, impacts),
         )
         yield Plate(
             "residuals_angle",
             (WIDE, 2.1),
             "Angle between the measured and the simulated orientation.",
-            lambda ax: throw_figures.angle_residuals(ax, rest, impacts),
+            lambda ax: throw_plots.angle_residuals(ax, rest, impacts),
         )
 
 
@@ -194,12 +194,12 @@ def of_fit(record: Record) -> Iterator[Plate]:
             (NARROW, 4.5),
             "Correlations of what was fitted, in hundredths: position, rotation vector, velocity and angular velocity at the "
             "beginning, in world axes, and the free parameters.",
-            lambda ax: throw_figures.correlations(ax, covariance, names),
+            lambda ax: throw_plots.correlations(ax, covariance, names),
         )
     odds = fit.face_odds
     if odds:
         caption = "Where throws that are drawn from the fit and simulated on come to rest."
-        yield Plate("odds", (NARROW, 2.6), caption, lambda ax: throw_figures.face_odds(ax, odds))
+        yield Plate("odds", (NARROW, 2.6), caption, lambda ax: throw_plots.face_odds(ax, odds))
     if sum(bool(estimate.face_odds) for estimate in record.estimates) > 1:
         caption = (
             "Odds of the faces from the frames up to the end of each flight, by the effects of the whole fit. "
@@ -210,7 +210,7 @@ def of_fit(record: Record) -> Iterator[Plate]:
             "odds_on_the_way",
             (WIDE, 2.6),
             caption,
-            lambda ax: throw_figures.odds_on_the_way(ax, record.estimates, impacts),
+            lambda ax: throw_plots.odds_on_the_way(ax, record.estimates, impacts),
         )
 
 

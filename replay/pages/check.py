@@ -13,9 +13,9 @@ from ...tracking.camera import Camera
 from ...tracking.check import Finding, Sight, Verdict
 from ...tracking.footage import Clip
 from ..elements import Motion
-from ..figures import throw_figures
+from ..figures import throw_plots
 from .findings import COLOURS, findings_table
-from .page import as_address, captioned, drawing, plotted, whole_page
+from .page_parts import as_address, captioned, drawing, plotted, whole_page
 
 OWN_STYLE = "td:nth-child(-n+2) { white-space: nowrap; }"
 SHOWN = 3
@@ -65,7 +65,7 @@ def _film(sight: Sight, clip: Clip, camera: Camera, die: Die) -> str:
     )  # fmt: skip
     with drawing((8.4, 8.4 * clip.height_px / clip.width_px / SHOWN + 0.25)) as figure:
         for ax, row in zip(figure.subplots(1, SHOWN, squeeze=False)[0], chosen, strict=False):
-            throw_figures.edges_on_frame(ax, clip, camera, die.solid, [seen], int(track.frame[row]))
+            throw_plots.edges_on_frame(ax, clip, camera, die.solid, [seen], int(track.frame[row]))
             ax.set_title(f"frame {track.frame[row]}", fontsize=8.0, color="#5b6470")
         for ax in figure.axes:
             ax.set_axis_off()
@@ -77,7 +77,7 @@ def _heights(sight: Sight, die: Die) -> str:
     def draw(ax: Axes) -> Axes:
         track = sight.track
         impacts = sight.throw.impacts if sight.throw is not None else ()
-        throw_figures.corner_heights(
+        throw_plots.corner_heights(
             ax, die.solid, track.time_s, track.position_m, track.quaternion, impacts, label="measured"
         )
         return ax

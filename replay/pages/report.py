@@ -32,7 +32,7 @@ from . import captioned_figures
 from .account import Account
 from .embedded_viewer import PLACE, WITH_VIEWER, viewer_html
 from .findings import findings_table
-from .page import STILL, as_table, told_table, whole_page
+from .page_parts import STILL, as_table, told_table, whole_page
 
 if TYPE_CHECKING:
     from ...fitting.results import Fit, Parameter

@@ -12,7 +12,7 @@ from ..elements import bounce_sentence
 from ..figures import throw_heights
 from .captioned_figures import WIDE
 from .embedded_viewer import PLACE, WITH_VIEWER, viewer_html
-from .page import captioned, plotted, whole_page
+from .page_parts import captioned, plotted, whole_page
 
 MOST_BOUNCES = 50
 """Listed in words; a throw near χ = 1 has thousands."""

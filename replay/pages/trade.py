@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from ...tracking.footage import Coarseness
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour
 from .captioned_figures import Plate
-from .page import as_table, captioned, plotted, whole_page
+from .page_parts import as_table, captioned, plotted, whole_page
 
 FEW_TIMES = 8.0
 """Between settings that lie no further apart than this the axis of speed has numbers between 1, 2 and 5."""

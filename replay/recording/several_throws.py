@@ -30,9 +30,9 @@ from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
 from ..elements import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
-from .recording import open_recording
 from .scenery import eye_of, send_table
-from .several_throws_views import Cast, Joined, views_of
+from .several_throws_blueprint import Cast, Joined, views_of
+from .throw_recording import open_recording
 from .timelines import on_frames
 
 Array = NDArray[np.float64]

@@ -1,10 +1,10 @@
 """replay.render."""
 
-from .film import Effort as Effort
-from .film import Studio as Studio
-from .film import film_light as film_light
-from .film_set import Look as Look
-from .film_set import lamp_beside as lamp_beside
+from .mitsuba_scene import Look as Look
+from .mitsuba_scene import lamp_beside as lamp_beside
+from .renderer import Effort as Effort
+from .renderer import Studio as Studio
+from .renderer import film_light as film_light
 from .sensor import FixedPattern as FixedPattern
 from .sensor import Sensor as Sensor
 from .sensor import expose as expose

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from ...tracking.camera import Camera
-from .windows import Box
+from .image_boxes import Box
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from diethrow.cli.app import app
 from diethrow.commands.clip.track import open_footage
-from diethrow.commands.model.film import FilmSettings, camera_for, shot_of
+from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, shot_of
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
 from diethrow.files.truth import visibility

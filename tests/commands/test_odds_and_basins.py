@@ -15,15 +15,15 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.commands.model.basins import BasinsPlan, axes_of, basins, fixed_from
-from diethrow.commands.model.odds import OddsPlan, odds
+from diethrow.commands.model.basin_maps import BasinsPlan, axes_of, basins, fixed_from
+from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.files.work_file import WorkFile
 from diethrow.model.ensembles.basins import Axis
 from diethrow.model.ensembles.landings import ENDING_OF_INDEX
 from diethrow.model.ensembles.odds import Share, Tally, wilson_interval
 from diethrow.model.throw.simulate import Ending
-from diethrow.replay.elements.palette import FACE_COLOURS, NOWHERE, OPEN, TOP
-from diethrow.replay.figures.maps import basin_map, colours_of, face_odds
+from diethrow.replay.elements.colours import FACE_COLOURS, NOWHERE, OPEN, TOP
+from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
 
 PLAN = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 40.0, throws=500, after=2)
 SMALL = BasinsPlan(Axis("z0", 0.1, 0.4, 20), Axis("omega_eta", 0.0, 50.0, 30))
@@ -112,7 +112,7 @@ def test_odds_that_were_stopped_go_on_to_the_same_counts(tmp_path: Path) -> None
 
 
 def test_a_map_that_was_stopped_goes_on_to_the_same_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.commands.model.basins.CHUNK_PIXELS", 80)
+    monkeypatch.setattr("diethrow.commands.model.basin_maps.CHUNK_PIXELS", 80)
     whole, _ = basins(SMALL, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         basins(SMALL, tmp_path / "out", progress=StopAt(12))
@@ -142,7 +142,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diethrow.commands.model.odds.tally_throws", stopped)
+    monkeypatch.setattr("diethrow.commands.model.face_odds.tally_throws", stopped)
     status, _, message = invoke("odds", "--out", tmp_path / "out")
     assert status == 130
     assert "--resume" in message
@@ -214,7 +214,7 @@ def test_a_basin_is_written_whole(tmp_path: Path) -> None:
 
 
 def test_predictability_is_measured_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("diethrow.commands.model.basins.BALL_THROWS", 60)
+    monkeypatch.setattr("diethrow.commands.model.basin_maps.BALL_THROWS", 60)
     words = ("--pixels", 5, 5, "--chi", 0.05, "--predictability", "--samples", 200, "--out", tmp_path / "out")
     status, said, notes = invoke("basins", *words)
     assert status == 0, notes

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 
 import diethrow.commands.results.viewer
 from diethrow.cli.app import app
-from diethrow.commands.results.replays import COLUMNS, find_recordings, join
+from diethrow.commands.results.joined_recordings import COLUMNS, find_recordings, join
 from diethrow.commands.results.viewer import NOBODY, TALKATIVE, open_viewer, silent_environment
-from diethrow.replay.recording.recording import write_recording
+from diethrow.replay.recording.throw_recording import write_recording
 
 
 def invoke(*words: object) -> tuple[int, str, str]:

@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.commands.results.repeat import compare
+from diethrow.commands.results.repeated_run import compare
 
 SAMPLE = Path(__file__).parents[2] / "data_samples"
 

@@ -13,12 +13,12 @@ from diethrow.cli.app import app
 from diethrow.files.outputs import OutputExistsError
 from diethrow.model.ensembles.odds import Share
 from diethrow.paper import replication as paper_module
-from diethrow.paper.bounces import last_other, settled
-from diethrow.paper.flights import STATED, best_labelling, by_chance, placements, released
-from diethrow.paper.odds import agrees, crossings, judge
+from diethrow.paper.bounces_to_rest import last_other, settled
+from diethrow.paper.corner_sequences import STATED, best_labelling, by_chance, placements, released
+from diethrow.paper.release_face_odds import agrees, crossings, judge
 from diethrow.paper.replication import PARTS, PaperPlan, paper, plan_of, summary
+from diethrow.paper.results import FULL, Effort, Result, Run, Verdict, cell, tetrahedron
 from diethrow.paper.solids import CUTS, FAIR, fair_cut
-from diethrow.paper.values import FULL, Effort, Result, Run, Verdict, cell, tetrahedron
 
 TINY = Effort(1000, 200, 24, 8, 64, 32, 2, 30, 100, 2, 80)
 

@@ -52,7 +52,7 @@ def throw(
         from ..files.plan import read_plan
 
         checked = read_plan(plan)
-        from ..commands.model.throw import throw as simulate
+        from ..commands.model.simulated_throw import throw as simulate
 
         command = (*command_words("throw", plan, out, force), *flag_words("--embed-replay", embed_replay))
         with announcing():
@@ -104,8 +104,8 @@ def film(
 
         checked = read_plan(plan)
         seen = read_scene(scene, allow_outside=True) if scene else None  # no footage is opened
-        from ..commands.model.film import FilmSettings
-        from ..commands.model.film import film as shoot
+        from ..commands.model.filmed_throw import FilmSettings
+        from ..commands.model.filmed_throw import film as shoot
 
         with checked_options():
             settings = FilmSettings(
@@ -169,7 +169,7 @@ def odds(
     """Landing probability of every face, with intervals; throws that do not land are counted by how they end."""
     with one_sentence_errors(), resumable_work():
         with checked_options():
-            from ..commands.model.odds import OddsPlan
+            from ..commands.model.face_odds import OddsPlan
             from ..model.laws import Table
 
             plan = OddsPlan(
@@ -186,8 +186,8 @@ def odds(
                 mu=mu,
                 table=Table(amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase),
             )
-        from ..commands.model.odds import odds as throw_often
-        from ..commands.model.odds import summary
+        from ..commands.model.face_odds import odds as throw_often
+        from ..commands.model.face_odds import summary
 
         with executor_for(scheduler) as executor, progress_bars() as progress:
             tallies = throw_often(
@@ -265,7 +265,7 @@ def basins(
     """Basins of attraction: the landed face over a plane of initial conditions, as picture and data."""
     with one_sentence_errors(), resumable_work():
         with checked_options():
-            from ..commands.model.basins import BasinsPlan, axes_of, fixed_from
+            from ..commands.model.basin_maps import BasinsPlan, axes_of, fixed_from
             from ..model.laws import Table
 
             horizontal, vertical = axes_of(x, y, zoom, pixels)
@@ -284,8 +284,8 @@ def basins(
                 conditions=samples,
                 seed=seed,
             )
-        from ..commands.model.basins import basins as map_basins
-        from ..commands.model.basins import summary
+        from ..commands.model.basin_maps import basins as map_basins
+        from ..commands.model.basin_maps import summary
 
         with executor_for(scheduler) as executor, progress_bars() as progress:
             mapped, measured = map_basins(
@@ -341,7 +341,7 @@ def lyapunov(
     """The largest Lyapunov exponent of a bouncing die; by default from the start of the paper's Fig. 5."""
     with one_sentence_errors():
         with checked_options():
-            from ..commands.model.lyapunov import LyapunovPlan
+            from ..commands.model.lyapunov_exponents import LyapunovPlan
             from ..model.laws import Table
 
             plan = LyapunovPlan(
@@ -360,8 +360,8 @@ def lyapunov(
                 velocity_m_s=velocity,
                 omega_body_rad_s=omega_body,
             )
-        from ..commands.model.lyapunov import lyapunov as follow
-        from ..commands.model.lyapunov import summary
+        from ..commands.model.lyapunov_exponents import lyapunov as follow
+        from ..commands.model.lyapunov_exponents import summary
 
         with progress_bars() as progress:
             result = follow(plan, out, force=force, progress=progress, command=as_typed())

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from ..commands.clip.calibrate import CameraFound
     from ..commands.clip.check import Check
     from ..commands.clip.joint_fit import FitOfMany
-    from ..commands.model.film import Shot
-    from ..commands.results.replays import ThrowRecording
+    from ..commands.model.filmed_throw import Shot
+    from ..commands.results.joined_recordings import ThrowRecording
     from ..fitting.results import Parameter
     from ..model.throw import ThrowResult
     from ..replay.pages import Trade

@@ -54,7 +54,7 @@ def replay(
 ) -> None:
     """Show throws: a table, one recording of several throws, or the viewer."""
     with one_sentence_errors():
-        from ..commands.results.replays import find_recordings, gather, join
+        from ..commands.results.joined_recordings import find_recordings, gather, join
 
         found = find_recordings(throws)
         print_throws(found)
@@ -90,8 +90,8 @@ def rerun(
     The exit status is 0 where they do, 1 where they do not or cannot be made again.
     """
     with one_sentence_errors():
-        from ..commands.results.repeat import rerun as make_again
-        from ..commands.results.repeat import summary
+        from ..commands.results.repeated_run import rerun as make_again
+        from ..commands.results.repeated_run import summary
 
         comparison = make_again(folder, within=within)
         for line in summary(comparison):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..replay.elements import IMPACT, MEASURED, SIMULATED, hex_colour
 from ..replay.pages import STYLE
-from .values import Picture, Result, Table, Verdict, cell
+from .results import Picture, Result, Table, Verdict, cell
 
 COLOURS = {
     Verdict.REPRODUCED: hex_colour(MEASURED),

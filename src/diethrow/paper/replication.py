@@ -16,14 +16,14 @@ from .. import __version__
 from ..files.outputs import whole_folder
 from ..files.provenance import Stopwatch, write_provenance
 from ..files.records import write_json
-from .bounces import bounces
-from .chaos import exponents
-from .flights import fig_5
-from .maps import fig_6, fig_7
-from .odds import odds_results
+from .basin_boundaries import fig_6, fig_7
+from .bounces_to_rest import bounces
+from .corner_sequences import fig_5
+from .lyapunov_exponents import exponents
 from .page import SOURCE, page
+from .release_face_odds import odds_results
+from .results import FULL, QUICK, Effort, Progress, Result, Run, Verdict
 from .solids import fig_2, inertias
-from .values import FULL, QUICK, Effort, Progress, Result, Run, Verdict
 
 PARTS: dict[str, Callable[[Run], tuple[Result, ...]]] = {
     "inertias": inertias,

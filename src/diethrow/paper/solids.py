@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from ..commands.model.odds import told
+from ..commands.model.face_odds import told
 from ..model.die import SHAPES, die_from_solid, make_die, truncated_dipyramid
 from ..model.ensembles import Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
-from .values import MASS_KG, Picture, Result, Run, Table, Verdict, cell, drawing
+from .results import MASS_KG, Picture, Result, Run, Table, Verdict, cell, drawing
 
 STATED_INERTIAS = {
     "tetrahedron": ("m a²/20", 1.0 / 20.0),

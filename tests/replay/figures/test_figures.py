@@ -14,10 +14,10 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from diethrow.fitting.predict.sequential import Estimate
-from diethrow.replay.elements.palette import MEASURED, SIMULATED, hex_colour
+from diethrow.replay.elements.colours import MEASURED, SIMULATED, hex_colour
 from diethrow.replay.elements.record import motions_of, residuals
-from diethrow.replay.figures import throw_figures
-from diethrow.replay.figures.multiple_exposure import COLUMNS, bounce_strip, rows_of_strip, stroboscope
+from diethrow.replay.figures import throw_plots
+from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, rows_of_strip, stroboscope
 from diethrow.replay.pages.account import Account
 from diethrow.replay.pages.captioned_figures import STATE_NAMES, of_fit, plates, write_figures
 
@@ -28,7 +28,7 @@ def axes() -> Axes:
 
 def heights(ax: Axes, label: str) -> Axes:
     track = made.track()
-    return throw_figures.corner_heights(
+    return throw_plots.corner_heights(
         ax, made.die().solid, track.time_s, track.position_m, track.quaternion, made.throw().impacts, label=label
     )
 
@@ -40,19 +40,19 @@ def drawn() -> list[Axes]:
     assert record.clip is not None
     return [
         heights(axes(), "measured"),
-        throw_figures.position_residuals(axes(), rest, impacts),
-        throw_figures.angle_residuals(axes(), rest, impacts),
-        throw_figures.sigma_residuals(axes(), rest, impacts),
-        throw_figures.position_sigmas(axes(), rest, impacts),
-        throw_figures.turn_sigmas(axes(), rest, impacts),
-        throw_figures.throw_heights(axes(), made.die().solid, made.throw()),
-        throw_figures.correlations(axes(), 1e-8 * np.eye(12), STATE_NAMES),
-        throw_figures.face_odds(axes(), {1: 0.7, 2: 0.3}),
-        throw_figures.odds_on_the_way(axes(), estimates(), impacts),
+        throw_plots.position_residuals(axes(), rest, impacts),
+        throw_plots.angle_residuals(axes(), rest, impacts),
+        throw_plots.sigma_residuals(axes(), rest, impacts),
+        throw_plots.position_sigmas(axes(), rest, impacts),
+        throw_plots.turn_sigmas(axes(), rest, impacts),
+        throw_plots.throw_heights(axes(), made.die().solid, made.throw()),
+        throw_plots.correlations(axes(), 1e-8 * np.eye(12), STATE_NAMES),
+        throw_plots.face_odds(axes(), {1: 0.7, 2: 0.3}),
+        throw_plots.odds_on_the_way(axes(), estimates(), impacts),
         stroboscope(axes(), *on_film),
         bounce_strip(axes(), *on_film, impacts),
-        throw_figures.restitution(axes(), impacts, made.fit().parameters["chi"]),
-        throw_figures.edges_on_frame(
+        throw_plots.restitution(axes(), impacts, made.fit().parameters["chi"]),
+        throw_plots.edges_on_frame(
             axes(), record.clip, made.camera(), made.die().solid, motions_of(record), made.FIRST_FRAME + 10
         ),
     ]
@@ -84,7 +84,7 @@ def test_measured_is_blue_dots_and_simulated_orange_lines() -> None:
 def test_the_lowest_corner_touches_the_table_at_the_impact() -> None:
     times = np.array([made.IMPACT_S])
     positions, quaternions = made.throw().poses(times)
-    ax = throw_figures.corner_heights(axes(), made.die().solid, times, positions, quaternions)
+    ax = throw_plots.corner_heights(axes(), made.die().solid, times, positions, quaternions)
     lowest = min(line.get_ydata()[0] for line in ax.lines[: len(made.die().solid.vertices)])
     # Rounding of a distance of 14 mm.
     assert lowest == pytest.approx(0.0, abs=1e-12)
@@ -100,12 +100,12 @@ def test_a_frame_outside_the_clip_is_refused() -> None:
     record = made.record()
     assert record.clip is not None
     with pytest.raises(IndexError, match="frame 0: the clip has 7 to 66"):
-        throw_figures.edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), 0)
+        throw_plots.edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), 0)
 
 
 def test_residuals_in_sigmas_are_the_residuals_over_their_standard_errors() -> None:
     moved_m, sigma_m = 3e-5, 1e-5  # sigma as in the made track
-    ax = throw_figures.position_sigmas(axes(), residuals(made.track(moved_m), made.track()))
+    ax = throw_plots.position_sigmas(axes(), residuals(made.track(moved_m), made.track()))
     x, y, z = (np.asarray(line.get_ydata(), float) for line in ax.lines[:3])
     np.testing.assert_allclose(x, moved_m / sigma_m, rtol=1e-9)
     np.testing.assert_allclose([y, z], 0.0, atol=1e-9)
@@ -114,7 +114,7 @@ def test_residuals_in_sigmas_are_the_residuals_over_their_standard_errors() -> N
 def test_correlations_are_those_of_the_covariance() -> None:
     sigmas = np.array([1e-6, 2.0, 30.0])
     wanted = np.array([[1.0, 0.5, -0.25], [0.5, 1.0, 0.0], [-0.25, 0.0, 1.0]])
-    ax = throw_figures.correlations(axes(), wanted * np.outer(sigmas, sigmas), ("a", "b", "c"))
+    ax = throw_plots.correlations(axes(), wanted * np.outer(sigmas, sigmas), ("a", "b", "c"))
     np.testing.assert_allclose(np.asarray(ax.images[0].get_array()), wanted, atol=1e-12)
     assert {text.get_text() for text in ax.texts} == {"50", "−25", "0"}
 

@@ -16,7 +16,7 @@ from browser import Page, opened
 from diethrow.replay.pages.embedded_viewer import viewer_files
 from diethrow.replay.pages.report import write_report
 from diethrow.replay.pages.throw import throw_page
-from diethrow.replay.recording.recording import write_recording, write_throw_recording
+from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 
 PHONE_PX = 390
 HOSTILE = "</script></style><script>window.fooled = 1</script><img src=x onerror='window.fooled = 1'>"

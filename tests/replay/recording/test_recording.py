@@ -18,11 +18,11 @@ from rrd_files import entities, rows, verify
 
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.replay.elements import video
-from diethrow.replay.elements.palette import MEASURED, SIMULATED
+from diethrow.replay.elements.colours import MEASURED, SIMULATED
 from diethrow.replay.elements.record import residuals
 from diethrow.replay.recording import recording, scenery
-from diethrow.replay.recording.recording import write_recording, write_throw_recording
 from diethrow.replay.recording.several_throws import properties_of
+from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 from diethrow.tracking.track import ABSENT
 
 

@@ -11,9 +11,9 @@ import replay_records as made
 from rrd_files import entities, rows, verify
 
 from diethrow.model.throw.motion import Throw
-from diethrow.replay.elements.palette import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
-from diethrow.replay.recording.recording import write_recording, write_throw_recording
+from diethrow.replay.elements.colours import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
 from diethrow.replay.recording.several_throws import Source, join_recordings, recoloured
+from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 
 LATER_FRAMES = 5
 EXACT_NS = round(1e9 * made.IMPACT_S)

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from rerun.experimental import ViewerClient
 
 from diethrow.commands.results.viewer import LOOPBACK, silent_environment, viewer_options, viewer_program
-from diethrow.replay.recording.recording import write_recording
 from diethrow.replay.recording.several_throws import Source, join_recordings
+from diethrow.replay.recording.throw_recording import write_recording
 
 TABS = ["Replay", "Bounces", "Residuals", "Fit"]
 HARMLESS = ("Software rasterizer", "adapter backend", "expect poor performance")

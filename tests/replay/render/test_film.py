@@ -12,13 +12,13 @@ from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES, Solid, convex_solid, inner_vertices
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
-from diethrow.replay.render.film import Effort, Studio, film_light
-from diethrow.replay.render.film_set import Look, lamp_beside
+from diethrow.replay.render.die_surface import PIPS, TILE_PX, die_mesh, face_frame, face_paint
+from diethrow.replay.render.image_boxes import blend, rounded_up
 from diethrow.replay.render.lens import optics_of, undistorted
+from diethrow.replay.render.mitsuba_scene import Look, lamp_beside
+from diethrow.replay.render.renderer import Effort, Studio, film_light
 from diethrow.replay.render.sensor import Sensor, expose, fixed_pattern, rounded
-from diethrow.replay.render.skin import PIPS, TILE_PX, die_mesh, face_frame, face_paint
-from diethrow.replay.render.surfaces import SURFACES, table_paint
-from diethrow.replay.render.windows import blend, rounded_up
+from diethrow.replay.render.table_textures import SURFACES, table_paint
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.refine import refine_pose

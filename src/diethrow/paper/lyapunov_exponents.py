@@ -15,9 +15,9 @@ from ..model.ensembles import CONDITIONS, LyapunovExponents, largest_lyapunov_ex
 from ..model.laws import LEVEL, SmoothImpact, Table
 from ..model.throw import State, unpacked_state
 from ..replay.elements import FACE_COLOURS, hex_colour
-from .flights import START
-from .values import CHI, Picture, Result, Run, Verdict, cell, cube, drawing, tetrahedron
-from .values import Table as Rows
+from .corner_sequences import START
+from .results import CHI, Picture, Result, Run, Verdict, cell, cube, drawing, tetrahedron
+from .results import Table as Rows
 
 STATED = {"tetrahedron": 0.076, "cube": 0.067}
 STATED_ON_MOVING = {"tetrahedron": 0.169, "cube": 0.183}

@@ -28,10 +28,10 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ...tracking.camera import Camera
-from .film_set import UPSIDE_DOWN, Look, scene_of, sensor_axes
+from .image_boxes import Box, blend, box_about, merged, part_of, rounded_up
 from .lens import FINER, optics_of
-from .surfaces import is_mirror
-from .windows import Box, blend, box_about, merged, part_of, rounded_up
+from .mitsuba_scene import UPSIDE_DOWN, Look, scene_of, sensor_axes
+from .table_textures import is_mirror
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from diethrow.model.die.solid import SHAPES, isohedral_solid
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.replay.elements.outline import outlines
+from diethrow.replay.elements.edges_in_view import outlines
 
 
 @pytest.mark.parametrize("shape", SHAPES)

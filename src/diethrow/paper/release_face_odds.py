@@ -11,11 +11,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, sqrt
 
-from ..commands.model.odds import told
+from ..commands.model.face_odds import told
 from ..model.ensembles import PaperConditions, Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
-from .values import CHI, CUBE_EDGE_M, Picture, Result, Run, Table, Verdict, cell, cube, drawing
+from .results import CHI, CUBE_EDGE_M, Picture, Result, Run, Table, Verdict, cell, cube, drawing
 
 HEIGHT_M = (15.0 * CUBE_EDGE_M, 20.0 * CUBE_EDGE_M)
 SPINS_RAD_S = (20.0, 30.0, 40.0, 300.0, 1000.0)

@@ -23,7 +23,7 @@ from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_multiply
 from ..model.throw import Impact, State, ThrowResult, Until, throw_die, unpacked_state
 from ..model.world import GRAVITY_M_S2
 from ..replay.figures import corner_heights
-from .values import CHI, Picture, Result, Run, Table, Verdict, cell, cube, drawing, tetrahedron
+from .results import CHI, Picture, Result, Run, Table, Verdict, cell, cube, drawing, tetrahedron
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from ..commands.model.basins import BALL_EPSILONS, EPSILONS
+from ..commands.model.basin_maps import BALL_EPSILONS, EPSILONS
 from ..model.ensembles import (
     FIG_6_CONDITIONS,
     Axis,
@@ -30,7 +30,7 @@ from ..model.ensembles import (
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
 from ..replay.figures import basin_map
-from .values import CHI, Picture, Result, Run, Table, Verdict, cell, drawing, tetrahedron
+from .results import CHI, Picture, Result, Run, Table, Verdict, cell, drawing, tetrahedron
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]

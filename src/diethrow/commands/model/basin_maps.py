@@ -37,7 +37,7 @@ from ...model.ensembles import (
 )
 from ...model.laws import LEVEL, Table
 from ...replay.figures import ball_measures, basin_map, colours_of, uncertain_shares
-from .odds import law_of, told
+from .face_odds import law_of, told
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]

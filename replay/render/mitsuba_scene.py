@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...tracking.camera import Camera
+from .die_surface import Mesh, die_mesh, face_paint
+from .image_boxes import Box
 from .lens import Optics
-from .skin import Mesh, die_mesh, face_paint
-from .surfaces import WIDTH_M, is_mirror, table_paint
-from .windows import Box
+from .table_textures import WIDTH_M, is_mirror, table_paint
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]

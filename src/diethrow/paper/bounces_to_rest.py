@@ -9,7 +9,7 @@ from ..model.die import make_die
 from ..model.ensembles import BLOCK, ThrowSetup, UniformConditions, chunks_in_order, drawn_states
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
-from .values import MASS_KG, Picture, Result, Run, Table, Verdict, drawing
+from .results import MASS_KG, Picture, Result, Run, Table, Verdict, drawing
 
 Counts = NDArray[np.int64]
 
