@@ -14,4 +14,5 @@ from .solid import numbered_solid as numbered_solid
 from .solid import truncated_dipyramid as truncated_dipyramid
 from .symmetry import die_symmetries as die_symmetries
 from .symmetry import inversion_rotation as inversion_rotation
+from .symmetry import nearest_equivalent_rotation as nearest_equivalent_rotation
 from .symmetry import symmetry_rotations as symmetry_rotations

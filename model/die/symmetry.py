@@ -1,4 +1,9 @@
-"""model.die.symmetry."""
+"""Rotations that leave a die unchanged, and the choice among the orientations that they make indistinguishable.
+
+An unmarked die in the orientation R looks the same in every orientation R S, with S a symmetry rotation of its solid. A
+measured orientation is therefore known up to such an S. `nearest_equivalent_rotation` chooses the one that agrees best
+with another orientation, and so labels the faces consistently.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +14,26 @@ import numpy as np
 from .die import Die
 from .solid import Array, Solid, plane_axes
 
+VERTEX_TOLERANCE = 1e-7
+"""Distance, in circumradii, within which a rotated vertex counts as equal to another. Rounding is 1e-15; the smallest
+distance between vertices that `solid.MIN_CUT` allows is 1e-6."""
+
+CONGRUENCE_TOLERANCE = 1e-9
+"""Difference of scalar products, in squared circumradii, within which two pairs of vertices are tried as congruent."""
+
+IDENTITY_TOLERANCE = 1e-7
+"""Largest element of S - 1 at which a rotation S is the identity."""
+
+INERTIA_TOLERANCE = 1e-7
+"""Change of a tensor element, in traces of the tensor, at which a rotation still preserves the inertia."""
+
 
 @lru_cache(maxsize=16)
 def symmetry_rotations(solid: Solid) -> Array:
-    """The rotations (order, 3, 3) that carry the solid's vertices onto themselves, the identity first: 12 for the
-    tetrahedron, 24 for cube and octahedron, 60 for dodecahedron and icosahedron, 1 for a solid without symmetry."""
+    """The rotations (order, 3, 3) that map the solid's vertices onto themselves, the identity first.
+
+    12 for the tetrahedron, 24 for cube and octahedron, 60 for dodecahedron and icosahedron, 1 for a solid without symmetry.
+    """
     rotations = np.concatenate([np.eye(3)[None], _rotations_onto(solid, solid.vertices, other_than=np.eye(3))])
     rotations.setflags(write=False)
     return rotations
@@ -21,9 +41,11 @@ def symmetry_rotations(solid: Solid) -> Array:
 
 @lru_cache(maxsize=16)
 def inversion_rotation(solid: Solid) -> Array | None:
-    """A rotation (3, 3) that does to the solid what reflection through its centre does, -V = V Tᵀ as sets of vertices: the
-    identity of a solid with such a centre, and for a tetrahedron a quarter turn about an axis through the middles of two
-    edges; the least turn of several. None of a solid without any."""
+    """A rotation T (3, 3) that maps the solid onto its reflection through the centre: -V = V Tᵀ as sets of vertices V.
+
+    The identity for a solid with a centre of symmetry. For a tetrahedron a quarter turn about an axis through the midpoints
+    of two edges. Of several rotations the one with the smallest angle; None if there is none.
+    """
     rotations = _rotations_onto(solid, -solid.vertices)
     if not len(rotations):
         return None
@@ -32,8 +54,36 @@ def inversion_rotation(solid: Solid) -> Array | None:
     return least
 
 
+def die_symmetries(die: Die) -> Array:
+    """The symmetry rotations (order, 3, 3) of the solid that preserve the die's centre of mass and inertia as well."""
+    rotations = symmetry_rotations(die.solid)
+    if die.is_spherical_top:
+        return rotations
+    centre = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
+    tensor = np.asarray(die.inertia_tensor_kg_m2)
+    moved = np.linalg.norm(rotations @ centre - centre, axis=1)
+    changed = np.abs(rotations @ tensor @ rotations.transpose(0, 2, 1) - tensor).max(axis=(1, 2))
+    keeps_centre = moved <= VERTEX_TOLERANCE * die.solid.circumradius
+    keeps_inertia = changed <= INERTIA_TOLERANCE * float(np.trace(tensor))
+    return np.asarray(rotations[keeps_centre & keeps_inertia])
+
+
+def nearest_equivalent_rotation(rotation: Array, wanted: Array, symmetries: Array) -> Array:
+    """Of the orientations that draw the same body as `rotation` (..., 3, 3), the one nearest to `wanted` (..., 3, 3).
+
+    `symmetries` (order, 3, 3) are those of the body, from `symmetry_rotations` or `die_symmetries`. The smallest angle
+    between R S and `wanted` is the largest trace of (R S)ᵀ `wanted`; of equal ones the first S is taken.
+    """
+    equivalent = rotation[..., None, :, :] @ symmetries
+    nearest = np.einsum("...nij,...ij->...n", equivalent, wanted).argmax(-1)
+    return np.asarray(np.take_along_axis(equivalent, nearest[..., None, None, None], axis=-3)[..., 0, :, :])
+
+
 def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = None) -> Array:
-    """The rotations (n, 3, 3) that carry the solid's vertices onto others (v, 3) at the same distances."""
+    """The rotations (n, 3, 3) that map the solid's vertices onto `others` (v, 3), which are as far from the centre.
+
+    A rotation is fixed by where it takes two vertices, so every pair of `others` that is congruent to one such pair is tried.
+    """
     V = solid.vertices
     size = solid.circumradius
     first = int(np.argmax(np.linalg.norm(V, axis=1)))
@@ -42,24 +92,12 @@ def _rotations_onto(solid: Solid, others: Array, *, other_than: Array | None = N
     found = []
     for p in others:
         for q in others:
-            alike = abs(p @ p - V[first] @ V[first]) + abs(q @ q - V[second] @ V[second])
-            if alike + abs(p @ q - V[first] @ V[second]) > 1e-9 * size**2:
+            mismatch = abs(p @ p - V[first] @ V[first]) + abs(q @ q - V[second] @ V[second])
+            if mismatch + abs(p @ q - V[first] @ V[second]) > CONGRUENCE_TOLERANCE * size**2:
                 continue
-            turn = plane_axes(p, q) @ own.T
-            gaps = np.linalg.norm((V @ turn.T)[:, None] - others[None], axis=2).min(1)
-            if gaps.max() < 1e-7 * size and (other_than is None or np.abs(turn - other_than).max() > 1e-7):
-                found.append(turn)
+            rotation = plane_axes(p, q) @ own.T
+            gaps = np.linalg.norm((V @ rotation.T)[:, None] - others[None], axis=2).min(1)
+            is_excluded = other_than is not None and np.abs(rotation - other_than).max() <= IDENTITY_TOLERANCE
+            if gaps.max() < VERTEX_TOLERANCE * size and not is_excluded:
+                found.append(rotation)
     return np.array(found).reshape(-1, 3, 3)
-
-
-def die_symmetries(die: Die) -> Array:
-    """The rotations (order, 3, 3) of the solid that keep the die's centre of mass and inertia as well."""
-    turns = symmetry_rotations(die.solid)
-    if die.is_spherical_top:
-        return turns
-    shift = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
-    tensor = np.asarray(die.inertia_tensor_kg_m2)
-    keeps_centre = np.linalg.norm(turns @ shift - shift, axis=1) <= 1e-7 * die.solid.circumradius
-    turned = turns @ tensor @ turns.transpose(0, 2, 1)
-    keeps_inertia = np.abs(turned - tensor).max(axis=(1, 2)) <= 1e-7 * float(np.trace(tensor))
-    return np.asarray(turns[keeps_centre & keeps_inertia])

@@ -20,7 +20,6 @@ from .refine import Pose as Pose
 from .refine import blur_step as blur_step
 from .refine import contour_leans as contour_leans
 from .refine import covariances as covariances
-from .refine import labelled_like as labelled_like
 from .refine import refine_pose as refine_pose
 from .refine import weak_prior as weak_prior
 from .refine_kernels import look as look

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat
 from ..picture import COARSE, View, visible_faces
 from .manual_input import FEWEST_CLICKS, HandStart
-from .refine import Pose, labelled_like, refine_pose
+from .refine import Pose, refine_pose
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -187,5 +188,5 @@ def _labelled_as_given(view: View, pose: Pose, start: HandStart) -> Pose:
     """The refined pose under the labelling that was given; where none was, as it came out."""
     if start.quaternion is None:
         return pose
-    turned = labelled_like(view, pose.rotation, matrix_from_quat(start.quaternion))
+    turned = nearest_equivalent_rotation(pose.rotation, matrix_from_quat(start.quaternion), view.symmetries)
     return Pose(**{**vars(pose), "rotation": turned})

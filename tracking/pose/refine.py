@@ -149,10 +149,3 @@ def blur_step(
     information = float(H[BLUR, BLUR] - H[:6, BLUR] @ reply[:, 0])
     pull = float(g[BLUR] - H[:6, BLUR] @ reply[:, 1])
     return (pull / information, information) if information > 0.0 else (0.0, 0.0)
-
-
-def labelled_like(view: View, rotation: Array, wanted: Array) -> Array:
-    """Of the orientations (..., 3, 3) that draw the same die as `rotation`, the one nearest to `wanted`, of one or of many."""
-    alike = rotation[..., None, :, :] @ view.symmetries
-    nearest = np.einsum("...nij,...ij->...n", alike, wanted).argmax(-1)
-    return np.asarray(np.take_along_axis(alike, nearest[..., None, None, None], axis=-3)[..., 0, :, :])

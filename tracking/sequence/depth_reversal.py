@@ -15,10 +15,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import inversion_rotation
+from ...model.die import inversion_rotation, nearest_equivalent_rotation
 from ..footage import Reel
 from ..picture import View
-from ..pose import Pose, Seen, as_track, labelled_like, refine_pose, same_picture
+from ..pose import Pose, Seen, as_track, refine_pose, same_picture
 from ..throw import LITTLE_SLACK, fit_flights, sightings
 from ..track import Track
 from .frame_to_frame import Chase
@@ -186,5 +186,5 @@ def _taken_over(view: View, seen: Seen, other: Seen, run: slice) -> Seen:
         before, after = np.flatnonzero(out.known[:k]), k + np.flatnonzero(out.known[k:])
         if len(before) and len(after):
             there, here = out.rotation[before[-1]], out.rotation[after[0]]
-            out.rotation[k:] = out.rotation[k:] @ (here.T @ labelled_like(view, here, there))
+            out.rotation[k:] = out.rotation[k:] @ (here.T @ nearest_equivalent_rotation(here, there, view.symmetries))
     return out

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die
+from ...model.die import Die, nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
 from ..footage import Reel
 from ..picture import DEARER, Desk, View, new_desk, share_in_view, with_screen
-from ..pose import Pose, Seen, find_start, labelled_like, longest_leap, power_of_two, refine_pose
+from ..pose import Pose, Seen, find_start, longest_leap, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .motion_filter import chase, coast, correct
 
@@ -198,7 +198,7 @@ class Chase:
                 return None
             return self._found_again(image, time_s, R, abs(dt) / (self.misses + 1))
         pose, start = best
-        pose = replace(pose, rotation=labelled_like(self.view, pose.rotation, R))
+        pose = replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
         self._remember(pose, start, ahead, R, P, time_s, abs(dt) / (self.misses + 1))
         return pose
 
@@ -268,7 +268,7 @@ class Chase:
         ]
         if not found:
             return None
-        pose = replace(found[0], rotation=labelled_like(self.view, found[0].rotation, R))
+        pose = replace(found[0], rotation=nearest_equivalent_rotation(found[0].rotation, R, self.view.symmetries))
         self.motion = np.concatenate([pose.position_m, np.zeros(6)])
         self.rotation, self.P = pose.rotation.copy(), _unsure(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
         self.clock = np.array([time_s, pose.cost, 1.0])

@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import View
-from ..pose import Seen, labelled_like
+from ..pose import Seen
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ def labelled_across(view: View, seen: Seen, throw: Throw, times_s: Array) -> See
             )
             if _are_astray(view, seen.rotation[beside], flown).any():
                 before, after = seen.rotation[beside]
-        relabel = after.T @ labelled_like(view, after, before @ relabel)
+        relabel = after.T @ nearest_equivalent_rotation(after, before @ relabel, view.symmetries)
         end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
         mine = (times_s > impact.time_s) & (times_s <= end)
         rotation[mine] = rotation[mine] @ relabel
@@ -52,15 +53,15 @@ def labelled_along(view: View, seen: Seen, flown: Seen, first: Seen) -> Seen:
     """The sightings in the labelling of flights, which are `flown` on every frame, and where these lead ASTRAY_RAD away, in that
     of a first pass."""
     rows, rotation = np.flatnonzero(seen.known), seen.rotation.copy()
-    rotation[rows] = labelled_like(view, rotation[rows], flown.rotation[rows])
+    rotation[rows] = nearest_equivalent_rotation(rotation[rows], flown.rotation[rows], view.symmetries)
     astray = rows[first.known[rows] & _are_astray(view, rotation[rows], flown.rotation[rows])]
-    rotation[astray] = labelled_like(view, rotation[astray], first.rotation[astray])
+    rotation[astray] = nearest_equivalent_rotation(rotation[astray], first.rotation[astray], view.symmetries)
     return replace(seen, rotation=rotation)
 
 
 def _are_astray(view: View, rotation: Array, flown: Array) -> NDArray[np.bool_]:
     """(n,) where frames (n, 3, 3) lie too far from where they are flown (n, 3, 3)."""
-    return np.asarray(angles(labelled_like(view, rotation, flown), flown) > ASTRAY_RAD)
+    return np.asarray(angles(nearest_equivalent_rotation(rotation, flown, view.symmetries), flown) > ASTRAY_RAD)
 
 
 def angles(a: Array, b: Array) -> Array:

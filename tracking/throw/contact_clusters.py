@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die, symmetry_rotations
+from ...model.die import Die, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from ...model.throw import State, Throw, Until, throw_die
@@ -183,9 +183,9 @@ def _miss(seen: Sightings, throw: Throw, ends: tuple[int, int], die: Die) -> flo
 def _nearest(quaternion: Array, like: Array, die: Die) -> Array:
     """Orientations (n, 4) under the labelling that brings each nearest to `like` (n, 4)."""
     symmetries = symmetry_rotations(die.solid)
-    R, L = matrix_from_quat(quaternion), matrix_from_quat(like)
-    traces = np.einsum("nij,sjk,nik->ns", R, symmetries, L)
-    return quat_from_matrix(R @ symmetries[np.argmax(traces, axis=1)])
+    return quat_from_matrix(
+        nearest_equivalent_rotation(matrix_from_quat(quaternion), matrix_from_quat(like), symmetries)
+    )
 
 
 def _relabelled(seen: Sightings, joined: Joined, story: _Story, ends: tuple[int, int], die: Die) -> Sightings:

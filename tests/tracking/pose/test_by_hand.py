@@ -10,12 +10,13 @@ from footage_of_throws import DICE, FPS, film, photograph, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
 
+from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.picture.view import View, visible_faces
 from diethrow.tracking.pose.by_hand import poses_from_clicks, start_by_hand
 from diethrow.tracking.pose.manual_input import Click, HandStart, excluded_rows
-from diethrow.tracking.pose.refine import Pose, labelled_like
+from diethrow.tracking.pose.refine import Pose
 from diethrow.tracking.sequence.track_clip import follow
 from diethrow.tracking.track import LOST, TRACKED
 
@@ -43,7 +44,9 @@ def clicks(view: View, state: State, corners: NDArray[np.int64], error_px: float
 
 
 def turned_deg(view: View, pose: Pose, state: State, *, any_label: bool) -> float:
-    rotation = labelled_like(view, pose.rotation, state.rotation) if any_label else pose.rotation
+    rotation = (
+        nearest_equivalent_rotation(pose.rotation, state.rotation, view.symmetries) if any_label else pose.rotation
+    )
     return float(np.degrees(np.linalg.norm(rotation_between(quat_from_matrix(rotation), state.quaternion))))
 
 

@@ -14,6 +14,7 @@ from random_throws import random_quaternion
 
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import SHAPES
+from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
 from diethrow.tracking.picture.mirror_silhouette import shadowless_scores
@@ -30,7 +31,6 @@ from diethrow.tracking.picture.segmentation import (
 )
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.initial_pose import FACTORS, _trials, die_blobs, find_start
-from diethrow.tracking.pose.refine import labelled_like
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -50,7 +50,7 @@ def test_the_first_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> No
     # the pixels hold; the cone of attraction ends at about ten degrees.
     off = []
     for _, pose in found:
-        alike = labelled_like(view, pose.rotation, state.rotation)
+        alike = nearest_equivalent_rotation(pose.rotation, state.rotation, view.symmetries)
         off.append(np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))))
     best = int(np.argmin(off))
     assert off[best] < 0.5
@@ -153,7 +153,7 @@ def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
         image = photograph(smooth, DICE["cube"], state, rng)
     view = make_view(smooth.camera, DICE["cube"], smooth.table, 2.0, None, smooth.blur_px, mirror=True)
     found = find_start(view, image)
-    alike = labelled_like(view, found[0][1].rotation, state.rotation)
+    alike = nearest_equivalent_rotation(found[0][1].rotation, state.rotation, view.symmetries)
     assert np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))) < 0.5
     assert np.linalg.norm(found[0][1].position_m - state.position_m) < 0.1 * REACH_M
     box = (20, 20, 180, 180)

@@ -15,7 +15,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
 from diethrow.tracking.picture.view import outline_box, picture_scores, share_in_view, visible_faces
-from diethrow.tracking.pose.refine import Pose, labelled_like, refine_pose
+from diethrow.tracking.pose.refine import Pose, refine_pose
 
 Array = NDArray[np.float64]
 
@@ -240,19 +240,6 @@ def test_a_die_out_of_the_picture_has_no_pose() -> None:
     assert pose.covariance is None
     assert share_in_view(view, state.position_m, state.rotation) == 0.0
     assert outline_box(view, state.position_m, state.rotation, 4.0) is None
-
-
-@pytest.mark.parametrize("shape", SHAPES)
-def test_the_labelling_nearest_to_the_wanted_one_draws_the_same_die(shape: str) -> None:
-    rng = np.random.default_rng(6)
-    view, solid = ROOM.view(DICE[shape]), DICE[shape].solid
-    rotation, wanted = (matrix_from_quat(random_quaternion(rng)) for _ in range(2))
-    nearest = labelled_like(view, rotation, wanted)
-    gaps = np.linalg.norm((solid.vertices @ nearest.T)[:, None] - (solid.vertices @ rotation.T)[None], axis=2).min(1)
-    # The symmetries are computed from the vertices: rounding only.
-    assert gaps.max() < 1e-12
-    traces = [float(np.trace(wanted.T @ rotation @ s)) for s in view.symmetries]
-    assert np.trace(wanted.T @ nearest) == pytest.approx(max(traces), abs=1e-12)
 
 
 @pytest.mark.parametrize("shape", SHAPES)

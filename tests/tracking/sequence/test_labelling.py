@@ -10,11 +10,11 @@ from footage_of_throws import DICE, FPS, studio
 from random_throws import random_quaternion
 
 from diethrow.model.die.solid import SHAPES
+from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import Seen
-from diethrow.tracking.pose.refine import labelled_like
 from diethrow.tracking.sequence.labelling import labelled_across, labelled_along
 
 FRAMES, STRUCK = 24, 11.5
@@ -88,5 +88,5 @@ def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the
     assert labelled_along(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)
     # Where the first pass has none there is nothing else to go by.
     unknown = replace(first, known=np.zeros(FRAMES, bool))
-    nearest = labelled_like(view, refined.rotation, astray.rotation)
+    nearest = nearest_equivalent_rotation(refined.rotation, astray.rotation, view.symmetries)
     assert labelled_along(view, refined, astray, unknown).rotation == pytest.approx(nearest, abs=1e-12)
