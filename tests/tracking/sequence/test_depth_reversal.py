@@ -67,8 +67,9 @@ def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> Non
     assert np.median(both - whole) > 0.1
 
 
-def spinning_triangle() -> tuple[View, Reel, Flight]:
-    """A plain tetrahedron in flight that turns one face to the camera, 17 degrees aslant, and spins about the line of sight."""
+def spinning_triangle(seed: int = 1) -> tuple[View, Reel, Flight]:
+    """A plain tetrahedron in flight that turns one face to the camera, 17 degrees aslant, and spins about the line of sight;
+    `seed` is that of the pictures' noise."""
     room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
     position = np.array([0.0, 0.0, 0.03])
     toward = room.camera.centre_m - position
@@ -78,7 +79,7 @@ def spinning_triangle() -> tuple[View, Reel, Flight]:
     rotation = basis(looks) @ basis(die.solid.normals[0]).T
     release = State(0.0, position, quat_from_matrix(rotation), np.array([0.1, 0.0, -0.3]), 60.0 * toward)
     flight = Flight(release, np.inf)
-    return room.view(die), Reel([film(room, die, flight, FRAMES)]), flight
+    return room.view(die), Reel([film(room, die, flight, FRAMES, seed=seed)]), flight
 
 
 def basis(first: np.ndarray) -> np.ndarray:
@@ -110,8 +111,10 @@ def share_right(view: View, seen: Seen, flight: Flight, times_s: np.ndarray) -> 
     return float(np.sum(right)) / len(times_s)
 
 
-def test_a_die_that_was_taken_for_its_reversal_is_put_right() -> None:
-    view, reel, flight = spinning_triangle()
+@pytest.mark.parametrize("seed", [1, 3, 5, 9, 10])
+def test_a_die_that_was_taken_for_its_reversal_is_put_right(seed: int) -> None:
+    """In each of these noises the reversal fails on a single frame of the run, which must not end it."""
+    view, reel, flight = spinning_triangle(seed)
     wrong = seen_at(view, reel, flight, reverse=True)
     assert share_right(view, wrong, flight, reel.times_s) < 0.1
     assert share_right(view, put_right(view, reel, wrong, NONE_UNUSED), flight, reel.times_s) > 0.95
