@@ -65,7 +65,7 @@ SAME_EVENT_S = 1e-4
 ENDINGS = {
     "rest": engine.RESTED,
     "spinning": engine.SPINNING,
-    "spun long": engine.SPUN_LONG,
+    "spun long": engine.TIMED_OUT,
     "balanced": engine.BALANCED,
     "cap": engine.IMPACT_CAP,
 }

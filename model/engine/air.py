@@ -40,7 +40,7 @@ AIR_STEP_S = 0.005
 0.1 s, and drag is a tenth of gravity or less: an error of 1e-14 m in a flight, and of 1e-11 m where the die nearly
 stands still at the top, where |v| is no smooth function of time."""
 
-FLOW = 49
+FLOW_SIZE = 49
 """Numbers that a flight through the air carries along: p, v, seven pairs of disturbances of p and of v, and the time
 [s] since its start. The pairs are the derivatives by k, by v at the start (3), and by gravity (3)."""
 
@@ -72,17 +72,17 @@ def flow_rates(drag: float, plane: Plane, flow: Array, out: Array) -> None:
 
 
 @inner
-def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
+def integrate_flow(drag: float, plane: Plane, flow: Array, dt: float) -> None:
     """Carry `flow` (FLOW,) through `dt` [s] of flight, of either sign, in place."""
     steps = max(1, ceil(abs(dt) / AIR_STEP_S))
-    stages, now = np.empty((12, FLOW)), np.empty(FLOW)
+    stages, now = np.empty((12, FLOW_SIZE)), np.empty(FLOW_SIZE)
     for _ in range(steps):
         for s in range(13):
             copy_to(now, flow)
             for n in range(s):
                 weight = dt / steps * (RUNGE_KUTTA_A[s, n] if s < 12 else RUNGE_KUTTA_B[n])
                 if weight != 0.0:
-                    for k in range(FLOW):
+                    for k in range(FLOW_SIZE):
                         now[k] += weight * stages[n, k]
             if s < 12:
                 flow_rates(drag, plane, now, stages[s])
@@ -92,7 +92,7 @@ def drift(drag: float, plane: Plane, flow: Array, dt: float) -> None:
 @inner
 def start_flow(state: Array, flow: Array) -> None:
     """Make `flow` (FLOW,) that of a flight that begins with `state`."""
-    for k in range(FLOW):
+    for k in range(FLOW_SIZE):
         flow[k] = 0.0
     for k in range(3):
         flow[k], flow[3 + k] = state[k], state[7 + k]
@@ -100,12 +100,12 @@ def start_flow(state: Array, flow: Array) -> None:
 
 
 @compiled
-def flows(drag: float, start: Array, delays: Array) -> Array:
+def drag_trajectory(drag: float, start: Array, delays: Array) -> Array:
     """Positions and velocities (n, 6) that many seconds (n,) after a flight began with `start` (13,), world axes."""
-    flow, out = np.empty(FLOW), np.empty((delays.shape[0], 6))
+    flow, out = np.empty(FLOW_SIZE), np.empty((delays.shape[0], 6))
     for n in range(delays.shape[0]):
         start_flow(start, flow)
-        drift(drag, LEVEL, flow, delays[n])
+        integrate_flow(drag, LEVEL, flow, delays[n])
         for k in range(6):
             out[n, k] = flow[k]
     return out

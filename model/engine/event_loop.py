@@ -8,45 +8,64 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
-from .flight import advance, arm_of, first_touch, spin_of, swing, table_acceleration, table_height, table_velocity
+from .flight import (
+    advance,
+    first_touch,
+    height_terms,
+    lever_arm,
+    spin_rate,
+    table_acceleration,
+    table_height,
+    table_velocity,
+)
 from .held_contact import (
     clearance,
     contact_forces,
-    crossing,
+    event_instant,
     held_step,
-    lie_on,
+    lay_on_face,
     pressed_set,
-    spins_for_ever,
-    stand_on,
-    stop_approach,
-    stop_on,
+    project_on_contact,
+    remove_normal_velocity,
+    simultaneous_inelastic_impact,
+    spins_forever,
     touching_set,
 )
-from .impact import bounce
-from .log import copy_to, decided_face, energy_per_mass, grown, log_event, lowest_row, note_knot, rubs, state_after
-from .sliding_contact import rub, turn_and_move
+from .impact import apply_impact
+from .log import (
+    copy_to,
+    decided_face,
+    doubled_rows,
+    energy_per_mass,
+    has_friction,
+    lowest_face_row,
+    state_after,
+    write_event,
+    write_knot,
+)
+from .sliding_contact import follow_sliding_contact, move_freely
 from .types import (
     BALANCED,
-    FLIES,
+    FALSE,
     FORCE_I,
     FORCE_J,
+    FRICTION_STANDING_HEIGHT,
+    FRICTION_STEP_PART,
     IMPACT_CAP,
     IMPACTS_REACHED,
-    NEAR,
-    NEAR_RUBBED,
-    NO,
+    LOG_COLUMNS,
     NO_EVENT,
     NO_LIMIT,
     NONE,
-    PATIENCE,
+    NOT_ENDED,
     RESTED,
-    ROUNDING,
-    ROW,
-    RUBBED_PART,
+    ROUNDING_BOUND,
     SPINNING,
-    SPUN_LONG,
+    STANDING_HEIGHT,
     TIME_REACHED,
-    YES,
+    TIMED_OUT,
+    TIMEOUT,
+    TRUE,
     ZERO,
     Array,
     Body,
@@ -58,14 +77,14 @@ from .types import (
 
 
 @inner
-def slow_contact(law: Law, plane: Plane, precision: Precision, radius: float) -> float:
+def chatter_speed(law: Law, plane: Plane, precision: Precision, radius: float) -> float:
     """Speed [m/s] below which a vertex that accelerates into the table bounces on without end; see `contact`."""
     # With χ = 1 the bounces do not shrink, so nothing collapses.
     return 0.0 if law.parameters[0] >= 1.0 else precision.switch * sqrt(plane.g * radius)
 
 
 @inner
-def rest_on_face(plane: Plane, time: float, limit: float) -> float:
+def face_contact_duration(plane: Plane, time: float, limit: float) -> float:
     """How long [s] a face stays pressed on the table, no longer than `limit`."""
     strongest = plane.amplitude * plane.rate * plane.rate
     if strongest <= plane.g:
@@ -77,7 +96,7 @@ def rest_on_face(plane: Plane, time: float, limit: float) -> float:
 
 
 @inner
-def hold(
+def follow_held_contact(
     body: Body,
     plane: Plane,
     precision: Precision,
@@ -101,19 +120,19 @@ def hold(
     """
     begin = time
     fixed = plane.amplitude == 0.0
-    shake = plane.amplitude * plane.rate * plane.rate
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
         if keep:
             if known == knots.shape[0]:
-                knots = grown(knots)
-            note_knot(knots[known], segment, time, state)
+                knots = doubled_rows(knots)
+            write_knot(knots[known], segment, time, state)
             known += 1
         pull = plane.g + table_acceleration(plane, time)
-        if for_ever and fixed and balanced(body, state, i, j, pull):
+        if for_ever and fixed and is_balanced(body, state, i, j, pull):
             return BALANCED, time - begin, -1, knots, known
         dt = precision.turn / (
-            spin_of(state)
-            + sqrt((plane.g + shake) * body.radius * body.mass / body.inertia)
+            spin_rate(state)
+            + sqrt((plane.g + peak_table_acceleration) * body.radius * body.mass / body.inertia)
             + (0.0 if fixed else plane.rate)
         )
         dt = min(dt, begin + limit - time)
@@ -122,22 +141,22 @@ def hold(
         pull = plane.g + table_acceleration(plane, time + dt)
         n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
         if n_i <= 0.0:
-            first, event = earlier(body, plane, state, time, dt, i, j, FORCE_I, first, event, rates)
+            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_I, first, event, rates)
         if j >= 0 and n_j <= 0.0:
-            first, event = earlier(body, plane, state, time, dt, i, j, FORCE_J, first, event, rates)
+            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_J, first, event, rates)
         z_table = table_height(plane, time + dt)
         for k in range(body.vertices.shape[0]):
             if k != i and k != j:
                 within = dt
                 if clearance(body.vertices[k], after, z_table) > 0.0:
-                    within = dip(body, plane, state, after, time, dt, i, j, k, rates)
+                    within = instant_below_table(body, plane, state, after, time, dt, i, j, k, rates)
                 if within > 0.0:
-                    first, event = earlier(body, plane, state, time, within, i, j, k, first, event, rates)
+                    first, event = earlier_event(body, plane, state, time, within, i, j, k, first, event, rates)
         if event != NO_EVENT:
             if first > 0.0:
                 held_step(body, plane, state, time, first, i, j, rates, after)
                 copy_to(state, after)
-            return FLIES, time + first - begin, max(event, -1), knots, known
+            return NOT_ENDED, time + first - begin, max(event, -1), knots, known
         copy_to(state, after)
         time += dt
         if time >= begin + limit:
@@ -145,22 +164,22 @@ def hold(
 
 
 @inner
-def balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
+def is_balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
     """Whether a held die neither leans over nor begins to, but for rounding: it stands on its vertex or edge for ever."""
     rate = sqrt(pull / body.radius)
-    if max(abs(state[10]), abs(state[11])) > ROUNDING * rate:
+    if max(abs(state[10]), abs(state[11])) > ROUNDING_BOUND * rate:
         return False
     _, _, wx, wy = contact_forces(body, state, i, j, pull)
     if j < 0:
-        return bool(max(abs(wx), abs(wy)) <= ROUNDING * rate * rate)
+        return bool(max(abs(wx), abs(wy)) <= ROUNDING_BOUND * rate * rate)
     # An edge can only turn about itself.
-    a, b = arm_of(body.vertices[i], state), arm_of(body.vertices[j], state)
+    a, b = lever_arm(body.vertices[i], state), lever_arm(body.vertices[j], state)
     ex, ey = b[0] - a[0], b[1] - a[1]
-    return bool(abs(wx * ex + wy * ey) <= ROUNDING * rate * rate * sqrt(ex * ex + ey * ey))
+    return bool(abs(wx * ex + wy * ey) <= ROUNDING_BOUND * rate * rate * sqrt(ex * ex + ey * ey))
 
 
 @inner
-def dip(
+def instant_below_table(
     body: Body,
     plane: Plane,
     state: Array,
@@ -178,19 +197,22 @@ def dip(
         clearance(body.vertices[k], state, table_height(plane, time)),
         clearance(body.vertices[k], after, table_height(plane, time + dt)),
     )
-    v0, v1 = rise(body, plane, state, time, k), rise(body, plane, after, time + dt, k)
+    v0, v1 = vertex_velocity(body, plane, state, time, k), vertex_velocity(body, plane, after, time + dt, k)
     if v1 <= 0.0:
         return 0.0
     trial = np.empty(13)
-    if h0 <= NEAR * body.radius:
+    if h0 <= STANDING_HEIGHT * body.radius:
         # It stands on the table and is not held: whatever its velocity says, look.
         for part in (0.125, 0.25, 0.5):
             held_step(body, plane, state, time, part * dt, i, j, rates, trial)
-            if clearance(body.vertices[k], trial, table_height(plane, time + part * dt)) < -ROUNDING * body.radius:
+            if (
+                clearance(body.vertices[k], trial, table_height(plane, time + part * dt))
+                < -ROUNDING_BOUND * body.radius
+            ):
                 return part * dt
         return 0.0
     # A cubic through both ends misses the lowest height by far less than a twentieth of what it spans.
-    t, lowest = lowest_of_cubic(h0, v0 * dt, h1, v1 * dt)
+    t, lowest = cubic_minimum(h0, v0 * dt, h1, v1 * dt)
     if lowest > 0.05 * max(h0, h1):
         return 0.0
     t *= dt
@@ -204,7 +226,7 @@ def dip(
         held_step(body, plane, state, time, t, i, j, rates, trial)
         if clearance(body.vertices[k], trial, table_height(plane, time + t)) < 0.0:
             return t
-        v = rise(body, plane, trial, time + t, k)
+        v = vertex_velocity(body, plane, trial, time + t, k)
         if v < 0.0:
             low, v_low = t, v
         else:
@@ -215,14 +237,14 @@ def dip(
 
 
 @inner
-def rise(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
+def vertex_velocity(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
     """Vertical velocity [m/s] of vertex k relative to the table."""
-    x, y, _ = arm_of(body.vertices[k], state)
+    x, y, _ = lever_arm(body.vertices[k], state)
     return float(state[9] + state[10] * y - state[11] * x - table_velocity(plane, time))
 
 
 @inner
-def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
+def cubic_minimum(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
     """Where the least of seven values of the cubic with these ends and slopes on [0, 1] lies, and what it is."""
     lowest, where = inf, 0.5
     for m in range(1, 8):
@@ -235,7 +257,7 @@ def lowest_of_cubic(h0: float, d0: float, h1: float, d1: float) -> tuple[float, 
 
 
 @inner
-def earlier(
+def earlier_event(
     body: Body,
     plane: Plane,
     state: Array,
@@ -249,7 +271,7 @@ def earlier(
     rates: Array,
 ) -> tuple[float, int]:
     """The earlier of an event and the first one known so far."""
-    t = crossing(body, plane, state, time, dt, i, j, event, rates, np.empty(13))
+    t = event_instant(body, plane, state, time, dt, i, j, event, rates, np.empty(13))
     return (t, event) if t < first or best == NO_EVENT else (first, best)
 
 
@@ -276,31 +298,31 @@ def run_throw(
     state, before, after, rates = start.copy(), np.empty(13), np.empty(13), np.empty((12, 6))
     terms, room = np.empty((body.vertices.shape[0], 4)), np.empty((3, max(3, body.vertices.shape[0])))
     touching = np.empty(body.vertices.shape[0], np.int64)
-    log, knots = np.empty((64 if keep else 1, ROW)), np.empty((64 if keep else 1, 15))
-    slow = slow_contact(law, plane, precision, body.radius)
-    fixed, rough = plane.amplitude == 0.0, rubs(law)
+    log, knots = np.empty((64 if keep else 1, LOG_COLUMNS)), np.empty((64 if keep else 1, 15))
+    slow = chatter_speed(law, plane, precision, body.radius)
+    fixed, rough = plane.amplitude == 0.0, has_friction(law)
     active = np.zeros(body.vertices.shape[0], np.bool_)
     time, end, impacts, events, known = start_time, start_time + duration, 0, 0, ZERO
-    i, j, still = NONE, NONE, 0
+    i, j, zero_step_count = NONE, NONE, 0
     open_end = duration == inf
-    patience = inf
+    timeout = inf
     if open_end and not fixed:
-        patience = PATIENCE * sqrt(body.radius / plane.g)
+        timeout = TIMEOUT * sqrt(body.radius / plane.g)
     elif open_end and law.parameters[0] < 1.0:
-        patience = PATIENCE * max(1.0, 0.1 / (1.0 - law.parameters[0])) * sqrt(body.radius / plane.g)
+        timeout = TIMEOUT * max(1.0, 0.1 / (1.0 - law.parameters[0])) * sqrt(body.radius / plane.g)
     # When the die last had the energy to stand up and more; on a table that moves, when it last bounced.
-    lively = start_time
+    last_energetic_time = start_time
     while True:
         face = decided_face(body, law, plane, state) if fixed else -1
         if fixed and energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius:
-            lively = time
-        ending, hit, dt = FLIES, NONE, 0.0
+            last_energetic_time = time
+        ending, hit, dt = NOT_ENDED, NONE, 0.0
         reorder = False  # whether the contact is to be found anew
         if i < 0:
             if face >= 0 and stop_when_decided and not keep:
                 return RESTED, impacts, face, time, state, log[:0], knots[:0]
-            spin = spin_of(state)
-            swing(body.vertices, state, spin, terms)
+            spin = spin_rate(state)
+            height_terms(body.vertices, state, spin, terms)
             dt, hit, velocity, acceleration = first_touch(
                 terms, state[2], state[9], spin, body.radius, plane, time, precision.root, end - time
             )
@@ -310,24 +332,26 @@ def run_throw(
                 ending = TIME_REACHED
             elif impacts >= impact_limit:
                 ending = IMPACTS_REACHED
-            if ending != FLIES:
+            if ending != NOT_ENDED:
                 return ending, impacts, face, time + dt, state, log[: events if keep else 0], knots[:known]
             advance(state, spin, dt, plane)
             time += dt
             reorder = velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)
         else:
-            if (stop_when_decided and face >= 0) or (open_end and j == -2 and rest_on_face(plane, time, inf) == inf):
-                face = lowest_row(body.feet, state)
+            if (stop_when_decided and face >= 0) or (
+                open_end and j == -2 and face_contact_duration(plane, time, inf) == inf
+            ):
+                face = lowest_face_row(body.plumb_normals, state)
                 return RESTED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
             if rough:
-                ending, dt, hit, knots, known = rub(
+                ending, dt, hit, knots, known = follow_sliding_contact(
                     body,
                     law,
                     plane,
                     precision,
                     state,
                     time,
-                    min(end, lively + patience) - time,
+                    min(end, last_energetic_time + timeout) - time,
                     active,
                     open_end,
                     stop_when_decided,
@@ -339,26 +363,26 @@ def run_throw(
                 )
                 if keep:
                     if known == knots.shape[0]:
-                        knots = grown(knots)
-                    note_knot(knots[known], events - 1, time + dt, state)
+                        knots = doubled_rows(knots)
+                    write_knot(knots[known], events - 1, time + dt, state)
                     known += 1
                 if ending == RESTED:
-                    face = lowest_row(body.feet, state)
-                elif ending != FLIES and fixed:
+                    face = lowest_face_row(body.plumb_normals, state)
+                elif ending != NOT_ENDED and fixed:
                     face = decided_face(body, law, plane, state)
             elif j == -2:
-                dt = rest_on_face(plane, time, end - time)
-                carry_face(state, plane, time, dt)
+                dt = face_contact_duration(plane, time, end - time)
+                carry_on_face(state, plane, time, dt)
                 if time + dt >= end:
                     ending = TIME_REACHED
             else:
-                ending, dt, hit, knots, known = hold(
+                ending, dt, hit, knots, known = follow_held_contact(
                     body,
                     plane,
                     precision,
                     state,
                     time,
-                    min(end, lively + patience) - time,
+                    min(end, last_energetic_time + timeout) - time,
                     i,
                     j,
                     open_end,
@@ -371,37 +395,37 @@ def run_throw(
                 )
             time += dt
             if ending == TIME_REACHED and time < end:
-                ending = SPUN_LONG
-            if ending != FLIES:
+                ending = TIMED_OUT
+            if ending != NOT_ENDED:
                 return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
             # A face that the table has thrown off, and a die that no longer rubs, fly.
             reorder = hit >= 0 or not (rough or j == -2)
             if not reorder:
                 i, j = NONE, NONE
             if hit >= 0:
-                arm = arm_of(body.vertices[hit], state)
+                arm = lever_arm(body.vertices[hit], state)
                 reorder = state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time) >= -slow
                 if not reorder and impacts >= impact_limit:
                     return IMPACTS_REACHED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
-        still = still + 1 if dt == 0.0 else 0
-        if stop_when_decided and fixed and not rough and hit >= 0 and spins_for_ever(body, plane, state, hit):
+        zero_step_count = zero_step_count + 1 if dt == 0.0 else 0
+        if stop_when_decided and fixed and not rough and hit >= 0 and spins_forever(body, plane, state, hit):
             ending = SPINNING
-        elif time > lively + patience:
+        elif time > last_energetic_time + timeout:
             strikes = hit >= 0 and not reorder
             if energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius or (strikes and not fixed):
-                lively = time
+                last_energetic_time = time
             else:
-                ending = SPUN_LONG
-        if ending != FLIES:
+                ending = TIMED_OUT
+        if ending != NOT_ENDED:
             return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
         copy_to(before, state)
         if reorder:
-            near, leaving = NEAR * body.radius, slow
+            near, leaving = STANDING_HEIGHT * body.radius, slow
             if rough:
                 # The last step of contact with friction leaves the normal velocities right to the first order only.
-                near = NEAR_RUBBED * body.radius
-                rate = spin_of(state) + sqrt(plane.g / body.radius)
-                leaving = max(slow, RUBBED_PART * precision.turn * rate * body.radius)
+                near = FRICTION_STANDING_HEIGHT * body.radius
+                rate = spin_rate(state) + sqrt(plane.g / body.radius)
+                leaving = max(slow, FRICTION_STEP_PART * precision.turn * rate * body.radius)
             n = touching_set(body, plane, state, time, near, leaving, hit, touching)
             hit = -1
             if rough:
@@ -411,18 +435,18 @@ def run_throw(
                     active[touching[k]] = True
                 i, j = (touching[0] if n > 0 else -1), -3
             else:
-                stop_approach(body, plane, state, time, touching, n, room)
+                simultaneous_inelastic_impact(body, plane, state, time, touching, n, room)
                 i, j = pressed_set(body, plane, state, time, touching, n, room)
             if j == -2:
-                lie_on(body, plane, state, time, i)
+                lay_on_face(body, plane, state, time, i)
             elif i >= 0 and not rough:
-                stop_on(body, plane, state, time, i, j)
-                stand_on(body, plane, state, time, i, j)
-            if still > 3 and j != -2 and not rough:
+                remove_normal_velocity(body, plane, state, time, i, j)
+                project_on_contact(body, plane, state, time, i, j)
+            if zero_step_count > 3 and j != -2 and not rough:
                 # Rounding cannot tell whether the die still presses: carry it on a little, and it will be clear.
-                nudge = 1e-9 * still * sqrt(body.radius / plane.g)
+                nudge = 1e-9 * zero_step_count * sqrt(body.radius / plane.g)
                 if i < 0:
-                    advance(state, spin_of(state), nudge, plane)
+                    advance(state, spin_rate(state), nudge, plane)
                 else:
                     held_step(body, plane, state, time, nudge, i, j, rates, after)
                     copy_to(state, after)
@@ -430,29 +454,29 @@ def run_throw(
         elif hit >= 0:
             if impacts >= impact_cap:
                 return IMPACT_CAP, impacts, face, time, state, log[: events if keep else 0], knots[:known]
-            x, y, z = arm_of(body.vertices[hit], state)
+            x, y, z = lever_arm(body.vertices[hit], state)
             arm = (x, y, z - body.rounding)
-            bounce(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
+            apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
             i, j = NONE, NONE
             impacts += 1
-            lively = lively if fixed else time
+            last_energetic_time = last_energetic_time if fixed else time
         if keep:
             # The pose is continuous but for what holding a vertex takes away, within which it touched.
             for k in range(7):
                 before[k] = state[k]
             if events == log.shape[0]:
-                log = grown(log)
+                log = doubled_rows(log)
             held = float(i)
             if j == -3:
                 held = 0.0
                 for k in range(active.shape[0]):
                     held += 2.0**k if active[k] else 0.0
-            log_event(log[events], time, hit, before, state, held, j)
+            write_event(log[events], time, hit, before, state, held, j)
         events += 1
 
 
 @compiled
-def carry_face(state: Array, plane: Plane, time: float, dt: float) -> None:
+def carry_on_face(state: Array, plane: Plane, time: float, dt: float) -> None:
     """Carry a die that lies on a face of the table through dt [s], in place: it drifts and turns about the vertical."""
     spin = abs(state[12])
     advance(state, spin, dt, Plane(plane.gx, plane.gy, 0.0, 0.0, 0.0, 0.0))
@@ -468,7 +492,7 @@ def land_many(
     impacts, ending."""
     for k in range(starts.shape[0]):
         ending, impacts, face, _, _, _, _ = run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, YES, impact_cap, NO
+            body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, TRUE, impact_cap, FALSE
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
@@ -492,7 +516,7 @@ def poses_of_throw(
     """
     last = times[times.shape[0] - 1]
     ending, impacts, _, end, _, log, knots = run_throw(
-        body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, NO, impact_cap, YES
+        body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, FALSE, impact_cap, TRUE
     )
     rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
     event, knot = -1, 0
@@ -516,16 +540,16 @@ def poses_of_throw(
             begin = knots[knot, 1]
             copy_to(state, knots[knot, 2:15])
         if j == -1 and i < 0:
-            advance(state, spin_of(state), time - begin, plane)
+            advance(state, spin_rate(state), time - begin, plane)
         elif j == -3:
             # Half of each step goes with the old velocities, half with the new ones; after the last nothing is known.
             ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
             if not ends and time - begin > 0.5 * (knots[knot + 1, 1] - begin):
                 begin = knots[knot + 1, 1]
                 copy_to(state, knots[knot + 1, 2:15])
-            turn_and_move(state, time - begin)
+            move_freely(state, time - begin)
         elif j == -2:
-            carry_face(state, plane, begin, time - begin)
+            carry_on_face(state, plane, begin, time - begin)
         elif time > begin:
             held_step(body, plane, state, begin, time - begin, i, j, rates, after)
             copy_to(state, after)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import cos, inf, sin, sqrt
 
 from ..compiled import compiled, inner
-from .types import ROUNDING, Array, Plane
+from .types import ROUNDING_BOUND, Array, Plane
 
 
 @compiled
@@ -27,7 +27,7 @@ def table_acceleration(plane: Plane, time: float) -> float:
 
 
 @compiled
-def spin_of(state: Array) -> float:
+def spin_rate(state: Array) -> float:
     """|ω| [rad/s]; scaled, so that 1e-200 is not lost in its square."""
     largest = max(abs(state[10]), abs(state[11]), abs(state[12]))
     if largest == 0.0:
@@ -37,7 +37,7 @@ def spin_of(state: Array) -> float:
 
 
 @inner
-def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
+def spin_axis(state: Array, spin: float) -> tuple[float, float, float]:
     """Unit axis of the spin; any axis serves where there is none."""
     if spin == 0.0:
         return 0.0, 0.0, 1.0
@@ -45,7 +45,7 @@ def axis_of(state: Array, spin: float) -> tuple[float, float, float]:
 
 
 @compiled
-def arm_of(vertex: Array, state: Array) -> tuple[float, float, float]:
+def lever_arm(vertex: Array, state: Array) -> tuple[float, float, float]:
     """The vertex (3,) of the body frame, seen from the centre, in world axes."""
     w, x, y, z = state[3], state[4], state[5], state[6]
     bx, by, bz = vertex[0], vertex[1], vertex[2]
@@ -55,11 +55,11 @@ def arm_of(vertex: Array, state: Array) -> tuple[float, float, float]:
 
 
 @compiled
-def swing(vertices: Array, state: Array, spin: float, terms: Array) -> None:
+def height_terms(vertices: Array, state: Array, spin: float, terms: Array) -> None:
     """Fill `terms` (n, 4) with A, B, C and √(A² + B²): a vertex stands A cos ωt + B sin ωt + C above the centre."""
-    ux, uy, uz = axis_of(state, spin)
+    ux, uy, uz = spin_axis(state, spin)
     for i in range(vertices.shape[0]):
-        x, y, z = arm_of(vertices[i], state)
+        x, y, z = lever_arm(vertices[i], state)
         along = (x * ux + y * uy + z * uz) * uz
         a, b = z - along, ux * y - uy * x
         terms[i, 0], terms[i, 1], terms[i, 2], terms[i, 3] = a, b, along, sqrt(a * a + b * b)
@@ -87,36 +87,36 @@ def first_touch(
     t = 0.0
     g = plane.g
     moving = plane.amplitude != 0.0
-    shake = plane.amplitude * plane.rate * plane.rate  # the table's largest acceleration
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate  # the table's largest acceleration
     z_table, v_table, a_table, j_table = 0.0, 0.0, 0.0, 0.0
     v_table_tol, a_table_tol = 0.0, 0.0
     while True:
         c, s = cos(spin * t), sin(spin * t)
-        centre, rise = height + (velocity - 0.5 * g * t) * t, velocity - g * t
+        centre, centre_velocity = height + (velocity - 0.5 * g * t) * t, velocity - g * t
         turned = 1.0 + spin * t  # the phase ωt is rounded as well
-        h_tol = tolerance + ROUNDING * (abs(height) + (abs(velocity) + g * t) * t + radius * turned)
+        h_tol = tolerance + ROUNDING_BOUND * (abs(height) + (abs(velocity) + g * t) * t + radius * turned)
         if moving:
             phase = plane.rate * (clock + t) + plane.phase
             z_table, v_table = plane.amplitude * sin(phase), plane.amplitude * plane.rate * cos(phase)
             a_table, j_table = -plane.rate * plane.rate * z_table, -plane.rate * plane.rate * v_table
-            rounded = ROUNDING * plane.amplitude * (1.0 + abs(phase))
+            rounded = ROUNDING_BOUND * plane.amplitude * (1.0 + abs(phase))
             h_tol += rounded
             v_table_tol, a_table_tol = rounded * plane.rate, rounded * plane.rate * plane.rate
-        v_tol = v_table_tol + ROUNDING * (abs(velocity) + g * t + spin * radius * turned)
-        a_tol = a_table_tol + ROUNDING * (g + spin * spin * radius * turned)
+        v_tol = v_table_tol + ROUNDING_BOUND * (abs(velocity) + g * t + spin * radius * turned)
+        a_tol = a_table_tol + ROUNDING_BOUND * (g + spin * spin * radius * turned)
         hit, hit_v, hit_a, step = -1, 0.0, 0.0, inf
         for i in range(terms.shape[0]):
             a, b, amplitude = terms[i, 0], terms[i, 1], terms[i, 3]
             h = centre + a * c + b * s + terms[i, 2] - z_table
-            v = rise + spin * (b * c - a * s) - v_table
-            bound = g + spin * spin * amplitude + shake
+            v = centre_velocity + spin * (b * c - a * s) - v_table
+            bound = g + spin * spin * amplitude + peak_table_acceleration
             if h > h_tol:
                 root = sqrt(v * v + 2.0 * bound * h)
                 # Two forms of one root: each free of cancellation for its sign of v.
                 ahead = (v + root) / bound if v > 0.0 else 2.0 * h / (root - v)
                 if moving and h + z_table > plane.amplitude:
-                    # Nor before the highest that the table reaches; longer far up, where `shake` is large.
-                    bound, v, h = bound - shake, v + v_table, h + z_table - plane.amplitude
+                    # Nor before the highest that the table reaches; longer far up, where `peak_table_acceleration` is large.
+                    bound, v, h = bound - peak_table_acceleration, v + v_table, h + z_table - plane.amplitude
                     root = sqrt(v * v + 2.0 * bound * h)
                     ahead = max(ahead, (v + root) / bound if v > 0.0 else 2.0 * h / (root - v))
             elif v > v_tol:
@@ -124,9 +124,9 @@ def first_touch(
             else:
                 acceleration = -g - spin * spin * (a * c + b * s) - a_table
                 jerk = spin * spin * spin * (a * s - b * c) - j_table
-                third = spin * spin * spin * amplitude + shake * plane.rate
-                fourth = spin * spin * spin * spin * amplitude + shake * plane.rate * plane.rate
-                if v >= -v_tol and acceleration >= -a_tol and jerk > ROUNDING * third:
+                third = spin * spin * spin * amplitude + peak_table_acceleration * plane.rate
+                fourth = spin * spin * spin * spin * amplitude + peak_table_acceleration * plane.rate * plane.rate
+                if v >= -v_tol and acceleration >= -a_tol and jerk > ROUNDING_BOUND * third:
                     ahead = max(3.0 * max(acceleration, 0.0) / third, 4.0 * jerk / fourth)
                 elif v < -v_tol or acceleration <= a_tol:
                     v = v if v < -v_tol else 0.0
@@ -141,7 +141,7 @@ def first_touch(
         free = centre - radius - plane.amplitude
         if free > 0.0:
             # No vertex reaches farther down than the circumscribed sphere: fall with it.
-            step = max(step, (rise + sqrt(rise * rise + 2.0 * g * free)) / g)
+            step = max(step, (centre_velocity + sqrt(centre_velocity * centre_velocity + 2.0 * g * free)) / g)
         if t + step > limit:
             return limit, -1, 0.0, 0.0
         t += step
@@ -179,8 +179,10 @@ def _touch_before(
 ) -> tuple[float, bool, float, float]:
     """Backwards from a vertex below the table to the instant at which it crossed; as `touch_of_vertex`."""
     t, g = 0.0, plane.g
-    shake = plane.amplitude * plane.rate * plane.rate
-    bound = max(spin * spin * terms[0, 3] + shake - g, 1e-3 * g)  # h'' is no larger; kept above 0 for the division
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
+    bound = max(
+        spin * spin * terms[0, 3] + peak_table_acceleration - g, 1e-3 * g
+    )  # h'' is no larger; kept above 0 for the division
     while t > -sqrt(2.0 * radius / g):
         swung, swept = cos(spin * t), sin(spin * t)
         h = _height(terms, height, velocity, spin, plane, clock, t)
@@ -188,7 +190,7 @@ def _touch_before(
         size = abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)
         if plane.amplitude != 0.0:
             size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
-        if h >= -ROUNDING * size:
+        if h >= -ROUNDING_BOUND * size:
             acceleration = -g - spin * spin * (terms[0, 0] * swung + terms[0, 1] * swept)
             return t, True, v, acceleration - table_acceleration(plane, clock + t)
         root = sqrt(v * v - 2.0 * bound * h)
@@ -205,7 +207,7 @@ def advance(state: Array, spin: float, dt: float, plane: Plane) -> None:
     state[7] += plane.gx * dt
     state[8] += plane.gy * dt
     state[9] -= plane.g * dt
-    ux, uy, uz = axis_of(state, spin)
+    ux, uy, uz = spin_axis(state, spin)
     c, s = cos(0.5 * spin * dt), sin(0.5 * spin * dt)
     x, y, z = s * ux, s * uy, s * uz
     qw, qx, qy, qz = state[3], state[4], state[5], state[6]

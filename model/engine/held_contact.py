@@ -5,16 +5,16 @@ from __future__ import annotations
 from math import sqrt
 
 from ..compiled import compiled, inner
-from .flight import arm_of, table_acceleration, table_height, table_velocity
-from .log import energy_per_mass, lowest_row
+from .flight import lever_arm, table_acceleration, table_height, table_velocity
+from .log import energy_per_mass, lowest_face_row
 from .types import (
     FORCE_I,
-    NEAR,
     NONE,
-    ROUNDING,
+    ROUNDING_BOUND,
     RUNGE_KUTTA_A,
     RUNGE_KUTTA_B,
     RUNGE_KUTTA_C,
+    STANDING_HEIGHT,
     Array,
     Body,
     Indices,
@@ -25,11 +25,11 @@ from .types import (
 @compiled
 def clearance(vertex: Array, state: Array, z_table: float) -> float:
     """Height [m] of a vertex above the table."""
-    return float(state[2] + arm_of(vertex, state)[2] - z_table)
+    return float(state[2] + lever_arm(vertex, state)[2] - z_table)
 
 
 @inner
-def spun(state: Array, arm: tuple[float, float, float]) -> float:
+def centripetal_acceleration(state: Array, arm: tuple[float, float, float]) -> float:
     """The vertical part [m/s²] of ω × (ω × r), which a vertex feels without any force."""
     along = state[10] * arm[0] + state[11] * arm[1] + state[12] * arm[2]
     square = state[10] * state[10] + state[11] * state[11] + state[12] * state[12]
@@ -43,14 +43,14 @@ def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> t
     Forces and `weight` (g and the table's acceleration) are per mass [m/s²]. A force below 0 would have to pull.
     """
     k = body.inertia / body.mass
-    a = arm_of(body.vertices[i], state)
-    free_i = weight - spun(state, a)
+    a = lever_arm(body.vertices[i], state)
+    free_i = weight - centripetal_acceleration(state, a)
     a_ii = 1.0 + (a[0] * a[0] + a[1] * a[1]) / k
     if j < 0:
         n = free_i / a_ii
         return n, 0.0, n * a[1] / k, -n * a[0] / k
-    b = arm_of(body.vertices[j], state)
-    free_j = weight - spun(state, b)
+    b = lever_arm(body.vertices[j], state)
+    free_j = weight - centripetal_acceleration(state, b)
     a_jj = 1.0 + (b[0] * b[0] + b[1] * b[1]) / k
     a_ij = 1.0 + (a[0] * b[0] + a[1] * b[1]) / k
     # Two vertices never stand above each other, so that the determinant is positive.
@@ -100,19 +100,19 @@ def held_step(
     after[0] = state[0] + (state[7] + 0.5 * plane.gx * dt) * dt
     after[1] = state[1] + (state[8] + 0.5 * plane.gy * dt) * dt
     after[7], after[8] = state[7] + plane.gx * dt, state[8] + plane.gy * dt
-    stand_on(body, plane, after, time + dt, i, j)
+    project_on_contact(body, plane, after, time + dt, i, j)
 
 
 @inner
-def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
+def project_on_contact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Put the state exactly on its contact, in place: the quaternion a unit one, the held vertices on the table and at
     rest relative to it, an edge level. All of it only takes rounding away."""
     norm = sqrt(state[3] * state[3] + state[4] * state[4] + state[5] * state[5] + state[6] * state[6])
     for m in range(3, 7):
         state[m] /= norm
-    a = arm_of(body.vertices[i], state)
+    a = lever_arm(body.vertices[i], state)
     if j >= 0:
-        b = arm_of(body.vertices[j], state)
+        b = lever_arm(body.vertices[j], state)
         ex, ey = b[0] - a[0], b[1] - a[1]
         length = sqrt(ex * ex + ey * ey)
         ex, ey = ex / length, ey / length
@@ -126,17 +126,17 @@ def stand_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int
         state[6] = qz + x * qy - y * qx
         along = state[10] * ex + state[11] * ey
         state[10], state[11] = along * ex, along * ey
-        a = arm_of(body.vertices[i], state)
+        a = lever_arm(body.vertices[i], state)
     state[2] = table_height(plane, time) - a[2]
     state[9] = table_velocity(plane, time) - state[10] * a[1] + state[11] * a[0]
 
 
 @inner
-def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
+def lay_on_face(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     """Lay the die exactly on its lowest face, to which vertex i belongs, at rest but for its turning about the
     vertical, in place. It only takes away what is left of a tilt within which all corners count as touching."""
-    face = lowest_row(body.normals, state)
-    nx, ny, _ = arm_of(body.normals[face], state)
+    face = lowest_face_row(body.normals, state)
+    nx, ny, _ = lever_arm(body.normals[face], state)
     # The turn that brings the normal to -z, about (-n_y, n_x): its tilt is below 1e-9, so half the sine is exact.
     x, y = -0.5 * ny, 0.5 * nx
     qw, qx, qy, qz = state[3], state[4], state[5], state[6]
@@ -147,7 +147,7 @@ def lie_on(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
     norm = sqrt(state[3] * state[3] + state[4] * state[4] + state[5] * state[5] + state[6] * state[6])
     for m in range(3, 7):
         state[m] /= norm
-    state[2] = table_height(plane, time) - arm_of(body.vertices[i], state)[2]
+    state[2] = table_height(plane, time) - lever_arm(body.vertices[i], state)[2]
     state[9], state[10], state[11] = table_velocity(plane, time), 0.0, 0.0
 
 
@@ -160,7 +160,7 @@ def touching_set(
     z_table, v_table = table_height(plane, time), table_velocity(plane, time)
     n = 0
     for i in range(body.vertices.shape[0]):
-        arm = arm_of(body.vertices[i], state)
+        arm = lever_arm(body.vertices[i], state)
         leaving = state[9] + state[10] * arm[1] - state[11] * arm[0] - v_table
         if i == also or (state[2] + arm[2] - z_table <= near and leaving <= slow):
             touching[n] = i
@@ -169,7 +169,7 @@ def touching_set(
 
 
 @inner
-def push_out(
+def solve_normal_forces(
     body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array, sweeps: int
 ) -> None:
     """Solve 0 ≤ forces ⊥ (drive + what the forces do) ≥ 0 over the touching vertices by projected Gauss-Seidel.
@@ -183,7 +183,7 @@ def push_out(
     for _ in range(sweeps):
         largest, change = 0.0, 0.0
         for m in range(n):
-            x, y, _ = arm_of(body.vertices[touching[m]], state)
+            x, y, _ = lever_arm(body.vertices[touching[m]], state)
             rising = motion[0] + motion[1] * y - motion[2] * x + drive[m]
             new = max(0.0, forces[m] - rising / (1.0 + (x * x + y * y) / k))
             step = new - forces[m]
@@ -197,23 +197,25 @@ def push_out(
 
 
 @inner
-def stop_approach(body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array) -> None:
+def simultaneous_inelastic_impact(
+    body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
+) -> None:
     """Stop what slow approach the touching vertices still have, in place, as an impact with χ = 0 of all at once."""
     motion, drive, forces = room[0], room[1], room[2]
     motion[0], motion[1], motion[2] = state[9] - table_velocity(plane, time), state[10], state[11]
     for m in range(n):
         drive[m] = 0.0
-    push_out(body, state, touching, n, motion, drive, forces, 1000)
+    solve_normal_forces(body, state, touching, n, motion, drive, forces, 1000)
     state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
 
 
 @inner
-def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
+def remove_normal_velocity(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
     """Take from the held vertices the last of their vertical velocity, in place, along the impulses that would do it:
     a projection in the metric of the kinetic energy, which therefore cannot rise."""
     k = body.inertia / body.mass
     v_table = table_velocity(plane, time)
-    a = arm_of(body.vertices[i], state)
+    a = lever_arm(body.vertices[i], state)
     u_i = state[9] + state[10] * a[1] - state[11] * a[0] - v_table
     a_ii = 1.0 + (a[0] * a[0] + a[1] * a[1]) / k
     if j < 0:
@@ -222,7 +224,7 @@ def stop_on(body: Body, plane: Plane, state: Array, time: float, i: int, j: int)
         state[10] += p * a[1] / k
         state[11] -= p * a[0] / k
         return
-    b = arm_of(body.vertices[j], state)
+    b = lever_arm(body.vertices[j], state)
     u_j = state[9] + state[10] * b[1] - state[11] * b[0] - v_table
     a_jj = 1.0 + (b[0] * b[0] + b[1] * b[1]) / k
     a_ij = 1.0 + (a[0] * b[0] + a[1] * b[1]) / k
@@ -252,11 +254,11 @@ def pressed_set(
     if n >= 3:
         motion[0], motion[1], motion[2] = -pull, 0.0, 0.0
         for m in range(n):
-            drive[m] = spun(state, arm_of(body.vertices[touching[m]], state))
-        push_out(body, state, touching, n, motion, drive, forces, 1000)
+            drive[m] = centripetal_acceleration(state, lever_arm(body.vertices[touching[m]], state))
+        solve_normal_forces(body, state, touching, n, motion, drive, forces, 1000)
         resting, first, second = 0, -1, -1
         for m in range(n):
-            x, y, _ = arm_of(body.vertices[touching[m]], state)
+            x, y, _ = lever_arm(body.vertices[touching[m]], state)
             if abs(motion[0] + motion[1] * y - motion[2] * x + drive[m]) <= 1e-9 * plane.g:
                 resting += 1
             if forces[m] > 0.0:
@@ -279,15 +281,15 @@ def pressed_set(
     for p in range(2):
         held, other = touching[p], touching[1 - p]
         force, _, wx, wy = contact_forces(body, state, held, NONE, pull)
-        x, y, _ = arm_of(body.vertices[other], state)
-        rises = force - pull + wx * y - wy * x + spun(state, arm_of(body.vertices[other], state))
+        x, y, _ = lever_arm(body.vertices[other], state)
+        rises = force - pull + wx * y - wy * x + centripetal_acceleration(state, lever_arm(body.vertices[other], state))
         if force > 0.0 and rises >= 0.0:
             return held, -1
     return -1, -1
 
 
 @inner
-def crossing(
+def event_instant(
     body: Body,
     plane: Plane,
     state: Array,
@@ -299,20 +301,20 @@ def crossing(
     rates: Array,
     after: Array,
 ) -> float:
-    """The instant [s] within dt at which an event function falls through zero, seen from `state`; see `event_value`.
+    """The instant [s] within dt at which an event function falls through zero, seen from `state`; see `event_function`.
 
     A force is followed to its first value not above zero, a height to its last that is. `after` is overwritten.
     """
     low, high = 0.0, dt
-    f_low = event_value(body, plane, state, time, i, j, event)
+    f_low = event_function(body, plane, state, time, i, j, event)
     held_step(body, plane, state, time, dt, i, j, rates, after)
-    f_high = event_value(body, plane, after, time + dt, i, j, event)
-    if event >= 0 and f_low <= NEAR * body.radius:
+    f_high = event_function(body, plane, after, time + dt, i, j, event)
+    if event >= 0 and f_low <= STANDING_HEIGHT * body.radius:
         # A vertex that has just been let go rises first: step back to where it is up.
         t = 0.5 * dt
         while t > 1e-12 * dt:
             held_step(body, plane, state, time, t, i, j, rates, after)
-            f_low = event_value(body, plane, after, time + t, i, j, event)
+            f_low = event_function(body, plane, after, time + t, i, j, event)
             if f_low > 0.0:
                 low = t
                 break
@@ -330,27 +332,27 @@ def crossing(
         t = (low * f_high - high * f_low) / (f_high - f_low)
         t = min(max(t, low + 0.001 * (high - low)), high - 0.001 * (high - low))
         held_step(body, plane, state, time, t, i, j, rates, after)
-        f = event_value(body, plane, after, time + t, i, j, event)
+        f = event_function(body, plane, after, time + t, i, j, event)
         if f > 0.0:
             low, f_low = t, f
             if side == 1:
                 f_high *= 0.5
             side = 1
-            if event >= 0 and f <= ROUNDING * body.radius:
+            if event >= 0 and f <= ROUNDING_BOUND * body.radius:
                 break
         else:
             high, f_high = t, f
             if side == -1:
                 f_low *= 0.5
             side = -1
-            if f >= -ROUNDING * (plane.g if event < 0 else body.radius):
+            if f >= -ROUNDING_BOUND * (plane.g if event < 0 else body.radius):
                 low = t if event >= 0 else low
                 break
     return low if event >= 0 else high
 
 
 @inner
-def event_value(body: Body, plane: Plane, state: Array, time: float, i: int, j: int, event: int) -> float:
+def event_function(body: Body, plane: Plane, state: Array, time: float, i: int, j: int, event: int) -> float:
     """The height [m] of vertex `event`, or for FORCE_I and FORCE_J the force per mass [m/s²] on vertex i or j."""
     if event >= 0:
         return clearance(body.vertices[event], state, table_height(plane, time))
@@ -359,11 +361,11 @@ def event_value(body: Body, plane: Plane, state: Array, time: float, i: int, j: 
 
 
 @inner
-def spins_for_ever(body: Body, plane: Plane, state: Array, i: int) -> bool:
+def spins_forever(body: Body, plane: Plane, state: Array, i: int) -> bool:
     """Whether the die is a top on vertex i that can never touch the table with another one; see `simulate`."""
-    x, y, z = arm_of(body.vertices[i], state)
+    x, y, z = lever_arm(body.vertices[i], state)
     size = sqrt(x * x + y * y + z * z)
-    upright, limit = -z / size, body.leans[i]
+    upright, limit = -z / size, body.safe_tilt_cosines[i]
     about_z, about_axis = state[12], -(state[10] * x + state[11] * y + state[12] * z) / size
     per_mass = body.inertia / body.mass
     across = about_axis - about_z * limit

@@ -9,7 +9,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compiled import compiled, inner
-from .slip import contact_matrix_of_top, faded_at_speed, friction_impulse
+from .slip import coefficient_at_speed, friction_impulse, spherical_contact_matrix
 from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw
 
 
@@ -22,7 +22,7 @@ def smooth_impulse(
     u = state[9] + state[10] * y - state[11] * x - v_table
     chi = law.parameters[0]
     if law.code == SMOOTH_BY_SPEED:
-        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
+        chi = coefficient_at_speed(chi, max(-u, 0.0), law.parameters[1], law.parameters[2])
     return 0.0, 0.0, -(1.0 + chi) * u / (1.0 / mass + (x * x + y * y) / inertia)
 
 
@@ -36,11 +36,11 @@ def rough_impulse(
     chi = law.parameters[0]
     mu = law.parameters[1]
     if law.code != COULOMB:
-        chi = faded_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
+        chi = coefficient_at_speed(chi, max(-u, 0.0), law.parameters[3], law.parameters[4])
     if law.code == COULOMB_FADING:
-        mu = faded_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
+        mu = coefficient_at_speed(mu, max(-u, 0.0), law.parameters[5], law.parameters[6])
     cx, cy = state[7] + state[11] * z - state[12] * y, state[8] + state[12] * x - state[10] * z
-    matrix = contact_matrix_of_top(mass, inertia, x, y, z)
+    matrix = spherical_contact_matrix(mass, inertia, x, y, z)
     return friction_impulse(matrix, chi, mu, int(law.parameters[2]), cx, cy, u)
 
 
@@ -61,7 +61,7 @@ def _impulse_of(law: Any, mass: Any, inertia: Any, arm: Any, v_table: Any, state
 
 
 @inner
-def bounce(
+def apply_impact(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> None:
     """Apply the law to the velocities of the state, in place: Δv = S/m, Δω = (r × S)/J."""
@@ -75,7 +75,7 @@ def bounce(
     state[12] += (x * sy - y * sx) / inertia
 
 
-class Sources(NamedTuple):
+class ParameterDerivatives(NamedTuple):
     """What each of the m parameters of a throw changes where: derivatives of what the kernels are given."""
 
     chi: Array
@@ -92,7 +92,7 @@ class Sources(NamedTuple):
     """(m, 3) of amplitude, rate and phase of the table's motion."""
 
 
-SHIFT = 1e-5
+DIFFERENCE_STEP = 1e-5
 """Step of the differences through an impact with friction, in units of radius of gyration, contact velocity, or 1. Its
 square, and rounding over it, are both 1e-10; a higher order would take twice the impacts, and longer steps, which
 more often reach across where the course of the slip changes."""
@@ -102,11 +102,11 @@ _PLACE, _VELOCITY, CHI, MU, INERTIA, SPEED_SCALE, INPUTS = 0, 3, 6, 7, 8, 9, 10
 
 
 @inner
-def fade(law: Law, at: int, u: float) -> tuple[float, float, float]:
+def coefficient_gradient(law: Law, at: int, u: float) -> tuple[float, float, float]:
     """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
     stand in the law's parameters from `at` on."""
     scale, exponent = law.parameters[at], law.parameters[at + 1]
-    ratio = faded_at_speed(1.0, max(-u, 0.0), scale, exponent)
+    ratio = coefficient_at_speed(1.0, max(-u, 0.0), scale, exponent)
     slope = exponent * ratio / (scale + max(-u, 0.0))
     return ratio, slope, -slope * u / scale
 
@@ -120,7 +120,7 @@ def smooth_gradient(
     u, chi = c[2], law.parameters[0]
     ratio, by_u, by_scale = 1.0, 0.0, 0.0
     if law.code == SMOOTH_BY_SPEED:
-        ratio, by_u, by_scale = fade(law, 1, u)
+        ratio, by_u, by_scale = coefficient_gradient(law, 1, u)
     softness = 1.0 / mass + (x * x + y * y) / inertia
     s = -(1.0 + chi * ratio) * u / softness
     out[:] = 0.0
@@ -143,17 +143,17 @@ def rough_gradient(
     mu, ending = law.parameters[1], int(law.parameters[2])
     chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
     if law.code == COULOMB_BY_SPEED:
-        ratio, by_u, by_scale = fade(law, 3, c[2])
+        ratio, by_u, by_scale = coefficient_gradient(law, 3, c[2])
         chi *= ratio
     gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
-    matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+    matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
     sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
     out[:] = 0.0
     there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
     for k in range(8):
         if k == _VELOCITY + 2 or (k == CHI and wanted[0] == 0.0) or (k == MU and wanted[1] == 0.0):
             continue
-        step = SHIFT * (gyration if k < _VELOCITY else (speed if k < CHI else 1.0))
+        step = DIFFERENCE_STEP * (gyration if k < _VELOCITY else (speed if k < CHI else 1.0))
         # Neither χ nor μ can be less than 0: forward from there.
         forward = k >= CHI and input_of[k] < step
         for n in range(3):
@@ -167,9 +167,9 @@ def rough_gradient(
                 there[i] = input_of[i]
             there[k] += at
             if k < _VELOCITY:
-                matrix = contact_matrix_of_top(mass, inertia, there[0], there[1], there[2])
+                matrix = spherical_contact_matrix(mass, inertia, there[0], there[1], there[2])
             else:
-                matrix = contact_matrix_of_top(mass, inertia, arm[0], arm[1], arm[2])
+                matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
             px, py, pz = friction_impulse(matrix, there[6], there[7], ending, there[3], there[4], there[5])
             out[0, k] += weight * px
             out[1, k] += weight * py

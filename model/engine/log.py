@@ -13,7 +13,7 @@ from .types import Array, Body, Law, Plane, RoughLaw
 
 
 @compiled
-def lowest_row(normals: Array, state: Array) -> int:
+def lowest_face_row(normals: Array, state: Array) -> int:
     """Row of the face normal (faces, 3) that points down most."""
     w, x, y, z = state[3], state[4], state[5], state[6]
     # Third row of the rotation matrix.
@@ -30,7 +30,7 @@ def lowest_row(normals: Array, state: Array) -> int:
 def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
     """Row of the face that the die can no longer leave, or -1; see `simulate`."""
     energy = energy_per_mass(body, plane, state)
-    if rubs(law):
+    if has_friction(law):
         if plane.gx != 0.0 or plane.gy != 0.0:
             return -1  # the slope goes on feeding the slip, so that only a die at rest has landed
         # Friction can turn the rest of the energy into what lifts the die.
@@ -38,16 +38,16 @@ def decided_face(body: Body, law: Law, plane: Plane, state: Array) -> int:
         energy += 0.5 * body.inertia / body.mass * state[12] * state[12]
     if energy >= plane.g * body.radius:
         return -1  # no edge is farther from the centre than a corner
-    face = lowest_row(body.feet, state)
-    return face if energy < plane.g * body.barriers[face] else -1
+    face = lowest_face_row(body.plumb_normals, state)
+    return face if energy < plane.g * body.barrier_heights[face] else -1
 
 
-def rubs(law: Law) -> bool:
+def has_friction(law: Law) -> bool:
     """Whether the law has friction."""
     return isinstance(law, RoughLaw)
 
 
-@overload(rubs, strict=False)
+@overload(has_friction, strict=False)
 def _rubs(law: Any) -> Any:
     rough = law.instance_class is RoughLaw
     return lambda law: rough
@@ -85,7 +85,7 @@ def state_after(row: Array, state: Array) -> None:
 
 
 @inner
-def note_knot(row: Array, segment: int, time: float, state: Array) -> None:
+def write_knot(row: Array, segment: int, time: float, state: Array) -> None:
     """Write a state in held contact into a row (15,)."""
     row[0], row[1] = segment, time
     for k in range(13):
@@ -93,7 +93,7 @@ def note_knot(row: Array, segment: int, time: float, state: Array) -> None:
 
 
 @inner
-def grown(rows: Array) -> Array:
+def doubled_rows(rows: Array) -> Array:
     """The same rows with room for as many again."""
     larger = np.empty((2 * rows.shape[0], rows.shape[1]))
     for k in range(rows.shape[0]):
@@ -103,7 +103,7 @@ def grown(rows: Array) -> Array:
 
 
 @inner
-def log_event(row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int) -> None:
+def write_event(row: Array, time: float, vertex: int, before: Array, after: Array, i: float, j: int) -> None:
     """Write one event into a row (ROW,)."""
     row[0] = time
     row[1] = vertex

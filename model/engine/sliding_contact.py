@@ -10,20 +10,20 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
-from .flight import advance, arm_of, spin_of, table_height, table_velocity
+from .flight import advance, lever_arm, spin_rate, table_height, table_velocity
 from .held_contact import clearance
-from .log import copy_to, decided_face, grown, note_knot
-from .slip import contact_matrix_of_top, slide_direction
+from .log import copy_to, decided_face, doubled_rows, write_knot
+from .slip import slide_direction, spherical_contact_matrix
 from .types import (
     BALANCED,
-    FLIES,
+    FRICTION_STANDING_HEIGHT,
+    FRICTION_STEP_PART,
     FULL_SWEEPS,
     LONG_SWEEPS,
-    MOST_SWEEPS,
-    NEAR_RUBBED,
+    MAX_SWEEPS,
+    NOT_ENDED,
     RESTED,
-    ROUNDING,
-    RUBBED_PART,
+    ROUNDING_BOUND,
     TIME_REACHED,
     Array,
     Body,
@@ -36,7 +36,7 @@ from .types import (
 
 
 @compiled
-def held_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
+def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
     """The impulse S of an inelastic contact with Coulomb's cone, exactly, where c + M S is the velocity with it.
 
     Either it lifts off (S = 0), or it sticks (c + M S = 0), or it slides along ŝ with S = p (-μ ŝ, 1). To find p: a
@@ -101,11 +101,11 @@ def friction_step(
     """One time step of held contact of a spherical top: `velocity` (6,) [m/s, rad/s], centre and spin, in place.
 
     Gravity acts first, as the change of velocity `push` (3,) [m/s], h g. Then the touching vertices at `arms` (n, 3)
-    [m] from the centre get the impulses with which each obeys `held_impulse` in the presence of the others: velocities
+    [m] from the centre get the impulses with which each obeys `inelastic_impulse` in the presence of the others: velocities
     at the end of the step, so that energy is lost, never gained, and a corner that sticks has no velocity instead of a
     small one. `impulses` (n, 3) [N s]: a guess, zero or those of the step before; the result afterwards.
     `table_velocity` [m/s] is the table's own, along z. No velocity of a vertex at the end is below it by more than
-    rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `MOST_SWEEPS` where they
+    rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `MAX_SWEEPS` where they
     were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
     """
     n = arms.shape[0]
@@ -116,26 +116,26 @@ def friction_step(
         cx, cy, cz = _velocity_at(velocity, arms[i])
         size = max(size, abs(cx) + abs(cy) + abs(cz))
     for i in range(n):
-        _kick(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
+        _apply_impulse(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
     sweeps, changed = 0, inf
-    while changed > sweep * size and sweeps < MOST_SWEEPS:
+    while changed > sweep * size and sweeps < MAX_SWEEPS:
         changed = 0.0
         # Corners that answer each other in a circle stop doing so when each goes only part of its way.
         part = 1.0 if sweeps < FULL_SWEEPS else (0.7 if sweeps < LONG_SWEEPS else 0.4)
         for i in range(n):
-            matrix = contact_matrix_of_top(mass, inertia, arms[i, 0], arms[i, 1], arms[i, 2])
+            matrix = spherical_contact_matrix(mass, inertia, arms[i, 0], arms[i, 1], arms[i, 2])
             xx, xy, xz, yy, yz, zz = matrix
             x, y, z = impulses[i]
             cx, cy, cz = _velocity_at(velocity, arms[i])
             cx, cy = cx - xx * x - xy * y - xz * z, cy - xy * x - yy * y - yz * z
             cz = cz - table_velocity - xz * x - yz * y - zz * z
-            sx, sy, sz = held_impulse(matrix, mu, cx, cy, cz)
+            sx, sy, sz = inelastic_impulse(matrix, mu, cx, cy, cz)
             sx, sy, sz = x + part * (sx - x), y + part * (sy - y), z + part * (sz - z)
             impulses[i, 0], impulses[i, 1], impulses[i, 2] = sx, sy, sz
-            _kick(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
+            _apply_impulse(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
             changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
         sweeps += 1
-    if _holds_fast(velocity, arms, table_velocity, impulses, 1e-9 * size):
+    if _sticks(velocity, arms, table_velocity, impulses, 1e-9 * size):
         for k in range(6):
             velocity[k] = 0.0
         velocity[2] = table_velocity
@@ -153,7 +153,7 @@ def _velocity_at(velocity: Array, arm: Array) -> tuple[float, float, float]:
 
 
 @inner
-def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
+def _apply_impulse(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, sy: float, sz: float) -> None:
     """Δv = S/m, Δω = r × S/J, in place."""
     velocity[0] += sx / mass
     velocity[1] += sy / mass
@@ -164,7 +164,7 @@ def _kick(velocity: Array, arm: Array, mass: float, inertia: float, sx: float, s
 
 
 @inner
-def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
+def _sticks(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
     """Whether three corners that press and do not lie in a line have stopped: then the die has the table's velocity."""
     first, second = -1, -1
     for i in range(arms.shape[0]):
@@ -184,15 +184,15 @@ def _holds_fast(velocity: Array, arms: Array, table_velocity: float, impulses: A
 
 
 @compiled
-def turn_and_move(state: Array, dt: float) -> None:
+def move_freely(state: Array, dt: float) -> None:
     """Carry the pose along its velocities over dt [s], in place, as if nothing acted."""
     height_velocity = state[9]
-    advance(state, spin_of(state), dt, Plane(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    advance(state, spin_rate(state), dt, Plane(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     state[9] = height_velocity
 
 
 @inner
-def rub_step(
+def sliding_step(
     body: Body,
     mu: float,
     plane: Plane,
@@ -212,11 +212,11 @@ def rub_step(
     `arms` (n, 3) and `impulses` (n, 3) are room for the active ones, `guess` (n, 3) [N] forces to begin with.
     """
     copy_to(after, state)
-    turn_and_move(after, 0.5 * dt)
+    move_freely(after, 0.5 * dt)
     n = 0
     for k in range(active.shape[0]):
         if active[k]:
-            x, y, z = arm_of(body.vertices[k], after)
+            x, y, z = lever_arm(body.vertices[k], after)
             arms[n, 0], arms[n, 1], arms[n, 2] = x, y, z - body.rounding
             n += 1
     velocity, push = np.empty(6), np.empty(3)
@@ -230,7 +230,7 @@ def rub_step(
     friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
     for k in range(6):
         after[7 + k] = velocity[k]
-    turn_and_move(after, 0.5 * dt)
+    move_freely(after, 0.5 * dt)
     pressing = 0
     lowest, z_table = inf, table_height(plane, time + dt)
     for k in range(n):
@@ -245,7 +245,7 @@ def rub_step(
 
 
 @inner
-def rides_for_ever(
+def rides_forever(
     body: Body,
     mu: float,
     plane: Plane,
@@ -262,15 +262,15 @@ def rides_for_ever(
     least = plane.g - plane.amplitude * plane.rate * plane.rate
     if least <= 0.0:
         return False
-    still, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
-    still[9] = 0.0
+    resting, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
+    resting[9] = 0.0
     at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
-    pressing = rub_step(body, mu, at_rest, still, time, dt, active, room[0], room[1], room[2], after, sweep)
+    pressing = sliding_step(body, mu, at_rest, resting, time, dt, active, room[0], room[1], room[2], after, sweep)
     return pressing >= 3 and not after[7:13].any()
 
 
 @inner
-def rough_rub(
+def follow_frictional_contact(
     body: Body,
     law: Law,
     plane: Plane,
@@ -287,22 +287,26 @@ def rough_rub(
     keep: bool,
     after: Array,
 ) -> tuple[int, float, int, Array, int]:
-    """`rub` with friction."""
+    """`follow_sliding_contact` with friction."""
     begin, mu = time, law.parameters[1]
     room = np.zeros((3, body.vertices.shape[0], 3))
     fixed = plane.amplitude == 0.0
-    shake = plane.amplitude * plane.rate * plane.rate
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
         if keep:
             if known == knots.shape[0]:
-                knots = grown(knots)
-            note_knot(knots[known], segment, time, state)
+                knots = doubled_rows(knots)
+            write_knot(knots[known], segment, time, state)
             known += 1
         if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
             return RESTED, time - begin, -1, knots, known
-        rate = spin_of(state) + sqrt((plane.g + shake) / body.radius) + (0.0 if fixed else plane.rate)
-        dt = min(RUBBED_PART * precision.turn / rate, begin + limit - time)
-        pressing = rub_step(body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep)
+        rate = (
+            spin_rate(state) + sqrt((plane.g + peak_table_acceleration) / body.radius) + (0.0 if fixed else plane.rate)
+        )
+        dt = min(FRICTION_STEP_PART * precision.turn / rate, begin + limit - time)
+        pressing = sliding_step(
+            body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep
+        )
         if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
             # Nothing moves, and nothing will.
             if for_ever:
@@ -312,11 +316,11 @@ def rough_rub(
             for_ever
             and not fixed
             and pressing >= 3
-            and rides_for_ever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
+            and rides_forever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
         ):
             copy_to(state, after)
             return RESTED, time + dt - begin, -1, knots, known
-        hit = lowest_free(body, plane, after, time + dt, active)
+        hit = deepest_free_vertex(body, plane, after, time + dt, active)
         if hit >= 0:
             # False position (Illinois: an end that stays twice weighs half) takes five steps where halving takes forty,
             # and leaves to halving what it does not know: a vertex that is another's successor, or on its way up.
@@ -325,17 +329,17 @@ def rough_rub(
             h_low = clearance(body.vertices[hit], state, table_height(plane, time))
             h_high = clearance(body.vertices[hit], after, table_height(plane, time + dt))
             for k in range(90):
-                if high - low <= 1e-12 * dt or h_high >= -ROUNDING * body.radius:
+                if high - low <= 1e-12 * dt or h_high >= -ROUNDING_BOUND * body.radius:
                     break
                 middle = 0.5 * (low + high)
                 if h_low > 0.0 and k % 3 < 2:
                     weigh_low, weigh_high = 0.5 if stayed > 1 else 1.0, 0.5 if stayed < -1 else 1.0
                     middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
-                rub_step(
+                sliding_step(
                     body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after, precision.sweep
                 )
                 room[2] = room[1] / middle
-                found = lowest_free(body, plane, after, time + middle, active)
+                found = deepest_free_vertex(body, plane, after, time + middle, active)
                 if found >= 0:
                     h_low = h_low if found == hit else nan
                     h_high = clearance(body.vertices[found], after, table_height(plane, time + middle))
@@ -343,27 +347,30 @@ def rough_rub(
                 else:
                     h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
                     low, stayed = middle, min(stayed, 0) - 1
-            rub_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
+            sliding_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
             copy_to(state, after)
-            return FLIES, time + high - begin, hit, knots, known
+            return NOT_ENDED, time + high - begin, hit, knots, known
         copy_to(state, after)
         time += dt
         # First of all: within no time nothing presses, and a die at rest would fly and touch there without end.
         if time >= begin + limit:
             return TIME_REACHED, limit, -1, knots, known
         if pressing == 0:
-            return FLIES, time - begin, -1, knots, known
+            return NOT_ENDED, time - begin, -1, knots, known
         room[2] = room[1] / dt
         n, z_table = 0, table_height(plane, time)
         for k in range(active.shape[0]):
             if active[k]:
-                if room[1, n, 2] <= 0.0 and clearance(body.vertices[k], state, z_table) > NEAR_RUBBED * body.radius:
+                if (
+                    room[1, n, 2] <= 0.0
+                    and clearance(body.vertices[k], state, z_table) > FRICTION_STANDING_HEIGHT * body.radius
+                ):
                     active[k] = False
                     room[2] = 0.0
                 n += 1
 
 
-def rub(
+def follow_sliding_contact(
     body: Body,
     law: Law,
     plane: Plane,
@@ -380,13 +387,13 @@ def rub(
     keep: bool,
     after: Array,
 ) -> tuple[int, float, int, Array, int]:
-    """Carry the state in place through contact with friction of the `active` vertices, as `hold` does without.
+    """Carry the state in place through contact with friction of the `active` vertices, as `follow_held_contact` does without.
 
     Returns FLIES or another ending, the duration [s], the vertex that touches anew (-1: all are off the table, or the
     limit came), and the knots with their number.
     """
     assert isinstance(law, RoughLaw)
-    return rough_rub(
+    return follow_frictional_contact(
         body,
         law,
         plane,
@@ -405,7 +412,7 @@ def rub(
     )
 
 
-@overload(rub, strict=False)
+@overload(follow_sliding_contact, strict=False)
 def _rub(
     body: Any,
     law: Any,
@@ -425,7 +432,7 @@ def _rub(
 ) -> Any:
     """Nothing at all for a law without friction, which never gets here."""
     if law.instance_class is RoughLaw:
-        return rough_rub.py_func
+        return follow_frictional_contact.py_func
 
     def never(  # type: ignore[no-untyped-def]
         body,
@@ -444,19 +451,19 @@ def _rub(
         keep,
         after,
     ):
-        return FLIES, 0.0, -1, knots, known
+        return NOT_ENDED, 0.0, -1, knots, known
 
     return never
 
 
 @inner
-def lowest_free(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
+def deepest_free_vertex(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
     """The deepest vertex below the table of those that are not active and come down; -1 where there is none."""
     deepest, hit = 0.0, -1
     z_table, v_table = table_height(plane, time), table_velocity(plane, time)
     for k in range(body.vertices.shape[0]):
         if not active[k]:
-            x, y, z = arm_of(body.vertices[k], state)
+            x, y, z = lever_arm(body.vertices[k], state)
             h = state[2] + z - z_table
             if h < deepest and state[9] + state[10] * y - state[11] * x < v_table:
                 deepest, hit = h, k

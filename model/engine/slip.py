@@ -9,7 +9,7 @@ Mech. 53, 1, 1986). The contact velocity c = (s ŝ, w), with slip s along the un
 
 **Turning slip.** The last equation is singular at s = 0. With dp = s dτ the slip vector v = s ŝ obeys
 v' = |v| b - μ T v, which is nearly linear, and analytic as long as v ≠ 0. It is solved by Taylor series in τ of order
-`ORDER`. A step covers a fixed part of the distance to the nearest singularity, so that only rounding limits the accuracy,
+`TAYLOR_ORDER`. A step covers a fixed part of the distance to the nearest singularity, so that only rounding limits the accuracy,
 and the same polynomials locate every event. Steps in φ would be fewer, but they divide by g, which is zero in every
 planar impact.
 
@@ -44,18 +44,18 @@ import numpy as np
 
 from ..compiled import compiled, inner
 from .types import (
-    GIVEN,
-    MOST_STEPS,
+    FALSE,
+    MAX_SLIP_STEPS,
+    NEGLIGIBLE_SLIP,
     NEWTON,
-    NO,
     NORMAL,
-    ORDER,
     POISSON,
+    RESTITUTION,
     SPEED,
     STOPPED,
     STRAIGHT,
     STRONGE,
-    TINY,
+    TAYLOR_ORDER,
     TURNS,
     VX,
     VY,
@@ -65,7 +65,7 @@ from .types import (
 
 
 @compiled
-def contact_matrix_of_top(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
+def spherical_contact_matrix(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
     """Contact matrix M [1/kg] of a spherical top with the contact at (x, y, z) from its centre: xx, xy, xz, yy, yz, zz."""
     free = 1.0 / mass
     return (
@@ -98,7 +98,7 @@ def contact_matrix(mass: float, inverse_inertia: Array, x: float, y: float, z: f
 
 
 @compiled
-def faded_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
+def coefficient_at_speed(slowest: float, speed: float, speed_scale: float, exponent: float) -> float:
     """χ or μ of an impact at `speed` ≥ 0 [m/s], from that of the slowest: χ₀ (1 + speed/scale)^-exponent."""
     return float(slowest * (1.0 + speed / speed_scale) ** -exponent)
 
@@ -147,16 +147,16 @@ def friction_impulse(
     # Nothing depends on the unit of velocity; in this one the work of the slowest impact does not underflow.
     vx, vy, w = cx / size, cy / size, cz / size
     goal = -chi * w if ending == NEWTON else 0.0
-    sx, sy, p, returning, ended = 0.0, 0.0, 0.0, False, False
-    course = _course(matrix, mu, vx, vy, abs(w))
+    sx, sy, p, restituting, ended = 0.0, 0.0, 0.0, False, False
+    course = _slip_regime(matrix, mu, vx, vy, abs(w))
     if course == TURNS:
-        sx, sy, p, vx, vy, w, returning, goal, ended, course = _turning_slip(matrix, chi, mu, ending, vx, vy, w, goal)
+        sx, sy, p, vx, vy, w, restituting, goal, ended, course = _turning_slip(matrix, chi, mu, ending, vx, vy, w, goal)
     if not ended and course == STRAIGHT:
         slip = hypot(vx, vy)
         ux, uy = vx / slip, vy / slip
         f = ux * xz + uy * yz - mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
         h = zz - mu * (xz * ux + yz * uy)
-        dp, w, returning, goal, ended = _straight(w, h, -slip / f, ending, chi, returning, goal)
+        dp, w, restituting, goal, ended = _straight_slip(w, h, -slip / f, ending, chi, restituting, goal)
         sx, sy, p = sx - mu * ux * dp, sy - mu * uy * dp, p + dp
     if not ended:
         det = xx * yy - xy * xy
@@ -164,25 +164,25 @@ def friction_impulse(
         if hypot(tx, ty) > mu:
             ux, uy, _ = slide_direction(xx, xy, yy, mu, xz, yz)
             tx, ty = -mu * ux, -mu * uy
-        dp, w, returning, goal, ended = _straight(w, zz + xz * tx + yz * ty, inf, ending, chi, returning, goal)
+        dp, w, restituting, goal, ended = _straight_slip(w, zz + xz * tx + yz * ty, inf, ending, chi, restituting, goal)
         sx, sy, p = sx + tx * dp, sy + ty * dp, p + dp
     return size * sx, size * sy, size * p
 
 
 @inner
-def _course(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
+def _slip_regime(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
     """What the slip (vx, vy) does next, to rounding of velocities of the given `size`."""
     xx, xy, xz, yy, yz, _ = matrix
     slip = hypot(vx, vy)
-    if slip <= TINY * size:
+    if slip <= NEGLIGIBLE_SLIP * size:
         return STOPPED
     ux, uy = vx / slip, vy / slip
     g = ux * yz - uy * xz - mu * ((yy - xx) * ux * uy + xy * (ux * ux - uy * uy))
     across = mu * (xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux)
     # A direction off by g/across changes f by rate g/across, and so s for a given p by as much again.
     rate = _rate(matrix, mu)
-    turns = abs(g) > 1e-3 * across or slip * abs(g) * rate > 30.0 * TINY * across * across * size
-    if turns and abs(g) > 30.0 * TINY * rate:  # a smaller g is rounding itself
+    turns = abs(g) > 1e-3 * across or slip * abs(g) * rate > 30.0 * NEGLIGIBLE_SLIP * across * across * size
+    if turns and abs(g) > 30.0 * NEGLIGIBLE_SLIP * rate:  # a smaller g is rounding itself
         return TURNS
     f = ux * xz + uy * yz - mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
     return STRAIGHT if f < 0.0 else STOPPED
@@ -195,8 +195,8 @@ def _rate(matrix: Matrix6, mu: float) -> float:
 
 
 @inner
-def _straight(
-    w: float, slope: float, limit: float, ending: int, chi: float, returning: bool, goal: float
+def _straight_slip(
+    w: float, slope: float, limit: float, ending: int, chi: float, restituting: bool, goal: float
 ) -> tuple[float, float, bool, float, bool]:
     """Go on while dw/dp = `slope` stays, at most by `limit`: the dp gone, then w, returning, goal, and whether it ended.
 
@@ -207,7 +207,7 @@ def _straight(
         zero = -w / slope if w * slope < 0.0 else inf
         if ending == NEWTON:
             ahead, final = (goal - w) / slope if slope > 0.0 else inf, True
-        elif not returning:
+        elif not restituting:
             ahead, final = (0.0 if w == 0.0 and slope > 0.0 else zero), False
         else:
             release = goal
@@ -223,13 +223,13 @@ def _straight(
         if not stopped and not final:
             after = 0.0
         if ending == POISSON:
-            goal += -step if returning else chi * step
+            goal += -step if restituting else chi * step
         elif ending == STRONGE:
-            goal += (-1.0 if returning else -chi * chi) * step * 0.5 * (w + after)
+            goal += (-1.0 if restituting else -chi * chi) * step * 0.5 * (w + after)
         gone, w = gone + step, after
         if stopped or final:
-            return gone, w, returning, goal, not stopped
-        returning = not returning
+            return gone, w, restituting, goal, not stopped
+        restituting = not restituting
 
 
 @inner
@@ -238,42 +238,44 @@ def _turning_slip(
 ) -> tuple[float, float, float, float, float, float, bool, float, bool, int]:
     """Slide until the slip stops, no longer turns, or the impact ends.
 
-    Returns the impulse (3), the contact velocity (3), the state of `_straight`, and what `_course` says last.
+    Returns the impulse (3), the contact velocity (3), the state of `_straight_slip`, and what `_slip_regime` says last.
     """
-    sx, sy, p, returning = 0.0, 0.0, 0.0, NO
+    sx, sy, p, restituting = 0.0, 0.0, 0.0, FALSE
     largest, rate = max(matrix[0], matrix[3], matrix[5]), _rate(matrix, mu)
-    series = np.empty((5, ORDER + 1))
+    series = np.empty((5, TAYLOR_ORDER + 1))
     ends = False
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_SLIP_STEPS):
         size = p * largest + abs(w)
-        course = _course(matrix, mu, vx, vy, size)
+        course = _slip_regime(matrix, mu, vx, vy, size)
         if course != TURNS:
-            return sx, sy, p, vx, vy, w, returning, goal, False, course
+            return sx, sy, p, vx, vy, w, restituting, goal, False, course
         if not ends:
-            found, dp = _way_to_stop(series, matrix, mu, vx, vy, size)
+            found, dp = _expansion_to_stop(series, matrix, mu, vx, vy, size)
             if found:
                 stops, tx, ty, w_stop, left = _stop_before_event(
-                    series, matrix, mu, ending, chi, vx, vy, w, dp, returning, goal
+                    series, matrix, mu, ending, chi, vx, vy, w, dp, restituting, goal
                 )
                 if stops:
-                    return sx + tx, sy + ty, p + dp, 0.0, 0.0, w_stop, returning, left, False, STOPPED
-                ends = returning or ending == NEWTON
+                    return sx + tx, sy + ty, p + dp, 0.0, 0.0, w_stop, restituting, left, False, STOPPED
+                ends = restituting or ending == NEWTON
         # Towards a stop the slip must keep its direction as well, or the steps would be longer than it lasts.
-        allowed = min(3.0 * TINY * size, 1e-5 * hypot(vx, vy))
+        allowed = min(3.0 * NEGLIGIBLE_SLIP * size, 1e-5 * hypot(vx, vy))
         unit = largest / max(size, 1e-200) if ending == STRONGE else largest  # makes work, or impulse, a velocity
-        h = _expand(series, matrix, mu, ending, rate, vx, vy, w, allowed, unit)
-        t, returning, goal, ended = _walk(series, h, ending, chi, returning, goal)
+        h = _taylor_series(series, matrix, mu, ending, rate, vx, vy, w, allowed, unit)
+        t, restituting, goal, ended = _follow_series(series, h, ending, chi, restituting, goal)
         sx -= mu * _integral(series, VX, t) / rate
         sy -= mu * _integral(series, VY, t) / rate
         p += _integral(series, SPEED, t) / rate
         vx, vy, w = _value(series, VX, t), _value(series, VY, t), _value(series, NORMAL, t)
         if ended:
-            return sx, sy, p, vx, vy, w, returning, goal, True, course
-    return nan, nan, nan, nan, nan, nan, returning, goal, True, TURNS
+            return sx, sy, p, vx, vy, w, restituting, goal, True, course
+    return nan, nan, nan, nan, nan, nan, restituting, goal, True, TURNS
 
 
 @inner
-def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> tuple[bool, float]:
+def _expansion_to_stop(
+    series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float
+) -> tuple[bool, float]:
     """Whether the slip comes near enough to the direction in which it will stop, and the dp until then.
 
     With axes along and across that direction and the slope ε = v⊥/v∥ of the slip, v∥' = F(ε) v∥ and ε' = G(ε), so the
@@ -305,7 +307,7 @@ def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float
     pull = ux * yz - uy * xz
     F, G, root, P = series[0], series[1], series[2], series[3]
     total, power, term = 0.0, 1.0, 0.0
-    for k in range(ORDER + 1):
+    for k in range(TAYLOR_ORDER + 1):
         root[k] = 0.0 if k % 2 == 1 else (1.0 if k == 0 else root[k - 2] * (3.0 - k) / k)
         F[k] = (f + along) * root[k] - (along if k == 0 else (skew if k == 1 else 0.0))
         G[k] = 0.0 if k == 0 else pull * root[k] - F[k - 1] - (across if k == 1 else 0.0)
@@ -319,7 +321,7 @@ def _way_to_stop(series: Array, matrix: Matrix6, mu: float, vx: float, vy: float
         total += term
         power *= slope
     series[4, 0], series[4, 1] = ahead, slope
-    return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * TINY * size, ahead * total
+    return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * NEGLIGIBLE_SLIP * size, ahead * total
 
 
 @inner
@@ -333,10 +335,10 @@ def _stop_before_event(
     vy: float,
     w: float,
     dp: float,
-    returning: bool,
+    restituting: bool,
     goal: float,
 ) -> tuple[bool, float, float, float, float]:
-    """What `_way_to_stop` leads to: whether w meets no event on the way, the tangential impulse, w and goal then."""
+    """What `_expansion_to_stop` leads to: whether w meets no event on the way, the tangential impulse, w and goal then."""
     xx, xy, xz, yy, yz, zz = matrix
     det = xx * yy - xy * xy
     # 0 = v + b dp + T S at the stop.
@@ -352,9 +354,9 @@ def _stop_before_event(
         return False, tx, ty, w_stop, goal
     if ending == NEWTON:
         return w_stop < goal, tx, ty, w_stop, goal
-    if (w_stop <= 0.0) if returning else (w_stop >= 0.0):
+    if (w_stop <= 0.0) if restituting else (w_stop >= 0.0):
         return False, tx, ty, w_stop, goal
-    given = dp
+    measured = dp
     if ending == STRONGE:
         # w = w_stop - (a - b·e) (dp left) + e·v with e = T⁻¹ b; the last gives v∥² Q(ε), 2 F Q + G Q' = -(e·v/v∥) √.
         ex, ey = (yy * xz - xy * yz) / det, (xx * yz - xy * xz) / det
@@ -365,7 +367,7 @@ def _stop_before_event(
         e_along, e_across = ex * ux + ey * uy, ey * ux - ex * uy
         F, G, root, Q = series[0], series[1], series[2], series[3]
         total, power = 0.0, 1.0
-        for k in range(ORDER + 1):
+        for k in range(TAYLOR_ORDER + 1):
             known = e_along * root[k] + (e_across * root[k - 1] if k > 0 else 0.0)
             for j in range(1, k + 1):
                 known += 2.0 * F[j] * Q[k - j]
@@ -374,14 +376,14 @@ def _stop_before_event(
             Q[k] = -known / (2.0 * F[0] + k * G[1])
             total += Q[k] * power
             power *= slope
-        given = (w_stop - 0.5 * (zz - xz * ex - yz * ey) * dp) * dp + ahead * ahead * total
-    if returning:
-        return given < goal, tx, ty, w_stop, goal - given
-    return True, tx, ty, w_stop, goal + (chi if ending == POISSON else -chi * chi) * given
+        measured = (w_stop - 0.5 * (zz - xz * ex - yz * ey) * dp) * dp + ahead * ahead * total
+    if restituting:
+        return measured < goal, tx, ty, w_stop, goal - measured
+    return True, tx, ty, w_stop, goal + (chi if ending == POISSON else -chi * chi) * measured
 
 
 @inner
-def _expand(
+def _taylor_series(
     series: Array,
     matrix: Matrix6,
     mu: float,
@@ -399,9 +401,9 @@ def _expand(
     """
     xx, xy, xz, yy, yz, zz = matrix
     a, b = series[VX], series[VY]
-    n, normal, given = series[SPEED], series[NORMAL], series[GIVEN]
-    a[0], b[0], n[0], normal[0], given[0] = vx, vy, hypot(vx, vy), w, 0.0
-    for k in range(ORDER):
+    n, normal, measured = series[SPEED], series[NORMAL], series[RESTITUTION]
+    a[0], b[0], n[0], normal[0], measured[0] = vx, vy, hypot(vx, vy), w, 0.0
+    for k in range(TAYLOR_ORDER):
         if k > 0:
             # |v|² = vx² + vy², term by term, each pair of equal products once.
             pairs = 0.0
@@ -416,49 +418,56 @@ def _expand(
         b[k + 1] = scale * (n[k] * yz - mu * (xy * a[k] + yy * b[k]))
         normal[k + 1] = scale * (n[k] * zz - mu * (xz * a[k] + yz * b[k]))
         if ending == POISSON:
-            given[k + 1] = scale * n[k]
+            measured[k + 1] = scale * n[k]
         elif ending == NEWTON:
-            given[k + 1] = 0.0
+            measured[k + 1] = 0.0
         else:
             work = 0.0
             for j in range(k + 1):
                 work += normal[j] * n[k - j]
-            given[k + 1] = scale * work
-    n[ORDER] = 0.0
-    last = max(abs(a[ORDER]), abs(b[ORDER]), abs(normal[ORDER]), unit * abs(given[ORDER]))
-    before = max(abs(a[ORDER - 1]), abs(b[ORDER - 1]), abs(normal[ORDER - 1]), unit * abs(given[ORDER - 1]))
+            measured[k + 1] = scale * work
+    n[TAYLOR_ORDER] = 0.0
+    last = max(
+        abs(a[TAYLOR_ORDER]), abs(b[TAYLOR_ORDER]), abs(normal[TAYLOR_ORDER]), unit * abs(measured[TAYLOR_ORDER])
+    )
+    before = max(
+        abs(a[TAYLOR_ORDER - 1]),
+        abs(b[TAYLOR_ORDER - 1]),
+        abs(normal[TAYLOR_ORDER - 1]),
+        unit * abs(measured[TAYLOR_ORDER - 1]),
+    )
     reach = 100.0  # of e-foldings: where both vanish by chance or underflow
     if last > 0.0:
-        reach = min(reach, (allowed / last) ** (1.0 / ORDER))
+        reach = min(reach, (allowed / last) ** (1.0 / TAYLOR_ORDER))
     if before > 0.0:
-        reach = min(reach, (allowed / before) ** (1.0 / (ORDER - 1)))
+        reach = min(reach, (allowed / before) ** (1.0 / (TAYLOR_ORDER - 1)))
     return float(max(reach, 1e-30))  # where the ratio of a graze underflows
 
 
 @inner
-def _walk(
-    series: Array, h: float, ending: int, chi: float, returning: bool, goal: float
+def _follow_series(
+    series: Array, h: float, ending: int, chi: float, restituting: bool, goal: float
 ) -> tuple[float, bool, float, bool]:
-    """Follow the series up to h for the end of the impact: the t reached, and the state of `_straight`."""
+    """Follow the series up to h for the end of the impact: the t reached, and the state of `_straight_slip`."""
     if ending == NEWTON:
         t = _first_rise(series, 1.0, goal, 0.0, h)
-        return (t, True, goal, True) if t >= 0.0 else (h, returning, goal, False)
-    t, given = 0.0, 0.0
+        return (t, True, goal, True) if t >= 0.0 else (h, restituting, goal, False)
+    t, measured = 0.0, 0.0
     while True:
-        crossing = _first_rise(series, -1.0 if returning else 1.0, 0.0, t, h)
+        crossing = _first_rise(series, -1.0 if restituting else 1.0, 0.0, t, h)
         to = crossing if crossing >= 0.0 else h
-        reached = _value(series, GIVEN, to)
-        if not returning:
-            goal += (chi if ending == POISSON else -chi * chi) * (reached - given)
-        elif reached - given >= goal:
-            return _root(series, GIVEN, 1.0, given + goal, t, to), returning, goal, True
+        reached = _value(series, RESTITUTION, to)
+        if not restituting:
+            goal += (chi if ending == POISSON else -chi * chi) * (reached - measured)
+        elif reached - measured >= goal:
+            return _root(series, RESTITUTION, 1.0, measured + goal, t, to), restituting, goal, True
         else:
-            goal -= reached - given
+            goal -= reached - measured
         if crossing < 0.0:
-            return h, returning, goal, False
-        t, given, returning = to, reached, not returning
-        if returning and goal <= 0.0:
-            return t, returning, goal, True
+            return h, restituting, goal, False
+        t, measured, restituting = to, reached, not restituting
+        if restituting and goal <= 0.0:
+            return t, restituting, goal, True
 
 
 @inner
@@ -508,8 +517,8 @@ def _root(series: Array, row: int, sign: float, level: float, low: float, high: 
 @inner
 def _value(series: Array, row: int, t: float) -> float:
     """A row at t."""
-    total = series[row, ORDER]
-    for k in range(ORDER - 1, -1, -1):
+    total = series[row, TAYLOR_ORDER]
+    for k in range(TAYLOR_ORDER - 1, -1, -1):
         total = total * t + series[row, k]
     return float(total)
 
@@ -517,8 +526,8 @@ def _value(series: Array, row: int, t: float) -> float:
 @inner
 def _slope(series: Array, row: int, t: float) -> float:
     """Derivative of a row at t."""
-    total = ORDER * series[row, ORDER]
-    for k in range(ORDER - 1, 0, -1):
+    total = TAYLOR_ORDER * series[row, TAYLOR_ORDER]
+    for k in range(TAYLOR_ORDER - 1, 0, -1):
         total = total * t + k * series[row, k]
     return float(total)
 
@@ -527,6 +536,6 @@ def _slope(series: Array, row: int, t: float) -> float:
 def _integral(series: Array, row: int, t: float) -> float:
     """Integral of a row from 0 to t; its last term belongs to the next order and is left out."""
     total = 0.0
-    for k in range(ORDER - 1, -1, -1):
+    for k in range(TAYLOR_ORDER - 1, -1, -1):
         total = total * t + series[row, k] / (k + 1)
     return float(total * t)

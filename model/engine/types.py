@@ -24,18 +24,18 @@ class Body(NamedTuple):
     """(n, 3) [m] from the centre, body axes."""
     normals: Array
     """(faces, 3) outward."""
-    feet: Array
+    plumb_normals: Array
     """(faces, 3) normals over the distances of their planes: the plumb line from the centre goes through the face for
     which this points down most; `bodies.plumb_normals`."""
-    barriers: Array
+    barrier_heights: Array
     """(faces,) [m]: what the centre must climb to leave each face, `bodies.edge_barriers_m`."""
     mass: float
     inertia: float
     radius: float
     """[m] of the circumscribed sphere."""
-    leans: Array
+    safe_tilt_cosines: Array
     """(n,) the cosine of how far the line from each vertex to the centre may lean from the vertical, before another
-    vertex can be the lower one; `bodies.safe_leans`."""
+    vertex can be the lower one; `bodies.safe_tilt_cosines`."""
     rounding: float
     """[m] radius of the corners; heights count from it."""
 
@@ -91,42 +91,42 @@ of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent 
 NEWTON, POISSON, STRONGE = 0, 1, 2
 """What ends an impact with friction."""
 
-RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, SPUN_LONG, BALANCED = range(9)
+RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, TIMED_OUT, BALANCED = range(9)
 """How the kernels end; `simulate.Ending` says the same in sentences. CHATTER and NO_TOUCH are of the tangent alone."""
 
-FLIES = int64(-1)
+NOT_ENDED = int64(-1)
 """How held contact ends that goes on in flight."""
 
-ROW = 23
+LOG_COLUMNS = 23
 """Columns of a logged event: time, vertex (-1: nothing strikes), position (3), quaternion (4), velocities before (6)
 and after (6), and what is held from then on: (-1, -1) nothing, (i, -1) a vertex, (i, j) two, (i, -2) a face, and
 (bits, -3) the vertices with those bits set, with friction."""
 
-PATIENCE = 1000.0
+TIMEOUT = 1000.0
 """A throw is given up as a top after this many √(R/g), where it is not proved to be one for ever; at χ above 0.9, where
 every die takes long to calm down, 0.1/(1 - χ) times as late."""
 
-NEAR = 1e-10
+STANDING_HEIGHT = 1e-10
 """Part of the circumradius within which a slow vertex counts as standing on the table: far above the height of the
 slowest bounces that are simulated, and no more than 1e-10 of the energy."""
 
-ROUNDING = 16.0 * 2.220446049250313e-16
+ROUNDING_BOUND = 16.0 * 2.220446049250313e-16
 """A height is a sum of some ten products, each off by half a unit in the last place of its largest term."""
 
-ORDER = 20
+TAYLOR_ORDER = 20
 """Of the Taylor series: e^-35 of accuracy costs e^(35/N) steps of N² operations each, least at N = 17."""
 
-TINY = 1e-16
+NEGLIGIBLE_SLIP = 1e-16
 """Part of the velocities at hand below which a slip, or its turning, is rounding."""
 
-MOST_STEPS = 10_000
+MAX_SLIP_STEPS = 10_000
 """None of 3 · 10⁶ random impacts came to it; the answer then is NaN, rather than none."""
 
 STOPPED, STRAIGHT, TURNS = 0, 1, 2
 """Courses of a slip: none, or along the one direction in which it grows, as if it had just set out; straight to its stop;
 neither."""
 
-VX, VY, SPEED, NORMAL, GIVEN = int64(0), int64(1), int64(2), int64(3), int64(4)
+VX, VY, SPEED, NORMAL, RESTITUTION = int64(0), int64(1), int64(2), int64(3), int64(4)
 """Rows of the series: slip, its size, the normal velocity w, and what restitution is measured by (∫dp or ∫w dp)."""
 
 NONE = int64(-1)
@@ -135,17 +135,17 @@ NONE = int64(-1)
 FORCE_I, FORCE_J, NO_EVENT = int64(-1), int64(-2), int64(-3)
 """Events of held contact besides the touch of a vertex, which goes by its number: a vertex is let go."""
 
-ZERO, ONE, TWELVE, NO_LIMIT = int64(0), int64(1), int64(12), int64(9223372036854775807)
-YES, NO = truth(True), truth(False)
+ZERO, ONE, TANGENT_ROWS, NO_LIMIT = int64(0), int64(1), int64(12), int64(9223372036854775807)
+TRUE, FALSE = truth(True), truth(False)
 """Numbers that kernels hand on; see `compiled`."""
 
-MOST_SWEEPS = 1000
+MAX_SWEEPS = 1000
 """Of the Gauss-Seidel method in `friction_step`. Four corners of a die that slides need some 30, rocking ones 100."""
 
 FULL_SWEEPS, LONG_SWEEPS = 100, 500
 """After so many sweeps without an end, each goes 0.7, then 0.4 of its way."""
 
-NEAR_RUBBED, RUBBED_PART = 1e-6, 0.1
+FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART = 1e-6, 0.1
 """With friction, held contact is followed by a method of low order: part of the circumradius within which its vertices
 count as standing on the table, and part of `Precision.turn` that it takes as a step."""
 

@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 
 _UNIT = 2.220446049250313e-16
 _ENDLESS = np.iinfo(np.int64).max
-_LEAVES_OFF = (engine.IMPACT_CAP, engine.SPUN_LONG, engine.TIME_REACHED)
+_LEAVES_OFF = (engine.IMPACT_CAP, engine.TIMED_OUT, engine.TIME_REACHED)
 """Endings that say nothing of where the die would land."""
 
 

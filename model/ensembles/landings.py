@@ -168,10 +168,10 @@ def _note_lowest(normals: Array, log: Array, end: Array, lowest: Indices) -> Non
     known = 0
     for event in range(log.shape[0]):
         if log[event, 1] >= 0.0 and known < lowest.shape[0]:
-            lowest[known] = engine.lowest_row(normals, log[event, 2:15])
+            lowest[known] = engine.lowest_face_row(normals, log[event, 2:15])
             known += 1
     for k in range(known, lowest.shape[0]):
-        lowest[k] = engine.lowest_row(normals, end)
+        lowest[k] = engine.lowest_face_row(normals, end)
 
 
 @compiled(nogil=True)
@@ -189,7 +189,7 @@ def _follow_many(
     ending (-1: below the table), and `lowest` (n, 1 + after) with rows of faces."""
     z_table, after = engine.table_height(plane, 0.0), lowest.shape[1] - 1
     for k in range(starts.shape[0]):
-        lowest[k, 0] = engine.lowest_row(body.normals, starts[k])
+        lowest[k, 0] = engine.lowest_face_row(body.normals, starts[k])
         deep = inf
         for i in range(body.vertices.shape[0]):
             deep = min(deep, engine.clearance(body.vertices[i], starts[k], z_table))
@@ -197,19 +197,19 @@ def _follow_many(
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
         code, impacts, face, _, _, _, _ = engine.run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.YES, impact_cap, engine.NO
+            body, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.TRUE, impact_cap, engine.FALSE
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
             _, _, _, _, end, log, _ = engine.run_throw(
-                body, law, plane, precision, starts[k], 0.0, inf, after, engine.YES, impact_cap, engine.YES
+                body, law, plane, precision, starts[k], 0.0, inf, after, engine.TRUE, impact_cap, engine.TRUE
             )
             _note_lowest(body.normals, log, end, lowest[k, 1:])
 
 
 @compiled(nogil=True)
 def _follow_tops(
-    top: asymmetric.Top,
+    top: asymmetric.AsymmetricBody,
     law: engine.Law,
     plane: engine.Plane,
     precision: engine.Precision,
@@ -221,19 +221,19 @@ def _follow_tops(
     """As `_follow_many`, for dice that are no spherical tops; states of the centre of mass, principal axes."""
     z_table, after = engine.table_height(plane, 0.0), lowest.shape[1] - 1
     for k in range(starts.shape[0]):
-        lowest[k, 0] = engine.lowest_row(top.normals, starts[k])
+        lowest[k, 0] = engine.lowest_face_row(top.normals, starts[k])
         deep = inf
         for i in range(top.vertices.shape[0]):
             deep = min(deep, engine.clearance(top.vertices[i], starts[k], z_table))
         if deep < -1e-9 * top.radius:
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, -1
             continue
-        code, impacts, face, _, _, _, _ = asymmetric.run_top(
-            top, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.YES, impact_cap, engine.NO
+        code, impacts, face, _, _, _, _ = asymmetric.run_asymmetric_throw(
+            top, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.TRUE, impact_cap, engine.FALSE
         )
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
-            _, _, _, _, end, log, _ = asymmetric.run_top(
-                top, law, plane, precision, starts[k], 0.0, inf, after, engine.YES, impact_cap, engine.YES
+            _, _, _, _, end, log, _ = asymmetric.run_asymmetric_throw(
+                top, law, plane, precision, starts[k], 0.0, inf, after, engine.TRUE, impact_cap, engine.TRUE
             )
             _note_lowest(top.normals, log, end, lowest[k, 1:])

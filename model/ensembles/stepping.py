@@ -46,7 +46,15 @@ def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, sing
     states = np.array(starts, np.float32 if single else np.float64)
     landed = np.empty(len(states), np.int64)
     _step_many(
-        body.vertices, body.feet, body.barriers, body.inertia / body.mass, chi, GRAVITY_M_S2, step_s, states, landed
+        body.vertices,
+        body.plumb_normals,
+        body.barrier_heights,
+        body.inertia / body.mass,
+        chi,
+        GRAVITY_M_S2,
+        step_s,
+        states,
+        landed,
     )
     return landed
 
@@ -54,8 +62,8 @@ def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, sing
 @compiled(nogil=True)
 def _step_many(
     vertices: Array,
-    feet: Array,
-    barriers: Array,
+    plumb_normals: Array,
+    barrier_heights: Array,
     inertia: float,
     chi: float,
     g: float,
@@ -72,7 +80,7 @@ def _step_many(
             _carry(state, h, g)
             _arms(vertices, state, arms)
             _bounce(arms, state, chi, inertia)
-            face = _decided(feet, barriers, state, inertia, g)
+            face = _decided(plumb_normals, barrier_heights, state, inertia, g)
             if face >= 0:
                 landed[k] = face + 1
                 break
@@ -132,17 +140,17 @@ def _bounce(arms: Array, state: Array, chi: float, inertia: float) -> None:
 
 
 @compiled
-def _decided(feet: Array, barriers: Array, state: Array, inertia: float, g: float) -> int:
+def _decided(plumb_normals: Array, barrier_heights: Array, state: Array, inertia: float, g: float) -> int:
     """Row of the face that the die can no longer leave, or -1; see `simulate`."""
     turning = inertia * (state[10] * state[10] + state[11] * state[11])
     energy = g * state[2] + 0.5 * (state[9] * state[9] + turning)
-    if energy >= g * barriers.max():
+    if energy >= g * barrier_heights.max():
         return -1
     w, x, y, z = state[3], state[4], state[5], state[6]
     up_x, up_y, up_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
     best, face = 0.0, -1
-    for k in range(feet.shape[0]):
-        down = -(up_x * feet[k, 0] + up_y * feet[k, 1] + up_z * feet[k, 2])
+    for k in range(plumb_normals.shape[0]):
+        down = -(up_x * plumb_normals[k, 0] + up_y * plumb_normals[k, 1] + up_z * plumb_normals[k, 2])
         if down > best:
             best, face = down, k
-    return face if energy < g * barriers[face] else -1
+    return face if energy < g * barrier_heights[face] else -1

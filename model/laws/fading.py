@@ -48,7 +48,7 @@ class RestitutionBySpeed:
 
     def chi_at(self, speed_m_s: float) -> float:
         """χ of an impact at that speed [m/s]."""
-        return float(engine.faded_at_speed(self.law.chi, speed_m_s, self.speed_scale_m_s, self.exponent))
+        return float(engine.coefficient_at_speed(self.law.chi, speed_m_s, self.speed_scale_m_s, self.exponent))
 
 
 @dataclass(frozen=True)
@@ -95,4 +95,4 @@ class FrictionBySpeed:
     def mu_at(self, speed_m_s: float) -> float:
         """μ of an impact at that speed [m/s]."""
         mu0 = float(self.parameters[1])
-        return float(engine.faded_at_speed(mu0, speed_m_s, self.speed_scale_m_s, self.exponent))
+        return float(engine.coefficient_at_speed(mu0, speed_m_s, self.speed_scale_m_s, self.exponent))

@@ -1,6 +1,6 @@
 """Derivatives of the throw of a die that is no spherical top; `tangent` has the method, this what is different.
 
-The kernel (`tops.run_top_tangent`) has the centre of mass, the attitude and the angular momentum L, which is constant in
+The kernel (`tops.run_asymmetric_tangent`) has the centre of mass, the attitude and the angular momentum L, which is constant in
 flight. With W = R I⁻¹ Rᵀ, so that ω = W L, a turn δ of the attitude obeys
 
     δω = δ × ω + W (δL - δ × L),    δ' = δω - δ × ω = W (δL - δ × L),
@@ -62,7 +62,7 @@ def run_tangent(
     free: bool,
     impact_cap: int,
     seed: Array,
-    sources: engine.Sources,
+    sources: engine.ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
     """As `kernels.run_tangent`, in and out in terms of the centroid and ω. The log alone is that of `tops.AsymmetricThrow`."""
     if law.code != engine.SMOOTH:
@@ -79,7 +79,7 @@ def run_tangent(
     axes = matrix_from_quat(turn)
     first = packed_state(asymmetric_throw.centre_of_mass_state(die, unpacked_state(start, start_time)))
     first[3:7] = quat_multiply(first[3:7], turn)
-    code, poses, jacobian, log, impact_jacobian = asymmetric.run_top_tangent(
+    code, poses, jacobian, log, impact_jacobian = asymmetric.run_asymmetric_tangent(
         top,
         law,
         plane,
@@ -99,7 +99,9 @@ def run_tangent(
     return code, poses, jacobian, log, impact_jacobian
 
 
-def _of_centre(die: Die, parameters: Sequence[str], start: Array, seed: Array, sources: engine.Sources) -> Array:
+def _of_centre(
+    die: Die, parameters: Sequence[str], start: Array, seed: Array, sources: engine.ParameterDerivatives
+) -> Array:
     """Derivatives (12, 12 + m) of centre of mass, attitude, its velocity and L, from those of the centroid and ω."""
     rotation, omega = matrix_from_quat(start[3:7]), start[10:13]
     tensor = rotation @ _tensor(die) @ rotation.T
@@ -179,7 +181,7 @@ class AsymmetricFlight(Flight):
         top, turn = _top(self.die)
         packed = packed_state(self.start)
         packed[3:7] = quat_multiply(packed[3:7], turn)
-        return quat_multiply(asymmetric.coasted(top, packed, delays), quat_conjugate(turn))
+        return quat_multiply(asymmetric.attitudes_in_flight(top, packed, delays), quat_conjugate(turn))
 
 
 def throw_from_flights(die: Die, start: State, table: Table, log: Array, end_s: float) -> Throw:

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from ..die import Die, inner_vertices
 from ..engine import FINE, LEVEL, SMOOTH, Law, Plane, Precision
-from ..engine.asymmetric import Array, Top, run_top, states_between
+from ..engine.asymmetric import Array, AsymmetricBody, asymmetric_states_at, run_asymmetric_throw
 from ..rotations import matrix_from_quat, quat_from_matrix, quat_multiply
 from .motion import State
 from .touch import packed_state, unpacked_state
@@ -47,13 +47,13 @@ class AsymmetricThrow:
     def packed_states(self, times_s: ArrayLike) -> Array:
         """States (n, 13) of the centre of mass at times (n,) [s]."""
         top, turn, knots = self._prepared
-        states = states_between(top, self.plane, self.log[:, 21:23], knots, np.asarray(times_s, float))
+        states = asymmetric_states_at(top, self.plane, self.log[:, 21:23], knots, np.asarray(times_s, float))
         states[:, 2] += self.die.corner_radius_m
         states[:, 3:7] = quat_multiply(states[:, 3:7], turn * [1.0, -1.0, -1.0, -1.0])
         return states
 
     @cached_property
-    def _prepared(self) -> tuple[Top, Array, Array]:
+    def _prepared(self) -> tuple[AsymmetricBody, Array, Array]:
         """The die in its principal axes, the quaternion from those to its own, and the knots as the kernels have them.
 
         Kept, because a long throw is asked for one state a flight: a thousand flights took 40 s without.
@@ -101,7 +101,7 @@ def throw_asymmetric_die(
             "raise the die"
         )
     most = np.iinfo(np.int64).max if impacts is None else impacts
-    code, count, face, end, _, log, knots = run_top(
+    code, count, face, end, _, log, knots = run_asymmetric_throw(
         top, law, plane, precision, start, release.time_s, duration_s, most, stop_when_decided, impact_cap, True
     )
     back = turn * np.array([1.0, -1.0, -1.0, -1.0])
@@ -135,7 +135,7 @@ def _shifted(die: Die, state: State, sign: float) -> State:
     )
 
 
-def asymmetric_body_of(die: Die) -> tuple[Top, Array]:
+def asymmetric_body_of(die: Die) -> tuple[AsymmetricBody, Array]:
     """The die in its principal axes, and the quaternion (4,) that takes those axes to the die's.
 
     Corners are those of the inner solid; heights then count from `corner_radius_m` above the table, because a vertical
@@ -159,7 +159,7 @@ def asymmetric_body_of(die: Die) -> tuple[Top, Array]:
         corners[k, : len(face)] = face
     ends = vertices[solid.edges]
     barriers = np.array([_edge_barrier(a, b, moments) for a, b in ends])
-    top = Top(
+    top = AsymmetricBody(
         np.ascontiguousarray(vertices),
         np.ascontiguousarray(solid.normals @ axes),
         offsets,

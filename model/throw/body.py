@@ -38,7 +38,7 @@ def body_of(die: Die) -> engine.Body:
         die.mass_kg,
         die.inertia_kg_m2 if moment is None else moment,
         float(np.linalg.norm(vertices, axis=1).max()),
-        safe_leans(vertices),
+        safe_tilt_cosines(vertices),
         die.corner_radius_m,
     )
 
@@ -112,7 +112,7 @@ def edge_barriers_m(solid: Solid, vertices: Array) -> Array:
     return barriers
 
 
-def safe_leans(vertices: Array) -> Array:
+def safe_tilt_cosines(vertices: Array) -> Array:
     """Cosine (n,) of how far the line from each vertex to the centre may lean from the vertical before another vertex
     can come as low, however the die is turned about that line. Vertices (n, 3) from the centre."""
     lengths = np.linalg.norm(vertices, axis=1)

@@ -83,13 +83,13 @@ class HeldContact(Flight):
             # Half of each step goes with the old velocities, half with the new ones.
             last = k + 1 == len(knots)
             if last or dt <= 0.5 * (knots[k + 1, 0] - knots[k, 0]):
-                engine.turn_and_move(state, dt)
+                engine.move_freely(state, dt)
                 return state
             state = knots[k + 1, 1:].copy()
-            engine.turn_and_move(state, time - knots[k + 1, 0])
+            engine.move_freely(state, time - knots[k + 1, 0])
             return state
         if len(self.vertices) > 2:
-            engine.carry_face(state, self.plane, knots[k, 0], dt)
+            engine.carry_on_face(state, self.plane, knots[k, 0], dt)
             return state
         after = np.empty(13)
         i, j = (*self.vertices, -1)[:2]

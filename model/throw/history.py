@@ -44,7 +44,7 @@ class _Stage:
 def throw_from_log(
     die: Die, start: Array, begin_s: float, log: Array, end_s: float, knots: Array = _NO_KNOTS, table: Table = LEVEL
 ) -> Throw:
-    """The Throw of a packed start (13,) and its logged events (k, `kernels.ROW`); the last flight ends at `end_s`.
+    """The Throw of a packed start (13,) and its logged events (k, `kernels.LOG_COLUMNS`); the last flight ends at `end_s`.
 
     `knots` (m, 15) are those of `kernels.run_throw`. Times are absolute.
     """
@@ -163,7 +163,7 @@ def _flight(stage: _Stage, packed: Array, begin: float, end: float, pair: tuple[
         return Flight(State(begin, position, quaternion, velocity, omega), end)
     vertices = _held(pair)
     if pair[1] == -2:
-        vertices = stage.die.solid.faces[engine.lowest_row(stage.die.solid.normals, packed)]
+        vertices = stage.die.solid.faces[engine.lowest_face_row(stage.die.solid.normals, packed)]
     if not len(knots):
         knots = np.concatenate([[begin], packed])[None]
     motion = HeldContact(
@@ -227,4 +227,4 @@ def _energy_J(stage: _Stage, packed: Array) -> float:
 def _lowest_half_way(die: Die, flight: Flight) -> int:
     """Number of the lowest face half-way through a flight."""
     packed = packed_state(flight.at(0.5 * (flight.start.time_s + flight.end_s)))
-    return int(engine.lowest_row(die.solid.normals, packed)) + 1
+    return int(engine.lowest_face_row(die.solid.normals, packed)) + 1

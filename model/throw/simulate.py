@@ -80,7 +80,7 @@ class Ending(Enum):
 ENDINGS = {
     engine.RESTED: Ending.RESTED,
     engine.SPINNING: Ending.SPINNING,
-    engine.SPUN_LONG: Ending.SPUN_LONG,
+    engine.TIMED_OUT: Ending.SPUN_LONG,
     engine.BALANCED: Ending.BALANCED,
     engine.TIME_REACHED: Ending.TIME_REACHED,
     engine.IMPACTS_REACHED: Ending.IMPACTS_REACHED,

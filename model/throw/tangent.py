@@ -25,7 +25,7 @@ The gradient of S has a closed form where nothing rubs. With friction it is take
 some 1e-10 of itself: an analytic function of its arguments as long as the slip takes the same course. It jumps, or the
 impulse itself does, where that course changes: where the slip just stops as the impact ends (and in Stronge's and
 Poisson's restitution, as compression ends), where a slip that has stopped is just about to slide again (|T⁻¹b| = μ),
-and where a contact comes down with no slip at all but friction too weak to hold it. Within `kernels.SHIFT` of such a
+and where a contact comes down with no slip at all but friction too weak to hold it. Within `kernels.DIFFERENCE_STEP` of such a
 border the two sides are mixed.
 
 **Parameters** by name; those that the law, the die or the table does not have, or that do not act, have columns of
@@ -268,7 +268,7 @@ class DraggedFlight(Flight):
 
     def _flows(self, times: Array) -> Array:
         """Positions and velocities (n, 6) at times (n,) [s]."""
-        return engine.flows(self.drag_per_m, packed_state(self.start), times - self.start.time_s)
+        return engine.drag_trajectory(self.drag_per_m, packed_state(self.start), times - self.start.time_s)
 
 
 def _throw_in_air(
@@ -316,14 +316,14 @@ def _turn(table: Table) -> Array:
     return matrix_from_quat(table.world_from_table) if table.tilt_rad else np.eye(3)
 
 
-def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) -> engine.Sources:
+def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) -> engine.ParameterDerivatives:
     """What each parameter changes in what the kernels are given."""
     m = len(parameters)
 
     def own(name: str, acts: bool = True) -> Array:
         return np.array([1.0 if acts and given == name else 0.0 for given in parameters])
 
-    sources = engine.Sources(
+    sources = engine.ParameterDerivatives(
         chi=own("chi"),
         mu=own("mu", _rubs(law)),
         speed_scale=own("speed_scale_m_s", _fades(law)),

@@ -69,13 +69,13 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
     at once where it sinks and is waited for where it rises. Raises ValueError for a state that no die has.
     """
     packed = packed_state(state)
-    spin = engine.spin_of(packed)
+    spin = engine.spin_rate(packed)
     engine.advance(packed, spin, after_s, engine.LEVEL)
     begin = state.time_s + after_s
     if until_s < begin:
         return None
     terms = np.empty((len(die.solid.vertices), 4))
-    engine.swing(die.solid.vertices, packed, spin, terms)
+    engine.height_terms(die.solid.vertices, packed, spin, terms)
     dt, vertex, velocity, _ = engine.first_touch(
         terms,
         packed[2],
@@ -90,7 +90,7 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
     if vertex < 0:
         return None
     engine.advance(packed, spin, dt, engine.LEVEL)
-    arm = np.array(engine.arm_of(die.solid.vertices[vertex], packed))
+    arm = np.array(engine.lever_arm(die.solid.vertices[vertex], packed))
     return Touch(unpacked_state(packed, begin + dt), int(vertex), arm, float(velocity))
 
 

@@ -8,7 +8,7 @@ friendly function is `throw_asymmetric_die`.
 **Motion.** The angular momentum L about the centre changes only by the table. In flight it is constant, the centre
 moves on a parabola, and what remains is the attitude: q' = q ω/2 with ω = I⁻¹ Rᵀ L in body axes. It is integrated with
 the method of order 8 of Dormand and Prince (Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, II.5;
-the tableau is scipy's), in steps through which the die turns by at most `TURN_RAD`. An instant inside a step is reached by
+the tableau is scipy's), in steps through which the die turns by at most `MAX_TURN_RAD`. An instant inside a step is reached by
 a shorter step of the same method from the same beginning, so it is as accurate as the whole.
 
 **Touch.** As in `touch`: with u the vertical in body axes, vertex r has the height h = z + u·r above the table s(t), and
@@ -36,9 +36,9 @@ E < m g d + L_z²/(2 max u·I u) for each of its edges. A die that lies on a fac
 too: nothing changes any more, however fast it spins.
 """
 
-from .event_loop import run_top as run_top
-from .event_loop import states_between as states_between
+from .event_loop import asymmetric_states_at as asymmetric_states_at
+from .event_loop import run_asymmetric_throw as run_asymmetric_throw
 from .motion import Array as Array
-from .motion import Top as Top
-from .tangent import coasted as coasted
-from .tangent import run_top_tangent as run_top_tangent
+from .motion import AsymmetricBody as AsymmetricBody
+from .tangent import attitudes_in_flight as attitudes_in_flight
+from .tangent import run_asymmetric_tangent as run_asymmetric_tangent

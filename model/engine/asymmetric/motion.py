@@ -15,19 +15,19 @@ from ..types import Plane
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-TURN_RAD = 0.2
+MAX_TURN_RAD = 0.2
 """Largest turn in one step: the energy of a flight then stays within 1e-13 of itself, as the tests measure."""
 
-ROUNDING = 16.0 * 2.220446049250313e-16
+ROUNDING_BOUND = 16.0 * 2.220446049250313e-16
 """As in `kernels`: a height is a sum of some ten products, each off by half a unit of its last place."""
 
-NEAR = 1e-10
+STANDING_HEIGHT = 1e-10
 """Part of the circumradius within which a slow vertex counts as standing on the table, as in `kernels`."""
 
 RUNGE_KUTTA_A, RUNGE_KUTTA_B, _C = np.ascontiguousarray(DOP853.A[:12, :12]), DOP853.B.copy(), DOP853.C[:12].copy()
 
 
-class Top(NamedTuple):
+class AsymmetricBody(NamedTuple):
     """A die as the kernels have it, in principal axes about its centre of mass."""
 
     vertices: Array
@@ -52,12 +52,12 @@ class Top(NamedTuple):
 
 
 @inner
-def height_of_table(plane: Plane, time: float) -> float:
+def table_height(plane: Plane, time: float) -> float:
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * sin(plane.rate * time + plane.phase)
 
 
 @inner
-def velocity_of_table(plane: Plane, time: float) -> float:
+def table_velocity(plane: Plane, time: float) -> float:
     return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
 
 
@@ -77,92 +77,92 @@ def to_world(y: Array, a: float, b: float, c: float) -> tuple[float, float, floa
 
 
 @inner
-def body_spin(top: Top, y: Array) -> tuple[float, float, float]:
+def body_angular_velocity(body: AsymmetricBody, y: Array) -> tuple[float, float, float]:
     """ω in body axes: I⁻¹ Rᵀ L."""
     w, x, z, v = y[3], -y[4], -y[5], -y[6]
     a, b, c = y[10], y[11], y[12]
     tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
     return (
-        (a + w * tx + z * tz - v * ty) / top.moments[0],
-        (b + w * ty + v * tx - x * tz) / top.moments[1],
-        (c + w * tz + x * ty - z * tx) / top.moments[2],
+        (a + w * tx + z * tz - v * ty) / body.moments[0],
+        (b + w * ty + v * tx - x * tz) / body.moments[1],
+        (c + w * tz + x * ty - z * tx) / body.moments[2],
     )
 
 
 @inner
-def turning_energy(top: Top, y: Array) -> float:
+def rotational_energy(body: AsymmetricBody, y: Array) -> float:
     """½ ω·Iω [J]."""
-    a, b, c = body_spin(top, y)
-    return 0.5 * (top.moments[0] * a * a + top.moments[1] * b * b + top.moments[2] * c * c)
+    a, b, c = body_angular_velocity(body, y)
+    return 0.5 * (body.moments[0] * a * a + body.moments[1] * b * b + body.moments[2] * c * c)
 
 
 @inner
-def lever_arm(top: Top, y: Array, i: int) -> tuple[float, float, float]:
+def unit_torque(body: AsymmetricBody, y: Array, i: int) -> tuple[float, float, float]:
     """t = r × u of a vertex in body axes: the torque of a unit vertical force."""
     x, z, v = vertical_in_body(y)
-    a, b, c = top.vertices[i, 0], top.vertices[i, 1], top.vertices[i, 2]
+    a, b, c = body.vertices[i, 0], body.vertices[i, 1], body.vertices[i, 2]
     return b * v - c * z, c * x - a * v, a * z - b * x
 
 
 @inner
-def response(top: Top, y: Array, i: int, j: int) -> float:
+def response(body: AsymmetricBody, y: Array, i: int, j: int) -> float:
     """Aᵢⱼ: vertical acceleration of vertex i by a unit vertical force on vertex j."""
-    a, b, c = lever_arm(top, y, i)
-    d, e, f = lever_arm(top, y, j)
-    return 1.0 / top.mass + a * d / top.moments[0] + b * e / top.moments[1] + c * f / top.moments[2]
+    a, b, c = unit_torque(body, y, i)
+    d, e, f = unit_torque(body, y, j)
+    return 1.0 / body.mass + a * d / body.moments[0] + b * e / body.moments[1] + c * f / body.moments[2]
 
 
 @inner
-def clearance(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
+def clearance(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int) -> float:
     """Height of a vertex above the table."""
     x, z, v = vertical_in_body(y)
-    swung = x * top.vertices[i, 0] + z * top.vertices[i, 1] + v * top.vertices[i, 2]
-    return y[2] + swung - height_of_table(plane, time)
+    swung = x * body.vertices[i, 0] + z * body.vertices[i, 1] + v * body.vertices[i, 2]
+    return y[2] + swung - table_height(plane, time)
 
 
 @inner
-def approach_velocity(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
+def vertex_velocity(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int) -> float:
     """Vertical velocity of a vertex relative to the table."""
-    a, b, c = lever_arm(top, y, i)
-    p, q, r = body_spin(top, y)
-    return y[9] + a * p + b * q + c * r - velocity_of_table(plane, time)
+    a, b, c = unit_torque(body, y, i)
+    p, q, r = body_angular_velocity(body, y)
+    return y[9] + a * p + b * q + c * r - table_velocity(plane, time)
 
 
 @inner
-def free_acceleration(top: Top, plane: Plane, y: Array, time: float, i: int) -> float:
+def free_acceleration(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int) -> float:
     """b: vertical acceleration of a vertex relative to the table with no forces from the table."""
     x, z, v = vertical_in_body(y)
-    p, q, r = body_spin(top, y)
-    i1, i2, i3 = top.moments[0], top.moments[1], top.moments[2]
-    a, b, c = top.vertices[i, 0], top.vertices[i, 1], top.vertices[i, 2]
+    p, q, r = body_angular_velocity(body, y)
+    i1, i2, i3 = body.moments[0], body.moments[1], body.moments[2]
+    a, b, c = body.vertices[i, 0], body.vertices[i, 1], body.vertices[i, 2]
     # (u × ω) × ω · r, and ω' · t by Euler's equations.
     along = x * p + z * q + v * r
     w2 = p * p + q * q + r * r
     centripetal = (p * a + q * b + r * c) * along - w2 * (x * a + z * b + v * c)
-    d, e, f = lever_arm(top, y, i)
+    d, e, f = unit_torque(body, y, i)
     euler = d * (i2 - i3) / i1 * q * r + e * (i3 - i1) / i2 * r * p + f * (i1 - i2) / i3 * p * q
-    return centripetal + euler - plane.g + plane.rate * plane.rate * height_of_table(plane, time)
+    return centripetal + euler - plane.g + plane.rate * plane.rate * table_height(plane, time)
 
 
 @inner
-def holding_forces(top: Top, plane: Plane, y: Array, time: float, i: int, j: int) -> tuple[float, float]:
+def contact_forces(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int) -> tuple[float, float]:
     """The vertical forces [N] that keep vertices i and j (-1: i alone) on the table."""
     if i < 0:
         return 0.0, 0.0
-    b = free_acceleration(top, plane, y, time, i)
-    aii = response(top, y, i, i)
+    b = free_acceleration(body, plane, y, time, i)
+    aii = response(body, y, i, i)
     if j < 0:
         return -b / aii, 0.0
-    c = free_acceleration(top, plane, y, time, j)
-    aij, ajj = response(top, y, i, j), response(top, y, j, j)
+    c = free_acceleration(body, plane, y, time, j)
+    aij, ajj = response(body, y, i, j), response(body, y, j, j)
     det = aii * ajj - aij * aij
     return (aij * c - ajj * b) / det, (aij * b - aii * c) / det
 
 
 @inner
-def _rates(top: Top, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
+def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
     """Fill `out` (8,) with q' and, in held contact, z', v_z', L_x', L_y'."""
-    p, q, r = body_spin(top, y)
+    p, q, r = body_angular_velocity(body, y)
     w, a, b, c = y[3], y[4], y[5], y[6]
     out[0] = 0.5 * (-a * p - b * q - c * r)
     out[1] = 0.5 * (w * p + b * r - c * q)
@@ -170,27 +170,29 @@ def _rates(top: Top, plane: Plane, y: Array, time: float, i: int, j: int, out: A
     out[3] = 0.5 * (w * r + a * q - b * p)
     if i < 0:
         return
-    n, o = holding_forces(top, plane, y, time, i, j)
+    n, o = contact_forces(body, plane, y, time, i, j)
     out[4] = y[9]
-    out[5] = -plane.g + (n + o) / top.mass
-    d, e, f = lever_arm(top, y, i)
+    out[5] = -plane.g + (n + o) / body.mass
+    d, e, f = unit_torque(body, y, i)
     out[6], out[7], _ = to_world(y, n * d, n * e, n * f)
     if j >= 0:
-        d, e, f = lever_arm(top, y, j)
+        d, e, f = unit_torque(body, y, j)
         dx, dy, _ = to_world(y, o * d, o * e, o * f)
         out[6] += dx
         out[7] += dy
 
 
 @inner
-def _place(y: Array, values: Array) -> None:
+def _write_values(y: Array, values: Array) -> None:
     """Write the integrated components (8,) into a state."""
     y[3:7] = values[:4]
     y[2], y[9], y[10], y[11] = values[4], values[5], values[6], values[7]
 
 
 @inner
-def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: int, stages: Array, out: Array) -> None:
+def state_after_step(
+    body: AsymmetricBody, plane: Plane, y: Array, time: float, dt: float, i: int, j: int, stages: Array, out: Array
+) -> None:
     """The state `dt` [s] after `y`, in flight or with vertices i, j held (j = -2: on a face), into `out`.
 
     One step of the method, whatever `dt`; `stages` (14, 8) is room to work in.
@@ -201,7 +203,7 @@ def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: i
     out[7] = y[7] + plane.gx * dt
     out[8] = y[8] + plane.gy * dt
     if j == -2:
-        _carry_on_face(top, plane, y, time, dt, out)
+        _turn_on_face(body, plane, y, time, dt, out)
         return
     size = 4 if i < 0 else 8
     start, now = stages[12], stages[13]
@@ -215,8 +217,8 @@ def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: i
                 for n in range(s):
                     total += RUNGE_KUTTA_A[s, n] * stages[n, k]
                 now[k] = start[k] + dt * total
-            _place(out, now)
-        _rates(top, plane, out, time + _C[s] * dt, i, j, stages[s])
+            _write_values(out, now)
+        _state_rates(body, plane, out, time + _C[s] * dt, i, j, stages[s])
     for k in range(size):
         total = 0.0
         for n in range(12):
@@ -224,16 +226,16 @@ def moved(top: Top, plane: Plane, y: Array, time: float, dt: float, i: int, j: i
         now[k] = start[k] + dt * total
     norm = sqrt(now[0] * now[0] + now[1] * now[1] + now[2] * now[2] + now[3] * now[3])
     now[:4] /= norm
-    _place(out, now)
+    _write_values(out, now)
     if i < 0:
         out[2] = y[2] + (y[9] - 0.5 * plane.g * dt) * dt
         out[9] = y[9] - plane.g * dt
 
 
 @inner
-def _carry_on_face(top: Top, plane: Plane, y: Array, time: float, dt: float, out: Array) -> None:
+def _turn_on_face(body: AsymmetricBody, plane: Plane, y: Array, time: float, dt: float, out: Array) -> None:
     """A die that lies on a face turns about the vertical and moves up and down with the table."""
-    p, q, r = body_spin(top, y)
+    p, q, r = body_angular_velocity(body, y)
     x, z, v = vertical_in_body(y)
     half = 0.5 * dt * (p * x + q * z + r * v)
     c, s = cos(half), sin(half)
@@ -242,5 +244,5 @@ def _carry_on_face(top: Top, plane: Plane, y: Array, time: float, dt: float, out
     out[3], out[4], out[5], out[6] = c * w - s * d, c * a - s * b, c * b + s * a, c * d + s * w
     c, s = cos(2.0 * half), sin(2.0 * half)
     out[10], out[11] = c * y[10] - s * y[11], s * y[10] + c * y[11]
-    out[2] = y[2] + height_of_table(plane, time + dt) - height_of_table(plane, time)
-    out[9] = velocity_of_table(plane, time + dt)
+    out[2] = y[2] + table_height(plane, time + dt) - table_height(plane, time)
+    out[9] = table_velocity(plane, time + dt)

@@ -7,48 +7,48 @@ from math import ceil, cos, inf, nan, sin, sqrt
 import numpy as np
 
 from ...compiled import compiled, inner
-from ..impact import Sources
-from ..types import CHATTER, FINE, IMPACT_CAP, LEVEL, NO_TOUCH, ROW, TIME_REACHED, Law, Plane
+from ..impact import ParameterDerivatives
+from ..types import CHATTER, FINE, IMPACT_CAP, LEVEL, LOG_COLUMNS, NO_TOUCH, TIME_REACHED, Law, Plane
 from .contact import spin_growth_bound
-from .event_loop import next_event, room_for, with_momentum, with_spin
+from .event_loop import next_event, room_for, to_angular_momentum, to_angular_velocity
 from .motion import (
-    ROUNDING,
+    MAX_TURN_RAD,
+    ROUNDING_BOUND,
     RUNGE_KUTTA_A,
     RUNGE_KUTTA_B,
-    TURN_RAD,
     Array,
+    AsymmetricBody,
     Indices,
-    Top,
-    approach_velocity,
-    body_spin,
+    body_angular_velocity,
     clearance,
-    moved,
+    rotational_energy,
+    state_after_step,
     to_world,
-    turning_energy,
+    vertex_velocity,
 )
 
 
 @inner
-def _compliance(top: Top, y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
+def angular_velocity_of(body: AsymmetricBody, y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
     """W x = R I⁻¹ Rᵀ x of a vector in table axes: the angular velocity that an angular momentum x makes."""
     w, x, z, v = y[3], -y[4], -y[5], -y[6]
     tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
     return to_world(
         y,
-        (a + w * tx + z * tz - v * ty) / top.moments[0],
-        (b + w * ty + v * tx - x * tz) / top.moments[1],
-        (c + w * tz + x * ty - z * tx) / top.moments[2],
+        (a + w * tx + z * tz - v * ty) / body.moments[0],
+        (b + w * ty + v * tx - x * tz) / body.moments[1],
+        (c + w * tz + x * ty - z * tx) / body.moments[2],
     )
 
 
 @inner
-def _turn_rates(top: Top, y: Array, values: Array, out: Array) -> None:
+def _attitude_rates(body: AsymmetricBody, y: Array, values: Array, out: Array) -> None:
     """Fill `out` (22,) with the rates of `values`: quaternion (4), Φ (3 × 3) and Ψ (3 × 3) row by row.
 
     δ' = W (δL - δ × L) for a turn δ of the attitude, so Φ' = W [L]× Φ and Ψ' = W [L]× Ψ + W.
     """
     y[3:7] = values[:4]
-    p, q, r = body_spin(top, y)
+    p, q, r = body_angular_velocity(body, y)
     w, a, b, c = values[0], values[1], values[2], values[3]
     out[0] = 0.5 * (-a * p - b * q - c * r)
     out[1] = 0.5 * (w * p + b * r - c * q)
@@ -62,11 +62,11 @@ def _turn_rates(top: Top, y: Array, values: Array, out: Array) -> None:
             ux, uy, uz = ly * dz - lz * dy, lz * dx - lx * dz, lx * dy - ly * dx
             if block == 13:
                 ux, uy, uz = ux + (k == 0), uy + (k == 1), uz + (k == 2)
-            out[i], out[j], out[m] = _compliance(top, y, ux, uy, uz)
+            out[i], out[j], out[m] = angular_velocity_of(body, y, ux, uy, uz)
 
 
 @inner
-def _turn_with_tangent(top: Top, y: Array, dt: float, room: Array) -> None:
+def _attitude_step(body: AsymmetricBody, y: Array, dt: float, room: Array) -> None:
     """One step of the attitude in flight, in place in `y`; leaves quaternion, Φ and Ψ of the step in `room[13]`.
 
     `room` (14, 22).
@@ -82,24 +82,31 @@ def _turn_with_tangent(top: Top, y: Array, dt: float, room: Array) -> None:
                 total += (RUNGE_KUTTA_A[s, n] if s < 12 else RUNGE_KUTTA_B[n]) * room[n, k]
             now[k] = start[k] + dt * total
         if s < 12:
-            _turn_rates(top, y, now, room[s])
+            _attitude_rates(body, y, now, room[s])
     norm = sqrt(now[0] * now[0] + now[1] * now[1] + now[2] * now[2] + now[3] * now[3])
     y[3:7] = now[:4] / norm
 
 
 @inner
-def _carry(
-    top: Top, plane: Plane, y: Array, dt: float, sources: Sources, tangent: Array, pull: Array, room: Array
+def _fly(
+    body: AsymmetricBody,
+    plane: Plane,
+    y: Array,
+    dt: float,
+    sources: ParameterDerivatives,
+    tangent: Array,
+    pull: Array,
+    room: Array,
 ) -> None:
     """Carry a state in flight and its derivatives (12, 12 + m) through `dt` [s], of either sign, in place.
 
     `pull` (12 + m,) is where the moments of inertia change: ω is another then for the same L.
     """
-    spin = sqrt(2.0 * turning_energy(top, y) / top.moments[0])
-    steps = max(1, ceil(abs(dt) * spin / TURN_RAD))
+    spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
+    steps = max(1, ceil(abs(dt) * spin / MAX_TURN_RAD))
     for _ in range(steps):
-        ox, oy, oz = _compliance(top, y, y[10], y[11], y[12])
-        _turn_with_tangent(top, y, dt / steps, room)
+        ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
+        _attitude_step(body, y, dt / steps, room)
         now = room[13]
         for j in range(tangent.shape[1]):
             dx, dy, dz = tangent[3, j], tangent[4, j], tangent[5, j]
@@ -124,30 +131,30 @@ def _carry(
 
 
 @inner
-def _strike_tangent(
-    top: Top,
+def _impact_tangent(
+    body: AsymmetricBody,
     plane: Plane,
     chi: float,
     y: Array,
     time: float,
     i: int,
-    sources: Sources,
+    sources: ParameterDerivatives,
     tangent: Array,
     pull: Array,
     dtime: Array,
 ) -> None:
     """Carry state and derivatives through the smooth impact of vertex i, in place. `dtime` (12 + m,) receives the
     derivative of its instant."""
-    x, z, v = top.vertices[i, 0], top.vertices[i, 1], top.vertices[i, 2]
+    x, z, v = body.vertices[i, 0], body.vertices[i, 1], body.vertices[i, 2]
     rx, ry, rz = to_world(y, x, z, v)
     lx, ly, lz = y[10], y[11], y[12]
-    ox, oy, oz = _compliance(top, y, lx, ly, lz)
+    ox, oy, oz = angular_velocity_of(body, y, lx, ly, lz)
     phase = plane.rate * time + plane.phase
     s, c = sin(phase), cos(phase)
     u = y[9] + ox * ry - oy * rx - plane.amplitude * plane.rate * c
     # Wt with the lever t = r × ẑ = (r_y, -r_x, 0).
-    ax, ay, az = _compliance(top, y, ry, -rx, 0.0)
-    softness = 1.0 / top.mass + ry * ax - rx * ay
+    ax, ay, az = angular_velocity_of(body, y, ry, -rx, 0.0)
+    softness = 1.0 / body.mass + ry * ax - rx * ay
     impulse = -(1.0 + chi) * u / softness
     closing = -plane.g + plane.rate * plane.rate * plane.amplitude * s
     for j in range(tangent.shape[1]):
@@ -169,72 +176,74 @@ def _strike_tangent(
         kx = tangent[9, j] - (dy * lz - dz * ly) - pull[j] * ox
         ky = tangent[10, j] - (dz * lx - dx * lz) - pull[j] * oy
         kz = tangent[11, j] - (dx * ly - dy * lx) - pull[j] * oz
-        wx, wy, _ = _compliance(top, y, kx, ky, kz)
+        wx, wy, _ = angular_velocity_of(body, y, kx, ky, kz)
         wx, wy = wx + dy * oz - dz * oy, wy + dz * ox - dx * oz
         du = tangent[8, j] + closing * late + wx * ry - wy * rx + ox * ey - oy * ex - lifted
         # δ × Wt, x and y.
         gx, gy = dy * az - dz * ay, dz * ax - dx * az
         dsoftness = 2.0 * (ey * ax - ex * ay + ry * gx - rx * gy) - pull[j] * (ax * ax + ay * ay + az * az)
         ds = -((1.0 + chi) * du + softer * u) / softness - impulse * dsoftness / softness
-        tangent[2, j] -= impulse / top.mass * late
+        tangent[2, j] -= impulse / body.mass * late
         tangent[3, j] = dx - (ox + impulse * ax) * late
         tangent[4, j] = dy - (oy + impulse * ay) * late
         tangent[5, j] = dz - (oz + impulse * az) * late
-        tangent[8, j] += ds / top.mass
+        tangent[8, j] += ds / body.mass
         tangent[9, j] += ds * ry + impulse * ey
         tangent[10, j] -= ds * rx + impulse * ex
-    y[9] += impulse / top.mass
+    y[9] += impulse / body.mass
     y[10] += impulse * ry
     y[11] -= impulse * rx
 
 
 @inner
-def _crossed_before(top: Top, plane: Plane, y: Array, time: float, i: int, stages: Array, now: Array) -> float:
+def _earlier_crossing(
+    body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, stages: Array, now: Array
+) -> float:
     """How long ago [s, negative] vertex i, which is below the table and sinks, came through it; NaN for longer than
     the die takes to fall its own radius. As `kernels.touch_of_vertex`."""
-    spin = sqrt(2.0 * turning_energy(top, y) / top.moments[0])
-    swing = plane.amplitude * plane.rate * plane.rate
-    bound = spin * spin * (1.0 + spin_growth_bound(top) / sqrt(3.0)) * top.radius + swing - plane.g
+    spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
+    bound = spin * spin * (1.0 + spin_growth_bound(body) / sqrt(3.0)) * body.radius + peak_table_acceleration - plane.g
     bound = max(bound, 1e-3 * plane.g)  # h'' is no larger; kept above 0 for the division
     t = 0.0
     back = y.copy()
-    while t > -sqrt(2.0 * top.radius / plane.g):
-        h = clearance(top, plane, back, time + t, i)
-        v = approach_velocity(top, plane, back, time + t, i)
+    while t > -sqrt(2.0 * body.radius / plane.g):
+        h = clearance(body, plane, back, time + t, i)
+        v = vertex_velocity(body, plane, back, time + t, i)
         phase = 1.0 + abs(plane.rate * (time + t)) + abs(plane.phase)
-        size = abs(y[2]) + abs(y[9] * t) + top.radius * (1.0 - spin * t) + plane.amplitude * phase
-        if h >= -ROUNDING * size:
+        size = abs(y[2]) + abs(y[9] * t) + body.radius * (1.0 - spin * t) + plane.amplitude * phase
+        if h >= -ROUNDING_BOUND * size:
             return t
         root = sqrt(v * v - 2.0 * bound * h)
         step = 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound
         if spin > 0.0:
-            step = min(step, TURN_RAD / spin)
-        moved(top, plane, back, time + t, -step, -1, -1, stages, now)
+            step = min(step, MAX_TURN_RAD / spin)
+        state_after_step(body, plane, back, time + t, -step, -1, -1, stages, now)
         back[:] = now
         t -= step
     return nan
 
 
 @inner
-def _only(top: Top, i: int) -> Top:
+def _with_one_vertex(body: AsymmetricBody, i: int) -> AsymmetricBody:
     """The same top, of whose vertices only one touches."""
-    return Top(
-        top.vertices[i : i + 1],
-        top.normals,
-        top.offsets,
-        top.corners,
-        top.edge_faces,
-        top.edge_heights,
-        top.edge_inertias,
-        top.mass,
-        top.moments,
-        top.radius,
+    return AsymmetricBody(
+        body.vertices[i : i + 1],
+        body.normals,
+        body.offsets,
+        body.corners,
+        body.edge_faces,
+        body.edge_heights,
+        body.edge_inertias,
+        body.mass,
+        body.moments,
+        body.radius,
     )
 
 
 @compiled
-def run_top_tangent(
-    top: Top,
+def run_asymmetric_tangent(
+    body: AsymmetricBody,
     law: Law,
     plane: Plane,
     start: Array,
@@ -244,20 +253,23 @@ def run_top_tangent(
     free: bool,
     impact_cap: int,
     seed: Array,
-    sources: Sources,
+    sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
-    """As `kernels.run_tangent`, for smooth impacts of a top. `start` (13,) as for `run_top`; `seed` (12, 12 + m) and all
-    derivatives are of the centre of mass, and of L where those of a spherical top are of ω."""
-    y = with_momentum(top, start)
+    """As `derivatives.run_tangent`, for smooth impacts of an asymmetric body.
+
+    `start` (13,) as for `run_asymmetric_throw`. `seed` (12, 12 + m) and all derivatives are of the centre of mass, and of L
+    where those of a spherical body are of ω.
+    """
+    y = to_angular_momentum(body, start)
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
-    log, dtimes = np.empty((16, ROW)), np.empty((16, columns))
+    log, dtimes = np.empty((16, LOG_COLUMNS)), np.empty((16, columns))
     tangent, there, pose = seed.copy(), np.empty((12, columns)), np.empty(13)
     now, before, shown = np.empty(13), np.empty(13), np.empty(13)
     stages, room, pull = np.empty((14, 8)), np.empty((14, 22)), np.zeros(columns)
     pull[12:] = sources.inertia
     chi = law.parameters[0]
-    slow = 0.0 if chi >= 1.0 else FINE.switch * sqrt(plane.g * top.radius)
+    slow = 0.0 if chi >= 1.0 else FINE.switch * sqrt(plane.g * body.radius)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:
@@ -268,7 +280,7 @@ def run_top_tangent(
             ends = time >= last
             if not ends:
                 dt, hit, velocity, acceleration = next_event(
-                    top, plane, FINE, y, time, last - time, -1, -1, stages, now
+                    body, plane, FINE, y, time, last - time, -1, -1, stages, now
                 )
                 if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):
                     ends, ending = True, CHATTER
@@ -276,36 +288,38 @@ def run_top_tangent(
                     ends, ending = True, IMPACT_CAP
         else:
             vertex = sequence[impacts]
-            below = -1e-12 * top.radius
-            sunk = clearance(top, plane, y, time, vertex) < below
-            if fresh and sunk and approach_velocity(top, plane, y, time, vertex) < 0.0:
-                dt, hit = _crossed_before(top, plane, y, time, vertex, stages, now), vertex
+            below = -1e-12 * body.radius
+            sunk = clearance(body, plane, y, time, vertex) < below
+            if fresh and sunk and vertex_velocity(body, plane, y, time, vertex) < 0.0:
+                dt, hit = _earlier_crossing(body, plane, y, time, vertex, stages, now), vertex
                 ends = not dt <= 0.0
             else:
-                dt, hit, velocity, _ = next_event(_only(top, vertex), plane, FINE, y, time, inf, -1, -1, stages, now)
+                dt, hit, velocity, _ = next_event(
+                    _with_one_vertex(body, vertex), plane, FINE, y, time, inf, -1, -1, stages, now
+                )
                 if hit >= 0:
                     hit = vertex
-                    ends = velocity >= 0.0 or clearance(top, plane, now, time + dt, vertex) < below
+                    ends = velocity >= 0.0 or clearance(body, plane, now, time + dt, vertex) < below
             if ends:
                 ending = NO_TOUCH
         while done < n and (ends or times[done] < time + dt):
             pose[:], there[:] = y, tangent
-            _carry(top, plane, pose, times[done] - time, sources, there, pull, room)
+            _fly(body, plane, pose, times[done] - time, sources, there, pull, room)
             poses[done] = pose[:7]
             jacobian[done] = there[:6]
             done += 1
         if ends:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
-        _carry(top, plane, y, dt, sources, tangent, pull, room)
+        _fly(body, plane, y, dt, sources, tangent, pull, room)
         time += dt
         fresh = hit >= 0
         if hit < 0:
             continue
         if impacts == log.shape[0]:
             log, dtimes = room_for(log, impacts), room_for(dtimes, impacts)
-        with_spin(top, y, before)
-        _strike_tangent(top, plane, chi, y, time, hit, sources, tangent, pull, dtimes[impacts])
-        with_spin(top, y, shown)
+        to_angular_velocity(body, y, before)
+        _impact_tangent(body, plane, chi, y, time, hit, sources, tangent, pull, dtimes[impacts])
+        to_angular_velocity(body, y, shown)
         log[impacts, 0], log[impacts, 1] = time, hit
         log[impacts, 2:15] = before
         log[impacts, 15:21] = shown[7:13]
@@ -314,17 +328,17 @@ def run_top_tangent(
 
 
 @compiled
-def coasted(top: Top, start: Array, delays: Array) -> Array:
+def attitudes_in_flight(body: AsymmetricBody, start: Array, delays: Array) -> Array:
     """Quaternions (n, 4) of the principal axes `delays` (n,) [s], of either sign, after a flight began with `start`
-    (13,), a state as for `run_top`."""
+    (13,), a state as for `run_asymmetric_throw`."""
     y, plane, time = np.empty(13), LEVEL, 0.0
     out, stages, now = np.empty((delays.shape[0], 4)), np.empty((14, 8)), np.empty(13)
     for n in range(delays.shape[0]):
-        y[:] = with_momentum(top, start)
-        spin = sqrt(2.0 * turning_energy(top, y) / top.moments[0])
-        steps = max(1, ceil(abs(delays[n]) * spin / TURN_RAD))
+        y[:] = to_angular_momentum(body, start)
+        spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
+        steps = max(1, ceil(abs(delays[n]) * spin / MAX_TURN_RAD))
         for _ in range(steps):
-            moved(top, plane, y, time, delays[n] / steps, -1, -1, stages, now)
+            state_after_step(body, plane, y, time, delays[n] / steps, -1, -1, stages, now)
             y[:] = now
         out[n] = y[3:7]
     return out

@@ -11,21 +11,28 @@ from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
 from ..event_loop import run_throw
-from ..flight import arm_of, spin_of, table_acceleration, table_height, table_velocity
-from ..held_contact import clearance, contact_forces, held_step, spun, stand_on, stop_on
-from ..impact import bounce
+from ..flight import lever_arm, spin_rate, table_acceleration, table_height, table_velocity
+from ..held_contact import (
+    centripetal_acceleration,
+    clearance,
+    contact_forces,
+    held_step,
+    project_on_contact,
+    remove_normal_velocity,
+)
+from ..impact import apply_impact
 from ..log import copy_columns, copy_to, state_after
-from ..sliding_contact import rub_step
+from ..sliding_contact import sliding_step
 from ..types import (
+    FALSE,
     FINE,
+    FRICTION_STANDING_HEIGHT,
     IMPACTS_REACHED,
-    NEAR_RUBBED,
-    NO,
     NO_LIMIT,
     NONE,
     SMOOTH,
-    TWELVE,
-    YES,
+    TANGENT_ROWS,
+    TRUE,
     ZERO,
     Array,
     Body,
@@ -34,23 +41,23 @@ from ..types import (
     Precision,
     RoughLaw,
 )
-from .impact_tangent import Around, bounce_tangent, delay, flight_tangent
+from .impact_tangent import ImpactKinematics, bounce_tangent, flight_tangent, touch_delay
 
-MOST_COLUMNS = 40
+MAX_COLUMNS = 40
 """Room for columns of errors; they are brought back to twelve when it is full."""
 
-MOST_BRANCHES = 16
+MAX_BRANCHES = 16
 """Other orders of touches that are followed before a throw is given up as undecidable."""
 
-SAFETY = 3.0
+SAFETY_FACTOR = 3.0
 """How many times its estimate an error may come to where the order of touches is asked for: the estimate adds up
 independent errors by their squares."""
 
-UNCERTAIN = 0.05
+UNDECIDABLE_ERROR = 0.05
 """Error, in units of `scales_of`, beyond which another outcome must be reckoned with. Of 3700 throws whose face changed
 with the tolerance of touches, none had reached less than 0.23."""
 
-SLIGHT = 1e-4
+NEGLIGIBLE_DIFFERENCE = 1e-4
 """Difference that the order of two touches may make, in the same units, to be carried as an error; larger ones are
 followed as throws of their own."""
 
@@ -70,7 +77,7 @@ def scales_of(body: Body, plane: Plane) -> Array:
 
 
 @inner
-def size_of(tangent: Array, j: int, scale: Array) -> float:
+def scaled_length(tangent: Array, j: int, scale: Array) -> float:
     """Length of a column in units of `scale`."""
     square = 0.0
     for k in range(12):
@@ -95,7 +102,7 @@ def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> 
 
 
 @inner
-def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> None:
+def tangent_between(a: Array, b: Array, weight: float, tangent: Array, j: int) -> None:
     """Write `weight` times the small disturbance that takes state b to state a into column j."""
     for k in range(3):
         tangent[k, j] = weight * (a[k] - b[k])
@@ -109,10 +116,10 @@ def difference(a: Array, b: Array, weight: float, tangent: Array, j: int) -> Non
 
 
 @inner
-def strike(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
+def impact_at_vertex(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
     """Apply the law to a vertex on the table, in place."""
-    x, y, z = arm_of(body.vertices[vertex], state)
-    bounce(law, body.mass, body.inertia, (x, y, z - body.rounding), table_velocity(plane, time), state)
+    x, y, z = lever_arm(body.vertices[vertex], state)
+    apply_impact(law, body.mass, body.inertia, (x, y, z - body.rounding), table_velocity(plane, time), state)
 
 
 @inner
@@ -124,20 +131,20 @@ def is_held(vertex: int, i: int, j: int) -> bool:
 
 
 @inner
-def around_impact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> Around:
+def impact_kinematics(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> ImpactKinematics:
     """What moves around an impact at `time`; i and j were held until then (-1: none)."""
     v_table, a_table = table_velocity(plane, time), table_acceleration(plane, time)
     if j == -3:
         # Friction has carried the die; it is taken to have done so with no acceleration.
-        return Around(v_table, a_table, a_table, 0.0, 0.0, -plane.g)
+        return ImpactKinematics(v_table, a_table, a_table, 0.0, 0.0, -plane.g)
     if i < 0 or j == -2:
-        return Around(v_table, a_table, -plane.g, 0.0, 0.0, -plane.g)
+        return ImpactKinematics(v_table, a_table, -plane.g, 0.0, 0.0, -plane.g)
     n_i, n_j, wx, wy = contact_forces(body, state, i, j, plane.g + a_table)
-    return Around(v_table, a_table, n_i + n_j - plane.g, wx, wy, -plane.g)
+    return ImpactKinematics(v_table, a_table, n_i + n_j - plane.g, wx, wy, -plane.g)
 
 
 @inner
-def strike_tangent(
+def impact_tangent_of_errors(
     body: Body,
     law: Law,
     plane: Plane,
@@ -154,23 +161,28 @@ def strike_tangent(
 ) -> None:
     """Carry disturbances (12, columns) through the impact of a vertex, in place; i and j were held until then.
 
-    Smooth impacts have derivatives; of other laws differences are taken. `capped` bounds the delays, see `delay`.
+    Smooth impacts have derivatives; of other laws differences are taken. `capped` bounds the delays, see `touch_delay`.
     """
-    arm = arm_of(body.vertices[vertex], state)
-    around = around_impact(body, plane, state, time, i, j)
+    arm = lever_arm(body.vertices[vertex], state)
+    kinematics = impact_kinematics(body, plane, state, time, i, j)
     reach = inf
     if capped:
-        falling = abs(around.rise + around.turn_x * arm[1] - around.turn_y * arm[0] + spun(state, arm))
-        reach = 2.0 / max(abs(falling - around.table_acceleration), plane.g)
+        falling = abs(
+            kinematics.rise
+            + kinematics.turn_x * arm[1]
+            - kinematics.turn_y * arm[0]
+            + centripetal_acceleration(state, arm)
+        )
+        reach = 2.0 / max(abs(falling - kinematics.table_acceleration), plane.g)
     if law.code == SMOOTH:
         chi = law.parameters[0]
-        bounce_tangent(tangent, columns, chi, body.mass, body.inertia, arm, state, around, reach, dtime)
+        bounce_tangent(tangent, columns, chi, body.mass, body.inertia, arm, state, kinematics, reach, dtime)
         return
-    normal_velocity = state[9] + state[10] * arm[1] - state[11] * arm[0] - around.table_velocity
+    normal_velocity = state[9] + state[10] * arm[1] - state[11] * arm[0] - kinematics.table_velocity
     ahead, behind, after, there = np.empty(13), np.empty(13), state.copy(), np.empty((12, 1))
-    strike(body, law, plane, time, vertex, after)
+    impact_at_vertex(body, law, plane, time, vertex, after)
     for c in range(columns):
-        dt = delay(tangent, c, arm, normal_velocity, reach)
+        dt = touch_delay(tangent, c, arm, normal_velocity, reach)
         dtime[c] = dt
         for k in range(3):
             there[k, 0] = tangent[k, c] + state[7 + k] * dt
@@ -178,27 +190,27 @@ def strike_tangent(
             there[6 + k, 0], there[9 + k, 0] = tangent[6 + k, c], tangent[9 + k, c]
         there[6, 0] += plane.gx * dt
         there[7, 0] += plane.gy * dt
-        there[8, 0] += around.rise * dt
-        there[9, 0] += around.turn_x * dt
-        there[10, 0] += around.turn_y * dt
-        size = size_of(there, ZERO, scale)
+        there[8, 0] += kinematics.rise * dt
+        there[9, 0] += kinematics.turn_x * dt
+        there[10, 0] += kinematics.turn_y * dt
+        size = scaled_length(there, ZERO, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, there, ZERO, step, ahead)
             displaced(state, there, ZERO, -step, behind)
-            strike(body, law, plane, time + step * dt, vertex, ahead)
-            strike(body, law, plane, time - step * dt, vertex, behind)
-            difference(ahead, behind, 0.5 / step, tangent, c)
+            impact_at_vertex(body, law, plane, time + step * dt, vertex, ahead)
+            impact_at_vertex(body, law, plane, time - step * dt, vertex, behind)
+            tangent_between(ahead, behind, 0.5 / step, tangent, c)
         for k in range(3):
             tangent[k, c] -= after[7 + k] * dt
             tangent[3 + k, c] -= after[10 + k] * dt
         tangent[6, c] -= plane.gx * dt
         tangent[7, c] -= plane.gy * dt
-        tangent[8, c] -= around.fall * dt
+        tangent[8, c] -= kinematics.fall * dt
 
 
 @inner
-def settle_tangent(
+def contact_onset_tangent(
     body: Body, plane: Plane, state: Array, time: float, i: int, j: int, scale: Array, tangent: Array, columns: int
 ) -> None:
     """Carry disturbances into held contact of i and j, in place: what would lift or move the vertices is lost."""
@@ -208,15 +220,15 @@ def settle_tangent(
             for k in (2, 3, 4, 8, 9, 10):
                 tangent[k, c] = 0.0
             continue
-        size = size_of(tangent, c, scale)
+        size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, ahead)
             displaced(state, tangent, c, -step, behind)
             for other in (ahead, behind):
-                stop_on(body, plane, other, time, i, j)
-                stand_on(body, plane, other, time, i, j)
-            difference(ahead, behind, 0.5 / step, tangent, c)
+                remove_normal_velocity(body, plane, other, time, i, j)
+                project_on_contact(body, plane, other, time, i, j)
+            tangent_between(ahead, behind, 0.5 / step, tangent, c)
 
 
 @inner
@@ -236,18 +248,18 @@ def held_tangent(
     """Carry disturbances through dt [s] of held contact, in place, by differences of the integration itself."""
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     for c in range(columns):
-        size = size_of(tangent, c, scale)
+        size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
             held_step(body, plane, there, time, dt, i, j, rates, ahead)
             displaced(state, tangent, c, -step, there)
             held_step(body, plane, there, time, dt, i, j, rates, behind)
-            difference(ahead, behind, 0.5 / step, tangent, c)
+            tangent_between(ahead, behind, 0.5 / step, tangent, c)
 
 
 @inner
-def rough_rubbed_tangent(
+def frictional_tangent(
     body: Body,
     law: Law,
     plane: Plane,
@@ -259,29 +271,32 @@ def rough_rubbed_tangent(
     tangent: Array,
     columns: int,
 ) -> None:
-    """`rubbed_tangent` with friction."""
+    """`sliding_tangent` with friction."""
     n, mu = body.vertices.shape[0], law.parameters[1]
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     arms, guess, impulses = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
     for c in range(columns):
-        size = size_of(tangent, c, scale)
+        size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
+            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
             displaced(state, tangent, c, -step, there)
-            rub_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep)
-            difference(ahead, behind, 0.5 / step, tangent, c)
-    rub_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
+            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep)
+            tangent_between(ahead, behind, 0.5 / step, tangent, c)
+    sliding_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
     place, z_table = 0, table_height(plane, time + dt)
     for k in range(n):
         if active[k]:
-            if impulses[place, 2] <= 0.0 and clearance(body.vertices[k], ahead, z_table) > NEAR_RUBBED * body.radius:
+            if (
+                impulses[place, 2] <= 0.0
+                and clearance(body.vertices[k], ahead, z_table) > FRICTION_STANDING_HEIGHT * body.radius
+            ):
                 active[k] = False
             place += 1
 
 
-def rubbed_tangent(
+def sliding_tangent(
     body: Body,
     law: Law,
     plane: Plane,
@@ -295,21 +310,21 @@ def rubbed_tangent(
 ) -> None:
     """As `held_tangent`, with friction: differences of its steps. Vertices that no longer press leave `active`."""
     assert isinstance(law, RoughLaw)
-    return rough_rubbed_tangent(body, law, plane, state, time, dt, active, scale, tangent, columns)
+    return frictional_tangent(body, law, plane, state, time, dt, active, scale, tangent, columns)
 
 
-@overload(rubbed_tangent, strict=False)
+@overload(sliding_tangent, strict=False)
 def _rubbed_tangent(
     body: Any, law: Any, plane: Any, state: Any, time: Any, dt: Any, active: Any, scale: Any, tangent: Any, columns: Any
 ) -> Any:
     """Nothing at all for a law without friction, which never gets here."""
     if law.instance_class is RoughLaw:
-        return rough_rubbed_tangent.py_func
+        return frictional_tangent.py_func
     return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
 
 
 @inner
-def carried(
+def carry_to_event(
     body: Body,
     law: Law,
     plane: Plane,
@@ -336,7 +351,7 @@ def carried(
     """
     if i < 0 or j == -2:
         if until > time:
-            flight_tangent(tangent, columns, state, spin_of(state), until - time, moved)
+            flight_tangent(tangent, columns, state, spin_rate(state), until - time, moved)
             tangent, moved = moved, tangent
         return tangent, moved, columns, knot
     whole, half, halves = np.empty(13), np.empty(13), np.empty(13)
@@ -351,14 +366,14 @@ def carried(
             if own and columns == tangent.shape[1]:
                 columns = compressed(tangent, columns, moved)
             if dt > 0.0 and j == -3:
-                rubbed_tangent(body, law, plane, here, begin, dt, active, scale, tangent, columns)
+                sliding_tangent(body, law, plane, here, begin, dt, active, scale, tangent, columns)
             elif dt > 0.0:
                 held_tangent(body, plane, here, begin, dt, i, j, scale, tangent, columns, rates)
                 if own:
                     held_step(body, plane, here, begin, dt, i, j, rates, whole)
                     held_step(body, plane, here, begin, 0.5 * dt, i, j, rates, half)
                     held_step(body, plane, half, begin + 0.5 * dt, 0.5 * dt, i, j, rates, halves)
-                    difference(whole, halves, 1.0, tangent, columns)
+                    tangent_between(whole, halves, 1.0, tangent, columns)
                     columns += 1
         knot += 1
     return tangent, moved, columns, knot
@@ -409,9 +424,9 @@ def event_tangent(
     """Carry disturbances through a logged event, in place; i and j were held until then. Returns what is held after."""
     state, time, hit = row[2:15].copy(), row[0], int(row[1])
     if hit >= 0:
-        strike_tangent(body, law, plane, time, hit, state, i, j, NO, scale, tangent, columns, dtime)
+        impact_tangent_of_errors(body, law, plane, time, hit, state, i, j, FALSE, scale, tangent, columns, dtime)
     elif row[21] >= 0 and row[22] != -3:
-        settle_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
+        contact_onset_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
     return int(row[21]), int(row[22])
 
 
@@ -431,10 +446,26 @@ def run_growth(
     state, time, i, j, knot, exponent = start.copy(), start_time, NONE, NONE, ZERO, 0.0
     for k in range(log.shape[0]):
         row = log[k]
-        tangent, moved, _, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, NO, scale, tangent, moved, TWELVE, rates
+        tangent, moved, _, knot = carry_to_event(
+            body,
+            law,
+            plane,
+            state,
+            time,
+            row[0],
+            i,
+            j,
+            knots,
+            knot,
+            k - 1,
+            FALSE,
+            scale,
+            tangent,
+            moved,
+            TANGENT_ROWS,
+            rates,
         )
-        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, TWELVE, dtime)
+        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, TANGENT_ROWS, dtime)
         time = row[0]
         state_after(row, state)
         if np.max(np.abs(tangent)) > 1e100:
@@ -486,12 +517,12 @@ def run_exponents(
     wanted = logs.shape[0]
     while done < wanted and code == IMPACTS_REACHED:
         code, _, _, until, end, log, knots = run_throw(
-            body, law, plane, precision, state, time, inf, min(256, wanted - done), NO, NO_LIMIT, YES
+            body, law, plane, precision, state, time, inf, min(256, wanted - done), FALSE, NO_LIMIT, TRUE
         )
         knot = 0
         for k in range(log.shape[0]):
             row = log[k]
-            tangent, moved, _, knot = carried(
+            tangent, moved, _, knot = carry_to_event(
                 body,
                 law,
                 plane,
@@ -519,8 +550,8 @@ def run_exponents(
                 done += 1
         if i >= 0 and code == IMPACTS_REACHED:
             # The block ends within held contact, where the next vertex strikes.
-            tangent, moved, _, knot = carried(
-                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, NO, scale, tangent, moved,
+            tangent, moved, _, knot = carry_to_event(
+                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, FALSE, scale, tangent, moved,
                 columns, rates,
             )  # fmt: skip
             time = until

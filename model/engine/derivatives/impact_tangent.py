@@ -9,15 +9,15 @@ import numpy as np
 
 from ...compiled import inner
 from ..air import braking
-from ..flight import arm_of, axis_of, table_acceleration, table_velocity
-from ..impact import CHI, INERTIA, INPUTS, MU, SPEED_SCALE, Sources, impulse_gradient
+from ..flight import lever_arm, spin_axis, table_acceleration, table_velocity
+from ..impact import CHI, INERTIA, INPUTS, MU, SPEED_SCALE, ParameterDerivatives, impulse_gradient
 from ..types import Array, Body, Law, Plane
 
 
 @inner
 def flight_tangent(tangent: Array, columns: int, state: Array, spin: float, dt: float, moved: Array) -> None:
     """Carry derivatives (12, columns) of a state along `dt` [s] of its flight into `moved`; see `tangent`."""
-    ux, uy, uz = axis_of(state, spin)
+    ux, uy, uz = spin_axis(state, spin)
     angle = spin * dt
     c, s = cos(angle), sin(angle)
     half = sin(0.5 * angle)
@@ -41,7 +41,7 @@ def flight_tangent(tangent: Array, columns: int, state: Array, spin: float, dt: 
         moved[5, j] = c * rz + mean_c * wz + along * uz + ux * py - uy * px
 
 
-class Around(NamedTuple):
+class ImpactKinematics(NamedTuple):
     """Motion around the instant of an impact, besides the state's own: vertical speeds [m/s], accelerations [m/s²]."""
 
     table_velocity: float
@@ -56,7 +56,7 @@ class Around(NamedTuple):
 
 
 @inner
-def delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_velocity: float, reach: float) -> float:
+def touch_delay(tangent: Array, j: int, arm: tuple[float, float, float], normal_velocity: float, reach: float) -> float:
     """How much later [s] the vertex at `arm` touches for the disturbance in column j: its height stays zero there.
 
     No later or earlier than √(reach × height): with reach 2/a that is how long a vertex at rest would fall for that
@@ -79,29 +79,29 @@ def bounce_tangent(
     inertia: float,
     arm: tuple[float, float, float],
     state: Array,
-    around: Around,
+    kinematics: ImpactKinematics,
     reach: float,
     dtime: Array,
 ) -> None:
     """Carry disturbances (12, columns) at the instant of a smooth impact through it, in place.
 
     `state` is the state before. `dtime` (columns,) receives the derivative of the instant of the impact; for `reach`
-    see `delay`.
+    see `touch_delay`.
     """
     x, y, z = arm
     vz, wx, wy, wz = state[9], state[10], state[11], state[12]
-    normal_velocity = vz + wx * y - wy * x - around.table_velocity
+    normal_velocity = vz + wx * y - wy * x - kinematics.table_velocity
     softness = 1.0 / mass + (x * x + y * y) / inertia
     s = -(1.0 + chi) * normal_velocity / softness
-    closing = around.rise - around.table_acceleration
+    closing = kinematics.rise - kinematics.table_acceleration
     for j in range(columns):
         rx, ry, rz = tangent[3, j], tangent[4, j], tangent[5, j]
-        dt = delay(tangent, j, arm, normal_velocity, reach)
+        dt = touch_delay(tangent, j, arm, normal_velocity, reach)
         dtime[j] = dt
         # To the instant of the disturbed touch ...
         rx, ry, rz = rx + wx * dt, ry + wy * dt, rz + wz * dt
         dx, dy = ry * z - rz * y, rz * x - rx * z
-        dwx, dwy = tangent[9, j] + around.turn_x * dt, tangent[10, j] + around.turn_y * dt
+        dwx, dwy = tangent[9, j] + kinematics.turn_x * dt, tangent[10, j] + kinematics.turn_y * dt
         dv = tangent[8, j] + closing * dt + dwx * y + wx * dy - dwy * x - wy * dx
         dsoftness = 2.0 * (x * dx + y * dy) / inertia
         ds = -(1.0 + chi) * dv / softness - s * dsoftness / softness
@@ -110,13 +110,13 @@ def bounce_tangent(
         tangent[2, j] -= s / mass * dt
         tangent[3, j] -= y * s / inertia * dt
         tangent[4, j] += x * s / inertia * dt
-        tangent[8, j] += ds / mass + (around.rise - around.fall) * dt
+        tangent[8, j] += ds / mass + (kinematics.rise - kinematics.fall) * dt
         tangent[9, j] = dwx + dsx
         tangent[10, j] = dwy + dsy
 
 
 @inner
-def table_source(plane: Plane, time: float, source: Array) -> tuple[float, float]:
+def table_derivatives(plane: Plane, time: float, source: Array) -> tuple[float, float]:
     """Derivatives of the table's height and velocity at a fixed time; `source` (3,) those of amplitude, rate, phase."""
     phase = plane.rate * time + plane.phase
     s, c = sin(phase), cos(phase)
@@ -135,7 +135,7 @@ def impact_tangent(
     vertex: int,
     state: Array,
     drag: float,
-    sources: Sources,
+    sources: ParameterDerivatives,
     wanted: Array,
     tangent: Array,
     gradient: Array,
@@ -146,7 +146,7 @@ def impact_tangent(
     `state` is the state before, `drag` [1/m] that of the air. `dtime` (12 + m,) receives the derivative of the instant
     of the impact, `gradient` (3, INPUTS) is room.
     """
-    x, y, level = arm_of(body.vertices[vertex], state)
+    x, y, level = lever_arm(body.vertices[vertex], state)
     z = level - body.rounding
     wx, wy, wz = state[10], state[11], state[12]
     mass, inertia = body.mass, body.inertia
@@ -165,8 +165,8 @@ def impact_tangent(
         ex, ey, ez, raised, lifted, stiffer, rounder = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         if j >= 12:
             p = j - 12
-            ex, ey, ez = arm_of(sources.vertices[p, vertex], state)
-            raised, lifted = table_source(plane, time, sources.table[p])
+            ex, ey, ez = lever_arm(sources.vertices[p, vertex], state)
+            raised, lifted = table_derivatives(plane, time, sources.table[p])
             stiffer, rounder = sources.inertia[p], sources.rounding[p]
             given[CHI], given[MU], given[INERTIA] = sources.chi[p], sources.mu[p], stiffer
             given[SPEED_SCALE] = sources.speed_scale[p]

@@ -9,18 +9,27 @@ from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
 from ..event_loop import run_throw
-from ..flight import advance, arm_of, first_touch, spin_of, swing, table_acceleration, table_height, table_velocity
-from ..held_contact import clearance, spun
-from ..log import copy_columns, copy_to, energy_per_mass, rubs
+from ..flight import (
+    advance,
+    first_touch,
+    height_terms,
+    lever_arm,
+    spin_rate,
+    table_acceleration,
+    table_height,
+    table_velocity,
+)
+from ..held_contact import centripetal_acceleration, clearance
+from ..log import copy_columns, copy_to, energy_per_mass, has_friction
 from ..types import (
     BALANCED,
     NO_LIMIT,
     NONE,
     ONE,
-    ROUNDING,
+    ROUNDING_BOUND,
     SMOOTH,
-    TWELVE,
-    YES,
+    TANGENT_ROWS,
+    TRUE,
     ZERO,
     Array,
     Body,
@@ -29,22 +38,22 @@ from ..types import (
     Precision,
 )
 from .growth import (
-    MOST_BRANCHES,
-    MOST_COLUMNS,
-    SAFETY,
-    SLIGHT,
-    UNCERTAIN,
-    carried,
+    MAX_BRANCHES,
+    MAX_COLUMNS,
+    NEGLIGIBLE_DIFFERENCE,
+    SAFETY_FACTOR,
+    UNDECIDABLE_ERROR,
+    carry_to_event,
     compressed,
-    difference,
+    contact_onset_tangent,
+    impact_at_vertex,
+    impact_tangent_of_errors,
     is_held,
+    scaled_length,
     scales_of,
-    settle_tangent,
-    size_of,
-    strike,
-    strike_tangent,
+    tangent_between,
 )
-from .impact_tangent import delay, flight_tangent
+from .impact_tangent import flight_tangent, touch_delay
 
 
 @inner
@@ -57,7 +66,7 @@ def add_rounding(
     unit, speed = 2.220446049250313e-16, 0.0
     for m in range(3):
         speed = max(speed, abs(state[7 + m]))
-    spin = spin_of(state)
+    spin = spin_rate(state)
     bits = k * 2654435761 + 1013904223
     for m in range(12):
         bits = (bits * 1664525 + 1013904223) % 4294967296
@@ -87,39 +96,39 @@ def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
 
 
 @inner
-def approach(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
+def vertex_velocity(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
     """Vertical velocity [m/s] of a vertex relative to the table."""
-    arm = arm_of(body.vertices[vertex], state)
+    arm = lever_arm(body.vertices[vertex], state)
     return float(state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time))
 
 
 @inner
-def struck_in_turn(
+def impacts_in_order(
     body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
 ) -> None:
     """The state after two vertices have struck together, `first` first, and again as long as they still come down."""
     copy_to(out, state)
     vertex = first
     for _ in range(40):
-        if approach(body, plane, out, time, vertex) < 0.0:
-            strike(body, law, plane, time, vertex, out)
+        if vertex_velocity(body, plane, out, time, vertex) < 0.0:
+            impact_at_vertex(body, law, plane, time, vertex, out)
         vertex = other if vertex == first else first
-        if approach(body, plane, out, time, vertex) >= 0.0:
+        if vertex_velocity(body, plane, out, time, vertex) >= 0.0:
             break
 
 
 @inner
-def touch_rounding(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
+def touch_height_error(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
     """How far [m] from the table a touch may be found, after dt [s] of motion from `state`: as in `first_touch`."""
-    turned = body.radius * (1.0 + spin_of(state) * dt)
+    turned = body.radius * (1.0 + spin_rate(state) * dt)
     size = abs(state[2]) + (abs(state[9]) + plane.g * dt) * dt + turned
     if plane.amplitude != 0.0:
         size += plane.amplitude * (1.0 + abs(plane.rate * (time + dt) + plane.phase))
-    return precision.root + ROUNDING * size
+    return precision.root + ROUNDING_BOUND * size
 
 
 @inner
-def other_orders(
+def other_touch_orders(
     body: Body,
     law: Law,
     plane: Plane,
@@ -145,60 +154,60 @@ def other_orders(
 
     Returns the number of columns and the number of branches, more than MOST_BRANCHES where there was no room.
     """
-    arm = arm_of(body.vertices[hit], state)
-    u = approach(body, plane, state, time, hit)
+    arm = lever_arm(body.vertices[hit], state)
+    u = vertex_velocity(body, plane, state, time, hit)
     reach = 2.0 / plane.g
     z_table = table_height(plane, time)
     heights, tilts, delays = 0.0, 0.0, 0.0
     for c in range(columns):
         heights += errors[2, c] * errors[2, c]
         tilts += errors[3, c] * errors[3, c] + errors[4, c] * errors[4, c]
-        late = delay(errors, c, arm, u, reach)
+        late = touch_delay(errors, c, arm, u, reach)
         delays += late * late
     heights, tilts, delays = sqrt(heights), sqrt(tilts), sqrt(delays)
     fresh = columns
     first, last = np.empty(13), np.empty(13)
-    room, dtime = np.empty((12, MOST_COLUMNS)), np.empty(MOST_COLUMNS)
+    room, dtime = np.empty((12, MAX_COLUMNS)), np.empty(MAX_COLUMNS)
     for k in range(body.vertices.shape[0]):
         if k == hit or is_held(k, i, j):
             continue
-        other = arm_of(body.vertices[k], state)
+        other = lever_arm(body.vertices[k], state)
         h = state[2] + other[2] - z_table
-        v = approach(body, plane, state, time, k)
-        if v >= 0.0 or h > SAFETY * (heights + body.radius * tilts - v * delays) + floor:
+        v = vertex_velocity(body, plane, state, time, k)
+        if v >= 0.0 or h > SAFETY_FACTOR * (heights + body.radius * tilts - v * delays) + floor:
             continue
         square = 0.0
         for c in range(columns):
             lift = errors[2, c] + errors[3, c] * other[1] - errors[4, c] * other[0]
-            lift += v * delay(errors, c, arm, u, reach)
+            lift += v * touch_delay(errors, c, arm, u, reach)
             square += lift * lift
-        limit = SAFETY * sqrt(square) + floor
+        limit = SAFETY_FACTOR * sqrt(square) + floor
         if h > limit:
             continue
-        struck_in_turn(body, law, plane, state, time, hit, k, first)
-        struck_in_turn(body, law, plane, state, time, k, hit, last)
+        impacts_in_order(body, law, plane, state, time, hit, k, first)
+        impacts_in_order(body, law, plane, state, time, k, hit, last)
         if fresh == errors.shape[1]:
-            return fresh, MOST_BRANCHES + 1
-        difference(last, first, 1.0, errors, fresh)
-        if size_of(errors, fresh, scale) <= max(SLIGHT, size):
+            return fresh, MAX_BRANCHES + 1
+        tangent_between(last, first, 1.0, errors, fresh)
+        if scaled_length(errors, fresh, scale) <= max(NEGLIGIBLE_DIFFERENCE, size):
             fresh += 1
             continue
-        if known >= MOST_BRANCHES:
-            return fresh, MOST_BRANCHES + 1
+        if known >= MAX_BRANCHES:
+            return fresh, MAX_BRANCHES + 1
         copy_columns(room, errors, columns)
-        strike_tangent(body, law, plane, time, k, state, i, j, YES, scale, room, columns, dtime)
+        impact_tangent_of_errors(body, law, plane, time, k, state, i, j, TRUE, scale, room, columns, dtime)
         seeds[known] = 0.0
-        used = compressed(room, columns, np.empty((12, MOST_COLUMNS)))
+        used = compressed(room, columns, np.empty((12, MAX_COLUMNS)))
         copy_columns(seeds[known], room, used)
         states[known] = state
-        strike(body, law, plane, time, k, states[known])
+        impact_at_vertex(body, law, plane, time, k, states[known])
         times[known], gaps[known] = time, h / limit if limit > 0.0 else 0.0
         known += 1
     return fresh, known
 
 
 @inner
-def grazed(
+def add_grazing_touch(
     body: Body,
     law: Law,
     plane: Plane,
@@ -219,20 +228,20 @@ def grazed(
     for c in range(columns):
         heights += errors[2, c] * errors[2, c]
         tilts += errors[3, c] * errors[3, c] + errors[4, c] * errors[4, c]
-    band = SAFETY * (sqrt(heights) + body.radius * sqrt(tilts)) + floor
-    spin, terms = spin_of(state), np.empty((body.vertices.shape[0], 4))
-    swing(body.vertices, state, spin, terms)
+    band = SAFETY_FACTOR * (sqrt(heights) + body.radius * sqrt(tilts)) + floor
+    spin, terms = spin_rate(state), np.empty((body.vertices.shape[0], 4))
+    height_terms(body.vertices, state, spin, terms)
     low, k, _, _ = first_touch(terms, state[2], state[9], spin, body.radius, plane, time, band, dt)
     there = state.copy()
     advance(there, spin, dt, plane)
-    if k < 0 or k == hit or approach(body, plane, there, time + dt, k) < 0.0:
+    if k < 0 or k == hit or vertex_velocity(body, plane, there, time + dt, k) < 0.0:
         return columns
     high = dt
     for _ in range(60):
         middle = 0.5 * (low + high)
         copy_to(there, state)
         advance(there, spin, middle, plane)
-        if approach(body, plane, there, time + middle, k) < 0.0:
+        if vertex_velocity(body, plane, there, time + middle, k) < 0.0:
             low = middle
         else:
             high = middle
@@ -240,15 +249,15 @@ def grazed(
     end = there.copy()
     advance(end, spin, dt - high, plane)
     flight_tangent(errors, columns, end, spin, high - dt, early)
-    x, y, z = arm_of(body.vertices[k], there)
+    x, y, z = lever_arm(body.vertices[k], there)
     square = 0.0
     for c in range(columns):
         lift = early[2, c] + early[3, c] * y - early[4, c] * x
         square += lift * lift
-    deep = SAFETY * sqrt(square) + floor - clearance(body.vertices[k], there, table_height(plane, time + high))
+    deep = SAFETY_FACTOR * sqrt(square) + floor - clearance(body.vertices[k], there, table_height(plane, time + high))
     if deep <= 0.0:
         return columns
-    rising = abs(spun(there, (x, y, z)) - plane.g - table_acceleration(plane, time + high))
+    rising = abs(centripetal_acceleration(there, (x, y, z)) - plane.g - table_acceleration(plane, time + high))
     speed = sqrt(2.0 * max(rising, plane.g) * deep)
     s = (1.0 + law.parameters[0]) * speed / (1.0 / body.mass + (x * x + y * y) / body.inertia)
     kick = np.zeros((12, 1))
@@ -285,24 +294,24 @@ def follow_errors(
     at least), and the number of branches. A margin of 1 or less ends the search at once.
     """
     scale = scales_of(body, plane)
-    errors, moved = np.empty((12, MOST_COLUMNS)), np.empty((12, MOST_COLUMNS))
-    dtime, rates = np.empty(MOST_COLUMNS), np.empty((12, 6))
-    copy_columns(errors, seeds[branch], TWELVE)
-    columns = compressed(errors, TWELVE, moved)
+    errors, moved = np.empty((12, MAX_COLUMNS)), np.empty((12, MAX_COLUMNS))
+    dtime, rates = np.empty(MAX_COLUMNS), np.empty((12, 6))
+    copy_columns(errors, seeds[branch], TANGENT_ROWS)
+    columns = compressed(errors, TANGENT_ROWS, moved)
     state, time, i, j, knot, margin, size = start.copy(), start_time, NONE, NONE, ZERO, inf, 0.0
     while knot < knots.shape[0] and knots[knot, 0] < 0.0:
         knot += 1
     for k in range(log.shape[0]):
         row = log[k]
-        errors, moved, columns, knot = carried(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, YES, scale, errors, moved, columns, rates
+        errors, moved, columns, knot = carry_to_event(
+            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, TRUE, scale, errors, moved, columns, rates
         )
-        floor = touch_rounding(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
-        if columns + 3 + body.vertices.shape[0] > MOST_COLUMNS:
+        floor = touch_height_error(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
+        if columns + 3 + body.vertices.shape[0] > MAX_COLUMNS:
             columns = compressed(errors, columns, moved)
         hit = int(row[1])
         if i < 0 and row[0] > time:
-            columns = grazed(body, law, plane, state, time, row[0] - time, hit, floor, errors, columns)
+            columns = add_grazing_touch(body, law, plane, state, time, row[0] - time, hit, floor, errors, columns)
         copy_to(state, row[2:15])
         time = row[0]
         if hit >= 0:
@@ -310,7 +319,7 @@ def follow_errors(
             missed = abs(clearance(body.vertices[hit], state, table_height(plane, time))) + floor - precision.root
             own = columns
             columns = add_rounding(body, plane, state, time, -missed, k, errors, columns)
-            columns, known = other_orders(
+            columns, known = other_touch_orders(
                 body,
                 law,
                 plane,
@@ -330,20 +339,20 @@ def follow_errors(
                 gaps,
                 known,
             )
-            if known > MOST_BRANCHES:
+            if known > MAX_BRANCHES:
                 return size, 0.0, known
-            strike_tangent(body, law, plane, time, hit, state, i, j, YES, scale, errors, columns, dtime)
+            impact_tangent_of_errors(body, law, plane, time, hit, state, i, j, TRUE, scale, errors, columns, dtime)
             errors[2, own] += missed  # the table, not the die, is what stands too high by this
             i, j = NONE, NONE
         else:
             i, j = int(row[21]), int(row[22])
             columns = add_rounding(body, plane, state, time, 0.0, k, errors, columns)
             if i >= 0 and j != -3:
-                settle_tangent(body, plane, state, time, i, j, scale, errors, columns)
+                contact_onset_tangent(body, plane, state, time, i, j, scale, errors, columns)
         for m in range(6):
             state[7 + m] = row[15 + m]
         size = error_size(law, errors, columns, scale)
-        margin = min(margin, UNCERTAIN / size)
+        margin = min(margin, UNDECIDABLE_ERROR / size)
         if not margin > 1.0:
             return size, margin, known
     if face >= 0 and (i < 0 or j != -2) and plane.amplitude == 0.0:
@@ -351,14 +360,14 @@ def follow_errors(
         for c in range(columns):
             change = plane.g * errors[2, c] + end[9] * errors[8, c]
             change += per_mass * (end[10] * errors[9, c] + end[11] * errors[10, c])
-            if rubs(law):
+            if has_friction(law):
                 change += end[7] * errors[6, c] + end[8] * errors[7, c] + per_mass * end[12] * errors[11, c]
             square += change * change
-        spare = plane.g * body.barriers[face] - energy_per_mass(body, plane, end)
-        if rubs(law):
+        spare = plane.g * body.barrier_heights[face] - energy_per_mass(body, plane, end)
+        if has_friction(law):
             spare -= 0.5 * (end[7] * end[7] + end[8] * end[8] + per_mass * end[12] * end[12])
         if square > 0.0 and spare > 0.0:
-            margin = min(margin, spare / (SAFETY * sqrt(square)))
+            margin = min(margin, spare / (SAFETY_FACTOR * sqrt(square)))
     return size, margin, known
 
 
@@ -376,8 +385,8 @@ def decide(
     """A throw to its decision, with what its errors may make of it; see `chaos`. `start_error` (12,) are those of the
     start. Returns the face row (-1: none), impacts, ending, the error at the end, and the margin (above 1: decidable).
     """
-    states, times, gaps = np.empty((MOST_BRANCHES + 1, 13)), np.empty(MOST_BRANCHES + 1), np.empty(MOST_BRANCHES + 1)
-    seeds = np.zeros((MOST_BRANCHES + 1, 12, 12))
+    states, times, gaps = np.empty((MAX_BRANCHES + 1, 13)), np.empty(MAX_BRANCHES + 1), np.empty(MAX_BRANCHES + 1)
+    seeds = np.zeros((MAX_BRANCHES + 1, 12, 12))
     for k in range(12):
         seeds[0, k, k] = start_error[k]
     states[0], times[0] = start, start_time
@@ -385,7 +394,7 @@ def decide(
     branch, known = ZERO, ONE
     while branch < known:
         code, count, landed, _, end, log, knots = run_throw(
-            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, YES, impact_cap, YES
+            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, TRUE, impact_cap, TRUE
         )
         if branch == 0:
             face, impacts, ending = landed, count, code

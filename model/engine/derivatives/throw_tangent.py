@@ -10,29 +10,29 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
-from ..air import AIR_STEP_S, FLOW, Air, Vacuum, drift, start_flow
-from ..event_loop import slow_contact
+from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, integrate_flow, start_flow
+from ..event_loop import chatter_speed
 from ..flight import (
     advance,
     first_touch,
-    spin_of,
-    swing,
+    height_terms,
+    spin_rate,
     table_acceleration,
     table_height,
     table_velocity,
     touch_of_vertex,
 )
-from ..impact import INPUTS, Sources
-from ..log import copy_to, grown, log_event
+from ..impact import INPUTS, ParameterDerivatives
+from ..log import copy_to, doubled_rows, write_event
 from ..types import (
     CHATTER,
     COULOMB_BY_SPEED,
     FINE,
     IMPACT_CAP,
+    LOG_COLUMNS,
     NO_TOUCH,
     NONE,
-    ROUNDING,
-    ROW,
+    ROUNDING_BOUND,
     SMOOTH_BY_SPEED,
     TIME_REACHED,
     Array,
@@ -40,7 +40,7 @@ from ..types import (
     Law,
     Plane,
 )
-from .growth import strike
+from .growth import impact_at_vertex
 from .impact_tangent import flight_tangent, impact_tangent
 
 
@@ -52,7 +52,7 @@ def fly_in_vacuum(
     spin: float,
     dt: float,
     tangent: Array,
-    sources: Sources,
+    sources: ParameterDerivatives,
     flow: Array,
     pose: Array,
     moved: Array,
@@ -75,13 +75,13 @@ def fly_in_air(
     spin: float,
     dt: float,
     tangent: Array,
-    sources: Sources,
+    sources: ParameterDerivatives,
     flow: Array,
     pose: Array,
     moved: Array,
 ) -> None:
     """`fly` against drag; `flow` goes on from where the last call left it."""
-    drift(air.drag, plane, flow, dt - flow[48])
+    integrate_flow(air.drag, plane, flow, dt - flow[48])
     copy_to(pose, state)
     advance(pose, spin, dt, plane)  # for its attitude
     for k in range(3):
@@ -110,7 +110,7 @@ def fly(
     spin: float,
     dt: float,
     tangent: Array,
-    sources: Sources,
+    sources: ParameterDerivatives,
     flow: Array,
     pose: Array,
     moved: Array,
@@ -148,19 +148,19 @@ def touch_in_air(
 ) -> tuple[float, int, float, float]:
     """`touch_ahead` against drag: the flight is integrated step by step, none longer than the parabola that bounds the
     height of each vertex from below (or, backwards, from above) allows."""
-    flow, g = np.empty(FLOW), plane.g
+    flow, g = np.empty(FLOW_SIZE), plane.g
     start_flow(state, flow)
-    shake = plane.amplitude * plane.rate * plane.rate
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     t, alone, back = 0.0, limit == inf, False
     below = -1e-12 * radius
     while True:
         c, s = cos(spin * t), sin(spin * t)
         speed = sqrt(flow[3] * flow[3] + flow[4] * flow[4] + flow[5] * flow[5]) + 2.0 * g * AIR_STEP_S
-        push = air.drag * speed * speed + shake
+        push = air.drag * speed * speed + peak_table_acceleration
         size = abs(flow[2]) + radius * (1.0 + spin * abs(t))
         size += plane.amplitude * (1.0 + abs(plane.rate * (clock + t) + plane.phase))
-        h_tol = ROUNDING * size
-        v_tol = ROUNDING * (speed + spin * radius * (1.0 + spin * abs(t)) + plane.amplitude * plane.rate)
+        h_tol = ROUNDING_BOUND * size
+        v_tol = ROUNDING_BOUND * (speed + spin * radius * (1.0 + spin * abs(t)) + plane.amplitude * plane.rate)
         hit, hit_v, hit_a, step = -1, 0.0, 0.0, 2.0 * AIR_STEP_S
         for i in range(terms.shape[0]):
             a, b = terms[i, 0], terms[i, 1]
@@ -194,7 +194,7 @@ def touch_in_air(
         if t + step > limit:
             return limit, -1, 0.0, 0.0
         step = -step if back else step
-        drift(air.drag, plane, flow, step)
+        integrate_flow(air.drag, plane, flow, step)
         t += step
 
 
@@ -237,7 +237,7 @@ def run_tangent(
     free: bool,
     impact_cap: int,
     seed: Array,
-    sources: Sources,
+    sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
     """The event loop with derivatives. `times` (n,) ascending; `sequence` is used unless `free`; `seed` (12, 12 + m)
     are the derivatives of the start, `sources` those of what else the m parameters change.
@@ -247,21 +247,21 @@ def run_tangent(
     """
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
-    log, dtimes = np.empty((16, ROW)), np.empty((16, columns))
+    log, dtimes = np.empty((16, LOG_COLUMNS)), np.empty((16, columns))
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
     tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, INPUTS))
-    flow = np.empty(FLOW)
+    flow = np.empty(FLOW_SIZE)
     wanted = np.zeros(2)
     by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED
     wanted[0] = 1.0 if by_speed or np.any(sources.chi) else 0.0
     wanted[1] = 1.0 if np.any(sources.mu) else 0.0
     terms = np.empty((body.vertices.shape[0], 4))
-    slow = slow_contact(law, plane, FINE, body.radius)
+    slow = chatter_speed(law, plane, FINE, body.radius)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending = start_time, 0, 0, TIME_REACHED
     while True:
-        spin = spin_of(state)
-        swing(body.vertices, state, spin, terms)
+        spin = spin_rate(state)
+        height_terms(body.vertices, state, spin, terms)
         start_flow(state, flow)
         hit, dt = NONE, 0.0
         if free:
@@ -288,7 +288,7 @@ def run_tangent(
         if hit < 0:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
         if impacts == log.shape[0]:
-            log, dtimes = grown(log), grown(dtimes)
+            log, dtimes = doubled_rows(log), doubled_rows(dtimes)
         fly(air, plane, state, spin, dt, tangent, sources, flow, before, moved)
         tangent, moved = moved, tangent
         copy_to(state, before)
@@ -296,6 +296,6 @@ def run_tangent(
         impact_tangent(
             body, law, plane, time, hit, state, air.drag, sources, wanted, tangent, gradient, dtimes[impacts]
         )
-        strike(body, law, plane, time, hit, state)
-        log_event(log[impacts], time, hit, before, state, -1.0, NONE)
+        impact_at_vertex(body, law, plane, time, hit, state)
+        write_event(log[impacts], time, hit, before, state, -1.0, NONE)
         impacts += 1

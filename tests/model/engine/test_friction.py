@@ -23,7 +23,7 @@ def contacts(seed: int, n: int):
     for k in range(n):
         die = DICE[list(DICE)[k % 5]]
         arm = matrix_from_quat(random_quaternion(rng)) @ die.solid.vertices[0]
-        matrix = engine.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *arm)
+        matrix = engine.spherical_contact_matrix(die.mass_kg, die.inertia_kg_m2, *arm)
         if k % 3 == 2:
             axes = matrix_from_quat(random_quaternion(rng))
             inertia = die.inertia_kg_m2 * 10.0 ** rng.uniform(-1.5, 1.5, 3)
@@ -54,7 +54,7 @@ def test_the_contact_matrix_says_how_a_unit_impulse_changes_the_velocity_of_the_
         columns = [e / 2.0 + np.cross(np.linalg.solve(inertia, np.cross(arm, e)), arm) for e in np.eye(3)]
         matrix = full(engine.contact_matrix(2.0, np.linalg.inv(inertia), *arm))
         np.testing.assert_allclose(matrix, np.array(columns).T, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
-        top = engine.contact_matrix_of_top(2.0, 0.3, *arm)
+        top = engine.spherical_contact_matrix(2.0, 0.3, *arm)
         np.testing.assert_allclose(top, engine.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(top))
 
 
@@ -308,7 +308,7 @@ def test_the_laws_ask_the_kernel_for_the_velocity_of_their_contact():
     for die in DICE.values():
         touch = touch_of(die, 15)
         c = touch.state.velocity_m_s + np.cross(touch.state.omega_rad_s, touch.arm_m)
-        matrix = engine.contact_matrix_of_top(die.mass_kg, die.inertia_kg_m2, *touch.arm_m)
+        matrix = engine.spherical_contact_matrix(die.mass_kg, die.inertia_kg_m2, *touch.arm_m)
         for name, ending in ENDINGS.items():
             expected = engine.friction_impulse(matrix, 0.4, 0.25, ending, *c)
             # c is summed in another order.
@@ -355,12 +355,19 @@ CUBE = DICE["cube"]
 FEET = np.ascontiguousarray(DICE["cube"].solid.vertices[DICE["cube"].solid.vertices[:, 2] < 0])
 
 
-def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, feet=FEET):
+def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, plumb_normals=FEET):
     """Velocities (steps, 6) of a cube on its feet."""
-    velocity, impulses, rows = np.array(velocity, float), np.zeros((len(feet), 3)), []
+    velocity, impulses, rows = np.array(velocity, float), np.zeros((len(plumb_normals), 3)), []
     for _ in range(steps):
         engine.friction_step(
-            velocity, feet, CUBE.mass_kg, CUBE.inertia_kg_m2, mu, h * np.array(gravity), table_velocity, impulses
+            velocity,
+            plumb_normals,
+            CUBE.mass_kg,
+            CUBE.inertia_kg_m2,
+            mu,
+            h * np.array(gravity),
+            table_velocity,
+            impulses,
         )
         rows.append(velocity.copy())
     return np.array(rows)
@@ -422,19 +429,19 @@ def test_held_contact_never_gains_energy_and_never_sinks(touching):
         gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
         assert gained <= 1e-13 * (weights @ before**2 + mass * push @ push)
         assert (np.hypot(impulses[:, 0], impulses[:, 1]) <= mu * impulses[:, 2] * (1 + 1e-12) + 1e-300).all()
-        feet = velocity[:3] + np.cross(velocity[3:], FEET[:touching])
+        plumb_normals = velocity[:3] + np.cross(velocity[3:], FEET[:touching])
         size = np.linalg.norm(push) + np.abs(before[:3]).max() + 0.02 * np.abs(before[3:]).max()
         if sweeps < 1000:
-            assert feet[:, 2].min() >= -1e-10 * size
+            assert plumb_normals[:, 2].min() >= -1e-10 * size
             # Friction points against the slip, or there is none.
-            against = np.sum(feet[:, :2] * impulses[:, :2], axis=1)
-            sizes = np.linalg.norm(feet[:, :2], axis=1) * np.linalg.norm(impulses[:, :2], axis=1)
+            against = np.sum(plumb_normals[:, :2] * impulses[:, :2], axis=1)
+            sizes = np.linalg.norm(plumb_normals[:, :2], axis=1) * np.linalg.norm(impulses[:, :2], axis=1)
             np.testing.assert_allclose(against, -sizes, atol=1e-9 * size * impulses.max())
 
 
 def test_one_contact_is_solved_exactly():
     for matrix, _, mu, c in contacts(18, 2000):
-        impulse = np.array(engine.held_impulse(matrix, mu, *c))
+        impulse = np.array(engine.inelastic_impulse(matrix, mu, *c))
         after = c + full(matrix) @ impulse
         terms = np.abs(c).max() + np.abs(full(matrix) @ np.diag(impulse)).max()
         friction = np.linalg.norm(impulse[:2])

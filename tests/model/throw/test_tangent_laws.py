@@ -262,7 +262,7 @@ def test_the_gradient_of_an_impulse_is_that_of_larger_differences_on_every_cours
     given = np.array([*arm, *contact, chi, mu, inertia])
 
     def impulse(x: np.ndarray) -> np.ndarray:
-        matrix = engine.contact_matrix_of_top(mass, x[8], *x[:3])
+        matrix = engine.spherical_contact_matrix(mass, x[8], *x[:3])
         return np.array(engine.friction_impulse(matrix, x[6], x[7], engine.STRONGE, *x[3:6]))
 
     np.testing.assert_allclose(found, impulse(given), rtol=1e-12)
