@@ -32,7 +32,7 @@ from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.clip_parameters import corner_radius
 from diethrow.tracking.clip_parameters.corner_radius import PLAIN_PX, Rounding
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Looks
+from diethrow.tracking.pose.frame_poses import SampledFrames
 from diethrow.tracking.quality import FAST, STANDARD, Quality
 
 
@@ -95,7 +95,7 @@ def noting(asked: dict[str, Any]) -> Any:
     """`gain_of_rounding` that notes its last answer about the radius that is just noticed, and how long all of them took."""
     original = corner_radius.gain_of_rounding
 
-    def noted(view: View, looks: Looks, radius_px: float) -> tuple[float, float]:
+    def noted(view: View, looks: SampledFrames, radius_px: float) -> tuple[float, float]:
         began = time.perf_counter()
         answer = original(view, looks, radius_px)
         asked["ms"] = asked.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)

@@ -38,7 +38,7 @@ from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.footage.frame_blocks import Reel
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.sequence import track_clip
 from diethrow.tracking.sequence.initialisation import best_start, find_beginning
 
@@ -142,7 +142,7 @@ class Judge:
         whole = np.flatnonzero(self.truth.visible[self.row[:-LEAST_LEFT]])
         return [int(k) for k in np.unique(whole[np.linspace(0, len(whole) - 1, count).astype(int)])]
 
-    def of(self, seen: Seen, first: int) -> str:
+    def of(self, seen: ClipPoses, first: int) -> str:
         """Whether the first and the last of the known poses are right; row 0 of `seen` is row `first` of the clip."""
         known = np.flatnonzero(seen.known)
         right = all(self.right(seen.position_m[k], seen.rotation[k], int(first + k)) for k in known[[0, -1]])

@@ -12,9 +12,9 @@ class Quality:
     name: str
     fine_steps: int
     """Most Gauss-Newton steps at the lens blur on one frame."""
-    chase_steps: int
+    tracking_steps: int
     """The same while the die is only followed, where a second pass refines every pose again; twice as many for rounded dice."""
-    chase_stride: int
+    tracking_stride: int
     """One pixel line in so many is walked while the die is only followed."""
     enough: float
     """Squared sigmas, of all six numbers together: a step that gains less is the last one, and leaves about a tenth of that."""
@@ -45,15 +45,15 @@ class Quality:
 
 
 FAST = Quality(
-    "fast", fine_steps=2, chase_steps=2, chase_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=400,
+    "fast", fine_steps=2, tracking_steps=2, tracking_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=400,
     starts=24, rivals=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, chase_steps=2, chase_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=800,
+    "standard", fine_steps=4, tracking_steps=2, tracking_stride=2, enough=0.5, settled_px=0.1, band_px=3.5, judging_pixels=800,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
-    "fine", fine_steps=8, chase_steps=4, chase_stride=1, enough=1e-3, settled_px=0.0, band_px=3.5, judging_pixels=2500,
+    "fine", fine_steps=8, tracking_steps=4, tracking_stride=1, enough=1e-3, settled_px=0.0, band_px=3.5, judging_pixels=2500,
     starts=24, rivals=128, second_pass=True, marks=True,
 )  # fmt: skip
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}

@@ -114,7 +114,7 @@ def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.Monk
     monkeypatch.setattr(initial_pose, "SEARCHED_PX", 40)
     throw = thrown()
     truth = throw.at(0.0)
-    found = initial_pose.find_start(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
+    found = initial_pose.initial_poses(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
     away_mm = [1e3 * float(np.linalg.norm(pose.position_m - truth.position_m)) for _, pose in found]
     # The depth of a die 80 px across is known to some tenths of a millimetre from one frame.
     assert min(away_mm) < 1.0

@@ -38,7 +38,7 @@ from ..picture import (
     outline_box,
     without_shadow,
 )
-from ..pose import HandStart, die_blobs, refine_pose
+from ..pose import ManualInitialisation, die_blobs, refine_pose
 from ..quality import FAST
 from ..sequence import NoDieError, look_through
 from ..throw import NoFlightError, measure_throw, transition
@@ -142,7 +142,7 @@ def preflight(
     *,
     background: Image | None = None,
     exposure_s: float | None = None,
-    start: HandStart | None = None,
+    start: ManualInitialisation | None = None,
     excluded: Sequence[tuple[int, int]] = (),
     rounding: Rounding = Rounding.GIVEN,
 ) -> Preflight:
@@ -228,7 +228,7 @@ def _always_off(sample: list[Image], background: Image, noise: float) -> float:
     return float((off[known] >= NEARLY_EVERY * looked[known]).mean())
 
 
-def _first_sight(clip: Clip, view: View, start: HandStart | None) -> int | None:
+def _first_sight(clip: Clip, view: View, start: ManualInitialisation | None) -> int | None:
     """Row of the clip at which the piece to track begins: a little before the die is first wholly in view."""
     if start is not None:
         return max(start.frame - clip.first_frame - PIECE_FRAMES // 2, 0)

@@ -1,8 +1,8 @@
 """tracking.clip_parameters."""
 
 from .clock_offsets import Offsets as Offsets
-from .clock_offsets import eyes_at as eyes_at
 from .clock_offsets import find_offsets as find_offsets
+from .clock_offsets import rig_at as rig_at
 from .corner_radius import FRAMES as FRAMES
 from .corner_radius import Corners as Corners
 from .corner_radius import Rounding as Rounding

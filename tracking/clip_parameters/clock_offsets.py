@@ -16,7 +16,7 @@ What tells δ from a is that v and ω change: by gravity a little, at a bounce m
 
     R_c (E x + u) + t_c = (R_c E) x + (t_c + R_c u),        u = δ v + p - E p,
 
-so the frame of a late camera is that of a synchronised camera in another place (`Eyes`), for the p, v and ω of that frame.
+so the frame of a late camera is that of a synchronised camera in another place (`CameraRig`), for the p, v and ω of that frame.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import State, Throw
-from ..picture import Eyes, View, make_view, shares_in_view
+from ..picture import CameraRig, View, make_view, shares_in_view
 from ..pose import Pose, refine_pose
 from ..throw import SIZE_PX, SIZE_SHARE
 
@@ -106,28 +106,28 @@ def find_offsets(view: View, frame: Callable[[int], NDArray[np.generic]], times_
     return offsets
 
 
-def eyes_at(eyes: Eyes, seconds: Array, position_m: Array, motion: Array) -> Eyes:
+def rig_at(rig: CameraRig, seconds: Array, position_m: Array, motion: Array) -> CameraRig:
     """Cameras that see, at the instant of the first one, what the late ones will see: for a die at `position_m` (3,) with
     `motion` (6,), velocity and angular velocity."""
-    rotations, translations = eyes.rotation.copy(), eyes.translation.copy()
-    for e, late_s in enumerate(seconds[eyes.camera]):
+    rotations, translations = rig.rotation.copy(), rig.translation.copy()
+    for e, late_s in enumerate(seconds[rig.camera]):
         turn = matrix_from_quat(quat_from_rotvec(late_s * motion[3:]))
         shift = late_s * motion[:3] + position_m - turn @ position_m
         translations[e] += rotations[e] @ shift
         rotations[e] = rotations[e] @ turn
-    return eyes._replace(rotation=rotations, translation=translations)
+    return rig._replace(rotation=rotations, translation=translations)
 
 
 def _alone(view: View, c: int) -> View:
     """The view of one of the cameras."""
     camera = view.cameras[c]
     background = view.backgrounds[c, : camera.height_px, : camera.width_px]
-    mirror = bool((view.eyes.partner >= 0).any())
+    mirror = bool((view.rig.partner >= 0).any())
     alone = make_view(
         camera, view.die, background, view.noise_grey, view.exposure_s, view.blur_px, rounding_grey=view.rounding_grey,
         mirror=mirror, quality=view.quality,
     )  # fmt: skip
-    return replace(alone, light=view.light[view.eyes.camera == c])
+    return replace(alone, light=view.light[view.rig.camera == c])
 
 
 def _rows_in_flight(times_s: Array, throw: Throw) -> NDArray[np.int64]:
@@ -179,7 +179,12 @@ def _rows(pairs: list[tuple[_Look, Pose | None, Pose | None]]) -> Iterator[Array
         turned = rotation_between(quat_from_matrix(first.rotation), quat_from_matrix(late.rotation))
         difference = np.concatenate([late.position_m - first.position_m, turned])
         moving = np.concatenate([look.state.velocity_m_s, look.state.omega_rad_s])
-        columns = [moving[:, None], np.eye(6), -first.contour_lean[:, None], late.contour_lean[:, None]]
+        columns = [
+            moving[:, None],
+            np.eye(6),
+            -first.contour_bias_jacobian[:, None],
+            late.contour_bias_jacobian[:, None],
+        ]
         L = np.linalg.cholesky(first.covariance + late.covariance)
         yield np.linalg.solve(L, np.hstack([*columns, difference[:, None]]))
 

@@ -36,8 +36,18 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
-from ..picture import COLUMNS, THREADS, TUKEY, Lens, View, new_desk, rounded, shares_in_view, whole_sight
-from ..pose import Looks, Picture, look
+from ..picture import (
+    BIWEIGHT_CUT,
+    PARAMETERS,
+    THREADS,
+    RefinementSettings,
+    View,
+    new_workspace,
+    rounded,
+    shares_in_view,
+    whole_frame_windows,
+)
+from ..pose import Picture, SampledFrames, refine_and_score
 from ..throw import flown, outline_growth
 from ..track import Track
 
@@ -83,8 +93,8 @@ FEWEST = 6
 STEPS, ENOUGH = 6, 0.01
 """Most steps of a free pose, and the gain [squared sigmas] of the last one."""
 STRIP_SHARE = 0.5
-"""How far strips may differ from their faces where it is asked whether there are any, see `Lens`: no picture denies strips of any
-shade."""
+"""How far strips may differ from their faces where it is asked whether there are any, see `RefinementSettings`: no picture
+denies strips of any shade."""
 
 
 class Rounding(StrEnum):
@@ -125,7 +135,7 @@ def noticed_px(view: View) -> float:
     return NOTICED_PX * max(1.0, view.blur_px / NOTICED_BLUR_PX)
 
 
-def gain_of_rounding(view: View, looks: Looks, radius_px: float) -> tuple[float, float]:
+def gain_of_rounding(view: View, looks: SampledFrames, radius_px: float) -> tuple[float, float]:
     """By how much corners of this radius explain the pictures of a view with sharp ones better: mean fall of ℓ over the
     frames, what lies far off brought nearer, and its standard error."""
     if len(looks) < FEWEST:
@@ -138,7 +148,7 @@ def gain_of_rounding(view: View, looks: Looks, radius_px: float) -> tuple[float,
     return _winsorised(sharp - round_)
 
 
-def look_rounded(view: View, looks: Callable[[int], Looks]) -> bool:
+def look_rounded(view: View, looks: Callable[[int], SampledFrames]) -> bool:
     """Whether the die of a view with sharp corners is plainly rounded; `looks(count)` are so many frames at the most."""
     seen = looks(FRAMES)
     gain, sigma = gain_of_rounding(view, seen.some(PLAIN_FRAMES), PLAIN_PX / NOTICED_PX * noticed_px(view))
@@ -150,7 +160,7 @@ def look_rounded(view: View, looks: Callable[[int], Looks]) -> bool:
     return gain > max(GAIN, SURE * sigma)
 
 
-def by_free_poses(view: View, looks: Looks) -> Corners | None:
+def by_free_poses(view: View, looks: SampledFrames) -> Corners | None:
     """The radius at the far shoulder of ℓ with the pose of each frame free: the largest that keeps SHOULDER of what the best
     gains over none. 0 where none gains, None where fewer than FEWEST frames tell."""
     if len(looks) < FEWEST:
@@ -170,7 +180,7 @@ def by_free_poses(view: View, looks: Looks) -> Corners | None:
     return Corners(found, float(np.hypot(FREE_SHARE * found, FREE_PX / px_per_m)))
 
 
-def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0) -> Corners | None:
+def by_flights(view: View, looks: SampledFrames, first_m: float, contour_px: float = 0.0) -> Corners | None:
     """The radius of least ℓ about a first one, with the poses of the looks as they are; 0 where no radius is better than
     none, None where fewer than FEWEST frames tell. `contour_px` is the standard error of the contour that the flights leave:
     of their distance, in pixels of the outline."""
@@ -199,7 +209,7 @@ def by_flights(view: View, looks: Looks, first_m: float, contour_px: float = 0.0
     return Corners(best, float(np.linalg.norm(errors)))
 
 
-def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) -> Looks:
+def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) -> SampledFrames:
     """Frames of a track that show the whole die on its flights, at the poses of the flights."""
     throw = flown(throw)
     spacing_s = float(np.median(np.diff(track.time_s)))
@@ -209,7 +219,7 @@ def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) ->
     position, quaternion = throw.poses(track.time_s[rows])
     rotation, motion = matrix_from_quat(quaternion), throw.rates(track.time_s[rows])
     whole = shares_in_view(view, position, rotation) == 1.0
-    return Looks.at(rows[whole], picture, position[whole], rotation[whole], motion[whole], FRAMES)
+    return SampledFrames.at(rows[whole], picture, position[whole], rotation[whole], motion[whole], FRAMES)
 
 
 def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotation: Array) -> float:
@@ -231,32 +241,32 @@ def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotat
 # --- the misfit of a radius -------------------------------------------------------------------------------------------
 
 
-def _free(view: View) -> Lens:
+def _free(view: View) -> RefinementSettings:
     """The lens of a refinement whose pose is free, and of strips of any shade: what faces show of the light is no matter here."""
     dark = np.zeros_like(view.light)
-    return view.lens._replace(fine_steps=STEPS, enough=ENOUGH, samples=0, strip_share=STRIP_SHARE, light=dark)
+    return view.settings._replace(fine_steps=STEPS, enough=ENOUGH, samples=0, strip_share=STRIP_SHARE, light=dark)
 
 
-def _misfits(view: View, looks: Looks, lens: Lens) -> tuple[Array, Looks]:
+def _misfits(view: View, looks: SampledFrames, settings: RefinementSettings) -> tuple[Array, SampledFrames]:
     """ℓ of each frame (n,) for the radius of the view's die, NaN where no edge is seen, and the looks at the refined poses.
 
     Mirrors are left out: bevels in them are lit from below, and a reflection takes part in no first pass either.
     """
-    direct = (np.arange(len(view.eyes.weight)) < len(view.cameras)).astype(float)
-    eyes = view.eyes._replace(weight=np.where(view.eyes.weight > 0.0, direct, 0.0))
+    direct = (np.arange(len(view.rig.weight)) < len(view.cameras)).astype(float)
+    rig = view.rig._replace(weight=np.where(view.rig.weight > 0.0, direct, 0.0))
     intensities = 2.0 if view.die.corner_radius_m * scale_px_per_m(view, looks) > 2.0 * SHARP_PX else 0.0
 
     def one(k: int) -> tuple[float, Array, Array]:
-        H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-        p, R, _ = look(
-            whole_sight(view, looks.pictures[k]), view.backgrounds, eyes, view.shape, lens, looks.position_m[k],
-            looks.rotation[k], looks.motion[k, :3], looks.motion[k, 3:], lens.loose_m, lens.loose_rad, 0,
-            new_desk(view.shape, view.eyes), H, g, stats,
+        H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
+        p, R, _ = refine_and_score(
+            whole_frame_windows(view, looks.pictures[k]), view.backgrounds, rig, view.shape, settings, looks.position_m[k],
+            looks.rotation[k], looks.motion[k, :3], looks.motion[k, 3:], settings.loose_m, settings.loose_rad, 0,
+            new_workspace(view.shape, view.rig), H, g, stats,
         )  # fmt: skip
         cost, pixels, stretches, log_noise = stats[0], stats[2], stats[5], stats[6]
         if not (pixels > 0.0 and H[0, 0] > 0.0):
             return np.nan, looks.position_m[k], looks.rotation[k]
-        return float((TUKEY**2 / 6.0 * cost + log_noise + intensities * stretches) / pixels), p, R
+        return float((BIWEIGHT_CUT**2 / 6.0 * cost + log_noise + intensities * stretches) / pixels), p, R
 
     with ThreadPoolExecutor(THREADS) as pool:
         misfit, position, rotation = zip(*pool.map(one, range(len(looks))), strict=True)
@@ -300,7 +310,7 @@ def _least(radii: Array, levels: Array) -> float:
     return float(np.clip(-b / (2.0 * a) * x[1], x[0], x[2])) if a > 0.0 else float(x[1])
 
 
-def scale_px_per_m(view: View, looks: Looks) -> float:
+def scale_px_per_m(view: View, looks: SampledFrames) -> float:
     """Pixels a metre at the die, in the median frame."""
     distance = np.linalg.norm(looks.position_m - view.camera.centre_m, axis=1)
     return float(view.camera.matrix[0, 0] / np.median(distance))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..picture import View
-from ..pose import Looks, blur_step
+from ..pose import SampledFrames, blur_step
 
 LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
 """A sharper picture than a pixel can show, and one too blurred to tell a pose."""
@@ -15,7 +15,7 @@ BLUR_FRAMES = 16
 """Frames over which it is estimated."""
 
 
-def lens_blur_px(view: View, looks: Looks) -> float:
+def lens_blur_px(view: View, looks: SampledFrames) -> float:
     """The lens blur [px] that fits some frames best: Newton steps on their common blur, each frame weighted by what it says of
     it, frames far from the others left out. That of the view where they say nothing."""
     for _ in range(4):

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ..picture import LIGHT_DEGREE, View
 from ..picture import LIGHT_TERMS as TERMS
-from ..pose import Picture, Seen, shown_whole
+from ..pose import ClipPoses, Picture, shown_whole
 
 Array = NDArray[np.float64]
 
@@ -51,7 +51,7 @@ DARK = 0.5
 """Least brightness that is believed, in that of the darkest faces."""
 
 
-def lit(view: View, picture: Picture, seen: Seen) -> View:
+def lit(view: View, picture: Picture, seen: ClipPoses) -> View:
     """The view with what some frames that show the whole die tell of the light; the same for a sharp die, and where the
     brightness of its faces is no function of their normals. Views in a mirror are lit otherwise, and show no faces from above:
     nothing is known there."""

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from .kernel_types import BLUR, COLUMNS, FEWEST_ALIKE, ROBUST_TURNS, TUKEY, Desk, inner_no_memory
+from .kernel_types import BIWEIGHT_CUT, BLUR, FEWEST_STRETCHES, PARAMETERS, REWEIGHTINGS, Workspace, inner_no_memory
 from .robust_greys import four_left, four_sums, median_size, rises, scale_left, shift_alike, two_left, two_sums
 from .small_matrices import cholesky_factor, solve_factored
 
 
 @inner_no_memory
 def add_stretch(
-    desk: Desk, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
+    work: Workspace, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
     weight: float, rounding_grey: float, strip_share: float, strip_grey: float, alike: float, full: bool, view: int,
     near: int, far: int, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
@@ -32,19 +32,19 @@ def add_stretch(
         stats[3] += walked
     if n < 12:
         return
-    phi, slope, spread, grey, w, res = desk.phi, desk.slope, desk.spread, desk.grey, desk.weight, desk.left
-    A, L, y, c, C, size, rise = desk.A, desk.L, desk.y, desk.c, desk.C, desk.size, desk.rise
+    phi, slope, spread, grey, w, res = work.phi, work.slope, work.spread, work.grey, work.weight, work.left
+    A, L, y, c, C, size, rise = work.A, work.L, work.y, work.c, work.C, work.size, work.rise
     K = 2 if sharp else 4
     base = under_sum / n
     scale, icut = floor_grey, 0.0
-    greys, usual = desk.greys[view], desk.usual[view]
+    greys, usual = work.greys[view], work.usual[view]
     known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
-    for turn_number in range(ROBUST_TURNS):
+    for turn_number in range(REWEIGHTINGS):
         if sharp:
             A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = two_sums(n, icut, phi[0], phi[1], grey, res, w)
-            if turn_number == ROBUST_TURNS - 1:
+            if turn_number == REWEIGHTINGS - 1:
                 _note_greys(A, y, scale, greys[near], greys[far])
             known_near, known_far = usual[near, 1] * scale * scale, usual[far, 1] * scale * scale
             A[0, 0] += known_near
@@ -67,16 +67,16 @@ def add_stretch(
             two_left(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
             four_left(n, c, phi, grey, res, size)
-        if turn_number < ROBUST_TURNS - 1:
+        if turn_number < REWEIGHTINGS - 1:
             scale = max(floor_grey, 1.4826 * median_size(size, n))
         else:
             scale = max(floor_grey, scale_left(n, icut, res))
-        icut = 1.0 / (TUKEY * scale)
+        icut = 1.0 / (BIWEIGHT_CUT * scale)
     iv = weight / (scale * scale)
     cost, used = rises(n, K, c, icut, slope, res, rise, w)
     if rounding_grey > 0.0:
         iv /= 1.0 + alike * iv * rounding_grey * rounding_grey / 24.0 * shift_alike(n, rise, w)
-    begin, rows = desk.begin, desk.rows
+    begin, rows = work.begin, work.rows
     C[:] = 0.0
     for k in range(m):
         # All pixels of a row share the derivative of d: sums over the row first, the pose once a row.
@@ -125,9 +125,9 @@ def add_stretch(
             h[7] += jr * j7
             H[BLUR, a] += ja * rs
     # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S = A iv their own normal matrix.
-    top = COLUMNS if full else BLUR
+    top = PARAMETERS if full else BLUR
     sharing = known_near > 0.0 or known_far > 0.0
-    by_near, by_far = desk.by_shared[view, near], desk.by_shared[view, far]
+    by_near, by_far = work.by_shared[view, near], work.by_shared[view, far]
     for b in range(top):
         solve_factored(L, K, C[b], y)
         for a in range(b, top):
@@ -139,7 +139,7 @@ def add_stretch(
             by_near[b] += known_near * y[0]
             by_far[b] += known_far * y[1]
     if sharing:
-        shared, pull = desk.shared[view], desk.pull[view]
+        shared, pull = work.shared[view], work.pull[view]
         det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
         shared[near, near] += iv * (known_near - known_near * known_near * A[1, 1] / det)
         shared[far, far] += iv * (known_far - known_far * known_far * A[0, 0] / det)
@@ -178,10 +178,10 @@ def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
 
 
 @inner_no_memory
-def eliminate(desk: Desk, view: int, top: int, H: Any, g: Any) -> None:
+def eliminate(work: Workspace, view: int, top: int, H: Any, g: Any) -> None:
     """Eliminate the greys that the stretches of one view share from its normal equations: the `top` leading rows of H (lower
     half) and g. Those greys are `usual` so far; what they become waits for the step of the pose, see `share_greys`."""
-    M, X, pull, which, y = desk.shared[view], desk.by_shared[view], desk.pull[view], desk.which[view], desk.solved
+    M, X, pull, which, y = work.shared[view], work.by_shared[view], work.pull[view], work.which[view], work.solved
     count = np.int64(0)
     for f in range(pull.shape[0]):
         if M[f, f] > 0.0:
@@ -206,18 +206,18 @@ def eliminate(desk: Desk, view: int, top: int, H: Any, g: Any) -> None:
 
 
 @inner_no_memory
-def share_greys(desk: Desk, step: Any) -> None:
+def share_greys(work: Workspace, step: Any) -> None:
     """After a step (6,) of the pose: the greys that stretches share, and how far the stretches beside a face differ from theirs
     beyond their own noise (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986). A face of one grey helps every edge
     of it; light, shadow and grain make its stretches differ, and each is left to itself."""
-    greys, usual, y = desk.greys, desk.usual, desk.solved
+    greys, usual, y = work.greys, work.usual, work.solved
     for view in range(greys.shape[0]):
-        which = desk.which[view]
+        which = work.which[view]
         for i in range(which[0]):
-            y[i] = desk.pull[view, i]
+            y[i] = work.pull[view, i]
             for a in range(6):
-                y[i] -= desk.by_shared[view, i, a] * step[a]
-        solve_factored(desk.shared[view], which[0], y, y)
+                y[i] -= work.by_shared[view, i, a] * step[a]
+        solve_factored(work.shared[view], which[0], y, y)
         for i in range(which[0]):
             usual[view, which[i + 1], 0] += y[i]
         for f in range(greys.shape[1]):
@@ -230,7 +230,7 @@ def share_greys(desk: Desk, step: Any) -> None:
             )
             known = usual[view, f, 1] > 0.0
             usual[view, f, 1] = 0.0
-            if count >= FEWEST_ALIKE:
+            if count >= FEWEST_STRETCHES:
                 mean = pc / p
                 beyond = pcc - mean * pc - (count - 1.0)
                 spread = max(beyond, sqrt(2.0 * (count - 1.0))) / (p - pp / p)

@@ -8,60 +8,60 @@ import numpy as np
 
 from ...model.compiled import compiled, inner
 
-SEGMENT_PX = 24.0
+STRETCH_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""
-BUFFER = 2048
+MAX_STRETCH_PIXELS = 2048
 """Pixels of one such stretch at the most."""
-CURVED_PX = 0.005
+CURVED_PATH_PX = 0.005
 """Displacement of an edge by the curvature of its motion within the exposure from which that is taken into account."""
-CELLS = 5
+STRIP_CELLS = 5
 """Pieces of a rounded strip: with a radius of a few pixels each is narrower than the blur."""
 LIGHT_DEGREE = 4
 LIGHT_TERMS = (LIGHT_DEGREE + 1) ** 2
 """Degree of the polynomial of the normal that says how bright a surface looks, and number of its coefficients."""
-SLIVER = 0.04
+GRAZING_COSINE = 0.04
 """Cosine below which a face is seen too much from the side for its edges to be told apart."""
-TUKEY = 4.685
+BIWEIGHT_CUT = 4.685
 """Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
 BIWEIGHT_VARIANCE = 0.8281
 """Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
-ROBUST_TURNS = 3
+REWEIGHTINGS = 3
 """Times that the intensities of a stretch are solved with weights from the last residuals."""
-MEDIAN_TO, MOST_HALVINGS = 0.02, 16
+MEDIAN_TOLERANCE, MEDIAN_HALVINGS = 0.02, 16
 """Part of itself to which a median is found, and steps in which it is where most values are not nought; of 200 Gaussian residuals
 it is known to a fifteenth."""
-OVERSTEP = 1.4
+STEP_FACTOR = 1.4
 """Factor on the steps at the lens blur. With the weights of the last residuals kept, as here, the normal equations are steeper
 than the robust cost, by 1.2 for Gaussian residuals and by 1.6 on grain: a plain step left 38 % of the way on wood. Up to twice
 the step converges wherever they are steeper at all."""
-FEWEST_ALIKE = 4.0
+FEWEST_STRETCHES = 4.0
 """Stretches beside a face from which it is known how much they differ."""
-APART_PX = 2.0
+REFLECTION_MARGIN_PX = 2.0
 """Margin about the outline of a reflection (or of the die before its reflection) within which rows are left out."""
-COLUMNS = 8
+PARAMETERS = 8
 """Pose (6), contour error [px], blur [px]."""
 BLUR = 7
-COARSE = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
+COARSE_BLUR_AND_BAND_PX = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
 """Blur and band [px] of the first steps from an uncertain start."""
-FACE_CUT, SHADOW_CUT = 16.0, 4.0
+SQUARED_SIGMAS_CUT, SHADOW_SQUARED_SIGMAS_CUT = 16.0, 4.0
 """Squared sigmas at which a pixel's misfit is cut off; lower where the image is darker than the background, which a
 shadow explains."""
-WINDOW_PX, NARROW_PX = 20.0, 11.0
+WINDOW_PX, NARROW_WINDOW_PX = 20.0, 11.0
 """Margin of the window about the outline: the widest band, and what a prediction may be off; and where the lens blur does
 at once, whose band is a few pixels wide."""
-NEARBY_PX = 1.0
+COARSE_RESTART_PX = 1.0
 """A refinement that moves the die by more than this began too far off to start at the lens blur: its band would have missed
 what a coarser one sees."""
-SCREENED, SCREEN_PX, SCREEN_SIGMAS, CHANGED_SIGMAS = 0.04, 2, 1.2, 4.0
+OCCLUDED_SHARE, OCCLUDER_HALF_WIDTH_PX, OCCLUDER_RMS_SIGMAS, OCCLUDER_CHANGED_SIGMAS = 0.04, 2, 1.2, 4.0
 """Share of the die that shows nothing but the background from which something is looked for that stands before it; half the
 width of the square of pixels that must show no die at all, root mean square difference from the background there [noise],
 and the difference that no pixel of something still ever reaches."""
-DEARER, MUCH_DEARER = 0.35, 2.5
+ACCEPTED_EXCESS_COST, ACCEPTED_EXCESS_COST_ON_PATH = 0.35, 2.5
 """By how much a pose in flight may cost more than usual before other explanations are tried, and the same for a pose NEAR
 where the motion leads whose contour is badly seen; where it is well seen, a changed light does not count."""
-NEAR = 30.0
+ON_PATH_CHI2 = 30.0
 """Squared sigmas of six numbers: one in 25 000 of honest poses lies further off."""
-FADE = 1.06
+COVARIANCE_GROWTH = 1.06
 """Growth of a motion's covariance a frame."""
 inner_nogil = inner(nogil=True)
 inner_no_memory = inner(nogil=True, _nrt=False)
@@ -91,7 +91,7 @@ class Shape(NamedTuple):
     """[m] of the ball; 0 for a sharp die."""
 
 
-class Eyes(NamedTuple):
+class CameraRig(NamedTuple):
     """All views of a scene, as stacks."""
 
     matrix: Any
@@ -110,7 +110,7 @@ class Eyes(NamedTuple):
     """(views,) by which what its edges say is multiplied; a view of none still hides others."""
 
 
-class Screen(NamedTuple):
+class OccluderMask(NamedTuple):
     """What stands before the die, a rod or a frame: it is in the background, and stays as it is where the die must be."""
 
     still: Any
@@ -123,7 +123,7 @@ class Screen(NamedTuple):
     """(1,) pixels of the core."""
 
 
-class Sight(NamedTuple):
+class FrameWindows(NamedTuple):
     """Pixels of one frame, a window of each camera's picture."""
 
     pixels: Any
@@ -134,7 +134,7 @@ class Sight(NamedTuple):
     """(cameras, 2) width and height of the window; 0 where the camera does not see the die."""
 
 
-class Lens(NamedTuple):
+class RefinementSettings(NamedTuple):
     """What the refinement of every frame of a clip shares."""
 
     exposure: float
@@ -176,7 +176,7 @@ class Lens(NamedTuple):
     [grey], the least of it that is believed, and one sigma by which strips differ from it; 0 where nothing is known."""
 
 
-class Desk(NamedTuple):
+class Workspace(NamedTuple):
     """Room to work in, taken once for many frames."""
 
     px: Any
@@ -217,7 +217,7 @@ class Desk(NamedTuple):
     shared: Any
     """(views, faces + 1, faces + 1) normal matrix of those greys; what `eliminate` leaves is its factor, of those that count."""
     by_shared: Any
-    """(views, faces + 1, COLUMNS) of pose, contour and blur by those greys."""
+    """(views, faces + 1, PARAMETERS) of pose, contour and blur by those greys."""
     pull: Any
     """(views, faces + 1) right side of those greys."""
     which: Any
@@ -225,17 +225,16 @@ class Desk(NamedTuple):
 
 
 @compiled(nogil=True)
-def new_desk(shape: Shape, eyes: Eyes) -> Desk:
-    """An empty desk for dice of this shape."""
+def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
+    """An empty workspace for dice of this shape."""
     nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]
-    views = eyes.camera.shape[0]
-    return Desk(
+    views, most = rig.camera.shape[0], MAX_STRETCH_PIXELS
+    return Workspace(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
-        np.zeros(3), np.zeros(CELLS + 1), np.zeros((CELLS + 1, 4)), np.zeros(3), np.zeros((ne, 3)), np.zeros((4, BUFFER)),
-        np.zeros((4, BUFFER)), np.zeros((4, BUFFER)), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER), np.zeros(BUFFER),
-        np.zeros(BUFFER), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(514, np.int64), np.zeros((514, COLUMNS)),
-        np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((COLUMNS, 4)),
-        np.zeros(4), np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
-        np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, COLUMNS)), np.zeros((views, nf + 1)),
-        np.zeros((views, nf + 2), np.int64),
+        np.zeros(3), np.zeros(STRIP_CELLS + 1), np.zeros((STRIP_CELLS + 1, 4)), np.zeros(3), np.zeros((ne, 3)),
+        np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
+        np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(514, np.int64),
+        np.zeros((514, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4), np.zeros(4),
+        np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)), np.zeros((views, nf + 1, nf + 1)),
+        np.zeros((views, nf + 1, PARAMETERS)), np.zeros((views, nf + 1)), np.zeros((views, nf + 2), np.int64),
     )  # fmt: skip

@@ -1,7 +1,7 @@
 """What a mirror makes sure of: whatever differs from the empty scene is the die or its reflection.
 
 A diffuse table may hold a shadow, so that a region that is darker than the background is no evidence against a pose that
-leaves it uncovered: `picture_scores` lets such pixels count little. A mirror sends light from the lamp away from the camera and
+leaves it uncovered: `region_costs` lets such pixels count little. A mirror sends light from the lamp away from the camera and
 shows no shadow. There the dark faces of a die before a dark reflected room belong to the die; a pose that leaves them out, as
 that of a smaller square further away which covers the one bright face, does not explain the picture.
 """
@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernel_types import FACE_CUT, SHADOW_CUT
+from .kernel_types import SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT
 from .view import MIRRORED, View
 
 Array = NDArray[np.float64]
@@ -26,20 +26,22 @@ FAR_PX = 1e4
 
 def reflects(view: View) -> bool:
     """Whether the table is a mirror."""
-    return len(view.eyes.weight) > len(view.cameras)
+    return len(view.rig.weight) > len(view.cameras)
 
 
-def shadowless_scores(
+def mirror_region_costs(
     view: View, image: NDArray[np.float32], box: Box, positions_m: Array, rotations: Array, samples: int
 ) -> Array:
-    """(n,) what the scores of `picture_scores` on a window `box` of the first camera's picture lack on a mirror, in the same
+    """(n,) what the scores of `region_costs` on a window `box` of the first camera's picture lack on a mirror, in the same
     units: pixels darker than the background that neither the die nor its reflection covers are no shadow."""
     x0, y0, x1, y1 = box
     stride = max(1, int(np.sqrt((x1 - x0) * (y1 - y0) / samples)))
     rows, columns = slice(y0, y1, stride), slice(x0, x1, stride)
     difference = np.nan_to_num(image[rows, columns] - view.background[rows, columns])
     squared = np.where(difference < 0.0, (difference / view.noise_grey) ** 2, 0.0)
-    lacking = np.asarray(np.minimum(squared, FACE_CUT) - np.minimum(squared, SHADOW_CUT), np.float32)
+    lacking = np.asarray(
+        np.minimum(squared, SQUARED_SIGMAS_CUT) - np.minimum(squared, SHADOW_SQUARED_SIGMAS_CUT), np.float32
+    )
     both = (
         _outlines(view, positions_m, rotations, box, stride),
         _reflections(view, positions_m, rotations, box, stride),

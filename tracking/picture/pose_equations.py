@@ -57,19 +57,19 @@ import numpy as np
 
 from .edge_stretch import add_stretch, eliminate
 from .kernel_types import (
-    APART_PX,
     BLUR,
-    BUFFER,
-    CELLS,
-    COLUMNS,
-    CURVED_PX,
+    CURVED_PATH_PX,
+    GRAZING_COSINE,
     LIGHT_TERMS,
-    SEGMENT_PX,
-    SLIVER,
-    Desk,
-    Eyes,
+    MAX_STRETCH_PIXELS,
+    PARAMETERS,
+    REFLECTION_MARGIN_PX,
+    STRETCH_PX,
+    STRIP_CELLS,
+    CameraRig,
+    FrameWindows,
     Shape,
-    Sight,
+    Workspace,
     inner_no_memory,
 )
 from .projection import neighbours, outline_hull, place_die, project_point, reach_of_die, room_beside, within_hull
@@ -78,9 +78,9 @@ from .rounded_edge import rounded_basis, sharp_basis, strip_lines, strip_shades,
 
 @inner_no_memory
 def view_equations(
-    view: int, sight: Sight, backgrounds: Any, eyes: Eyes, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
+    view: int, windows: FrameWindows, backgrounds: Any, rig: CameraRig, shape: Shape, pos: Any, R: Any, vel: Any, omega: Any,
     exposure: float, sigma: float, band: float, stride: int, floor_grey: float, rounding_grey: float, strip_share: float,
-    light: Any, full: bool, desk: Desk, H: Any, g: Any, stats: Any,
+    light: Any, full: bool, work: Workspace, H: Any, g: Any, stats: Any,
 ) -> None:  # fmt: skip
     """Add what one view says: H (8, 8, lower half) and g (8,) of pose, contour error and blur (the last only where
     `full`), and `stats`.
@@ -91,38 +91,38 @@ def view_equations(
     over.
     """
     hidden_by = 0
-    if eyes.partner[view] >= 0 and place_die(shape, eyes, eyes.partner[view], pos, R, desk):
-        hidden_by = outline_hull(shape, desk)
-    if not place_die(shape, eyes, view, pos, R, desk):
+    if rig.partner[view] >= 0 and place_die(shape, rig, rig.partner[view], pos, R, work):
+        hidden_by = outline_hull(shape, work)
+    if not place_die(shape, rig, view, pos, R, work):
         return
-    camera = eyes.camera[view]
-    image, background = sight.pixels[camera], backgrounds[camera]
-    x0, y0 = sight.corner[camera, 0], sight.corner[camera, 1]
-    x1, y1 = x0 + sight.size[camera, 0] - 1, y0 + sight.size[camera, 1] - 1
-    K, dist, Rcw = eyes.matrix[view], eyes.distortion[view], eyes.rotation[view]
-    mirrored = eyes.partner[view] >= 0 and eyes.partner[view] < view
+    camera = rig.camera[view]
+    image, background = windows.pixels[camera], backgrounds[camera]
+    x0, y0 = windows.corner[camera, 0], windows.corner[camera, 1]
+    x1, y1 = x0 + windows.size[camera, 0] - 1, y0 + windows.size[camera, 1] - 1
+    K, dist, Rcw = rig.matrix[view], rig.distortion[view], rig.rotation[view]
+    mirrored = rig.partner[view] >= 0 and rig.partner[view] < view
     radius, sharp = shape.radius, shape.radius == 0.0
-    px, cam, arm, J, aw, edges = desk.px, desk.cam, desk.arm, desk.J, desk.across, shape.edges
-    phi, slope, spread, grey, lines = desk.phi, desk.slope, desk.spread, desk.grey, desk.lines
-    near_edges, far_edges = desk.beside[0], desk.beside[1]
-    hull, normal, rows, starts = desk.hull, desk.normal, desk.rows, desk.begin
+    px, cam, arm, J, aw, edges = work.px, work.cam, work.arm, work.J, work.across, shape.edges
+    phi, slope, spread, grey, lines = work.phi, work.slope, work.spread, work.grey, work.lines
+    near_edges, far_edges = work.beside[0], work.beside[1]
+    hull, normal, rows, starts = work.hull, work.normal, work.rows, work.begin
     speed2 = omega[0] ** 2 + omega[1] ** 2 + omega[2] ** 2
-    curved = speed2 * exposure * exposure / 24.0 * reach_of_die(shape) * K[0, 0] / cam[0, 2] > CURVED_PX
+    curved = speed2 * exposure * exposure / 24.0 * reach_of_die(shape) * K[0, 0] / cam[0, 2] > CURVED_PATH_PX
     lines[:] = 0.0
     strip_grey = light[view, LIGHT_TERMS + 1]
-    desk.shared[view] = 0.0
-    desk.by_shared[view] = 0.0
-    desk.pull[view] = 0.0
+    work.shared[view] = 0.0
+    work.by_shared[view] = 0.0
+    work.pull[view] = 0.0
     for e in range(shape.edges.shape[0]):
         f0, f1 = shape.edge_faces[e, 0], shape.edge_faces[e, 1]
-        if desk.facing[f0] <= 0.0 and desk.facing[f1] <= 0.0:
+        if work.facing[f0] <= 0.0 and work.facing[f1] <= 0.0:
             continue
-        if desk.facing[f0] <= 0.0:
+        if work.facing[f0] <= 0.0:
             f0, f1 = f1, f0
-        interior = desk.facing[f1] > 0.0
+        interior = work.facing[f1] > 0.0
         # A face seen at less than about 2 degrees is a sliver: its own edges lie within a pixel of each other and
         # neither can be told from the other.
-        if desk.facing[f0] < SLIVER or (interior and desk.facing[f1] < SLIVER):
+        if work.facing[f0] < GRAZING_COSINE or (interior and work.facing[f1] < GRAZING_COSINE):
             continue
         iA, iB = shape.edges[e, 0], shape.edges[e, 1]
         ax, ay, bx, by = px[iA, 0], px[iA, 1], px[iB, 0], px[iB, 1]
@@ -158,16 +158,16 @@ def view_equations(
         Px, Py, Pz = arm[iA, 0], arm[iA, 1], arm[iA, 2]
         Qx, Qy, Qz = arm[iB, 0] - Px, arm[iB, 1] - Py, arm[iB, 2] - Pz
         for line in range(first, last + 1 + stride, stride):
-            if m > 0 and (walked >= SEGMENT_PX or line > last):
+            if m > 0 and (walked >= STRETCH_PX or line > last):
                 if sharp:
                     sharp_basis(n, phi[0], phi[1], slope[0], slope[1])
                     if full:
                         for j in range(n):
                             spread[0, j], spread[1, j] = -slope[0, j] * spread[0, j], -slope[1, j] * spread[0, j]
                 add_stretch(
-                    desk, n, m, sharp, interior, under_sum, walked, floor_grey, eyes.weight[view],
+                    work, n, m, sharp, interior, under_sum, walked, floor_grey, rig.weight[view],
                     rounding_grey, strip_share, strip_grey, (last - first + 1) / (stride * m), full, view,
-                    f0, f1 if interior else len(desk.facing), H, g, stats,
+                    f0, f1 if interior else len(work.facing), H, g, stats,
                 )  # fmt: skip
                 n = m = np.int64(0)
                 walked, under_sum = 0.0, 0.0
@@ -188,11 +188,11 @@ def view_equations(
             rx, ry, rz = Px + s * Qx, Py + s * Qy, Pz + s * Qz
             qx, qy, qz = ry * aw[2] - rz * aw[1], rz * aw[0] - rx * aw[2], rx * aw[1] - ry * aw[0]
             if not sharp:
-                angle = strip_turn(aw, normal[f0], normal[f1], interior, desk.turned)
-                strip_lines(aw, normal[f0], desk.turned, angle, radius, lines)
+                angle = strip_turn(aw, normal[f0], normal[f1], interior, work.turned)
+                strip_lines(aw, normal[f0], work.turned, angle, radius, lines)
                 if m == 0:
-                    strip_shades(light[view], normal[f0], desk.turned, angle, interior, desk.strip)
-            low, high = min(lines[0], 0.0), max(lines[CELLS], 0.0)
+                    strip_shades(light[view], normal[f0], work.turned, angle, interior, work.strip)
+            low, high = min(lines[0], 0.0), max(lines[STRIP_CELLS], 0.0)
             blur, bend = sigma, 0.0
             if exposure > 0.0:
                 move = (
@@ -211,7 +211,7 @@ def view_equations(
                 continue
             if hidden_by > 0 and (mirrored or not interior):
                 reach = high + 2.0 * blur
-                if within_hull(hull, hidden_by, u, v, APART_PX + reach):
+                if within_hull(hull, hidden_by, u, v, REFLECTION_MARGIN_PX + reach):
                     continue
             # Along the pixel line the signed distance grows with slope `step`.
             step = nx if steep else ny
@@ -220,7 +220,7 @@ def view_equations(
             else:
                 begin, end = ceil(middle + outside / step), floor(middle - inside / step)
             begin, end = (max(begin, x0), min(end, x1)) if steep else (max(begin, y0), min(end, y1))
-            if end - begin < 2 or n + end - begin + 1 > BUFFER:
+            if end - begin < 2 or n + end - begin + 1 > MAX_STRETCH_PIXELS:
                 continue
             # (line - u) or (line - v) is what the lens distortion leaves over; it shifts every pixel of the row alike.
             d = step * (begin - middle) + (ny * (line - v) if steep else nx * (line - u)) + bend
@@ -240,7 +240,7 @@ def view_equations(
                         # The row's blur grows with the lens blur by σ / blur.
                         spread[0, i] = d * ib * sigma * ib
                 else:
-                    rounded_basis(d, ib, shade, desk.strip, lines, full, phi, slope, spread, i)
+                    rounded_basis(d, ib, shade, work.strip, lines, full, phi, slope, spread, i)
                 grey[i] = value
                 d += step
                 i += 1
@@ -261,7 +261,7 @@ def view_equations(
             starts[m] = n
             walked += row_length
     if sharp:
-        eliminate(desk, view, COLUMNS if full else BLUR, H, g)
+        eliminate(work, view, PARAMETERS if full else BLUR, H, g)
 
 
 @inner_no_memory

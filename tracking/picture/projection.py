@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import hypot, sqrt
 from typing import Any
 
-from .kernel_types import Desk, Eyes, Shape, inner_no_memory
+from .kernel_types import CameraRig, Shape, Workspace, inner_no_memory
 
 
 @inner_no_memory
@@ -30,22 +30,22 @@ def project_point(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tu
 
 
 @inner_no_memory
-def place_die(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
+def place_die(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: Workspace) -> bool:
     """Put the die before one view: vertices in camera axes and in pixels, which faces look at it. False where a vertex
     lies behind the camera."""
-    Rcw, tcw = eyes.rotation[view], eyes.translation[view]
-    K, dist = eyes.matrix[view], eyes.distortion[view]
+    Rcw, tcw = rig.rotation[view], rig.translation[view]
+    K, dist = rig.matrix[view], rig.distortion[view]
     for i in range(shape.vertices.shape[0]):
         x, y, z = shape.vertices[i, 0], shape.vertices[i, 1], shape.vertices[i, 2]
         for a in range(3):
-            desk.arm[i, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
+            work.arm[i, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
         for a in range(3):
-            desk.cam[i, a] = tcw[a]
+            work.cam[i, a] = tcw[a]
             for b in range(3):
-                desk.cam[i, a] += Rcw[a, b] * (pos[b] + desk.arm[i, b])
-        if desk.cam[i, 2] <= 1e-6:
+                work.cam[i, a] += Rcw[a, b] * (pos[b] + work.arm[i, b])
+        if work.cam[i, 2] <= 1e-6:
             return False
-        desk.px[i, 0], desk.px[i, 1] = project_point(K, dist, desk.cam[i, 0], desk.cam[i, 1], desk.cam[i, 2], desk.J)
+        work.px[i, 0], work.px[i, 1] = project_point(K, dist, work.cam[i, 0], work.cam[i, 1], work.cam[i, 2], work.J)
     # From the die's centre to the camera's.
     e0, e1, e2 = -pos[0], -pos[1], -pos[2]
     for b in range(3):
@@ -55,34 +55,34 @@ def place_die(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk)
     gap = sqrt(e0 * e0 + e1 * e1 + e2 * e2)
     for f in range(shape.normals.shape[0]):
         for a in range(3):
-            desk.normal[f, a] = (
+            work.normal[f, a] = (
                 R[a, 0] * shape.normals[f, 0] + R[a, 1] * shape.normals[f, 1] + R[a, 2] * shape.normals[f, 2]
             )
-        toward = desk.normal[f, 0] * e0 + desk.normal[f, 1] * e1 + desk.normal[f, 2] * e2
-        desk.facing[f] = (toward - shape.offsets[f] - shape.radius) / gap
+        toward = work.normal[f, 0] * e0 + work.normal[f, 1] * e1 + work.normal[f, 2] * e2
+        work.facing[f] = (toward - shape.offsets[f] - shape.radius) / gap
     return True
 
 
 @inner_no_memory
-def outline_hull(shape: Shape, desk: Desk) -> int:
+def outline_hull(shape: Shape, work: Workspace) -> int:
     """Lines (a, b, c) of the outline of the die as placed, a x + b y + c > 0 inside; their number. The ball's radius is
     left to APART_PX and to the caller's margin."""
     mx, my = 0.0, 0.0
-    for i in range(desk.px.shape[0]):
-        mx += desk.px[i, 0] / desk.px.shape[0]
-        my += desk.px[i, 1] / desk.px.shape[0]
+    for i in range(work.px.shape[0]):
+        mx += work.px[i, 0] / work.px.shape[0]
+        my += work.px[i, 1] / work.px.shape[0]
     count = 0
     for e in range(shape.edges.shape[0]):
-        if (desk.facing[shape.edge_faces[e, 0]] > 0.0) == (desk.facing[shape.edge_faces[e, 1]] > 0.0):
+        if (work.facing[shape.edge_faces[e, 0]] > 0.0) == (work.facing[shape.edge_faces[e, 1]] > 0.0):
             continue
         i, j = shape.edges[e, 0], shape.edges[e, 1]
-        dx, dy = desk.px[j, 0] - desk.px[i, 0], desk.px[j, 1] - desk.px[i, 1]
+        dx, dy = work.px[j, 0] - work.px[i, 0], work.px[j, 1] - work.px[i, 1]
         length = max(hypot(dx, dy), 1e-9)
         a, b = -dy / length, dx / length
-        c = -(a * desk.px[i, 0] + b * desk.px[i, 1])
+        c = -(a * work.px[i, 0] + b * work.px[i, 1])
         if a * mx + b * my + c < 0.0:
             a, b, c = -a, -b, -c
-        desk.hull[count, 0], desk.hull[count, 1], desk.hull[count, 2] = a, b, c
+        work.hull[count, 0], work.hull[count, 1], work.hull[count, 2] = a, b, c
         count += 1
     return count
 
@@ -139,36 +139,36 @@ def reach_of_die(shape: Shape) -> float:
 
 
 @inner_no_memory
-def draw_outer(shape: Shape, eyes: Eyes, view: int, pos: Any, R: Any, desk: Desk) -> bool:
+def draw_outer(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: Workspace) -> bool:
     """Put the vertices of the flat faces' sharp polyhedron, not those of the inner body, in pixels on the desk."""
     for i in range(shape.outer.shape[0]):
         for a in range(3):
-            desk.cam[i, a] = eyes.translation[view, a]
+            work.cam[i, a] = rig.translation[view, a]
             for b in range(3):
                 arm = R[b, 0] * shape.outer[i, 0] + R[b, 1] * shape.outer[i, 1] + R[b, 2] * shape.outer[i, 2]
-                desk.cam[i, a] += eyes.rotation[view, a, b] * (pos[b] + arm)
-        if desk.cam[i, 2] <= 1e-6:
+                work.cam[i, a] += rig.rotation[view, a, b] * (pos[b] + arm)
+        if work.cam[i, 2] <= 1e-6:
             return False
-        desk.px[i, 0], desk.px[i, 1] = project_point(
-            eyes.matrix[view], eyes.distortion[view], desk.cam[i, 0], desk.cam[i, 1], desk.cam[i, 2], desk.J
+        work.px[i, 0], work.px[i, 1] = project_point(
+            rig.matrix[view], rig.distortion[view], work.cam[i, 0], work.cam[i, 1], work.cam[i, 2], work.J
         )
     return True
 
 
 @inner_no_memory
-def rounded_contour(shape: Shape, eyes: Eyes, view: int, pos: Any, desk: Desk) -> tuple[int, float]:
+def rounded_contour(shape: Shape, rig: CameraRig, view: int, pos: Any, work: Workspace) -> tuple[int, float]:
     """Lines on the desk's hull of the outline of a rounded die's inner body as placed, their number, and how far beyond them its
     contour lies in the picture; none of a sharp die, whose faces end there."""
     if shape.radius == 0.0:
         return 0, 0.0
-    depth = eyes.translation[view, 2]
+    depth = rig.translation[view, 2]
     for b in range(3):
-        depth += eyes.rotation[view, 2, b] * pos[b]
-    return outline_hull(shape, desk), shape.radius * eyes.matrix[view, 0, 0] / depth
+        depth += rig.rotation[view, 2, b] * pos[b]
+    return outline_hull(shape, work), shape.radius * rig.matrix[view, 0, 0] / depth
 
 
 @inner_no_memory
-def face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
+def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
     """Half-planes a x + b y + c >= 0 of a face as placed."""
     mx, my, count = 0.0, 0.0, 0
     for j in range(shape.face_edges.shape[1]):
@@ -176,10 +176,10 @@ def face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
         if e < 0:
             break
         i, k = shape.edges[e, 0], shape.edges[e, 1]
-        a, b = desk.px[i, 1] - desk.px[k, 1], desk.px[k, 0] - desk.px[i, 0]
-        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * desk.px[i, 0] + b * desk.px[i, 1])
-        mx += 0.5 * (desk.px[i, 0] + desk.px[k, 0])
-        my += 0.5 * (desk.px[i, 1] + desk.px[k, 1])
+        a, b = work.px[i, 1] - work.px[k, 1], work.px[k, 0] - work.px[i, 0]
+        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * work.px[i, 0] + b * work.px[i, 1])
+        mx += 0.5 * (work.px[i, 0] + work.px[k, 0])
+        my += 0.5 * (work.px[i, 1] + work.px[k, 1])
         count += 1
     for j in range(count):
         if lines[j, 0] * mx / count + lines[j, 1] * my / count + lines[j, 2] < 0.0:
@@ -189,13 +189,13 @@ def face_lines(shape: Shape, desk: Desk, f: int, lines: Any) -> int:
 
 
 @inner_no_memory
-def scale_px(eyes: Eyes, pos: Any) -> float:
+def scale_px(rig: CameraRig, pos: Any) -> float:
     """Pixels a metre at a point, in the nearest view."""
     best = 0.0
-    for view in range(eyes.camera.shape[0]):
-        z = eyes.translation[view, 2]
+    for view in range(rig.camera.shape[0]):
+        z = rig.translation[view, 2]
         for b in range(3):
-            z += eyes.rotation[view, 2, b] * pos[b]
+            z += rig.rotation[view, 2, b] * pos[b]
         if z > 1e-6:
-            best = max(best, eyes.matrix[view, 0, 0] / z)
+            best = max(best, rig.matrix[view, 0, 0] / z)
     return best

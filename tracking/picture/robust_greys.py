@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-from .kernel_types import BIWEIGHT_VARIANCE, MEDIAN_TO, MOST_HALVINGS, inner_fast_sums, inner_no_memory
+from .kernel_types import BIWEIGHT_VARIANCE, MEDIAN_HALVINGS, MEDIAN_TOLERANCE, inner_fast_sums, inner_no_memory
 
 
 @inner_fast_sums
@@ -17,8 +17,8 @@ def median_size(values: Any, n: int) -> float:
         total += values[i]
     # Half of them at the least lie below twice their mean.
     low, high = 0.0, 2.0 * total / n
-    for _ in range(MOST_HALVINGS):
-        if high - low <= MEDIAN_TO * high:
+    for _ in range(MEDIAN_HALVINGS):
+        if high - low <= MEDIAN_TOLERANCE * high:
             break
         middle, below = 0.5 * (low + high), 0.0
         for i in range(n):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from .kernel_types import CELLS, LIGHT_DEGREE, LIGHT_TERMS, inner_fast_sums, inner_no_memory
+from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS, inner_fast_sums, inner_no_memory
 
 _FINE, _FAR = 128, 5.0
 _STEP = np.arange(-_FAR * _FINE, _FAR * _FINE + 2) / _FINE
@@ -20,8 +20,8 @@ _BELL = np.exp(-0.5 * _STEP**2) / np.sqrt(2.0 * np.pi)
 def _strip_weights() -> Any:
     """(2, CELLS + 1, 4) what each line of a rounded strip adds to the basis functions, at the contour and between two
     faces: the change there of the intensity as a function of the turn u."""
-    u = (np.arange(CELLS) + 0.5) / CELLS
-    flat, none = np.ones(CELLS), np.zeros(CELLS)
+    u = (np.arange(STRIP_CELLS) + 0.5) / STRIP_CELLS
+    flat, none = np.ones(STRIP_CELLS), np.zeros(STRIP_CELLS)
     contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
     humps = 4.0 * u * (1.0 - u), 6.0 * np.sqrt(3.0) * u * (1.0 - u) * (1.0 - 2.0 * u)
     between = np.stack([1.0 - u, u, *humps]), np.eye(4)[1]
@@ -52,12 +52,12 @@ def strip_lines(aw: Any, n0: Any, turned: Any, angle: float, radius: float, line
     whose normals divide the turn into equal parts."""
     d0 = radius * (aw[0] * n0[0] + aw[1] * n0[1] + aw[2] * n0[2])
     d1 = radius * (aw[0] * turned[0] + aw[1] * turned[1] + aw[2] * turned[2])
-    c, s = cos(angle / CELLS), sin(angle / CELLS)
+    c, s = cos(angle / STRIP_CELLS), sin(angle / STRIP_CELLS)
     lines[0] = d0
-    for j in range(1, CELLS + 1):
+    for j in range(1, STRIP_CELLS + 1):
         d0, d1 = c * d0 + s * d1, c * d1 - s * d0
         lines[j] = d0
-    for j in range(1, CELLS + 1):
+    for j in range(1, STRIP_CELLS + 1):
         lines[j] = max(lines[j], lines[j - 1])
 
 
@@ -82,7 +82,7 @@ def _brightness(light: Any, x: float, y: float, z: float) -> float:
 def strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool, strip: Any) -> None:
     """In `strip` (CELLS + 1, 4) what each line adds to the basis functions, of a strip that the light shades."""
     kind = 1 if interior else 0
-    for j in range(CELLS + 1):
+    for j in range(STRIP_CELLS + 1):
         for a in range(4):
             strip[j, a] = _STRIP[kind, j, a]
     if not light[LIGHT_TERMS + 1] > 0.0:
@@ -91,8 +91,8 @@ def strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool,
     c, s = cos(angle), sin(angle)
     last = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
     near, far = 1.0, 0.0
-    for j in range(CELLS):
-        u = (j + 0.5) / CELLS
+    for j in range(STRIP_CELLS):
+        u = (j + 0.5) / STRIP_CELLS
         c, s = cos(u * angle), sin(u * angle)
         here = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
         if interior:
@@ -102,7 +102,7 @@ def strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool,
         else:
             strip[j, 0] = here / first - near
             near += strip[j, 0]
-    strip[CELLS, 0], strip[CELLS, 1] = -near, 1.0 - far
+    strip[STRIP_CELLS, 0], strip[STRIP_CELLS, 1] = -near, 1.0 - far
 
 
 @inner_no_memory
@@ -118,7 +118,7 @@ def rounded_basis(
     f0, f1, f2, f3 = 1.0, 0.0, 0.0, 0.0
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
-    for j in range(CELLS + 1):
+    for j in range(STRIP_CELLS + 1):
         t = (d - lines[j]) * ib
         a, p = _step(t)
         v0, v1, v2, v3 = strip[j, 0], strip[j, 1], strip[j, 2], strip[j, 3]

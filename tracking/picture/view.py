@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ...model.die import Die, inner_vertices, symmetry_rotations
 from ..camera import Camera
 from ..quality import STANDARD, Quality
-from .kernel_types import LIGHT_TERMS, WINDOW_PX, Eyes, Lens, Screen, Shape, Sight
-from .region_score import score_many
+from .kernel_types import LIGHT_TERMS, WINDOW_PX, CameraRig, FrameWindows, OccluderMask, RefinementSettings, Shape
+from .region_cost import region_costs_in_box
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class View:
     symmetries: Array
     """(order, 3, 3) rotations that leave the die's shape as it is: nothing but marks tells its labellings apart."""
     shape: Shape
-    eyes: Eyes
+    rig: CameraRig
     """The cameras, and behind them the cameras as the table mirrors them where it does."""
     light: Array
     """(views, LIGHT_TERMS + 2) what is known of the light, see `edges`; zero where that is nothing."""
@@ -75,11 +75,11 @@ class View:
         return self.die.solid.circumradius
 
     @property
-    def lens(self) -> Lens:
+    def settings(self) -> RefinementSettings:
         """The numbers that the compiled refinement wants."""
         reach, quality = self.reach_m, self.quality
         floor_grey = max(0.5, 0.5 * self.noise_grey, self.rounding_grey / sqrt(12.0))
-        return Lens(
+        return RefinementSettings(
             self.exposure_s, self.blur_px, floor_grey, self.noise_grey, LOOSE_REACH * reach,
             LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
             quality.judging_pixels, quality.band_px, self.rounding_grey, STRIP_SHARE,
@@ -87,23 +87,23 @@ class View:
         )  # fmt: skip
 
     @property
-    def chase_lens(self) -> Lens:
+    def tracking_settings(self) -> RefinementSettings:
         """The same while the die is only followed."""
         # What is unknown of a rounded die's strips makes the steps shorter.
-        steps = self.quality.chase_steps * (1 if self.die.corner_radius_m == 0.0 else 2)
-        return self.lens._replace(
+        steps = self.quality.tracking_steps * (1 if self.die.corner_radius_m == 0.0 else 2)
+        return self.settings._replace(
             fine_steps=steps,
             settled_px=self.quality.settled_px,
-            stride=self.quality.chase_stride,
+            stride=self.quality.tracking_stride,
             strip_share=FOLLOWED_STRIP_SHARE,
         )
 
 
-def with_screen(view: View) -> tuple[View, Screen]:
+def with_occluder_mask(view: View) -> tuple[View, OccluderMask]:
     """The view with backgrounds of its own, in which the chase may note what stands before the die."""
     still, shape = view.backgrounds, view.backgrounds.shape
-    screen = Screen(still, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(1, np.int64))
-    return replace(view, backgrounds=still.copy()), screen
+    occluders = OccluderMask(still, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(1, np.int64))
+    return replace(view, backgrounds=still.copy()), occluders
 
 
 ROUNDED_IN_MIRROR = 0.001
@@ -115,23 +115,23 @@ distance near the mirror, where die and reflection hide each other's contours, b
 def with_reflections(view: View) -> View:
     """The view with what the mirror shows as views of their own; without a mirror the same view."""
     reflected = 1.0 if view.die.corner_radius_m == 0.0 else ROUNDED_IN_MIRROR
-    direct = np.arange(len(view.eyes.weight)) < len(view.cameras)
-    return replace(view, eyes=view.eyes._replace(weight=np.where(direct, 1.0, reflected)))
+    direct = np.arange(len(view.rig.weight)) < len(view.cameras)
+    return replace(view, rig=view.rig._replace(weight=np.where(direct, 1.0, reflected)))
 
 
 def seen_by_first(view: View) -> View:
     """The view with the edges of the first camera alone; what hides them stays."""
-    weight = np.zeros_like(view.eyes.weight)
+    weight = np.zeros_like(view.rig.weight)
     weight[0] = 1.0
-    return replace(view, eyes=view.eyes._replace(weight=weight))
+    return replace(view, rig=view.rig._replace(weight=weight))
 
 
 STRIP_SHARE, FOLLOWED_STRIP_SHARE = 2.0, 1.0
-"""How far the strips of rounded edges may differ from their faces, see `Lens`, where a pose is refined and while the die is only
-followed. Held to half a face's grey, bevels in glossy paint drew contours in, and poses came out a permille too far away; as
-free as here at first, a tetrahedron of one grey was lost between two bounces."""
+"""How far the strips of rounded edges may differ from their faces, see `RefinementSettings`, where a pose is refined
+and while the die is only followed. Held to half a face's grey, bevels in glossy paint drew contours in, and poses came out a
+permille too far away; as free as here at first, a tetrahedron of one grey was lost between two bounces."""
 LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
-"""Bounds of the prior's standard deviations, positions in units of the die's reach: see `Lens`."""
+"""Bounds of the prior's standard deviations, positions in units of the die's reach: see `RefinementSettings`."""
 
 
 def make_view(
@@ -150,10 +150,10 @@ def make_view(
     it hides, and counts as a view of its own after `with_reflections`. The other numbers are those of the `View`."""
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
-    eyes = _eyes(cameras, mirror)
+    rig = _camera_rig(cameras, mirror)
     return View(
         cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), eyes, np.zeros((len(eyes.camera), LIGHT_TERMS + 2)), rounding_grey,
+        symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)), rounding_grey,
     )  # fmt: skip
 
 
@@ -197,24 +197,24 @@ def _face_edges(die: Die) -> NDArray[np.int64]:
     return table
 
 
-def _eyes(cameras: tuple[Camera, ...], mirror: bool) -> Eyes:
+def _camera_rig(cameras: tuple[Camera, ...], mirror: bool) -> CameraRig:
     """The views: every camera, then every camera in the mirror."""
     n = len(cameras)
     twice = [*cameras, *cameras] if mirror else list(cameras)
     rotations = [c.rotation @ MIRRORED if k >= n else c.rotation for k, c in enumerate(twice)]
     partner = [(k + n) % (2 * n) for k in range(2 * n)] if mirror else [-1] * n
-    return Eyes(
+    return CameraRig(
         np.ascontiguousarray([c.matrix for c in twice], float), np.ascontiguousarray([c.distortion for c in twice], float),
         np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
         np.array([k % n for k in range(len(twice))]), np.array(partner), (np.arange(len(twice)) < n).astype(float),
     )  # fmt: skip
 
 
-def whole_sight(view: View, image: Image) -> Sight:
+def whole_frame_windows(view: View, image: Image) -> FrameWindows:
     """All pixels of one frame: `image` is (height, width), or (cameras, height, width) for several cameras."""
     pixels = np.ascontiguousarray(image if image.ndim == 3 else image[None], np.float32)
     size = np.array([[c.width_px, c.height_px] for c in view.cameras])
-    return Sight(pixels, np.zeros((len(view.cameras), 2), np.int64), size)
+    return FrameWindows(pixels, np.zeros((len(view.cameras), 2), np.int64), size)
 
 
 def visible_faces(view: View, position_m: Array, rotation: Array) -> NDArray[np.int64]:
@@ -236,15 +236,15 @@ def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float
     return (int(x0), int(y0), int(x1), int(y1)) if x1 - x0 > 4 and y1 - y0 > 4 else None
 
 
-def sight_boxes(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:
+def refinement_boxes(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:
     """(n, cameras, 4) pixels x0, y0, x1, y1 (end exclusive) that hold all that a refinement from each start (n, 3), (n, 3, 3)
-    looks at (`edges.sight_of`, `marks`): the die and its reflection in a mirror; empty where a start is NaN or out of view."""
+    looks at (`crop_windows`, `marks`): the die and its reflection in a mirror; empty where a start is NaN or out of view."""
     boxes = np.zeros((len(positions_m), len(view.cameras), 4), np.int64)
     points = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
     for c, camera in enumerate(view.cameras):
         size = np.array([camera.width_px, camera.height_px])
         low, high = np.full((len(points), 2), np.inf), np.full((len(points), 2), -np.inf)
-        for v in np.flatnonzero(view.eyes.camera == c):
+        for v in np.flatnonzero(view.rig.camera == c):
             seen = camera.project(points if v < len(view.cameras) else points @ MIRRORED)
             good = np.isfinite(seen).all(axis=(1, 2))
             low[good] = np.minimum(low[good], seen[good].min(1))
@@ -271,14 +271,14 @@ def shares_in_view(view: View, positions_m: Array, rotations: Array) -> Array:
     return np.asarray(np.max(shares, axis=0))
 
 
-def picture_scores(
+def region_costs(
     view: View, image: Image, box: tuple[int, int, int, int], positions_m: Array, rotations: Array, samples: int
 ) -> tuple[Array, Array]:
     """How badly each of many drawn dice explains the window `box` (x0, y0, x1, y1; end exclusive) of the first camera's
     picture (mean truncated squared sigmas), and the share of its pixels that differ from the background."""
     score, differs = np.empty(len(positions_m)), np.empty(len(positions_m))
-    score_many(
-        np.ascontiguousarray(image, np.float32), view.backgrounds[0], view.eyes, view.shape, *box,
+    region_costs_in_box(
+        np.ascontiguousarray(image, np.float32), view.backgrounds[0], view.rig, view.shape, *box,
         np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), view.noise_grey, samples,
         score, differs,
     )  # fmt: skip

@@ -19,8 +19,8 @@ from scipy.optimize import linear_sum_assignment
 
 from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat
-from ..picture import COARSE, View, visible_faces
-from .manual_input import FEWEST_CLICKS, HandStart
+from ..picture import COARSE_BLUR_AND_BAND_PX, View, visible_faces
+from .manual_input import FEWEST_CLICKS, ManualInitialisation
 from .refine import Pose, refine_pose
 
 Array = NDArray[np.float64]
@@ -38,14 +38,20 @@ LEAST_SUPPORT = 0.5
 """Share of the contour that must show a clear step for the picture to bear the pose out; random poses have 0.1 to 0.3."""
 
 
-def start_by_hand(view: View, image: Image, start: HandStart) -> Pose:
+def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -> Pose:
     """The pose on the frame `image` (height, width), refined on its edges from what was given.
 
     Raises ValueError, in one sentence, where the clicks are no picture of the die, or the frame does not bear the pose out.
     """
     found = [
         refine_pose(
-            view, image, position, rotation, coarse=len(COARSE), prior_position_m=LOOSE_M, prior_rotation_rad=LOOSE_RAD
+            view,
+            image,
+            position,
+            rotation,
+            coarse=len(COARSE_BLUR_AND_BAND_PX),
+            prior_position_m=LOOSE_M,
+            prior_rotation_rad=LOOSE_RAD,
         )
         for position, rotation in _given(view, start)
     ]
@@ -60,14 +66,14 @@ def start_by_hand(view: View, image: Image, start: HandStart) -> Pose:
     return _labelled_as_given(view, pose, start)
 
 
-def _given(view: View, start: HandStart) -> list[tuple[Array, Array]]:
+def _given(view: View, start: ManualInitialisation) -> list[tuple[Array, Array]]:
     """Poses to refine: position and rotation."""
     if start.position_m is not None and start.quaternion is not None:
         return [(start.position_m, matrix_from_quat(start.quaternion))]
     return poses_from_clicks(view, start)
 
 
-def poses_from_clicks(view: View, start: HandStart) -> list[tuple[Array, Array]]:
+def poses_from_clicks(view: View, start: ManualInitialisation) -> list[tuple[Array, Array]]:
     """Positions (3,) and rotations (3, 3) that put corners of the die on the clicks, best first.
 
     Raises ValueError where there are too few clicks, or no pose comes within CLICK_PX of all of them.
@@ -184,7 +190,7 @@ def _apart(view: View, poses: list[tuple[Array, Array]]) -> list[tuple[Array, Ar
     return kept
 
 
-def _labelled_as_given(view: View, pose: Pose, start: HandStart) -> Pose:
+def _labelled_as_given(view: View, pose: Pose, start: ManualInitialisation) -> Pose:
     """The refined pose under the labelling that was given; where none was, as it came out."""
     if start.quaternion is None:
         return pose

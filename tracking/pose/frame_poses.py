@@ -14,7 +14,7 @@ from ..footage import Reel
 from ..picture import View, shares_in_view
 from ..throw import PLENTY
 from ..track import LOST, TRACKED, Track
-from .refine import Pose, contour_leans, covariances, misfits
+from .refine import Pose, contour_bias_jacobians, covariances, misfits
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,7 +22,7 @@ Picture = Callable[[int], NDArray[np.generic]]
 
 
 @dataclass(eq=False)
-class Seen:
+class ClipPoses:
     """Poses of single frames as arrays, one row a frame of the clip; rows that are not known hold NaN."""
 
     known: NDArray[np.bool_]
@@ -44,9 +44,9 @@ class Seen:
     _COLUMNS: ClassVar = ("known", "position_m", "rotation", "motion", "H", "stats", "cost", "lean")
 
     @staticmethod
-    def empty(n: int) -> Seen:
+    def empty(n: int) -> ClipPoses:
         """Nothing seen on n frames."""
-        return Seen(
+        return ClipPoses(
             np.zeros(n, bool), np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan), np.zeros((n, 6)),
             np.zeros((n, 8, 8)), np.zeros((n, 8)), np.full(n, np.inf), np.full((n, 6), np.nan),
         )  # fmt: skip
@@ -81,11 +81,11 @@ class Seen:
         )
         self.H[k], self.stats[k], self.cost[k] = pose.equations, pose.stats, pose.cost
 
-    def copy(self) -> Seen:
+    def copy(self) -> ClipPoses:
         """The same in arrays of its own."""
         return replace(self, **{name: getattr(self, name).copy() for name in self._COLUMNS})
 
-    def filled(self) -> Seen:
+    def filled(self) -> ClipPoses:
         """With starts on rows that were left out between two known ones, on a straight way from one to the other. What the
         pictures say of those nobody has seen."""
         out = self.copy()
@@ -102,19 +102,19 @@ class Seen:
         out.motion[rows], out.known[rows] = self.motion[before], True
         return out
 
-    def looks(self, picture: Picture, use: Mask, count: int) -> Looks:
+    def looks(self, picture: Picture, use: Mask, count: int) -> SampledFrames:
         """So many of the rows in `use` at the most, spread evenly, with their pictures."""
         rows = np.flatnonzero(use)
-        return Looks.at(rows, picture, self.position_m[rows], self.rotation[rows], self.motion[rows], count)
+        return SampledFrames.at(rows, picture, self.position_m[rows], self.rotation[rows], self.motion[rows], count)
 
-    def take(self, rows: NDArray[np.int64], other: Seen, others: NDArray[np.int64] | None = None) -> None:
+    def take(self, rows: NDArray[np.int64], other: ClipPoses, others: NDArray[np.int64] | None = None) -> None:
         """Take some rows over, from the same rows of another or from `others`."""
         for name in self._COLUMNS:
             getattr(self, name)[rows] = getattr(other, name)[rows if others is None else others]
 
 
 @dataclass(frozen=True, eq=False)
-class Looks:
+class SampledFrames:
     """Some frames with poses: what the pictures as a whole are asked at."""
 
     pictures: tuple[NDArray[np.float32], ...]
@@ -134,17 +134,17 @@ class Looks:
         rotation: Array,
         motion: Array,
         count: int,
-    ) -> Looks:
+    ) -> SampledFrames:
         """So many of these rows at the most, spread evenly; the poses (k, 3), (k, 3, 3), (k, 6) are those of the rows."""
         chosen = np.unique(np.linspace(0, len(rows) - 1, min(count, len(rows))).astype(int))
         pictures = tuple(np.ascontiguousarray(picture(int(rows[k])), np.float32) for k in chosen)
-        return Looks(pictures, position_m[chosen], rotation[chosen], motion[chosen])
+        return SampledFrames(pictures, position_m[chosen], rotation[chosen], motion[chosen])
 
-    def some(self, count: int) -> Looks:
+    def some(self, count: int) -> SampledFrames:
         """So many of them at the most, spread evenly."""
         chosen = np.unique(np.linspace(0, len(self) - 1, min(count, len(self))).astype(int))
         pictures = tuple(self.pictures[k] for k in chosen)
-        return Looks(pictures, self.position_m[chosen], self.rotation[chosen], self.motion[chosen])
+        return SampledFrames(pictures, self.position_m[chosen], self.rotation[chosen], self.motion[chosen])
 
     def __len__(self) -> int:
         return len(self.pictures)
@@ -160,7 +160,7 @@ def power_of_two(most: float) -> int:
     return 1 << max(int(most).bit_length() - 1, 0)
 
 
-def as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Track:
+def as_track(view: View, reel: Reel, seen: ClipPoses, use: Mask | None = None) -> Track:
     """A track of the frames that have a pose, of those in `use` alone where that is given; the others are lost."""
     n = len(reel)
     known = seen.known if use is None else seen.known & use
@@ -173,12 +173,12 @@ def as_track(view: View, reel: Reel, seen: Seen, use: Mask | None = None) -> Tra
     status = np.where(known, TRACKED, LOST).astype("<U7")
     frames = reel.first_frame + np.arange(n)
     lean = np.full((n, 6), np.nan)
-    lean[known] = contour_leans(seen.H[known], view.lens)
+    lean[known] = contour_bias_jacobians(seen.H[known], view.settings)
     lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
     return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
-def shown_whole(view: View, seen: Seen) -> Mask:
+def shown_whole(view: View, seen: ClipPoses) -> Mask:
     """(n,) frames with a pose whose die lies wholly in view."""
     rows, whole = np.flatnonzero(seen.known), np.zeros(len(seen.known), bool)
     whole[rows] = shares_in_view(view, seen.position_m[rows], seen.rotation[rows]) == 1.0

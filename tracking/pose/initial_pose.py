@@ -20,7 +20,7 @@ from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
 from ..footage import Coarseness
 from ..picture import (
-    COARSE,
+    COARSE_BLUR_AND_BAND_PX,
     THREADS,
     Blob,
     Mask,
@@ -28,11 +28,11 @@ from ..picture import (
     differing,
     largest_blob,
     make_view,
-    new_desk,
-    picture_scores,
+    mirror_region_costs,
+    new_workspace,
     reflects,
+    region_costs,
     seen_by_first,
-    shadowless_scores,
     stacked,
     without_rims,
     without_shadow,
@@ -66,7 +66,7 @@ LIT_SHARE = 0.2
 """A region of which less than this is not shadow shows no die."""
 
 
-def find_start(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose]]:
+def initial_poses(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose]]:
     """Candidate poses for one frame (height, width), or a stack for several cameras, best first, each with its picture
     score; empty where no die is seen in the first camera."""
     images = image if image.ndim == 3 else image[None]
@@ -111,10 +111,10 @@ def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> l
     )
     small = make_view(
         [less.camera(camera) for camera in view.cameras], view.die, backgrounds, view.noise_grey / shrink,
-        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=len(view.eyes.weight) > len(view.cameras),
+        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=len(view.rig.weight) > len(view.cameras),
         quality=view.quality,
     )  # fmt: skip
-    found = find_start(small, stacked(smaller))
+    found = initial_poses(small, stacked(smaller))
     return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in found]
 
 
@@ -185,13 +185,13 @@ def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
     rotations = _grid(GRID // ROTATIONS.get(solid.name, 12))
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
-    sight = ray / np.linalg.norm(ray)
+    windows = ray / np.linalg.norm(ray)
     # Of a convex body the faces that look this way project to its silhouette, each by its area and slant.
     areas, middles = _faces(solid)
-    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ sight, 0.0) * areas
+    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ windows, 0.0) * areas
     silhouette_m2 = shares.sum(1)
     middle = np.einsum("nij,nj->ni", rotations, shares @ middles / silhouette_m2[:, None])
-    aside = middle - np.outer(middle @ sight, sight)
+    aside = middle - np.outer(middle @ windows, windows)
     depth = focal * np.sqrt(silhouette_m2 / blob.area_px)
     places = np.concatenate([camera.centre_m + np.outer(depth * factor, ray) - aside for factor in FACTORS])
     rotations = np.tile(rotations, (len(FACTORS), 1, 1))
@@ -203,10 +203,10 @@ def _scores(
     view: View, image: NDArray[np.float32], box: tuple[int, int, int, int], positions_m: Array, rotations: Array,
     samples: int,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """`picture_scores`, on a mirror without the shadows that it does not show."""
-    scores, differs = picture_scores(view, image, box, positions_m, rotations, samples)
+    """`region_costs`, on a mirror without the shadows that it does not show."""
+    scores, differs = region_costs(view, image, box, positions_m, rotations, samples)
     if reflects(view):
-        scores = scores + shadowless_scores(view, image, box, positions_m, rotations, samples)
+        scores = scores + mirror_region_costs(view, image, box, positions_m, rotations, samples)
     return scores, differs
 
 
@@ -216,18 +216,18 @@ def _refined(view: View, images: NDArray[np.float32], positions_m: Array, rotati
     first, loose_m = seen_by_first(view), 1.5 * view.reach_m
 
     def some(rows: NDArray[np.int64]) -> list[Pose]:
-        desk = new_desk(view.shape, view.eyes)
+        work = new_workspace(view.shape, view.rig)
         poses = [
             refine_pose(
-                first, images, positions_m[k], rotations[k], coarse=len(COARSE), prior_position_m=loose_m,
-                prior_rotation_rad=0.3, roughly=True, desk=desk,
+                first, images, positions_m[k], rotations[k], coarse=len(COARSE_BLUR_AND_BAND_PX), prior_position_m=loose_m,
+                prior_rotation_rad=0.3, roughly=True, work=work,
             )
             for k in rows
         ]  # fmt: skip
         if len(view.cameras) == 1:
             return poses
         return [
-            refine_pose(view, images, pose.position_m, pose.rotation, coarse=3, desk=desk)
+            refine_pose(view, images, pose.position_m, pose.rotation, coarse=3, work=work)
             for pose in poses
             if pose.covariance is not None
         ]

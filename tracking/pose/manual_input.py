@@ -25,7 +25,7 @@ class Click:
 
 
 @dataclass(frozen=True, eq=False)
-class HandStart:
+class ManualInitialisation:
     """Where a person says that the die is: a pose, or clicks."""
 
     frame: int

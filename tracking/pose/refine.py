@@ -6,8 +6,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..picture import BLUR, COLUMNS, CONTOUR, Array, Desk, Image, Lens, View, new_desk, whole_sight
-from .refine_kernels import look
+from ..picture import (
+    BLUR,
+    CONTOUR,
+    PARAMETERS,
+    Array,
+    Image,
+    RefinementSettings,
+    View,
+    Workspace,
+    new_workspace,
+    whole_frame_windows,
+)
+from .refine_kernels import refine_and_score
 
 EXACT_STEPS, EXACTLY = 12, 1e-4
 """Steps and gain [squared sigmas] of a refinement that leaves no more than a hundredth of a sigma."""
@@ -22,7 +33,7 @@ class Pose:
     """(3, 3) body to world."""
     information: Array
     """(6, 6) inverse covariance from the pixels of this frame alone: position [m], rotation vector [rad], world axes."""
-    contour_lean: Array
+    contour_bias_jacobian: Array
     """(6,) [m/px, rad/px] by how much the pose is off for every pixel that the contour is taken too far out."""
     unexplained: float
     """Mean truncated cost of an edge pixel, 0 to 1: the share that the edge model does not explain."""
@@ -68,19 +79,19 @@ def covariances(information: Array) -> Array:
     return np.where(good[:, None, None], inverse, np.nan)
 
 
-def contour_leans(H: Array, lens: Lens) -> Array:
+def contour_bias_jacobians(H: Array, settings: RefinementSettings) -> Array:
     """(n, 6) from normal equations (n, 8, 8): what a pixel of contour error does to each pose; zero where nothing was
     solved. Directions that the pixels leave open are held by the refinement's own loose prior, and so is their lean."""
-    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose(lens), H[:, :6, CONTOUR, None])[..., 0])
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose(settings), H[:, :6, CONTOUR, None])[..., 0])
 
 
 def weak_prior(view: View) -> Array:
     """(6, 6) information that holds what the pixels of a frame leave open: nothing is known of the motion."""
-    return _loose(view.lens)
+    return _loose(view.settings)
 
 
-def _loose(lens: Lens) -> Array:
-    return np.diag([1.0 / lens.loose_m**2] * 3 + [1.0 / lens.loose_rad**2] * 3)
+def _loose(settings: RefinementSettings) -> Array:
+    return np.diag([1.0 / settings.loose_m**2] * 3 + [1.0 / settings.loose_rad**2] * 3)
 
 
 def refine_pose(
@@ -95,7 +106,7 @@ def refine_pose(
     prior_position_m: float | None = None,
     prior_rotation_rad: float | None = None,
     roughly: bool = False,
-    desk: Desk | None = None,
+    work: Workspace | None = None,
 ) -> Pose:
     """The pose near a predicted one that explains the frame's edges best.
 
@@ -103,27 +114,29 @@ def refine_pose(
     before the fine ones; the prior keeps directions that the pixels leave open near the prediction and is too weak to
     pull the others. `roughly` stops where the view's quality says, and not where nothing moves any more.
     """
-    H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    exact = view.lens._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
-    zero, lens = np.zeros(3), view.chase_lens if roughly else exact
-    desk = new_desk(view.shape, view.eyes) if desk is None else desk
-    desk.usual[:] = 0.0
-    p, Q, cost = look(
-        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, np.asarray(position_m, float),
+    H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
+    exact = view.settings._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
+    zero, settings = np.zeros(3), view.tracking_settings if roughly else exact
+    work = new_workspace(view.shape, view.rig) if work is None else work
+    work.usual[:] = 0.0
+    p, Q, cost = refine_and_score(
+        whole_frame_windows(view, image), view.backgrounds, view.rig, view.shape, settings, np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
-        zero if omega_rad_s is None else omega_rad_s, prior_position_m or lens.loose_m,
-        prior_rotation_rad or lens.loose_rad, coarse, desk, H, g, stats,
+        zero if omega_rad_s is None else omega_rad_s, prior_position_m or settings.loose_m,
+        prior_rotation_rad or settings.loose_rad, coarse, work, H, g, stats,
     )  # fmt: skip
-    return pose_from(p, Q, H, stats, cost, lens)
+    return pose_from(p, Q, H, stats, cost, settings)
 
 
-def pose_from(position_m: Array, rotation: Array, H: Array, stats: Array, cost: float, lens: Lens) -> Pose:
+def pose_from(
+    position_m: Array, rotation: Array, H: Array, stats: Array, cost: float, settings: RefinementSettings
+) -> Pose:
     """A pose from what the kernels leave."""
     return Pose(
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
-        contour_leans(H[None], lens)[0],
+        contour_bias_jacobians(H[None], settings)[0],
         unexplained=float(stats[0] / max(stats[2], 1.0)),
         support=float(stats[4] / max(stats[3], 1e-9)),
         contour_px=float(stats[3]),
@@ -138,13 +151,13 @@ def blur_step(
     view: View, image: Image, position_m: Array, rotation: Array, velocity_m_s: Array, omega_rad_s: Array
 ) -> tuple[float, float]:
     """What one frame says of the lens blur: the change [px] that fits it best, and the information [1/px²] behind it."""
-    H, g, stats = np.zeros((COLUMNS, COLUMNS)), np.zeros(COLUMNS), np.zeros(8)
-    lens = view.lens._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
-    look(
-        whole_sight(view, image), view.backgrounds, view.eyes, view.shape, lens, position_m, rotation, velocity_m_s,
-        omega_rad_s, lens.loose_m, lens.loose_rad, 0, new_desk(view.shape, view.eyes), H, g, stats,
+    H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
+    settings = view.settings._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
+    refine_and_score(
+        whole_frame_windows(view, image), view.backgrounds, view.rig, view.shape, settings, position_m, rotation, velocity_m_s,
+        omega_rad_s, settings.loose_m, settings.loose_rad, 0, new_workspace(view.shape, view.rig), H, g, stats,
     )  # fmt: skip
-    A = H[:6, :6] + _loose(lens)
+    A = H[:6, :6] + _loose(settings)
     reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
     information = float(H[BLUR, BLUR] - H[:6, BLUR] @ reply[:, 0])
     pull = float(g[BLUR] - H[:6, BLUR] @ reply[:, 1])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...model.die import inversion_rotation, nearest_equivalent_rotation
 from ..footage import Reel
 from ..picture import View
-from ..pose import Pose, Seen, as_track, refine_pose, same_picture
+from ..pose import ClipPoses, Pose, as_track, refine_pose, same_picture
 from ..throw import LITTLE_SLACK, fit_flights, sightings
 from ..track import Track
 from .frame_to_frame import Chase
@@ -62,7 +62,7 @@ def _half_turn(view: View, position_m: Array) -> Array:
     return np.asarray(2.0 * np.outer(along, along) - np.eye(3))
 
 
-def put_right(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
+def put_right(view: View, reel: Reel, seen: ClipPoses, unused: Mask) -> ClipPoses:
     """The sightings with runs of frames followed anew from their reversal, where they lie on no motion of a die in flight and
     those of the reversal do so better.
 
@@ -78,7 +78,7 @@ def put_right(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
     return seen
 
 
-def _once(view: View, reel: Reel, seen: Seen, unused: Mask) -> Seen:
+def _once(view: View, reel: Reel, seen: ClipPoses, unused: Mask) -> ClipPoses:
     """The same sightings where no run was put right."""
     known = np.flatnonzero(seen.known)
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(LOOKED_AT, len(known))).astype(int))]
@@ -119,7 +119,7 @@ def _runs(shown: Mask) -> list[tuple[int, int]]:
     return [run for run, frames in zip(runs, longest, strict=True) if frames >= FEWEST]
 
 
-def _left(view: View, reel: Reel, seen: Seen, other: Seen, run: slice) -> float:
+def _left(view: View, reel: Reel, seen: ClipPoses, other: ClipPoses, run: slice) -> float:
     """The share of the strain that another leaves on the frames that both saw; infinite where it is not that of a die in flight
     either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
     both = seen.known & other.known
@@ -131,12 +131,12 @@ def _left(view: View, reel: Reel, seen: Seen, other: Seen, run: slice) -> float:
     return theirs / ours if 0.0 < theirs < FLYING and ours > 0.0 else np.inf
 
 
-def _reversed_motion(view: View, seen: Seen, k: int) -> Array:
+def _reversed_motion(view: View, seen: ClipPoses, k: int) -> Array:
     """(6,) velocity [m/s] and spin [rad/s] of the reversal on one frame."""
     return np.concatenate([seen.motion[k, :3], _half_turn(view, seen.position_m[k]) @ seen.motion[k, 3:]])
 
 
-def _reversal(view: View, reel: Reel, seen: Seen, k: int) -> Pose | None:
+def _reversal(view: View, reel: Reel, seen: ClipPoses, k: int) -> Pose | None:
     """The reversal of the pose on one frame, where it is another one and explains the picture nearly as well."""
     rotation = reversed_in_depth(view, seen.position_m[k], seen.rotation[k])
     if rotation is None:
@@ -148,11 +148,13 @@ def _reversal(view: View, reel: Reel, seen: Seen, k: int) -> Pose | None:
     return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
 
 
-def _followed(view: View, reel: Reel, pose: Pose, moving: Array, k: int, within: tuple[int, int], unused: Mask) -> Seen:
+def _followed(
+    view: View, reel: Reel, pose: Pose, moving: Array, k: int, within: tuple[int, int], unused: Mask
+) -> ClipPoses:
     """What is seen of the die followed from a pose on frame k, `moving` (6,) with about this velocity [m/s] and spin [rad/s],
     to both ends of a range of frames, as far as it goes."""
     first, stop = within
-    seen = Seen.empty(len(reel))
+    seen = ClipPoses.empty(len(reel))
     seen.put(k, pose, moving)
     onward = Chase.from_start(view, pose, reel.times_s, k, unused, moving)
     settled = min(k + 1 + SETTLE, stop)
@@ -186,7 +188,7 @@ def _strains(track: Track, rows: NDArray[np.int64]) -> Array:
     return np.asarray(left / (6.0 * np.array([len(window) for window in windows]) - 12.0))
 
 
-def _taken_over(view: View, seen: Seen, other: Seen, run: slice) -> Seen:
+def _taken_over(view: View, seen: ClipPoses, other: ClipPoses, run: slice) -> ClipPoses:
     """The sightings with those of the other, and nothing on the frames of the run that the other lost. Every
     labelling goes on from that of the frames before."""
     inside = np.zeros(len(seen.known), bool)

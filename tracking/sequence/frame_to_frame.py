@@ -1,6 +1,6 @@
 """Following the die from frame to frame.
 
-In flight the compiled `edges.chase` predicts with the motion so far, refines and judges; it stops where picture and
+In flight the compiled `edges.track_frames` predicts with the motion so far, refines and judges; it stops where picture and
 motion tell different stories. Then, here, other starts compete: bounces of several strengths on each low corner, the last
 pose, and turns about it; the one that explains the picture best is taken, and the chase goes on from there.
 """
@@ -19,10 +19,10 @@ from ...model.die import Die, nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
 from ..footage import Reel
-from ..picture import DEARER, Desk, View, new_desk, share_in_view, with_screen
-from ..pose import Pose, Seen, find_start, longest_leap, power_of_two, refine_pose
+from ..picture import ACCEPTED_EXCESS_COST, View, Workspace, new_workspace, share_in_view, with_occluder_mask
+from ..pose import ClipPoses, Pose, initial_poses, longest_leap, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
-from .motion_filter import chase, coast, correct
+from .motion_filter import predict_motion, track_frames, update_motion
 
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
@@ -56,14 +56,14 @@ class Chase:
     def __init__(
         self, view: View, motion: Array, rotation: Array, P: Array, clock: Array, unused: NDArray[np.bool_]
     ) -> None:
-        self.view, self._screen = with_screen(view)
+        self.view, self._occluders = with_occluder_mask(view)
         self.unused = unused
         self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
         self.misses = 0
         self.next_frame = 0
         self.backwards = False
         self._longest, self._leaps_from, self._surprises = 1, 0, 0
-        self._desk: Desk = new_desk(view.shape, view.eyes)
+        self._work: Workspace = new_workspace(view.shape, view.rig)
 
     @staticmethod
     def from_start(
@@ -83,11 +83,11 @@ class Chase:
     def turned_back(self) -> Chase:
         """The chase of the frames before those of this one, from what is known of the flight that it is in."""
         back = Chase(self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused)
-        back.view, back._screen = self.view, self._screen
+        back.view, back._occluders = self.view, self._occluders
         back.backwards = True
         return back
 
-    def to_the_end(self, reel: Reel, seen: Seen, reached: Callable[[int], None], *, all_frames: bool) -> None:
+    def to_the_end(self, reel: Reel, seen: ClipPoses, reached: Callable[[int], None], *, all_frames: bool) -> None:
         """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
         and the motion is sure: of a film far faster than the die is. After a surprise, as a bounce is one, all are looked at."""
         self._longest = 1 if all_frames else longest_leap(len(reel))
@@ -118,7 +118,7 @@ class Chase:
         unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
         return power_of_two(min(self._longest, SURE_PX / unsure_px))
 
-    def _leap_over(self, reel: Reel, seen: Seen, leap: int) -> None:
+    def _leap_over(self, reel: Reel, seen: ClipPoses, leap: int) -> None:
         """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
         rows = np.arange(-(-self.next_frame // leap) * leap, len(reel), leap)[: reel.block]
         rows = rows[~self.unused[rows]]
@@ -134,7 +134,7 @@ class Chase:
             self._leaps_from = last + (SETTLED << self._surprises)
             self._surprises += 1
 
-    def over(self, frames: Frames, times_s: Array, first: int, seen: Seen) -> None:
+    def over(self, frames: Frames, times_s: Array, first: int, seen: ClipPoses) -> None:
         """Follow the die over frames (n, cameras, height, width), of which the first is frame `first` of the clip, and
         write what is seen; backwards from the last frame where the chase runs backwards."""
         order = np.flatnonzero(~self.unused[first : first + len(frames)])
@@ -161,7 +161,7 @@ class Chase:
         self.next_frame = first + len(frames)
 
     def _in_flight(
-        self, frames: Frames, rows: NDArray[np.int64], times_s: Array, seen: Seen, surprising: float = np.inf
+        self, frames: Frames, rows: NDArray[np.int64], times_s: Array, seen: ClipPoses, surprising: float = np.inf
     ) -> int:
         """As many frames, some rows of the clip, as the compiled chase can follow; how many."""
         if self.misses > 0:
@@ -169,9 +169,9 @@ class Chase:
         n = len(rows)
         position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
         stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
-        done = chase(
-            frames, times_s[rows], self.view.backgrounds, self._screen, self.view.eyes, self.view.shape,
-            self.view.chase_lens, self.motion, self.rotation, self.P, self.clock, surprising, position, rotation, H, stats,
+        done = track_frames(
+            frames, times_s[rows], self.view.backgrounds, self._occluders, self.view.rig, self.view.shape,
+            self.view.tracking_settings, self.motion, self.rotation, self.P, self.clock, surprising, position, rotation, H, stats,
             motion, cost,
         )  # fmt: skip
         rows = rows[:done]
@@ -186,7 +186,7 @@ class Chase:
         """The pose on one frame that the motion so far does not explain, or None where the die is lost or out of view."""
         dt = time_s - float(self.clock[0])
         ahead, P = self.motion.copy(), self.P.copy()
-        R = coast(ahead, self.rotation, P, dt)
+        R = predict_motion(ahead, self.rotation, P, dt)
         expected = _state(time_s, ahead, R)
         if share_in_view(self.view, expected.position_m, R) == 0.0:
             self.misses += 1
@@ -205,18 +205,18 @@ class Chase:
     def _best(self, image: NDArray[np.float32], expected: State, time_s: float, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, with the start that led to it."""
         best: tuple[Pose, State] | None = None
-        usual, lens = float(self.clock[1]), self.view.lens
+        usual, settings = float(self.clock[1]), self.view.settings
         tight = (
-            float(np.clip(4.0 * widest_sigma(P, 0), lens.tight_m, lens.loose_m)),
-            float(np.clip(4.0 * widest_sigma(P, 3), lens.tight_rad, lens.loose_rad)),
+            float(np.clip(4.0 * widest_sigma(P, 0), settings.tight_m, settings.loose_m)),
+            float(np.clip(4.0 * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
         )
-        loose = lens.loose_m, lens.loose_rad
+        loose = settings.loose_m, settings.loose_rad
         rivals = islice(self._rivals(expected, time_s), self.view.quality.rivals)
         for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in rivals)):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
                 omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
-                roughly=True, desk=self._desk,
+                roughly=True, work=self._work,
             )  # fmt: skip
             if pose.covariance is None or pose.contour_px < 20.0:
                 continue
@@ -245,7 +245,7 @@ class Chase:
         whole = pose.support > PLAIN_SUPPORT
         if lowest < BOUNCE_REACH * reach:
             return whole or pose.cost < float(self.clock[1]) + PLAINLY
-        return whole and pose.cost < float(self.clock[1]) + DEARER
+        return whole and pose.cost < float(self.clock[1]) + ACCEPTED_EXCESS_COST
 
     def _rivals(self, expected: State, time_s: float) -> Iterator[tuple[State, int]]:
         """Other starts: bounces on the low corners, the last pose, and turns about it."""
@@ -263,8 +263,10 @@ class Chase:
         """A fresh start after frames without a pose."""
         found = [
             pose
-            for _, pose in find_start(self.view, image)
-            if self._believable(pose) and pose.support > PLAIN_SUPPORT and pose.cost < float(self.clock[1]) + DEARER
+            for _, pose in initial_poses(self.view, image)
+            if self._believable(pose)
+            and pose.support > PLAIN_SUPPORT
+            and pose.cost < float(self.clock[1]) + ACCEPTED_EXCESS_COST
         ]
         if not found:
             return None
@@ -292,7 +294,9 @@ class Chase:
             count = 0.0
         else:
             motion = ahead
-            self.rotation = correct(motion, R, P, pose.position_m, pose.rotation, pose.equations, self.view.lens)
+            self.rotation = update_motion(
+                motion, R, P, pose.position_m, pose.rotation, pose.equations, self.view.settings
+            )
             self.motion, self.P = motion, P
         usual = float(self.clock[1])
         self.clock = np.array([time_s, usual + (pose.cost - usual) / 8.0, count + 1.0])

@@ -25,7 +25,16 @@ from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.world import GRAVITY_M_S2
 from ..footage import Reel
 from ..picture import View
-from ..pose import ALIKE, HandStart, Pose, Seen, die_blobs, find_start, same_picture, start_by_hand
+from ..pose import (
+    ALIKE,
+    ClipPoses,
+    ManualInitialisation,
+    Pose,
+    die_blobs,
+    initial_poses,
+    manual_initial_pose,
+    same_picture,
+)
 from .frame_to_frame import Chase
 
 Array = NDArray[np.float64]
@@ -85,7 +94,7 @@ class Runner:
     """A start and how far it has been followed."""
 
     chase: Chase
-    seen: Seen
+    seen: ClipPoses
     """The frames of the race alone, the first of them the frame of the start."""
     rating: Rating
     """At the last stage of the race at which somebody moved as a die does."""
@@ -107,7 +116,7 @@ class Runner:
 
 def find_beginning(
     view: View, reel: Reel, unused: Mask, reached: Callable[[int], None] = lambda frame: None
-) -> tuple[Chase, Seen] | None:
+) -> tuple[Chase, ClipPoses] | None:
     """The chase from the first frame that shows the die whole, and what it has seen so far; None where no die is found.
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at. Where no start is borne out with
@@ -212,7 +221,7 @@ def _usual_area_px(view: View, reel: Reel) -> float:
     return float(np.median(areas)) if areas else 0.0
 
 
-def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> tuple[Chase, Seen]:
+def begin_by_hand(view: View, reel: Reel, by_hand: ManualInitialisation, unused: Mask) -> tuple[Chase, ClipPoses]:
     """The chase from the pose that a person gave. Raises ValueError for a frame that is not there or not used."""
     k = by_hand.frame - reel.first_frame
     if not 0 <= k < len(reel) or unused[k]:
@@ -221,15 +230,15 @@ def begin_by_hand(view: View, reel: Reel, by_hand: HandStart, unused: Mask) -> t
             f"start.frame = {by_hand.frame}: wanted a frame of the clip ({reel.first_frame} to {last}), none that is "
             "excluded"
         )
-    pose = start_by_hand(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
+    pose = manual_initial_pose(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
     return _begun(_at_the_line(view, reel, k, pose, unused), reel, k, unused)
 
 
-def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Seen]:
+def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, ClipPoses]:
     """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
     that is not sure the end is kept, where it met others or the die had shown most of itself, and what came before as far as the
     pictures bear it out as well; the rest is looked at again from there."""
-    seen, chase = Seen.empty(len(reel)), runner.chase
+    seen, chase = ClipPoses.empty(len(reel)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
     if not runner.sure:
         cost, end = runner.seen.cost[rows], max(len(rows) - STAGES[1], 0)
@@ -244,7 +253,7 @@ def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, See
 def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
     """The start on frame k that the frames after it bear out best; None where they bear out none."""
     left = min(STAGES[-1], len(reel) - k)
-    starts = find_start(view, np.asarray(reel.frame(k), np.float32))
+    starts = initial_poses(view, np.asarray(reel.frame(k), np.float32))
     runners = [_at_the_line(view, reel, k, pose, unused) for _, pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         rated = [(r, rating) for r in runners if (rating := _followed(r, view, reel, k, stage)) is not None]
@@ -285,7 +294,7 @@ def _winner(view: View, reel: Reel, k: int, runners: list[Runner], cheaper: int 
 
 def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
     """A start that has not been followed yet."""
-    seen = Seen.empty(min(STAGES[-1], len(reel) - k))
+    seen = ClipPoses.empty(min(STAGES[-1], len(reel) - k))
     seen.put(0, pose, np.zeros(6))
     chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
     return Runner(chase, seen, Rating(pose.misfit))
@@ -307,13 +316,13 @@ def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rat
     return whole if whole.unevenness < EVEN else _rating(view, seen, times_s, since, stage)
 
 
-def _rating(view: View, seen: Seen, times_s: Array, since: int, until: int) -> Rating:
+def _rating(view: View, seen: ClipPoses, times_s: Array, since: int, until: int) -> Rating:
     """The rating of a run from row `since` to before `until`."""
     misfit = float(seen.misfit[since:until][seen.known[since:until]].mean())
     return Rating(misfit, _unevenness(view, seen, times_s, since, until), since, until)
 
 
-def _unevenness(view: View, seen: Seen, times_s: Array, since: int, until: int) -> float:
+def _unevenness(view: View, seen: ClipPoses, times_s: Array, since: int, until: int) -> float:
     """How far the poses from row `since` to before `until` depart from a parabola and an even turn; 1 where no die in flight
     does."""
     known = since + np.flatnonzero(seen.known[since:until])

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
-from ..clip_parameters import Offsets, eyes_at
+from ..clip_parameters import Offsets, rig_at
 from ..footage import Frames, Reel, Rows
-from ..picture import THREADS, Eyes, Lens, View, shares_in_view, sight_boxes
-from ..pose import Seen, covariances, settle, weak_prior
+from ..picture import THREADS, CameraRig, RefinementSettings, View, refinement_boxes, shares_in_view
+from ..pose import ClipPoses, covariances, refine_frames, weak_prior
 from .labelling import angles, labelled_along
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ class SecondPass:
 
     view: View
     reel: Reel
-    first: Seen
+    first: ClipPoses
     """Of the first pass, with starts on rows that it left out."""
     throw: Throw | None
     """The flights that it shows."""
@@ -60,16 +60,20 @@ class SecondPass:
         pixels of a frame say, about a tenth, is error rather than motion."""
         return replace(self, throw=throw, settled_px=self.view.quality.settled_px)
 
-    def see(self, rows: Mask, reached: Callable[[int], None]) -> Seen:
+    def see(self, rows: Mask, reached: Callable[[int], None]) -> ClipPoses:
         """Some frames (n,) of the clip, refined; the others are not known. `reached` is called with how far it is."""
         view, first, count = self.view, self.first, len(self.reel)
-        rows, lens = rows & self.usable, view.lens._replace(settled_px=self.settled_px)
-        wanted, tries = first, [_Settling(view, lens, first, first.known & rows, self.offsets, np.zeros(count, bool))]
+        rows, settings = rows & self.usable, view.settings._replace(settled_px=self.settled_px)
+        wanted, tries = (
+            first,
+            [_Settling(view, settings, first, first.known & rows, self.offsets, np.zeros(count, bool))],
+        )
         if self.throw is not None:
             wanted = _motions(self.throw, self.reel.times_s)
             apart = rows & self._apart_from(wanted)
             tries = [
-                _Settling(view, lens, some, use, self.offsets, apart) for some, use in ((wanted, rows), (first, apart))
+                _Settling(view, settings, some, use, self.offsets, apart)
+                for some, use in ((wanted, rows), (first, apart))
             ]
 
         def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
@@ -82,7 +86,7 @@ class SecondPass:
             seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
         return labelled_along(view, seen, wanted, first)
 
-    def _apart_from(self, flown: Seen) -> Mask:
+    def _apart_from(self, flown: ClipPoses) -> Mask:
         """(n,) where the first pass lies further from flights than a refinement is sure to cover."""
         moved = np.linalg.norm(flown.position_m - self.first.position_m, axis=1)
         turned = angles(flown.rotation, self.first.rotation)
@@ -122,7 +126,7 @@ def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np
     """(count, cameras, 4) pixels that hold all that a pass looks at."""
     boxes = np.zeros((count, len(view.cameras), 4), np.int64)
     for one in tries:
-        mine = sight_boxes(view, one.position_m, one.rotation)
+        mine = refinement_boxes(view, one.position_m, one.rotation)
         there = boxes[one.rows]
         both = np.concatenate([np.minimum(there, mine)[..., :2], np.maximum(there, mine)[..., 2:]], axis=-1)
         lone, blank = (np.asarray(~some.any(-1))[..., None] for some in (there, mine))
@@ -134,13 +138,15 @@ class _Settling:
     """Some frames on their way from a start each to the pose that their pixels bear out: what there is to know without the
     pictures is worked out for all of them at once."""
 
-    def __init__(self, view: View, lens: Lens, start: Seen, use: Mask, offsets: Offsets, judged: Mask) -> None:
+    def __init__(
+        self, view: View, settings: RefinementSettings, start: ClipPoses, use: Mask, offsets: Offsets, judged: Mask
+    ) -> None:
         """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
         where there is another start to compare with."""
         in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
-        self._view, self._lens, self._start, self._offsets, self._judged = view, lens, start, offsets, judged
+        self._view, self._lens, self._start, self._offsets, self._judged = view, settings, start, offsets, judged
         self.position_m, self.rotation = start.position_m[self.rows], start.rotation[self.rows]
         self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
         self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
@@ -149,31 +155,33 @@ class _Settling:
         """Refine those that are among some pictures (n, cameras, height, width), which are those of rows `shown` (n,), in the
         threads of a pool: the jobs that were begun."""
         mine, which = among(self.rows, shown)
-        lens = self._lens if self._judged[shown].any() else self._lens._replace(samples=0)
+        settings = self._lens if self._judged[shown].any() else self._lens._replace(samples=0)
         cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
         return [
-            pool.submit(self._settle, frames, which[a:b], slice(mine.start + a, mine.start + b), lens)
+            pool.submit(self._settle, frames, which[a:b], slice(mine.start + a, mine.start + b), settings)
             for a, b in pairwise(cuts)
             if b > a
         ]
 
-    def _settle(self, frames: Frames, which: Rows, mine: slice, lens: Lens) -> None:
+    def _settle(self, frames: Frames, which: Rows, mine: slice, settings: RefinementSettings) -> None:
         if not self._offsets.any:
-            self._settle_with(frames, which, mine, lens, self._view.eyes)
+            self._settle_with(frames, which, mine, settings, self._view.rig)
             return
         for k, row in enumerate(range(mine.start, mine.stop)):
             # Late cameras stand elsewhere for every frame.
-            eyes = eyes_at(self._view.eyes, self._offsets.seconds, self.position_m[row], self._motion[row])
-            self._settle_with(frames, which[k : k + 1], slice(row, row + 1), lens, eyes)
+            rig = rig_at(self._view.rig, self._offsets.seconds, self.position_m[row], self._motion[row])
+            self._settle_with(frames, which[k : k + 1], slice(row, row + 1), settings, rig)
 
-    def _settle_with(self, frames: Frames, which: Rows, mine: slice, lens: Lens, eyes: Eyes) -> None:
+    def _settle_with(
+        self, frames: Frames, which: Rows, mine: slice, settings: RefinementSettings, rig: CameraRig
+    ) -> None:
         view = self._view
-        settle(
-            frames, which, view.backgrounds, eyes, view.shape, lens, self.position_m[mine], self.rotation[mine],
+        refine_frames(
+            frames, which, view.backgrounds, rig, view.shape, settings, self.position_m[mine], self.rotation[mine],
             self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
         )  # fmt: skip
 
-    def seen(self, count: int) -> Seen:
+    def seen(self, count: int) -> ClipPoses:
         """What the pixels bear out of it, as rows of a clip of so many frames."""
         # Of a tetrahedron with two faces in sight, one of them edge-on, two lines of the contour are all that is seen: what they
         # leave open the refinement's own loose prior held.
@@ -181,7 +189,7 @@ class _Settling:
         known = covariances(pixels)
         held = np.flatnonzero(self._H.any((1, 2)) & _are_open(known))
         known[held] = covariances(pixels[held] + prior)
-        seen, good = Seen.empty(count), self._borne_out(known)
+        seen, good = ClipPoses.empty(count), self._borne_out(known)
         for share in HELD:
             told = pixels[held] + share * prior
             inverts = ~_are_open(covariances(told))
@@ -215,9 +223,9 @@ def _are_open(covariance: Array) -> Mask:
     return np.asarray(np.isnan(covariance[:, 0, 0]))
 
 
-def _motions(throw: Throw, times_s: Array) -> Seen:
+def _motions(throw: Throw, times_s: Array) -> ClipPoses:
     """Where the flights lead on every frame, as starts for a refinement."""
-    out = Seen.empty(len(times_s))
+    out = ClipPoses.empty(len(times_s))
     position, quaternion = throw.poses(times_s)
     out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)
     out.motion[:] = throw.rates(times_s)

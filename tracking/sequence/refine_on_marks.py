@@ -18,7 +18,7 @@ from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
 from ..footage import Frames, Reel, Rows
 from ..picture import View
-from ..pose import Seen, as_track, contour_leans, shown_whole
+from ..pose import ClipPoses, as_track, contour_bias_jacobians, shown_whole
 from ..surface_marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
 from ..throw import (
     Measured,
@@ -49,14 +49,14 @@ half as large, dice of 20 px an edge did without their marks, and were turned by
 class Marked:
     """What a third pass gives."""
 
-    seen: Seen
+    seen: ClipPoses
     marks: Marks | None
     """What the faces show; None where that places nothing."""
     shared: Array | None
     """(n, 6, 6) covariance that poses on marks share, NaN where a frame has none; None where marks were not used."""
 
 
-def third_pass(second: SecondPass, seen: Seen, every: int, reached: Callable[[int], None]) -> Marked:
+def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callable[[int], None]) -> Marked:
     """All frames refined on marks and edges, where that helps. `seen` is what the second pass shows on one frame in `every`.
     `reached` is called with how far it is, in frames.
 
@@ -86,16 +86,16 @@ def third_pass(second: SecondPass, seen: Seen, every: int, reached: Callable[[in
     refining = Refining(view, marks, _poses_of(view, edges, seen, rows), flights, reel.times_s[rows])
     # Frames whose edges are seen now count half, and half when their marks are.
     _see_some(reel, rows, refining, reached if every == 1 else lambda done: reached((len(reel) + done) // 2))
-    out, shared = Seen.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
+    out, shared = ClipPoses.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
     out.take(np.arange(len(reel)), seen)
     shared[rows] = refining.shared
     for put, poses in ((rows, refining.poses()), (carried, _poses_of(view, edges, seen, carried))):
         out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
-        out.lean[put], out.H[put, :6, :6] = poses.contour_lean, poses.information
+        out.lean[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
     return Marked(out, marks, shared)
 
 
-def _completed(second: SecondPass, seen: Seen, left: Mask, reached: Callable[[int], None]) -> Seen:
+def _completed(second: SecondPass, seen: ClipPoses, left: Mask, reached: Callable[[int], None]) -> ClipPoses:
     """With the frames that are left."""
     if not left.any():
         return seen
@@ -122,7 +122,7 @@ def _in_flight(track: Track, throw: Throw) -> Track:
     return track if flown(throw) is throw else frames_in_flight(track, throw)
 
 
-def _edges_of(second: SecondPass, seen: Seen, found: Measured, scatter: float) -> Track:
+def _edges_of(second: SecondPass, seen: ClipPoses, found: Measured, scatter: float) -> Track:
     """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
     view, shared = second.view, found.joined.shared
     track = as_track(view, second.reel, seen, shown_whole(view, seen))
@@ -130,11 +130,11 @@ def _edges_of(second: SecondPass, seen: Seen, found: Measured, scatter: float) -
     return replace(straight, covariance=scatter * straight.covariance)
 
 
-def _poses_of(view: View, edges: Track, seen: Seen, rows: Rows) -> FramePoses:
+def _poses_of(view: View, edges: Track, seen: ClipPoses, rows: Rows) -> FramePoses:
     """What the edges of some tracked frames say."""
     return FramePoses(
         edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
-        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_leans(seen.H[rows], view.lens),
+        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_bias_jacobians(seen.H[rows], view.settings),
     )  # fmt: skip
 
 

@@ -36,7 +36,7 @@ from ..clip_parameters import (
 )
 from ..footage import Clip, Reel, estimate_background
 from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
-from ..pose import HandStart, Seen, as_track, excluded_rows, shown_whole
+from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, shown_whole
 from ..quality import STANDARD, Quality
 from ..surface_marks import Marks
 from ..throw import NoFlightError, calibrated, measure, measure_throw, spared
@@ -89,7 +89,7 @@ def follow(
     background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
     exposure_s: float | None = None,
     mirror: bool = False,
-    start: HandStart | None = None,
+    start: ManualInitialisation | None = None,
     excluded: Sequence[tuple[int, int]] = (),
     quality: Quality = STANDARD,
     progress: Progress | None = None,
@@ -109,7 +109,7 @@ def look_through(
     background: NDArray[np.float32] | Sequence[NDArray[np.float32] | None] | None = None,
     exposure_s: float | None = None,
     mirror: bool = False,
-    start: HandStart | None = None,
+    start: ManualInitialisation | None = None,
     excluded: Sequence[tuple[int, int]] = (),
     rounding: Rounding = Rounding.GIVEN,
     quality: Quality = STANDARD,
@@ -203,8 +203,8 @@ def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | N
 
 
 def _first_pass(
-    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask
-) -> tuple[View, Seen]:
+    view: View, reel: Reel, report: _Reporter, by_hand: ManualInitialisation | None, unused: Mask
+) -> tuple[View, ClipPoses]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
     beginning = (
         find_beginning(view, reel, unused, report.at_least)
@@ -230,8 +230,8 @@ def _first_pass(
 
 
 def _first_pass_rounded(
-    view: View, reel: Reel, report: _Reporter, by_hand: HandStart | None, unused: Mask, rounding: Rounding
-) -> tuple[View, Seen, Corners | None]:
+    view: View, reel: Reel, report: _Reporter, by_hand: ManualInitialisation | None, unused: Mask, rounding: Rounding
+) -> tuple[View, ClipPoses, Corners | None]:
     """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
     show the radius that it was done with."""
     if rounding is Rounding.GIVEN:
@@ -280,7 +280,7 @@ class _Trial:
 
     radius_m: float
     view: View
-    seen: Seen
+    seen: ClipPoses
     borne_out: bool
     corners: Corners
     """What is known of the radius then."""
@@ -292,7 +292,7 @@ def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:
     return any(each.seen.frames >= (KEPT if each.borne_out else 1.0) * frames for each in tried)
 
 
-def _corners_at_sight(view: View, reel: Reel, seen: Seen, rounding: Rounding) -> Corners | None:
+def _corners_at_sight(view: View, reel: Reel, seen: ClipPoses, rounding: Rounding) -> Corners | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
     looks = partial(seen.looks, reel.frame, shown_whole(view, seen))
     if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
@@ -326,7 +326,7 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 # --- between the passes --------------------------------------------------------------------------------------------------
 
 
-def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
+def _measured(view: View, reel: Reel, seen: ClipPoses) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     track = as_track(view, reel, seen, shown_whole(view, seen) & seen.even)
     try:
@@ -335,7 +335,7 @@ def _measured(view: View, reel: Reel, seen: Seen) -> Throw | None:
         return None
 
 
-def _every_in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
+def _every_in_second_pass(view: View, reel: Reel, seen: ClipPoses) -> int:
     """Of how many frames one has a second pass before the marks are known, along whose flights that of the others takes less
     time. With several cameras poses do without marks."""
     if len(reel.clips) > 1:
@@ -346,7 +346,7 @@ def _every_in_second_pass(view: View, reel: Reel, seen: Seen) -> int:
 # --- the table of poses -----------------------------------------------------------------------------------------------
 
 
-def _track(reel: Reel, view: View, seen: Seen, throw: Throw | None) -> Track:
+def _track(reel: Reel, view: View, seen: ClipPoses, throw: Throw | None) -> Track:
     """The final table: frames without a pose are absent where the motion leads out of view, or lost."""
     track = as_track(view, reel, seen)
     status = track.status.copy()

@@ -180,7 +180,7 @@ class FramePoses:
     information: Array
     """(n, 6, 6) inverse covariance from the pixels of each frame alone; with marks, what edges err alike in a flight counts in
     it as often as the flight has frames, so that all together have it once."""
-    contour_lean: Array
+    contour_bias_jacobian: Array
     """(n, 6) [m/px, rad/px] by how much each is off for every pixel that the contour is taken too far out."""
 
 
@@ -241,7 +241,7 @@ class Refining:
         rotation = np.where(unseen[:, None, None], self._edges.rotation, self._rotation)
         information = self._H + self._sure
         # The marks know nothing of the contour: of its error the pose takes the edges' part of the information.
-        part = np.einsum("nij,nj->ni", self._sure, self._edges.contour_lean)
+        part = np.einsum("nij,nj->ni", self._sure, self._edges.contour_bias_jacobian)
         lean = np.linalg.solve(information + weak_prior(self._view), part[..., None])[..., 0]
         return FramePoses(position, rotation, information, lean)
 

@@ -346,5 +346,5 @@ def faces_of(view: View, marks: Marks, cut: float) -> Faces:
     return Faces(
         grid.axes, grid.offsets, grid.corners, grid.counts, marks.base, marks.coefficients, marks.marked, marks.noise_grey,
         MARGIN_BLURS * marks.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
-        float(view.lens.floor_grey), float(cut),
+        float(view.settings.floor_grey), float(cut),
     )  # fmt: skip

@@ -20,9 +20,9 @@ def announced(say: Callable[[str], None]) -> Iterator[None]:
 
 def is_compiled() -> bool:
     """Whether this installation's cache holds the kernel with which tracking begins."""
-    from ..tracking.pose import look
+    from ..tracking.pose import refine_and_score
 
-    cache: Any = getattr(look, "_cache", None)
+    cache: Any = getattr(refine_and_score, "_cache", None)
     return not hasattr(cache, "_cache_file") or bool(cache._cache_file._load_index())
 
 

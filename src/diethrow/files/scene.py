@@ -21,7 +21,7 @@ from ..model.laws import Table as ModelTable
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import Rounding
 from ..tracking.footage import MOST_PIXELS
-from ..tracking.pose import FEWEST_CLICKS, Click, HandStart
+from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 
 __all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read_scene"]
@@ -105,7 +105,7 @@ class Scene:
     cameras: tuple[View, ...]
     die: Die
     table: Table
-    start: HandStart | None = None
+    start: ManualInitialisation | None = None
     """The first pose by hand; None where it is found."""
     rounding: Rounding = Rounding.GIVEN
     """Whether the file gives the radius of the die's corners, which is 0 in `die` where it does not."""
@@ -330,7 +330,7 @@ def _clip(table: _ClipTable, path: Path, files: _Surroundings) -> ClipSource:
     )
 
 
-def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> HandStart:
+def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> ManualInitialisation:
     """The first pose by hand. Raises SceneError for one that is half given, or cannot be."""
     first, stop = clip.frame_range or (0, np.inf)
     if not first <= table.frame < stop or any(a <= table.frame < b for a, b in clip.excluded):
@@ -345,9 +345,9 @@ def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: D
     if clicks:
         _check_clicks(clicks, views, die, path)
     if not posed:
-        return HandStart(table.frame, clicks=clicks)
+        return ManualInitialisation(table.frame, clicks=clicks)
     quaternion = np.array(table.quaternion_wxyz, float)
-    return HandStart(table.frame, np.array(table.position_m, float), quaternion / np.linalg.norm(quaternion))
+    return ManualInitialisation(table.frame, np.array(table.position_m, float), quaternion / np.linalg.norm(quaternion))
 
 
 def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, path: Path) -> None:

@@ -20,8 +20,8 @@ from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.clip_parameters.corner_radius import (
     Corners,
-    Looks,
     Rounding,
+    SampledFrames,
     by_flights,
     by_free_poses,
     contour_sigma_px,
@@ -29,7 +29,7 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     look_rounded,
     noticed_px,
 )
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import track_clip as following
@@ -52,12 +52,12 @@ def states(count: int) -> list[State]:
     return made
 
 
-def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, off: float = 0.0) -> Looks:
+def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, off: float = 0.0) -> SampledFrames:
     """Pictures of a die at rest in those orientations, with poses that are `off` by so much of 0.1 mm and 0.6 degrees."""
     rng = np.random.default_rng(1)
     at = states(count)
     wrong = off * rng.standard_normal((count, 3)) * 1e-4
-    return Looks(
+    return SampledFrames(
         tuple(drawn(state, rng)[None] for state in at),
         np.array([state.position_m for state in at]) + wrong,
         np.array([state.rotation for state in at]),
@@ -66,7 +66,7 @@ def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, o
 
 
 @cache
-def round_looks(radius_m: float, count: int = FEW) -> Looks:
+def round_looks(radius_m: float, count: int = FEW) -> SampledFrames:
     """Of a rounded cube, at its true poses."""
     die = replace(CUBE, corner_radius_m=radius_m)
     return looks(lambda state, rng: photograph_rounded(ROOM, die, state, rng), count)
@@ -255,7 +255,7 @@ def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPa
     ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
 )
 def test_a_radius_that_loses_the_die_is_none(frames: int, borne_out: bool, better: bool) -> None:
-    seen, corners = Seen.empty(120), Corners(1e-3, 1e-4)
+    seen, corners = ClipPoses.empty(120), Corners(1e-3, 1e-4)
     seen.known[:frames] = True
     trial = following._Trial(1e-3, ROOM.view(CUBE), seen, borne_out, corners)
     assert following._better_than_sharp([trial], 100) is better

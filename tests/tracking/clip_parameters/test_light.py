@@ -17,7 +17,7 @@ from diethrow.model.throw.motion import State
 from diethrow.tracking.clip_parameters.light import basis, lit
 from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 
 Array = NDArray[np.float64]
@@ -36,9 +36,9 @@ def states(count: int, seed: int) -> list[State]:
     ]
 
 
-def at_poses(some: list[State]) -> Seen:
+def at_poses(some: list[State]) -> ClipPoses:
     """The poses of a die at rest, one a frame."""
-    seen = Seen.empty(len(some))
+    seen = ClipPoses.empty(len(some))
     seen.known[:] = True
     seen.position_m[:], seen.rotation[:] = [s.position_m for s in some], [s.rotation for s in some]
     seen.motion[:] = 0.0

@@ -14,8 +14,8 @@ from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.picture.view import View, visible_faces
-from diethrow.tracking.pose.by_hand import poses_from_clicks, start_by_hand
-from diethrow.tracking.pose.manual_input import Click, HandStart, excluded_rows
+from diethrow.tracking.pose.by_hand import manual_initial_pose, poses_from_clicks
+from diethrow.tracking.pose.manual_input import Click, ManualInitialisation, excluded_rows
 from diethrow.tracking.pose.refine import Pose
 from diethrow.tracking.sequence.track_clip import follow
 from diethrow.tracking.track import LOST, TRACKED
@@ -59,8 +59,8 @@ def test_clicks_a_few_pixels_off_become_the_pose_of_the_picture(shape: str, name
         seeds = [1, 2]
     for seed in seeds:
         view, state, image, corners = shown(shape, seed)
-        start = HandStart(0, clicks=clicks(view, state, corners[:7], 1.5, named))
-        pose = start_by_hand(view, image, start)
+        start = ManualInitialisation(0, clicks=clicks(view, state, corners[:7], 1.5, named))
+        pose = manual_initial_pose(view, image, start)
         # One frame of a die 80 px across is good to 0.3° and, along the line of sight, to 0.5 mm; its labelling is that of
         # the clicks where they name the corners.
         assert turned_deg(view, pose, state, any_label=not named) < 1.0
@@ -70,15 +70,15 @@ def test_clicks_a_few_pixels_off_become_the_pose_of_the_picture(shape: str, name
 def test_exact_clicks_on_the_corners_of_one_face_give_both_tilts_and_the_picture_decides() -> None:
     view, state, image, _ = shown("cube", 3)
     face = np.array(view.die.solid.faces[int(visible_faces(view, PLACE, state.rotation)[0])])
-    start = HandStart(0, clicks=clicks(view, state, face, 0.5, True))
+    start = ManualInitialisation(0, clicks=clicks(view, state, face, 0.5, True))
     assert 1 <= len(poses_from_clicks(view, start)) <= 2
-    assert turned_deg(view, start_by_hand(view, image, start), state, any_label=False) < 1.0
+    assert turned_deg(view, manual_initial_pose(view, image, start), state, any_label=False) < 1.0
 
 
 def test_a_rough_pose_becomes_that_of_the_picture_under_the_labelling_given() -> None:
     view, state, image, _ = shown("cube", 5)
     rough = quat_multiply(quat_from_rotvec(np.radians([6.0, -5.0, 4.0])), state.quaternion)
-    pose = start_by_hand(view, image, HandStart(0, PLACE + np.array([0.001, -0.001, 0.002]), rough))
+    pose = manual_initial_pose(view, image, ManualInitialisation(0, PLACE + np.array([0.001, -0.001, 0.002]), rough))
     assert turned_deg(view, pose, state, any_label=False) < 1.0
     assert np.linalg.norm(pose.position_m - PLACE) < 1e-3
 
@@ -86,16 +86,18 @@ def test_a_rough_pose_becomes_that_of_the_picture_under_the_labelling_given() ->
 def test_what_the_picture_does_not_bear_out_is_refused_in_one_sentence() -> None:
     view, state, image, corners = shown("cube", 5)
     with pytest.raises(ValueError, match=r"start\.frame = 7: the picture shows \d+ % of the contour of a cube"):
-        start_by_hand(view, image, HandStart(7, PLACE + np.array([0.012, 0.006, 0.0]), state.quaternion))
+        manual_initial_pose(
+            view, image, ManualInitialisation(7, PLACE + np.array([0.012, 0.006, 0.0]), state.quaternion)
+        )
     good = clicks(view, state, corners, 0.0, True)
     with pytest.raises(ValueError, match=r"start\.corners has 3 clicks"):
-        start_by_hand(view, image, HandStart(7, clicks=good[:3]))
+        manual_initial_pose(view, image, ManualInitialisation(7, clicks=good[:3]))
     away = tuple(Click(np.array(px), None) for px in ([5.0, 5.0], [190.0, 8.0], [100.0, 12.0], [150.0, 190.0]))
     with pytest.raises(ValueError, match="no pose of a cube of this size puts its corners on the 4 clicks"):
-        start_by_hand(view, image, HandStart(7, clicks=away))
+        manual_initial_pose(view, image, ManualInitialisation(7, clicks=away))
     swapped = tuple(Click(a.px, b.vertex) for a, b in zip(good, good[1:] + good[:1], strict=True))
     with pytest.raises(ValueError, match=r"start\."):
-        start_by_hand(view, image, HandStart(7, clicks=swapped))
+        manual_initial_pose(view, image, ManualInitialisation(7, clicks=swapped))
 
 
 def test_excluded_ranges_are_rows_of_the_clip() -> None:
@@ -112,7 +114,7 @@ def test_a_clip_is_followed_from_the_start_by_hand_and_frames_excluded_are_lost(
     ruined = slice(8, 11)
     clip.array[ruined] = 250 - clip.array[ruined]
     truth = throw.at(12 / FPS)
-    start = HandStart(12, truth.position_m + 5e-4, truth.quaternion)
+    start = ManualInitialisation(12, truth.position_m + 5e-4, truth.quaternion)
     track = follow(clip, ROOM.camera, die, background=np.rint(ROOM.table), start=start, excluded=[(8, 11)])
     assert (track.status[ruined] == LOST).all()
     assert np.isnan(track.position_m[ruined]).all()

@@ -17,7 +17,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
-from diethrow.tracking.picture.mirror_silhouette import shadowless_scores
+from diethrow.tracking.picture.mirror_silhouette import mirror_region_costs
 from diethrow.tracking.picture.segmentation import (
     DITHERED,
     Blob,
@@ -30,7 +30,7 @@ from diethrow.tracking.picture.segmentation import (
     without_shadow,
 )
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.initial_pose import FACTORS, _trials, die_blobs, find_start
+from diethrow.tracking.pose.initial_pose import FACTORS, _trials, die_blobs, initial_poses
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -43,7 +43,7 @@ def state_at(rng: np.random.Generator, height_m: float = 0.018) -> State:
 def test_the_first_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> None:
     rng = np.random.default_rng(52)
     state, view = state_at(rng), ROOM.view(DICE[shape])
-    found = find_start(view, photograph(ROOM, DICE[shape], state, rng))
+    found = initial_poses(view, photograph(ROOM, DICE[shape], state, rng))
     scores = [score for score, _ in found]
     assert scores == sorted(scores)
     # Not always the best of one frame, but among those that a few frames will tell apart. A tenth of a degree is what
@@ -60,7 +60,7 @@ def test_the_first_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> No
 
 def test_an_empty_table_shows_no_die() -> None:
     image = photograph(ROOM, DICE["cube"], None, np.random.default_rng(1))
-    assert find_start(ROOM.view(DICE["cube"]), image) == []
+    assert initial_poses(ROOM.view(DICE["cube"]), image) == []
 
 
 def shadow_alone(share: float, rim_px: float, seed: int = 4) -> np.ndarray:
@@ -79,7 +79,7 @@ def test_a_soft_shadow_alone_is_no_die(share: float, rim_px: float) -> None:
     view, image = ROOM.view(DICE["cube"]), shadow_alone(share, rim_px)
     assert largest_blob(differing(image, view.background, view.noise_grey)) is not None
     assert die_blobs(view, image) == []
-    assert find_start(view, image) == []
+    assert initial_poses(view, image) == []
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -152,14 +152,14 @@ def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
     with patch.object(footage_of_throws, "greys", dark_but_above):
         image = photograph(smooth, DICE["cube"], state, rng)
     view = make_view(smooth.camera, DICE["cube"], smooth.table, 2.0, None, smooth.blur_px, mirror=True)
-    found = find_start(view, image)
+    found = initial_poses(view, image)
     alike = nearest_equivalent_rotation(found[0][1].rotation, state.rotation, view.symmetries)
     assert np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))) < 0.5
     assert np.linalg.norm(found[0][1].position_m - state.position_m) < 0.1 * REACH_M
     box = (20, 20, 180, 180)
     further = state.position_m + 0.15 * (state.position_m - view.camera.centre_m)
     both = np.array([state.position_m, further]), np.array([state.rotation, state.rotation])
-    right, wrong = shadowless_scores(view, image, box, *both, 6000)
+    right, wrong = mirror_region_costs(view, image, box, *both, 6000)
     # What is left of the right one is the blurred rim of the dark faces.
     assert 0.0 <= right < 0.2 * wrong
 

@@ -14,7 +14,7 @@ from random_throws import random_quaternion
 from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
-from diethrow.tracking.picture.view import outline_box, picture_scores, share_in_view, visible_faces
+from diethrow.tracking.picture.view import outline_box, region_costs, share_in_view, visible_faces
 from diethrow.tracking.pose.refine import Pose, refine_pose
 
 Array = NDArray[np.float64]
@@ -255,7 +255,7 @@ def test_the_true_pose_explains_the_picture_best(shape: str) -> None:
     aside = [state.position_m + 1e-3 * a for a in np.vstack([ROOM.camera.rotation[:2], -ROOM.camera.rotation[:2]])]
     positions = np.array([state.position_m] * 7 + aside)
     rotations = np.array([state.rotation, *turned, *[state.rotation] * 4])
-    scores, differs = picture_scores(view, image, box, positions, rotations, 100_000)
+    scores, differs = region_costs(view, image, box, positions, rotations, 100_000)
     assert differs[0] > 0.9
     assert (scores[1:] > scores[0]).all()
 

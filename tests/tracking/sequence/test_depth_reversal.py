@@ -15,7 +15,7 @@ from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_fr
 from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.footage.frame_blocks import Reel
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.sequence.depth_reversal import put_right, reversed_in_depth
 
@@ -89,9 +89,9 @@ def basis(first: np.ndarray) -> np.ndarray:
     return np.column_stack([first, second, np.cross(first, second)])
 
 
-def seen_at(view: View, reel: Reel, flight: Moving, *, reverse: bool) -> Seen:
+def seen_at(view: View, reel: Reel, flight: Moving, *, reverse: bool) -> ClipPoses:
     """What the pictures show near the true poses, or near their reversals."""
-    seen = Seen.empty(FRAMES)
+    seen = ClipPoses.empty(FRAMES)
     for k, time_s in enumerate(reel.times_s):
         state = flight.at(float(time_s))
         rotation = reversed_in_depth(view, state.position_m, state.rotation) if reverse else state.rotation
@@ -101,7 +101,7 @@ def seen_at(view: View, reel: Reel, flight: Moving, *, reverse: bool) -> Seen:
     return seen
 
 
-def share_right(view: View, seen: Seen, flight: Flight, times_s: np.ndarray) -> float:
+def share_right(view: View, seen: ClipPoses, flight: Flight, times_s: np.ndarray) -> float:
     """Share of the frames whose pose draws the true die, whatever its corners are called."""
     V, right = view.die.solid.vertices, []
     for k in np.flatnonzero(seen.known):

@@ -21,7 +21,7 @@ from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.footage.frame_blocks import Reel
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.initialisation import best_start, find_beginning
 from diethrow.tracking.sequence.track_clip import follow
@@ -66,7 +66,7 @@ def thrown(shape: str, room: Studio | None = None) -> tuple[View, Reel, Throw]:
     return room.view(die), Reel([film(room, die, throw, FRAMES)]), throw
 
 
-def share_right(view: View, seen: Seen, times_s: np.ndarray, throw: Throw) -> float:
+def share_right(view: View, seen: ClipPoses, times_s: np.ndarray, throw: Throw) -> float:
     """Share of the known poses that draw the true die; the labelling of its corners is left open."""
     known = np.flatnonzero(seen.known)
     states = [throw.at(float(times_s[k])) for k in known]

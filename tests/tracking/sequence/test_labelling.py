@@ -14,7 +14,7 @@ from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.sequence.labelling import labelled_across, labelled_along
 
 FRAMES, STRUCK = 24, 11.5
@@ -23,10 +23,10 @@ SPIN = np.array([60.0, -90.0, 40.0])
 TIMES_S = np.arange(FRAMES) / FPS
 
 
-def spinning(shape: str, seed: int) -> tuple[View, Seen]:
+def spinning(shape: str, seed: int) -> tuple[View, ClipPoses]:
     """A die seen on every frame, in one labelling: 4.5 degrees a frame, about another axis from STRUCK on."""
     rng, view = np.random.default_rng(seed), studio().view(DICE[shape])
-    q, seen = random_quaternion(rng), Seen.empty(FRAMES)
+    q, seen = random_quaternion(rng), ClipPoses.empty(FRAMES)
     for k in range(FRAMES):
         seen.rotation[k] = matrix_from_quat(q)
         q = quat_multiply(quat_from_rotvec((SPIN if k < STRUCK else SPIN[::-1]) / FPS), q)
@@ -34,7 +34,7 @@ def spinning(shape: str, seed: int) -> tuple[View, Seen]:
     return view, seen
 
 
-def relabelled(view: View, seen: Seen, rows: slice, seed: int) -> Seen:
+def relabelled(view: View, seen: ClipPoses, rows: slice, seed: int) -> ClipPoses:
     """The same with some rows in another labelling, one for all."""
     rng = np.random.default_rng(seed)
     other = view.symmetries[rng.integers(1, len(view.symmetries))]
@@ -43,7 +43,7 @@ def relabelled(view: View, seen: Seen, rows: slice, seed: int) -> Seen:
     return replace(seen, rotation=rotation)
 
 
-def through(seen: Seen, *turns: list[float]) -> Throw:
+def through(seen: ClipPoses, *turns: list[float]) -> Throw:
     """Two flights without spin that meet in an unresolved contact, each turned by a rotation vector (3,) from how the die is seen
     just before it and just behind."""
     time_s, flights = STRUCK / FPS, []

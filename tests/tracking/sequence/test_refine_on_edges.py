@@ -13,7 +13,7 @@ from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.clip_parameters.clock_offsets import Offsets
 from diethrow.tracking.footage.frame_blocks import Reel
-from diethrow.tracking.pose.frame_poses import Seen
+from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import covariances
 from diethrow.tracking.sequence.refine_on_edges import SecondPass
 
@@ -40,7 +40,7 @@ def test_a_tetrahedron_with_a_face_edge_on_is_not_lost(slope: float) -> None:
     eye = front / np.linalg.norm(front) * np.sqrt(1.0 - sine**2) + normals[1] * sine
     rotation = basis(toward, np.array([0.3, 0.1, 1.0])) @ basis(eye, normals[2] - normals[3]).T
     flight = Flight(State(0.0, position, quat_from_matrix(rotation), np.array([0.05, 0.0, -0.1]), np.zeros(3)), np.inf)
-    clip, view, first = film(room, die, flight, FRAMES), room.view(die), Seen.empty(FRAMES)
+    clip, view, first = film(room, die, flight, FRAMES), room.view(die), ClipPoses.empty(FRAMES)
     truth = [flight.at(float(t)) for t in clip.times_s]
     for k, state in enumerate(truth):
         first.position_m[k], first.rotation[k], first.motion[k, :3] = (

@@ -16,7 +16,7 @@ from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_fr
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
-from diethrow.tracking.clip_parameters.clock_offsets import eyes_at
+from diethrow.tracking.clip_parameters.clock_offsets import rig_at
 from diethrow.tracking.picture.view import MIRRORED, View, make_view, stacked, with_reflections
 from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
@@ -173,14 +173,13 @@ def test_synchronised_cameras_show_no_offset() -> None:
 def test_a_late_camera_is_a_synchronised_one_in_another_place() -> None:
     rng = np.random.default_rng(4)
     state = replace(state_at(rng, 0.02), velocity_m_s=rng.normal(size=3), omega_rad_s=30.0 * rng.normal(size=3))
-    eyes = view_of([ROOM.camera, from_the_side(ROOM).camera], [ROOM.table] * 2, mirror=True).eyes
+    rig = view_of([ROOM.camera, from_the_side(ROOM).camera], [ROOM.table] * 2, mirror=True).rig
     late_s = np.array([0.0, 2e-4])
-    moved = eyes_at(eyes, late_s, state.position_m, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
-    for e in range(len(eyes.camera)):
-        then = Flight(state, np.inf).at(late_s[eyes.camera[e]])
+    moved = rig_at(rig, late_s, state.position_m, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
+    for e in range(len(rig.camera)):
+        then = Flight(state, np.inf).at(late_s[rig.camera[e]])
         truly = (
-            eyes.rotation[e] @ (CUBE.solid.vertices @ then.rotation.T + then.position_m).T
-            + eyes.translation[e][:, None]
+            rig.rotation[e] @ (CUBE.solid.vertices @ then.rotation.T + then.position_m).T + rig.translation[e][:, None]
         )
         now = CUBE.solid.vertices @ state.rotation.T + state.position_m
         # Gravity over the offset is left out: g δ²/2 is 0.2 µm.

@@ -21,11 +21,11 @@ from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import Reel
 from diethrow.tracking.picture.view import make_view, share_in_view
-from diethrow.tracking.pose.frame_poses import Seen, longest_leap
+from diethrow.tracking.pose.frame_poses import ClipPoses, longest_leap
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.sequence.frame_to_frame import Chase, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_beginning
-from diethrow.tracking.sequence.motion_filter import coast
+from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.track_clip import NoDieError, follow, look_through
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.segmentation import spared
@@ -244,7 +244,7 @@ def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
     state = falling_cube().at(0.0)
     pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), state.position_m, state.rotation)
     chase = Chase.from_start(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
-    chase.over(clip.array[:30, None], clip.times_s, 0, Seen.empty(FRAMES))
+    chase.over(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
     blank = np.isnan(chase.view.backgrounds[0])
     columns = np.flatnonzero(blank.any(0))
     # Two pixels on either side go with it, where bar and die mix.
@@ -262,7 +262,7 @@ def test_a_motion_carried_back_to_where_it_was_known_is_unsure_of_nothing_there(
         P[6:, 6:] = A @ A.T
         motion, rotation = np.concatenate([rng.standard_normal(6), 10.0 * rng.standard_normal(3)]), np.eye(3)
         for dt in (1e-3, -3e-4, -7e-4):
-            rotation = coast(motion, rotation, P, dt)
+            rotation = predict_motion(motion, rotation, P, dt)
         below += bool(np.diag(P)[:3].max() < 0.0)
         # A millisecond of some metres a second, to the root of rounding.
         assert 0.0 <= widest_sigma(P, 0) < 1e-3 * 1e-7

@@ -16,7 +16,7 @@ from ...files.settings import SceneError
 from ...replay.pages import check_page
 from ...tracking.check import Finding, Preflight, Sight, Verdict, judge, preflight
 from ...tracking.footage import Clip, load_background, open_clip
-from ...tracking.pose import HandStart
+from ...tracking.pose import ManualInitialisation
 from .track import check_scene, input_paths, open_footage
 
 
@@ -78,7 +78,7 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
     return Check(tuple(findings), tuple(measured)), clips
 
 
-def _measured(scene: Scene, view: View, clip: Clip, start: HandStart | None) -> Preflight:
+def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> Preflight:
     """What the clip of one camera offers."""
     background = _background(view, clip, scene)
 

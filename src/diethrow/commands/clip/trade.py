@@ -80,8 +80,8 @@ FIRST_OF_LADDER = ("standard", 1, 1)
 """Run once without a clock: what is compiled or read from the cache is no part of a speed."""
 
 WORK: tuple[tuple[str, Quality], ...] = (
-    ("every pixel line while the die is followed, not every second", replace(STANDARD, chase_stride=1)),
-    ("every fourth pixel line", replace(STANDARD, chase_stride=4)),
+    ("every pixel line while the die is followed, not every second", replace(STANDARD, tracking_stride=1)),
+    ("every fourth pixel line", replace(STANDARD, tracking_stride=4)),
     ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
     ("200 pixels judge a pose, not 800", replace(STANDARD, judging_pixels=200)),
     ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
