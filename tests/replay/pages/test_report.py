@@ -14,7 +14,7 @@ import replay_records as made
 from diethrow.fitting.predict.sequential import Estimate
 from diethrow.fitting.results import Effect, Parameter
 from diethrow.model.throw.motion import Throw
-from diethrow.replay.elements import sentences
+from diethrow.replay.elements import findings_text
 from diethrow.replay.pages.account import Account
 from diethrow.replay.pages.report import page, write_report
 from diethrow.tracking.check.verdicts import Finding, Verdict
@@ -123,7 +123,7 @@ def test_the_account_of_a_run_is_told_and_escaped() -> None:
 
 
 def test_the_verdict_is_three_sentences() -> None:
-    said = sentences.verdict(made.record())
+    said = findings_text.verdict(made.record())
     assert len(said) == 3
     assert all(sentence.endswith(".") for sentence in said)
     assert "χ is 0.5831 (95 % interval 0.5802 to 0.5859); the model explains the only bounce" in said[1]
@@ -132,13 +132,14 @@ def test_the_verdict_is_three_sentences() -> None:
 def test_it_is_said_which_effects_were_needed_and_what_became_of_the_others() -> None:
     considered = (Effect("air drag", 0.8, "It gains too little."), Effect("clock", 2.1, "So does this."))
     said = " ".join(
-        sentences.effects_sentences(made.fit(chosen=("friction", "rounded corners"), considered=considered))
+        findings_text.effects_sentences(made.fit(chosen=("friction", "rounded corners"), considered=considered))
     )
     # The radius is no parameter of this fit: the scene states it.
     assert "cannot be explained without friction; the model has friction and rounded corners" in said
     assert "Two other effects were tried and did not pay; nearest came clock, which gains 2.1" in said
     assert (
-        "plainest model of this scene is enough" in sentences.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
+        "plainest model of this scene is enough"
+        in findings_text.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
     )
 
 
@@ -147,7 +148,7 @@ def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
 
     def told(*odds: float) -> str:
         known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
-        return " ".join(sentences.settled_sentence(known))
+        return " ".join(findings_text.settled_sentence(known))
 
     assert "Face 1 was settled by the flight after bounce 2, which began at 20.0 ms" in told(0.5, 0.97, 1.0)
     assert "after bounce 3" in told(0.99, 0.1, 1.0)
@@ -191,10 +192,12 @@ def test_the_same_record_gives_the_same_page(tmp_path: Path, whole: str) -> None
     [(0.0057, 4), (0.031, 3), (0.4, 2), (3.0, 2), (0.0, 4), (1e-12, 8)],
 )
 def test_an_interval_is_written_with_two_digits_of_its_width(width: float, decimals: int) -> None:
-    assert sentences.decimals_for(width) == decimals
+    assert findings_text.decimals_for(width) == decimals
 
 
 def test_numbers_have_a_true_minus_sign_and_no_bare_nan() -> None:
-    assert sentences.number(-0.5) == "−0.5"
-    assert sentences.number(1.5e-7) == "1.5 × 10⁻⁷"
-    assert sentences.number(np.nan) == sentences.fixed(np.nan, 3) == sentences.number(None) == "not determined"
+    assert findings_text.number(-0.5) == "−0.5"
+    assert findings_text.number(1.5e-7) == "1.5 × 10⁻⁷"
+    assert (
+        findings_text.number(np.nan) == findings_text.fixed(np.nan, 3) == findings_text.number(None) == "not determined"
+    )
