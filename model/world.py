@@ -1,6 +1,6 @@
-"""model.world."""
+"""The constants of the world in which dice fall."""
 
 from __future__ import annotations
 
 GRAVITY_M_S2 = 9.81
-"""Downwards along -z: gravity is (0, 0, -9.81) m/s²."""
+"""[m/s²] Acceleration of gravity, along -z: (0, 0, -9.81) in world axes."""

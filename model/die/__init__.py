@@ -1,10 +1,16 @@
-"""model.die."""
+"""What a die is: its solid, mass, inertia, rounded corners and symmetries.
+
+`make_die` gives one of the five isohedral dice, `die_from_solid` and `loaded_die` any other; all others take a `Die`. `Solid`
+holds the sharp polyhedron, `inner_vertices` the corners under the rounding. The symmetry rotations serve whatever compares
+the orientations of an unmarked die.
+"""
 
 from .die import MAX_CORNER_RADIUS_FRACTION as MAX_CORNER_RADIUS_FRACTION
 from .die import Die as Die
 from .die import die_from_solid as die_from_solid
 from .die import loaded_die as loaded_die
 from .die import make_die as make_die
+from .solid import INSPHERE_TOLERANCE as INSPHERE_TOLERANCE
 from .solid import SHAPES as SHAPES
 from .solid import Solid as Solid
 from .solid import convex_solid as convex_solid

@@ -1,4 +1,9 @@
-"""model.die.die."""
+"""A die: a solid with mass, rounded corners and marks, homogeneous or loaded.
+
+`make_die` gives the five isohedral dice, `die_from_solid` any convex solid, `loaded_die` a solid with a point mass in it. A
+die whose inertia is the same about every axis, with its centre of mass at the centroid, is a spherical top: one number says
+how its mass is spread, and it turns at a constant rate in flight. All others carry an inertia tensor.
+"""
 
 from __future__ import annotations
 
@@ -10,22 +15,32 @@ from numpy.typing import ArrayLike
 from .solid import Array, Solid, check_positive, inner_vertices, isohedral_solid, unit_inertia
 
 MAX_CORNER_RADIUS_FRACTION = 0.95
-"""Largest corner radius, as a part of the inscribed radius: beyond it a die is a ball that never comes to rest."""
+"""Largest corner radius as a fraction of the inscribed radius. A rounder die is a ball, which never comes to rest."""
+
+MIN_INERTIA_FRACTION = 1e-3
+"""Least moment of inertia of `make_die`, as a fraction of 2/3 m R² (all mass on the circumscribed sphere). A homogeneous die
+has 0.20 to 0.46 of it; a value below this is in a wrong unit."""
+
+ISOTROPY_TOLERANCE = 1e-12
+"""Largest deviation of a tensor element from an isotropic tensor, in mean moments, at which a tensor counts as isotropic:
+rounding of the volume integral."""
+
+TENSOR_TOLERANCE = 1e-9
+"""Relative asymmetry, and relative violation of the triangle inequality, of a tensor that a user wrote with ten digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Die:
     """A solid with mass.
 
-    Most dice are spherical tops: one moment of inertia about every axis through the centroid. A die with another
-    tensor, or with its centre of mass elsewhere, has `inertia_tensor_kg_m2` instead; asking such a die for
-    `inertia_kg_m2` raises ValueError, because no one number would be right.
+    A die with an anisotropic tensor, or with its centre of mass elsewhere than at the centroid, has
+    `inertia_tensor_kg_m2`. Its `inertia_kg_m2` raises ValueError, because no one number would be right.
     """
 
     solid: Solid
     mass_kg: float
     inertia_kg_m2: float = field(repr=False)
-    """About any axis through the centre of a spherical top. Give NaN (or the mean) where a tensor is given."""
+    """About any axis through the centre of a spherical top. Give NaN (or the mean) with a tensor."""
     corner_radius_m: float = 0.0
     """Radius of the rounded corners and edges; `solid` stays the sharp polyhedron of the flat faces."""
     marks: str | None = None
@@ -33,23 +48,23 @@ class Die:
     inertia_tensor_kg_m2: Array | None = None
     """(3, 3) about the centre of mass, body axes; None for a spherical top."""
     centre_of_mass_m: Array | None = None
-    """(3,) from the centroid, body axes; None where it is the centroid."""
+    """(3,) from the centroid, body axes; None if it is the centroid."""
 
     def __post_init__(self) -> None:
-        shift = None if self.centre_of_mass_m is None else np.array(self.centre_of_mass_m, float)
-        if shift is not None and not shift.any():
-            shift = None
+        centre = None if self.centre_of_mass_m is None else np.array(self.centre_of_mass_m, float)
+        if centre is not None and not centre.any():
+            centre = None
         tensor = None if self.inertia_tensor_kg_m2 is None else np.array(self.inertia_tensor_kg_m2, float)
-        if tensor is None and shift is not None:
+        if tensor is None and centre is not None:
             tensor = self.inertia_kg_m2 * np.eye(3)
-        object.__setattr__(self, "centre_of_mass_m", shift)
+        object.__setattr__(self, "centre_of_mass_m", centre)
         object.__setattr__(self, "inertia_tensor_kg_m2", tensor)
         if tensor is not None:
-            # Left out of the instance, so that reading it ends in __getattr__ below.
+            # Removed from the instance, so that reading it ends in __getattr__ below.
             object.__delattr__(self, "inertia_kg_m2")
 
     def __getattr__(self, name: str) -> float:
-        """Called only for what an instance does not have."""
+        """Raise the error for `inertia_kg_m2` of an asymmetric die; Python calls this for missing attributes only."""
         if name == "inertia_kg_m2":
             raise ValueError(
                 f"inertia_kg_m2 of a {self.solid.name} that is no spherical top: wanted a die with one moment of "
@@ -64,13 +79,20 @@ class Die:
 
     @property
     def isotropic_inertia_kg_m2(self) -> float | None:
-        """The one moment of inertia about every axis through the centre of mass, wherever that lies; None where the axes
-        differ."""
+        """The moment of inertia about every axis through the centre of mass, wherever that lies; None if they differ."""
         if self.inertia_tensor_kg_m2 is None:
             return self.inertia_kg_m2
-        moment = float(np.trace(self.inertia_tensor_kg_m2)) / 3.0
-        even = np.abs(self.inertia_tensor_kg_m2 - moment * np.eye(3)).max() <= 1e-12 * moment
-        return moment if even else None
+        return _isotropic_moment(self.inertia_tensor_kg_m2)
+
+    @property
+    def centre_of_mass_offset_m(self) -> Array:
+        """(3,) centre of mass from the centroid, body axes; zeros if it is the centroid."""
+        return np.zeros(3) if self.centre_of_mass_m is None else self.centre_of_mass_m
+
+    @property
+    def tensor_kg_m2(self) -> Array:
+        """(3, 3) inertia tensor about the centre of mass, body axes, of any die."""
+        return self.inertia_kg_m2 * np.eye(3) if self.inertia_tensor_kg_m2 is None else self.inertia_tensor_kg_m2
 
 
 def make_die(
@@ -82,9 +104,9 @@ def make_die(
     corner_radius_m: float = 0.0,
     marks: str | None = None,
 ) -> Die:
-    """One of the five isohedral dice; its inertia follows from shape, edge and mass unless given.
+    """One of the five isohedral dice. Its inertia follows from shape, edge and mass unless it is given.
 
-    Raises ValueError for an unknown shape and for an edge, mass, inertia or radius that no die has.
+    Raises ValueError for an unknown shape, and for an edge, mass, inertia or corner radius that no such die has.
     """
     for name, value in (("edge_m", edge_m), ("mass_kg", mass_kg), ("inertia_kg_m2", inertia_kg_m2)):
         if value is not None:
@@ -93,13 +115,13 @@ def make_die(
     if not 0 <= corner_radius_m <= MAX_CORNER_RADIUS_FRACTION * solid.inradius:
         raise ValueError(
             f"corner_radius_m = {corner_radius_m}: wanted 0 or more, "
-            f"and at most {MAX_CORNER_RADIUS_FRACTION:g} of the inscribed radius {solid.inradius:.6g}"
+            f"and at most {MAX_CORNER_RADIUS_FRACTION:g} times the inscribed radius of {solid.inradius:.6g} m"
         )
-    most = 2.0 / 3.0 * mass_kg * solid.circumradius**2
-    if inertia_kg_m2 is not None and not 1e-3 * most <= inertia_kg_m2 <= most:
+    largest = 2.0 / 3.0 * mass_kg * solid.circumradius**2
+    if inertia_kg_m2 is not None and not MIN_INERTIA_FRACTION * largest <= inertia_kg_m2 <= largest:
         raise ValueError(
-            f"inertia_kg_m2 = {inertia_kg_m2}: wanted {1e-3 * most:.3g} to {most:.3g}, the most that this mass can have "
-            "within the corners"
+            f"inertia_kg_m2 = {inertia_kg_m2}: wanted {MIN_INERTIA_FRACTION * largest:.3g} to {largest:.3g}, which is the "
+            "moment with all of the mass at the distance of the corners"
         )
     if inertia_kg_m2 is None:
         inertia_kg_m2 = mass_kg * float(np.trace(unit_inertia(solid))) / 3.0
@@ -117,26 +139,26 @@ def die_from_solid(
 ) -> Die:
     """Any convex solid as a die, homogeneous unless its inertia tensor is given.
 
-    `inertia_tensor_kg_m2` (3, 3) is about the centre of mass, in body axes; `centre_of_mass_m` (3,) counts from the
-    centroid and needs a tensor with it. A tensor that is the same about every axis to 1e-12, about the centroid, makes
-    a spherical top. Raises ValueError for what no body has: a tensor that is not symmetric or whose principal moments
-    break the triangle inequality, a centre of mass outside the solid, a corner radius that splits a corner.
+    `inertia_tensor_kg_m2` (3, 3) is about the centre of mass, in body axes. `centre_of_mass_m` (3,) counts from the
+    centroid and needs a tensor with it. A tensor that is isotropic to `ISOTROPY_TOLERANCE`, about the centroid, makes a
+    spherical top. Raises ValueError for a tensor that is not symmetric or whose principal moments violate the triangle
+    inequality, a centre of mass outside the solid, and a corner radius that splits a corner.
     """
     check_positive("mass_kg", mass_kg)
-    shift = None if centre_of_mass_m is None else _point_inside(solid, "centre_of_mass_m", centre_of_mass_m)
+    centre = None if centre_of_mass_m is None else _point_inside(solid, "centre_of_mass_m", centre_of_mass_m)
     if inertia_tensor_kg_m2 is not None:
         tensor = _checked_tensor(inertia_tensor_kg_m2)
-    elif shift is not None and shift.any():
+    elif centre is not None and centre.any():
         raise ValueError(
-            f"centre_of_mass_m = {shift.tolist()} without an inertia tensor: wanted both, because the place alone does "
-            "not say how the mass is spread; give inertia_tensor_kg_m2, or use loaded_die"
+            f"centre_of_mass_m = {centre.tolist()} without an inertia tensor: wanted both, because the centre of mass "
+            "alone does not give the inertia; give inertia_tensor_kg_m2, or use loaded_die"
         )
     else:
         tensor = mass_kg * unit_inertia(solid)
     inner_vertices(solid, corner_radius_m)
     mean = float(np.trace(tensor)) / 3.0
-    is_isotropic = float(np.abs(tensor - mean * np.eye(3)).max()) <= 1e-12 * mean
-    return Die(solid, mass_kg, mean, corner_radius_m, marks, None if is_isotropic else tensor, shift)
+    is_isotropic = _isotropic_moment(tensor) is not None
+    return Die(solid, mass_kg, mean, corner_radius_m, marks, None if is_isotropic else tensor, centre)
 
 
 def loaded_die(
@@ -148,51 +170,58 @@ def loaded_die(
     corner_radius_m: float = 0.0,
     marks: str | None = None,
 ) -> Die:
-    """A homogeneous solid of `mass_kg` with a point of `load_kg` more at `load_position_m` (3,) from its centroid.
+    """A homogeneous solid of `mass_kg` with a point mass of `load_kg` at `load_position_m` (3,) from its centroid.
 
-    With M the body, μ = M m/(M + m) and p the place of the load, the centre of mass lies at m p/(M + m) and the tensor
-    about it is that of the body plus μ (p² 1 - p pᵀ) (the parallel axis theorem for both parts). Raises ValueError for
-    a mass that is not above 0, a load below 0, or a load outside the solid.
+    With M the mass of the solid, m that of the load and p its position, the centre of mass lies at m p/(M + m). The
+    tensor about it is that of the solid plus μ (p² 1 - p pᵀ), with μ = M m/(M + m), by the parallel axis theorem for
+    both parts. Raises ValueError for a mass that is not above 0, a load below 0, or a load outside the solid.
     """
     check_positive("mass_kg", mass_kg)
     if not (np.isfinite(load_kg) and load_kg >= 0.0):
         raise ValueError(f"load_kg = {load_kg}: wanted a finite number, 0 or more")
-    place = _point_inside(solid, "load_position_m", load_position_m)
+    position = _point_inside(solid, "load_position_m", load_position_m)
     total = mass_kg + load_kg
-    spread = float(place @ place) * np.eye(3) - np.outer(place, place)
+    spread = float(position @ position) * np.eye(3) - np.outer(position, position)
     return die_from_solid(
         solid,
         total,
         inertia_tensor_kg_m2=mass_kg * unit_inertia(solid) + mass_kg * (load_kg / total) * spread,
-        centre_of_mass_m=(load_kg / total) * place,
+        centre_of_mass_m=(load_kg / total) * position,
         corner_radius_m=corner_radius_m,
         marks=marks,
     )
 
 
+def _isotropic_moment(tensor: Array) -> float | None:
+    """The mean moment of an isotropic tensor (3, 3); None for any other."""
+    mean = float(np.trace(tensor)) / 3.0
+    is_isotropic = np.abs(tensor - mean * np.eye(3)).max() <= ISOTROPY_TOLERANCE * mean
+    return mean if is_isotropic else None
+
+
 def _point_inside(solid: Solid, name: str, point: ArrayLike) -> Array:
-    """The point (3,) as an array. Raises ValueError unless it lies inside the solid."""
-    place = np.asarray(point, float)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise ValueError(f"{name} = {place.tolist()}: wanted 3 finite numbers")
-    if (solid.normals @ place >= solid.offsets).any():
+    """The point (3,) as an array. Raises ValueError, naming it, unless it lies inside the solid."""
+    position = np.asarray(point, float)
+    if position.shape != (3,) or not np.isfinite(position).all():
+        raise ValueError(f"{name} = {position.tolist()}: wanted 3 finite numbers")
+    if (solid.normals @ position >= solid.offsets).any():
         raise ValueError(
-            f"{name} = {place.tolist()}: wanted a place inside the {solid.name}, counted from its centroid"
+            f"{name} = {position.tolist()}: wanted a point inside the {solid.name}, measured from its centroid"
         )
-    return place
+    return position
 
 
 def _checked_tensor(given: ArrayLike) -> Array:
-    """The tensor (3, 3), made exactly symmetric. Raises ValueError unless some body has it."""
+    """The tensor (3, 3), made exactly symmetric. Raises ValueError for a tensor that no body has."""
     tensor = np.asarray(given, float)
     if tensor.shape != (3, 3) or not np.isfinite(tensor).all():
         raise ValueError(f"inertia_tensor_kg_m2 of shape {tensor.shape}: wanted (3, 3) finite numbers")
     size = float(np.abs(tensor).max())
-    if np.abs(tensor - tensor.T).max() > 1e-9 * size:
+    if np.abs(tensor - tensor.T).max() > TENSOR_TOLERANCE * size:
         raise ValueError(f"inertia_tensor_kg_m2 = {tensor.tolist()}: wanted a symmetric tensor")
     tensor = 0.5 * (tensor + tensor.T)
     small, middle, large = np.linalg.eigvalsh(tensor)
-    if small <= 0.0 or large > (small + middle) * (1.0 + 1e-9):
+    if small <= 0.0 or large > (small + middle) * (1.0 + TENSOR_TOLERANCE):
         raise ValueError(
             f"inertia_tensor_kg_m2 with principal moments {small:.6g}, {middle:.6g}, {large:.6g}: wanted all above 0 "
             "and none larger than the sum of the other two"

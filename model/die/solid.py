@@ -1,12 +1,11 @@
-"""A die as geometry and mass: a convex polyhedron, its faces, edges and inertia.
+"""Convex polyhedra: vertices, faces, edges, inertia, and the inner polyhedron of a body with rounded corners.
 
-The five isohedral dice are homogeneous and sharp, and so spherical tops (Kapitaniak et al., Chaos 22, 047504, 2012):
-their inertia tensor is a multiple of the identity. Here it is not typed in but integrated over the volume, which the
-tests compare with the paper's formulas. Any other convex solid (the paper's truncated dipyramids among them) and a
-die with a load in it are dice too: they carry an inertia tensor and, where it is not the centroid, a centre of mass.
+The five isohedral dice are homogeneous and sharp, and therefore spherical tops (Kapitaniak et al., Chaos 22, 047504, 2012):
+their inertia tensor is a multiple of the identity. It is integrated over the volume rather than typed in, and the tests
+compare it with the paper's formulas. Any other convex solid can be a die as well, the paper's truncated dipyramids among them.
 
-The body frame has its origin at the centroid. Face k carries the number k + 1; on the cube opposite faces add up to
-seven and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
+The body frame has its origin at the centroid. Face k carries the number k + 1. On the cube opposite faces add up to seven,
+and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
 """
 
 from __future__ import annotations
@@ -22,6 +21,23 @@ from scipy.spatial import ConvexHull
 Array = NDArray[np.float64]
 
 SHAPES = ("tetrahedron", "cube", "octahedron", "dodecahedron", "icosahedron")
+
+MIN_CUT = 1e-6
+"""Least part of a tip that may be cut off, or left. With less, rounding cannot separate a face from a vertex, or the solid
+from a disc."""
+
+MERGE_TOLERANCE = 1e-9
+"""1 - cos of the angle between two facets, and distance of a vertex from a plane in sizes of the solid, within which facets
+of the hull are one face."""
+
+FLATNESS_TOLERANCE = 1e-9
+"""Least ratio of the smallest to the largest extent of a set of points that spans a volume."""
+
+CORNER_TOLERANCE = 1e-9
+"""Distance, in circumradii, within which the moved planes of a corner still meet in one point."""
+
+INSPHERE_TOLERANCE = 1e-12
+"""Range of face distances, in inscribed radii, within which all faces touch one sphere about the centroid: rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,40 +56,39 @@ class Solid:
     edges: NDArray[np.int64]
     """(e, 2) vertex indices."""
     edge_faces: NDArray[np.int64]
-    """(e, 2) the two faces that meet in each edge: the first runs along the edge as written, the second against."""
+    """(e, 2) the two faces that meet in each edge. The first has the edge in the order written, the second reversed."""
 
     @property
     def circumradius(self) -> float:
-        """[m] distance of the farthest vertex from the centroid."""
+        """[m] largest distance of a vertex from the centroid."""
         return float(np.linalg.norm(self.vertices, axis=1).max())
 
     @property
     def edge_m(self) -> float:
-        """[m] length of the first edge: of every edge, on the five dice."""
+        """[m] length of the first edge, which on the five isohedral dice is that of every edge."""
         return float(np.linalg.norm(np.subtract(*self.vertices[self.edges[0]])))
 
     @property
     def inradius(self) -> float:
-        """[m] distance of the nearest face plane from the centroid."""
+        """[m] least distance of a face plane from the centroid."""
         return float(self.offsets.min())
 
 
 def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: float) -> Solid:
     """A dipyramid over a regular polygon with both tips cut off (the paper's Fig. 2): 2n congruent side faces.
 
-    `sides` is n, the corners of the polygon in the plane z = 0; `radius_m` its circumscribed circle; the tips of the
-    uncut dipyramid stand at ±`half_height_m` on the z axis; `cut` in [0, 1) is the part of each tip's height that the
-    planes z = ±(1 - cut) half_height_m take away, 0 for the plain dipyramid. Faces 1 to n are the upper side faces,
-    counter-clockwise seen from above and beginning at the x axis, n + 1 to 2n the lower ones below them, and where the
-    tips are cut 2n + 1 is the upper and 2n + 2 the lower cut.
+    `sides` is n, the number of corners of the polygon in the plane z = 0, and `radius_m` its circumscribed radius. The tips of
+    the uncut dipyramid stand at z = ±`half_height_m`. `cut` in [0, 1) is the part of each tip's height that the planes
+    z = ±(1 - cut) half_height_m remove, 0 for the plain dipyramid. Faces 1 to n are the upper side faces, counter-clockwise
+    seen from above and beginning at the x axis; n + 1 to 2n are the lower ones below them. If the tips are cut, 2n + 1 is the
+    upper and 2n + 2 the lower cut. Raises ValueError for fewer than three sides, a length that is not above 0, or another cut.
     """
     if sides < 3:
         raise ValueError(f"sides = {sides}: wanted a polygon of three sides or more")
     check_positive("radius_m", radius_m)
     check_positive("half_height_m", half_height_m)
-    if cut != 0.0 and not 1e-6 <= cut <= 1.0 - 1e-6:
-        # Smaller faces could not be told from a vertex, or the solid from a disc, within rounding.
-        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from 1e-6 to 1 - 1e-6")
+    if cut != 0.0 and not MIN_CUT <= cut <= 1.0 - MIN_CUT:
+        raise ValueError(f"cut = {cut}: wanted 0, or a part of the tip's height from {MIN_CUT:g} to 1 - {MIN_CUT:g}")
     angles = 2.0 * np.pi * np.arange(sides) / sides
     ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles), np.zeros(sides)])
     height = (1.0 - cut) * half_height_m
@@ -92,18 +107,18 @@ def truncated_dipyramid(sides: int, radius_m: float, half_height_m: float, cut: 
 
 
 def inner_vertices(solid: Solid, radius_m: float) -> Array:
-    """Corners (n, 3) [m] of the solid whose face planes are moved in by `radius_m`, in the order of `vertices`.
+    """Corners (n, 3) [m] of the solid whose face planes are moved inwards by `radius_m`, in the order of `vertices`.
 
-    A die with rounded corners is all points within that radius of this inner solid. Raises ValueError where the radius
-    is below 0 or leaves no solid, where a face would vanish, and where more than three faces meet in a corner that
-    would split into several.
+    A die with rounded corners consists of all points within that radius of this inner solid. Raises ValueError for a
+    radius below 0 or one that leaves no solid, for one at which a face vanishes, and for a corner of more than three
+    faces that would split into several.
     """
     if not 0.0 <= radius_m < solid.inradius:
         raise ValueError(
-            f"corner_radius_m = {radius_m}: wanted 0 or more, and less than the inscribed radius {solid.inradius:.6g}"
+            f"corner_radius_m = {radius_m}: wanted 0 or more, and less than the inscribed radius {solid.inradius:.6g} m"
         )
-    if np.ptp(solid.offsets) <= 1e-12 * solid.inradius:
-        # All faces touch one sphere about the centroid: moving them in is the same as shrinking the solid.
+    if np.ptp(solid.offsets) <= INSPHERE_TOLERANCE * solid.inradius:
+        # All faces touch one sphere about the centroid, so moving them inwards shrinks the solid.
         return solid.vertices * (1.0 - radius_m / solid.inradius)
     moved = solid.offsets - radius_m
     corners = np.empty_like(solid.vertices)
@@ -111,12 +126,12 @@ def inner_vertices(solid: Solid, radius_m: float) -> Array:
         meeting = [k for k, face in enumerate(solid.faces) if i in face]
         corners[i] = np.linalg.lstsq(solid.normals[meeting], moved[meeting], rcond=None)[0]
         gap = float(np.abs(solid.normals[meeting] @ corners[i] - moved[meeting]).max())
-        if gap > 1e-9 * solid.circumradius:
+        if gap > CORNER_TOLERANCE * solid.circumradius:
             raise ValueError(
                 f"corner_radius_m = {radius_m} on a {solid.name}: the {len(meeting)} faces that meet in vertex {i} "
                 "would no longer meet in one point; wanted a radius of 0, or a solid with three faces at that vertex"
             )
-    if (corners @ solid.normals.T - moved).max() > 1e-9 * solid.circumradius:
+    if (corners @ solid.normals.T - moved).max() > CORNER_TOLERANCE * solid.circumradius:
         raise ValueError(
             f"corner_radius_m = {radius_m} on a {solid.name}: a face would vanish; wanted a smaller radius"
         )
@@ -136,13 +151,13 @@ def isohedral_solid(shape: str, edge_m: float) -> Solid:
 def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
     """The convex hull of points (n, 3) [m] as a solid about its centroid; coplanar facets become one face.
 
-    Raises ValueError where the points do not span a volume.
+    Raises ValueError for points that do not span a volume.
     """
     points = np.asarray(points, float)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4 or not np.isfinite(points).all():
         raise ValueError(f"vertices of shape {points.shape}: wanted at least four finite points (n, 3)")
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
-    if spread[2] < 1e-9 * spread[0]:
+    if spread[2] < FLATNESS_TOLERANCE * spread[0]:
         raise ValueError("vertices lie in one plane: wanted points that span a volume")
     hull = ConvexHull(points)
     kept = np.sort(hull.vertices)
@@ -155,20 +170,21 @@ def convex_solid(points: ArrayLike, name: str = "polyhedron") -> Solid:
 
 
 def numbered_solid(solid: Solid, numbers: Sequence[int]) -> Solid:
-    """The same solid with its faces in the order of the numbers that they carry: `numbers` (faces,) of the faces as they are,
-    1, 2, … each once. Vertices stay as they are. Raises ValueError for anything else."""
+    """The same solid with its faces reordered, so that the face that carries the number k + 1 is face k.
+
+    `numbers` (faces,) are those of the faces in their present order: 1, 2, … each once, otherwise ValueError. Vertices keep
+    their order.
+    """
     if sorted(numbers) != list(range(1, len(solid.faces) + 1)):
-        raise ValueError(
-            f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once, one a face"
-        )
+        raise ValueError(f"numbers = {list(numbers)} for a {solid.name}: wanted each of 1 to {len(solid.faces)} once")
     return _renumbered(solid, [int(k) for k in np.argsort(numbers)])
 
 
 def unit_inertia(solid: Solid) -> Array:
     """Inertia tensor (3, 3) [m²] about the centroid of the homogeneous solid, for a mass of 1 kg.
 
-    Volume integral over the tetrahedra spanned by the origin and the triangulated faces:
-    ∫ x xᵀ dV = V/20 (Σ pᵢ pᵢᵀ + s sᵀ), with s the sum of the corners.
+    The integral ∫ x xᵀ dV is summed over tetrahedra with corners pᵢ, spanned by the origin and the triangulated faces. Each
+    contributes V/20 (Σ pᵢ pᵢᵀ + s sᵀ), with V its volume and s the sum of its corners.
     """
     second = np.zeros((3, 3))
     volume = 0.0
@@ -185,7 +201,7 @@ def unit_inertia(solid: Solid) -> Array:
 
 
 def lowest_face(solid: Solid, rotation: ArrayLike) -> int:
-    """Number (1, 2, …) of the face that looks down most: the largest -ẑ·nᵢ. `rotation` (3, 3) is body to world."""
+    """Number (1, 2, …) of the face whose normal n points down most, by the largest -ẑ·n. `rotation` (3, 3) is body to world."""
     return int(np.argmin(solid.normals @ np.asarray(rotation)[2])) + 1
 
 
@@ -203,7 +219,7 @@ def _renumbered(solid: Solid, order: list[int]) -> Solid:
 
 
 def plane_axes(u: Array, v: Array) -> Array:
-    """Right-handed axes (3, 3), in columns: along u, and across it in the plane of u and v."""
+    """Right-handed orthonormal axes (3, 3) in columns: x along u, y in the plane of u and v, z along u × v."""
     x = u / np.linalg.norm(u)
     z = np.cross(u, v)
     z = z / np.linalg.norm(z)
@@ -257,9 +273,9 @@ def _merged_faces(vertices: Array) -> tuple[tuple[tuple[int, ...], ...], Array]:
     normals: list[Array] = []
     for equation in hull.equations:
         normal = equation[:3]
-        if any(normal @ other > 1.0 - 1e-9 for other in normals):
+        if any(normal @ other > 1.0 - MERGE_TOLERANCE for other in normals):
             continue
-        on = np.flatnonzero(np.abs(vertices @ normal + equation[3]) < 1e-9 * size)
+        on = np.flatnonzero(np.abs(vertices @ normal + equation[3]) < MERGE_TOLERANCE * size)
         middle = vertices[on].mean(0)
         u = vertices[on[0]] - middle
         spokes = vertices[on] - middle
@@ -270,7 +286,7 @@ def _merged_faces(vertices: Array) -> tuple[tuple[tuple[int, ...], ...], Array]:
 
 
 def _centroid(vertices: Array, faces: tuple[tuple[int, ...], ...]) -> Array:
-    """Centroid of the solid, from tetrahedra about the mean vertex (well conditioned far from the origin)."""
+    """Centroid of the solid, from tetrahedra about the mean vertex, which is accurate far from the origin too."""
     origin = vertices.mean(0)
     volume, moment = 0.0, np.zeros(3)
     for face in faces:
@@ -284,7 +300,7 @@ def _centroid(vertices: Array, faces: tuple[tuple[int, ...], ...]) -> Array:
 
 
 def _edges(faces: tuple[tuple[int, ...], ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Edges (e, 2) and their two faces (e, 2), in the order in which they are met."""
+    """Edges (e, 2) and the two faces of each (e, 2), in the order of the faces."""
     runs_along = {(f[j], f[(j + 1) % len(f)]): k for k, f in enumerate(faces) for j in range(len(f))}
     once = [pair for pair in runs_along if pair[0] < pair[1]]
     sides = [(runs_along[a, b], runs_along[b, a]) for a, b in once]

@@ -59,8 +59,7 @@ def die_symmetries(die: Die) -> Array:
     rotations = symmetry_rotations(die.solid)
     if die.is_spherical_top:
         return rotations
-    centre = np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
-    tensor = np.asarray(die.inertia_tensor_kg_m2)
+    centre, tensor = die.centre_of_mass_offset_m, die.tensor_kg_m2
     moved = np.linalg.norm(rotations @ centre - centre, axis=1)
     changed = np.abs(rotations @ tensor @ rotations.transpose(0, 2, 1) - tensor).max(axis=(1, 2))
     keeps_centre = moved <= VERTEX_TOLERANCE * die.solid.circumradius
