@@ -36,7 +36,7 @@ from tracker import print_rows
 from diethrow.analysis import RunError
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
-from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.sequence import track_clip
@@ -71,22 +71,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def measured(folder: Path, count: int, everything: bool) -> list[str]:
     """The row of one clip."""
     scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_folder(folder))
-    view, reel, unused = prepared(scene)
-    judge = Judge(view, reel, truth)
+    view, source, unused = prepared(scene)
+    judge = Judge(view, source, truth)
     told: Counter[str] = Counter()
     alone_ms, begun_ms = [], []
-    best_start(view, reel, int(judge.frames(1)[0]), unused)  # compiles
+    best_start(view, source, int(judge.frames(1)[0]), unused)  # compiles
     for k in judge.frames(count):
-        alone, ms = timed(best_start, view, reel, k, unused)
+        alone, ms = timed(best_start, view, source, k, unused)
         alone_ms.append(ms)
         verdict = "none" if alone is None else f"{'sure' if alone.sure else 'unsure'} {judge.of(alone.seen, k)}"
-        cut = unused | (np.arange(len(reel)) < k)
-        begun, ms = timed(find_beginning, view, reel, cut)
+        cut = unused | (np.arange(len(source)) < k)
+        begun, ms = timed(find_beginning, view, source, cut)
         begun_ms.append(ms)
         outcome = "begun none" if begun is None else f"begun {judge.of(begun[1], 0)}"
         told.update([verdict, outcome])
         if everything or "wrong" in verdict + outcome:
-            print(f"{folder.name}, frame {reel.first_frame + k}: {verdict}, {outcome}", flush=True)
+            print(f"{folder.name}, frame {source.first_frame + k}: {verdict}, {outcome}", flush=True)
     names = (
         "sure right",
         "sure wrong",
@@ -107,12 +107,12 @@ def measured(folder: Path, count: int, everything: bool) -> list[str]:
     ]
 
 
-def prepared(scene: Scene) -> tuple[View, Reel, Mask]:
+def prepared(scene: Scene) -> tuple[View, FrameSource, Mask]:
     """What the beginning of a scene's throw is looked for with. Raises ValueError where a person gives it."""
-    kept: list[tuple[View, Reel, Mask]] = []
+    kept: list[tuple[View, FrameSource, Mask]] = []
 
-    def keep(view: View, reel: Reel, unused: Mask, *_: Any) -> None:
-        kept.append((view, reel, unused))
+    def keep(view: View, source: FrameSource, unused: Mask, *_: Any) -> None:
+        kept.append((view, source, unused))
 
     # Tracking prepares it, and gives up where no beginning is found.
     with patch.object(track_clip, "find_beginning", keep), suppress(RunError):
@@ -132,9 +132,9 @@ def timed(call: Any, *arguments: Any) -> tuple[Any, float]:
 class Judge:
     """Compares poses of one clip with the truth."""
 
-    def __init__(self, view: View, reel: Reel, truth: Truth) -> None:
+    def __init__(self, view: View, source: FrameSource, truth: Truth) -> None:
         self.camera, self.edge_m, self.truth = view.camera, view.die.solid.edge_m, truth
-        self.row = np.searchsorted(truth.frame, reel.first_frame + np.arange(len(reel)))
+        self.row = np.searchsorted(truth.frame, source.first_frame + np.arange(len(source)))
         self.turns = rotations_onto(truth.vertices_m, view.die.solid.vertices)
 
     def frames(self, count: int) -> list[int]:

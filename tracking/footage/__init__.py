@@ -8,10 +8,11 @@ from .clip import clip_files as clip_files
 from .clip import open_clip as open_clip
 from .decimation import WHOLE as WHOLE
 from .decimation import Coarseness as Coarseness
+from .frame_blocks import FrameBlock as FrameBlock
 from .frame_blocks import Frames as Frames
-from .frame_blocks import Reel as Reel
+from .frame_blocks import FrameSource as FrameSource
 from .frame_blocks import Rows as Rows
 from .images import read_picture as read_picture
 from .photron import is_photron as is_photron
-from .reader import MOST_PIXELS as MOST_PIXELS
+from .reader import MAX_PIXELS as MAX_PIXELS
 from .reader import Frame as Frame

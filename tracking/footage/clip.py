@@ -55,7 +55,7 @@ class Clip(Protocol):
 
 
 @runtime_checkable
-class Filling(Protocol):
+class FillsFrames(Protocol):
     """A clip that writes frames where they are wanted, and no more of them than is wanted: see `Footage.fill`."""
 
     @property

@@ -1,13 +1,15 @@
-"""The frames of one throw, whatever camera took them: blocks read ahead while others are worked on.
+"""The frames of one throw from all its cameras, read ahead in blocks.
 
-A reel joins the clips of synchronised cameras: its frame k is the stack of every camera's frame k. Reading happens in a
-thread of its own, so that decoding and tracking overlap. Every pass over the clip wants all frames again: those of a short
-clip are decoded once and kept; of a long one never more than a few blocks are in memory.
+`FrameSource` joins the clips of synchronised cameras: its frame k is the stack of every camera's frame k. A thread of its own
+reads, so that decoding and tracking overlap. Every pass over the clip needs all frames again. A short clip is decoded once
+and kept in memory; of a long clip a few blocks are in memory at a time.
+
+The blocks of a long clip lie in buffers that are used again, because new memory costs as much time as the pixels in it. A
+`FrameBlock` owns its buffer until `release`. A block that is never released keeps its buffer for itself.
 """
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
@@ -17,25 +19,76 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip, Filling
+from .clip import Clip, FillsFrames
 
 Frames = NDArray[Any]
 Rows = NDArray[np.int64]
 
 BLOCK_BYTES = 2**24
-"""Size of a block: large enough for threads to share its frames, small enough to keep three in memory."""
-MOST_FRAMES = 64
+"""Size of a block: large enough for threads to share its frames, small enough to keep a few in memory."""
+MAX_BLOCK_FRAMES = 64
+"""Most frames in a block: more of them delay the first result and give the threads no more to share."""
+BLOCKS_AHEAD = 2
+"""Blocks that wait for their reader: one hides an uneven decoder, and more only take memory."""
 RECENT_BYTES = 2**26
-"""Frames that random access keeps."""
+"""Memory for single frames read at random access."""
 KEPT_BYTES = 2**27
-"""Pixels of a clip that is kept whole: 512 frames of 512 × 512 and 8 bit. What takes longest to decode is filmed for seconds,
-not minutes; a clip that is larger comes from a format that costs little to read again."""
+"""Largest clip that is kept whole: 512 frames of 512 × 512 px and 8 bit. The formats that take longest to decode hold seconds,
+not minutes; a larger clip comes in a format that costs little to read again."""
+POLL_S = 0.1
+"""Longest time after which the reading thread notices that nobody waits for its blocks any more."""
 
-_UNHELD = 3
-"""References to a block in a list that is gone through: the list's, the loop's, and that of the call which counts them."""
+
+class FrameBlock:
+    """Some frames of every camera. `with block:` releases its memory at the end."""
+
+    def __init__(
+        self, rows: Rows, frames: Frames, pool: _BufferPool | None = None, buffer: Frames | None = None
+    ) -> None:
+        self.rows = rows
+        """(n,) rows of the frames in the clip, ascending."""
+        self.frames = frames
+        """(n, cameras, height, width)."""
+        self._pool, self._buffer = pool, buffer
+
+    @property
+    def first(self) -> int:
+        """Row of the first frame."""
+        return int(self.rows[0])
+
+    def release(self) -> None:
+        """Hand the memory back: neither `frames` nor a view of them may be read from now on."""
+        if self._pool is not None and self._buffer is not None:
+            self._pool.put_back(self._buffer)
+            self._buffer = None
+
+    def __enter__(self) -> FrameBlock:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
 
 
-class Reel:
+class _BufferPool:
+    """Buffers of one shape, zero where they are new. One that is not put back belongs to whoever took it."""
+
+    def __init__(self, shape: tuple[int, ...], dtype: type) -> None:
+        self._shape, self._dtype = shape, dtype
+        self._free: list[Frames] = []
+
+    def take(self) -> Frames:
+        """A free buffer, which holds older frames, or a new one."""
+        try:
+            return self._free.pop()  # atomic, as is append: the reading thread and its user share the list
+        except IndexError:
+            return np.zeros(self._shape, self._dtype)
+
+    def put_back(self, buffer: Frames) -> None:
+        """Offer a buffer that nobody reads any more."""
+        self._free.append(buffer)
+
+
+class FrameSource:
     """Synchronised clips as one."""
 
     def __init__(self, clips: Sequence[Clip]) -> None:
@@ -44,8 +97,8 @@ class Reel:
         counts = {len(clip) for clip in clips}
         if len(counts) > 1:
             raise ValueError(
-                f"the cameras have {', '.join(str(len(clip)) for clip in clips)} frames: synchronised clips have as many "
-                "frames as each other; give clip.frames = [first, stop] that all of them cover"
+                f"the cameras have {', '.join(str(len(clip)) for clip in clips)} frames; wanted as many of each, since the "
+                "clips are synchronised; give clip.frames = [first, stop] that all of them cover"
             )
         self.times_s = np.asarray(clips[0].times_s, float)
         self.first_frame = clips[0].first_frame
@@ -54,89 +107,51 @@ class Reel:
         self._dtype = np.uint8 if all(c.bit_depth <= 8 for c in clips) else np.uint16
         self._recent: OrderedDict[int, Frames] = OrderedDict()
         frame_bytes = int(np.prod(self._shape)) * np.dtype(self._dtype).itemsize
-        self.block = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MOST_FRAMES))
-        """Frames that are worked on at once."""
-        self._keep = max(4, RECENT_BYTES // frame_bytes)
-        self._rooms: list[Frames] = []
-        self._taking = threading.Lock()
-        self._whole: Frames | None = None
+        self.block_frames = int(np.clip(BLOCK_BYTES // frame_bytes, 1, MAX_BLOCK_FRAMES))
+        """Frames in a block."""
+        self._max_recent = max(4, RECENT_BYTES // frame_bytes)
+        self._pool = _BufferPool((self.block_frames, *self._shape), self._dtype)
+        self._kept: Frames | None = None
         if len(self) * frame_bytes <= KEPT_BYTES:
-            self._whole, self._there = np.empty((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
+            self._kept, self._is_kept = np.zeros((len(self), *self._shape), self._dtype), np.zeros(len(self), bool)
 
     def __len__(self) -> int:
         return len(self.times_s)
 
-    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[tuple[int, Frames]]:
-        """Index of the first frame and frames (n, cameras, height, width), in order, read ahead in a thread."""
-        stop = len(self) if stop is None else stop
-        for rows, frames in self._ahead(np.arange(start, stop), None):
-            yield int(rows[0]), frames
+    def blocks(self, start: int = 0, stop: int | None = None) -> Iterator[FrameBlock]:
+        """The frames from `start` to `stop` in order, read ahead in a thread."""
+        return self._read_ahead(np.arange(start, len(self) if stop is None else stop), None)
 
-    def looked_at(self, boxes: NDArray[np.int64]) -> Iterator[tuple[Rows, Frames]]:
-        """Rows (n,) and frames (n, cameras, height, width), in order, of at least those frames of the clip whose `boxes`
-        (frames of the clip, cameras, 4), pixels x0, y0, x1, y1 (end exclusive), hold any. Whoever asks looks at no other pixels:
-        they may be those of other frames."""
+    def blocks_within(self, boxes: NDArray[np.int64]) -> Iterator[FrameBlock]:
+        """At least the frames whose `boxes` hold a pixel, in order; outside its boxes a frame may show other frames' pixels.
+
+        `boxes` (frames of the clip, cameras, 4) are pixels x0, y0, x1, y1 (end exclusive).
+        """
         rows = np.arange(len(self))
-        if self._whole is None and all(isinstance(clip, Filling) and clip.in_any_order for clip in self.clips):
-            holds = np.asarray((boxes[:, :, 2:] > boxes[:, :, :2]).all(axis=2))
-            rows = np.flatnonzero(holds.any(axis=1))
-        return self._ahead(rows, boxes)
+        if self._kept is None and all(isinstance(clip, FillsFrames) and clip.in_any_order for clip in self.clips):
+            nonempty = np.asarray((boxes[:, :, 2:] > boxes[:, :, :2]).all(axis=2))
+            rows = np.flatnonzero(nonempty.any(axis=1))
+        return self._read_ahead(rows, boxes)
 
-    def _ahead(self, rows: Rows, boxes: NDArray[np.int64] | None) -> Iterator[tuple[Rows, Frames]]:
-        """Some rows in blocks, read ahead in a thread."""
-        pieces = [rows[k : k + self.block] for k in range(0, len(rows), self.block)]
-        if self._whole is not None and self._there[rows].all():
-            for some in pieces:
-                assert some[-1] - some[0] == len(some) - 1, "of a clip that is kept whole rows follow each other"
-                yield some, self._whole[some[0] : some[-1] + 1]
-            return
-        queue: Queue[Any] = Queue(maxsize=2)
-        closed = threading.Event()
-        reader = threading.Thread(target=self._read, args=(pieces, boxes, queue, closed), daemon=True)
-        reader.start()
-        try:
-            while True:
-                item = queue.get()
-                if item is None:
-                    return
-                if isinstance(item, BaseException):
-                    raise item
-                yield item
-        finally:
-            closed.set()
-            while reader.is_alive():
-                try:
-                    queue.get_nowait()
-                except Empty:
-                    reader.join(0.01)
-
-    def blocks_backwards(self, stop: int) -> Iterator[tuple[int, Frames]]:
-        """The frames before `stop` in blocks, the last block first; frames within a block in their own order."""
+    def blocks_backwards(self, stop: int) -> Iterator[FrameBlock]:
+        """The frames before `stop`, the last block first; frames within a block in their own order."""
         while stop > 0:
-            start = max(0, stop - self.block)
-            yield start, np.concatenate([frames for _, frames in self.blocks(start, stop)])
+            start = max(0, stop - self.block_frames)
+            yield from self.blocks(start, stop)
             stop = start
 
     def frame(self, k: int) -> Frames:
-        """One frame (cameras, height, width), cheap where it is asked for again soon."""
-        if self._whole is not None and self._there[k]:
-            return np.asarray(self._whole[k])
-        if k in self._recent:
-            return self._recent[k]
-        self._remember(k, self._stack([clip.frame(k) for clip in self.clips]))
+        """One frame (cameras, height, width), fast where it was read a short while ago."""
+        if self._kept is not None and self._is_kept[k]:
+            return np.asarray(self._kept[k])
+        if k not in self._recent:
+            frames = self._stack([clip.frame(k) for clip in self.clips])
+            self._recent[k] = frames
+            if self._kept is not None:
+                self._kept[k], self._is_kept[k] = frames, True
+            if len(self._recent) > self._max_recent:
+                self._recent.popitem(last=False)
         return self._recent[k]
-
-    def _remember(self, k: int, stack: Frames) -> None:
-        self._recent[k] = stack
-        self._keep_whole(k, stack[None])
-        while len(self._recent) > self._keep:
-            self._recent.popitem(last=False)
-
-    def _keep_whole(self, first: int, block: Frames) -> None:
-        """Keep frames of a clip that is kept whole; the same ones again do no harm."""
-        if self._whole is not None:
-            self._whole[first : first + len(block)] = block
-            self._there[first : first + len(block)] = True
 
     def _stack(self, frames: Sequence[Frames]) -> Frames:
         if len(frames) == 1:
@@ -146,48 +161,77 @@ class Reel:
             out[c, : frame.shape[0], : frame.shape[1]] = frame
         return out
 
-    def _room(self) -> Frames:
-        """A block to write frames to: one that nobody holds any more, no view of it either, or a new one. New memory costs as
-        much as the pixels in it. A block that is used again holds older frames where nothing is written."""
-        with self._taking:
-            for room in self._rooms:
-                if sys.getrefcount(room) == _UNHELD:
-                    return room
-            room = np.zeros((self.block, *self._shape), self._dtype)
-            self._rooms.append(room)
-            return room
+    def _read_ahead(self, rows: Rows, boxes: NDArray[np.int64] | None) -> Iterator[FrameBlock]:
+        """Blocks of some rows, from the frames that are kept or read ahead in a thread."""
+        pieces = [rows[k : k + self.block_frames] for k in range(0, len(rows), self.block_frames)]
+        if self._kept is not None and self._is_kept[rows].all():
+            yield from (FrameBlock(piece, self._kept[piece[0] : piece[-1] + 1]) for piece in pieces)
+            return
+        queue: Queue[FrameBlock | BaseException | None] = Queue(maxsize=BLOCKS_AHEAD)
+        closed = threading.Event()
+        reader = threading.Thread(target=self._read, args=(pieces, boxes, queue, closed), daemon=True)
+        reader.start()
+        try:
+            while (item := queue.get()) is not None:
+                if isinstance(item, BaseException):
+                    raise item
+                yield item
+        finally:
+            closed.set()
+            while reader.is_alive() or not queue.empty():
+                try:
+                    item = queue.get_nowait()
+                except Empty:
+                    reader.join(0.1 * POLL_S)
+                else:
+                    if isinstance(item, FrameBlock):
+                        item.release()
 
     def _read(
-        self, pieces: list[Rows], boxes: NDArray[np.int64] | None, queue: Queue[Any], closed: threading.Event
+        self,
+        pieces: list[Rows],
+        boxes: NDArray[np.int64] | None,
+        queue: Queue[FrameBlock | BaseException | None],
+        closed: threading.Event,
     ) -> None:
-        """Fill the queue; what goes wrong is handed on to whoever waits."""
-        last: Any = None
+        """Fill the queue with blocks, then None; an error goes into the queue and is raised by the thread that waits."""
+        end: BaseException | None = None
         try:
-            runs = [_Run(clip, pieces) for clip in self.clips]
-            boxes = None if self._whole is not None else boxes  # what is kept is kept whole
+            readers = [_ClipReader(clip, pieces) for clip in self.clips]
             for rows in pieces:
-                block = self._room()[: len(rows)]
-                for c, run in enumerate(runs):
-                    if not run.put(rows, block[:, c], None if boxes is None else boxes[rows, c], closed):
+                block = self._empty_block(rows)
+                # A frame that is kept is read whole, whatever part of it is asked for now.
+                parts = None if boxes is None or self._kept is not None else boxes[rows]
+                for c, reader in enumerate(readers):
+                    if not reader.read(rows, block.frames[:, c], None if parts is None else parts[:, c], closed):
+                        block.release()
                         return
-                self._keep_whole(int(rows[0]), block)
-                _put(queue, (rows, block), closed)
-        except BaseException as error:  # raised again by the thread that reads the blocks
-            last = error
-        _put(queue, last, closed)
+                if self._kept is not None:
+                    self._is_kept[rows] = True
+                _put(queue, block, closed)
+        except BaseException as error:
+            end = error
+        _put(queue, end, closed)
+
+    def _empty_block(self, rows: Rows) -> FrameBlock:
+        """A block to write the frames `rows` to: of a clip that is kept, the place where they are kept."""
+        if self._kept is not None:
+            return FrameBlock(rows, self._kept[rows[0] : rows[-1] + 1])
+        buffer = self._pool.take()
+        return FrameBlock(rows, buffer[: len(rows)], self._pool, buffer)
 
 
-class _Run:
-    """Frames of one clip in order, as quickly as it hands them out: any, or all of a range where it knows no other way."""
+class _ClipReader:
+    """Frames of one clip, in order: any of them where the clip fills frames, else all of a range."""
 
     def __init__(self, clip: Clip, pieces: list[Rows]) -> None:
         self._size = clip.height_px, clip.width_px
-        self._filling = clip if isinstance(clip, Filling) else None
-        whole = pieces and not self._filling
-        self._frames = clip.frames(int(pieces[0][0]), int(pieces[-1][-1]) + 1) if whole else iter(())
+        self._filling = clip if isinstance(clip, FillsFrames) else None
+        in_order = pieces and not self._filling
+        self._frames = clip.frames(int(pieces[0][0]), int(pieces[-1][-1]) + 1) if in_order else iter(())
 
-    def put(self, rows: Rows, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
-        """Write some frames into `out` (n, height, width); whether they were all written before it was closed."""
+    def read(self, rows: Rows, out: Frames, boxes: NDArray[np.int64] | None, closed: threading.Event) -> bool:
+        """Write the frames `rows` (n,) into `out` (n, height, width); False where `closed` was set before the last."""
         out = out[:, : self._size[0], : self._size[1]]
         for k, row in enumerate(rows.tolist()):
             if closed.is_set():
@@ -202,7 +246,7 @@ class _Run:
 def _put(queue: Queue[Any], item: Any, closed: threading.Event) -> None:
     while not closed.is_set():
         try:
-            queue.put(item, timeout=0.1)
+            queue.put(item, timeout=POLL_S)
             return
         except Full:
             continue

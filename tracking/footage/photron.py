@@ -133,7 +133,7 @@ class PhotronClip(Footage):
         levels = raw.view("<u2").astype(np.uint16).reshape(shape)
         return levels >> np.uint16(16 - header.bit_depth) if header.high_side else levels
 
-    def _put(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
+    def _read_into(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
         """No more than the lines of the box are read, and of packed ones no more than the box is unpacked."""
         header, (x0, y0, x1, y1) = self.header, box
         line_bits = header.width_px * header.stored_bits

@@ -1,7 +1,7 @@
-"""What every reader of footage shares: the range that is read, the times, and an eye on repeated frames.
+"""What the readers of all formats share: the range of frames, their times, random access, and the check for repeated frames.
 
-A reader is a `Footage` that knows how to read one frame of its file (`_read`). Range, random access, iteration and notices
-are the same for all, so that every law that holds for one format holds for the others.
+A reader is a `Footage` that reads one frame of its file (`_read`). Everything else is here, so that a property that holds
+for one format holds for all.
 """
 
 from __future__ import annotations
@@ -16,46 +16,52 @@ from numpy.typing import NDArray
 
 Frame = NDArray[np.uint8] | NDArray[np.uint16]
 
-NOISE_SHARE = 0.05
+MIN_NOISY_SHARE = 0.05
 """Share of pixels that must change from frame to frame before an unchanged frame is suspicious.
 
-Sensor noise changes most pixels; a compressed or rendered still scene changes almost none, and repeats itself honestly.
+Sensor noise changes most pixels. A compressed or rendered still scene changes almost none, so its exact copies are genuine.
 """
-SEEN_LINES = 8
-"""Every so manieth line of a frame is compared with the one before; all of them where those are alike."""
-MOST_PIXELS = 2**26
-"""Largest frame that is believed [px], several times that of any high-speed camera; a header that says more is broken."""
-MOST_FRAMES = 2**24
-"""Most frames that are believed: beyond them the times alone fill the memory."""
+COMPARED_LINES = 8
+"""One line in so many is compared with the frame before; all lines where these are equal."""
+MAX_PIXELS = 2**26
+"""Largest frame accepted [px], several times that of any high-speed camera; a header that declares more is broken."""
+MAX_FRAMES = 2**24
+"""Most frames accepted: with more of them the times alone fill the memory."""
+MAX_LISTED = 8
+"""Most frame numbers that a notice lists."""
 
 
-class DuplicateWatch:
-    """Sees frames go by and remembers which were exactly like the one before.
+class DuplicateDetector:
+    """Finds frames that equal the frame before.
 
-    A camera repeats no noise, so an exact copy among noisy frames is a frame that was dropped and filled in.
+    A camera repeats no noise, so an exact copy among noisy frames was a dropped frame that the software filled in.
     """
 
     def __init__(self, count: int) -> None:
         self._changed_share = np.full(count, np.nan, np.float32)
-        self._last: tuple[int, Frame] | None = None
+        self._last: Frame = np.empty(0, np.uint8)
+        self._last_index = -2  # no frame follows it
 
-    def see(self, index: int, frame: Frame) -> None:
-        """Compare a frame, which nobody may write to from now on, with the one before it, where that was seen last."""
-        if self._last is not None and self._last[0] == index - 1:
-            some = slice(None, None, SEEN_LINES)
-            share = _share_changed(self._last[1][some], frame[some])
-            self._changed_share[index] = share or _share_changed(self._last[1], frame)
-        self._last = (index, frame)
+    def add(self, index: int, frame: Frame) -> None:
+        """Compare a frame with the one before it, if that was the last one added. The detector keeps a copy of its own."""
+        if self._last_index == index - 1:
+            lines = slice(None, None, COMPARED_LINES)
+            share = _share_changed(self._last[lines], frame[lines])
+            self._changed_share[index] = share or _share_changed(self._last, frame)
+        if (self._last.shape, self._last.dtype) != (frame.shape, frame.dtype):
+            self._last = np.empty_like(frame)
+        np.copyto(self._last, frame)
+        self._last_index = index
 
     def repeated(self) -> list[int]:
-        """Indices of the frames that repeat the one before, so far; empty where the film has no noise to tell by."""
+        """Indices of the frames so far that equal the one before; empty where the film has no noise to decide by."""
         changed = self._changed_share[self._changed_share > 0]
-        if not len(changed) or np.median(changed) < NOISE_SHARE:
+        if not len(changed) or np.median(changed) < MIN_NOISY_SHARE:
             return []
         return [int(i) for i in np.flatnonzero(self._changed_share == 0)]
 
-    def stood_still(self) -> bool:
-        """Whether every frame was seen and is the same picture as the first."""
+    def all_equal(self) -> bool:
+        """Whether every frame was added and equals the first."""
         return len(self._changed_share) > 1 and not self._changed_share[1:].any()
 
 
@@ -67,7 +73,7 @@ class Footage(ABC):
     """A film in a file, or a range of its frames, each (height, width) uint8 or uint16 at native depth."""
 
     in_any_order = True
-    """Whether a frame takes as long wherever the one before was."""
+    """Whether reading a frame takes the same time whichever frame was read before."""
 
     def __init__(
         self,
@@ -81,7 +87,7 @@ class Footage(ABC):
         notices: tuple[str, ...] = (),
         facts: dict[str, Any] | None = None,
     ) -> None:
-        """Keep what the reader found; `file_times_s` (n,) are those of every frame of the file."""
+        """Keep what the reader found. `file_times_s` (n,) has the time of every frame of the file; `facts` go to `metadata`."""
         first, stop = _checked_range(path, frame_range, len(file_times_s))
         self.path = path
         self.width_px, self.height_px, self.bit_depth = width_px, height_px, bit_depth
@@ -89,7 +95,7 @@ class Footage(ABC):
         self.times_s = file_times_s[first:stop]
         self._static_notices = notices
         self._facts = facts or {}
-        self._watch = DuplicateWatch(stop - first)
+        self._duplicates = DuplicateDetector(stop - first)
         self._last: tuple[int, Frame] | None = None
 
     def __len__(self) -> int:
@@ -97,14 +103,16 @@ class Footage(ABC):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a careful user should know, one sentence each; repeated frames once they have been read."""
-        if self._watch.stood_still():
-            still = f"{self.path.name}: all {len(self)} frames are one and the same picture, so nothing moves in them."
+        """Problems of the file, one sentence each; repeated frames are among them once they have been read."""
+        if self._duplicates.all_equal():
+            still = (
+                f"{self.path.name}: all {len(self)} frames are the same picture, so nothing moves; give another clip."
+            )
             return (*self._static_notices, still)
-        repeated = [i + self.first_frame for i in self._watch.repeated()]
+        repeated = [i + self.first_frame for i in self._duplicates.repeated()]
         if not repeated:
             return self._static_notices
-        names = ", ".join(map(str, repeated[:8])) + (", ..." if len(repeated) > 8 else "")
+        names = ", ".join(map(str, repeated[:MAX_LISTED])) + (", ..." if len(repeated) > MAX_LISTED else "")
         return (
             *self._static_notices,
             f"{self.path.name}: {len(repeated)} of {len(self)} frames are exact copies of the one before ({names}): "
@@ -112,7 +120,7 @@ class Footage(ABC):
         )
 
     def metadata(self) -> dict[str, Any]:
-        """What the file says of itself; `record_rate_hz` and `exposure_s` are None where it does not say."""
+        """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them."""
         return {"record_rate_hz": None, "exposure_s": None, **self._facts}
 
     def frame(self, index: int) -> Frame:
@@ -121,11 +129,11 @@ class Footage(ABC):
         Raises IndexError outside 0 ... len - 1, ValueError where the file cannot be decoded there.
         """
         if not 0 <= index < len(self):
-            raise IndexError(f"{self.path.name}: frame {index} was asked for, and there are 0 to {len(self) - 1}")
+            raise IndexError(f"{self.path.name}: frame {index} was asked for; the clip has 0 to {len(self) - 1}")
         if self._last is not None and self._last[0] == index:
             return self._last[1].copy()
         frame = self._read(self.first_frame + index)
-        self._watch.see(index, frame)
+        self._duplicates.add(index, frame)
         self._last = (index, frame)
         return frame.copy()
 
@@ -135,70 +143,76 @@ class Footage(ABC):
             yield self.frame(index)
 
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
-        """Put the frames from `start` on into `out` (n, height, width), which nobody may write to from then on.
+        """Write the frames from `start` on into `out` (n, height, width).
 
-        With `boxes` (n, 4), pixels x0, y0, x1, y1 (end exclusive), no more than that part of a frame needs to be there: of a raw
-        format the rest is not unpacked, and is left as it was. Raises as `frame` does.
+        With `boxes` (n, 4), pixels x0, y0, x1, y1 (end exclusive), at least these pixels of each frame are written. A raw
+        format is unpacked no further, and `out` keeps what it held elsewhere. Raises as `frame` does.
         """
         for index, picture in enumerate(out, start):
             if boxes is not None:
                 x0, y0, x1, y1 = (int(edge) for edge in boxes[index - start])
                 if x1 > x0 and y1 > y0:
-                    self._put(self.first_frame + index, picture, (x0, y0, x1, y1))
+                    self._read_into(self.first_frame + index, picture, (x0, y0, x1, y1))
                 continue
-            self._put(self.first_frame + index, picture, (0, 0, self.width_px, self.height_px))
-            self._watch.see(index, picture)
+            self._read_into(self.first_frame + index, picture, (0, 0, self.width_px, self.height_px))
+            self._duplicates.add(index, picture)
 
     @abstractmethod
     def _read(self, number: int) -> Frame:
         """Frame `number` of the file, as a new array."""
 
-    def _put(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
-        """At least a box of frame `number` into `out` (height, width); a reader that can leave other pixels out does."""
+    def _read_into(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
+        """Write at least a box of frame `number` into `out` (height, width); a raw format need not unpack the rest."""
         out[:] = self._read(number)
 
 
 def times_from_rate(
     path: Path, fps: float | None, count: int, playback: str = "no recording rate"
 ) -> NDArray[np.float64]:
-    """(count,) [s], t = k / fps; raises ValueError where fps is missing or impossible."""
+    """(count,) [s], t = k / fps; raises ValueError if fps is missing or not above 0. `playback` says which rate the file has."""
     if fps is None:
         raise ValueError(
             f"{path.name}: the file carries {playback}; give the recording rate as fps, in frames per second"
         )
     if not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"{path.name}: fps = {fps}; the recording rate must be above 0 frames per second")
+        raise ValueError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
     check_count(path, count)
     return np.arange(count) / fps
 
 
 def check_size(path: Path, width_px: int, height_px: int) -> None:
     """Raise ValueError for a frame size that no camera has, before memory is taken for it."""
-    if width_px < 1 or height_px < 1 or width_px * height_px > MOST_PIXELS:
+    if width_px < 1 or height_px < 1 or width_px * height_px > MAX_PIXELS:
         raise ValueError(
-            f"{path.name}: frames of {width_px} × {height_px} px; the header is broken, or this is not a film"
+            f"{path.name}: the header declares frames of {width_px} × {height_px} px; wanted 1 to {MAX_PIXELS} px in all; "
+            "the header is broken, or this is not a film"
         )
 
 
 def check_count(path: Path, count: int) -> None:
     """Raise ValueError for more frames than any camera holds, before memory is taken for their times."""
-    if count > MOST_FRAMES:
-        raise ValueError(f"{path.name}: the header declares {count} frames; it is broken, or this is not a film")
+    if count > MAX_FRAMES:
+        raise ValueError(
+            f"{path.name}: the header declares {count} frames; wanted {MAX_FRAMES} at most; the header is broken, or this is "
+            "not a film"
+        )
 
 
 def cut_off(path: Path, number: int) -> ValueError:
-    """The error for a frame whose bytes were there when the film was opened, and are there no longer."""
+    """The error for a frame that has been cut off since the film was opened."""
     return ValueError(
-        f"{path.name}: the file ends before frame {number}; it was cut off while it was read, copy it again"
+        f"{path.name}: the file ends before frame {number}; it was cut off while it was read; copy it again"
     )
 
 
 def _checked_range(path: Path, frame_range: tuple[int, int] | None, count: int) -> tuple[int, int]:
     if count == 0:
-        raise ValueError(f"{path.name}: no frame can be read; the file is empty or cut off before the first one")
+        raise ValueError(
+            f"{path.name}: no frame can be read; the file is empty or cut off before the first frame; copy it again"
+        )
     first, stop = frame_range or (0, count)
     if not 0 <= first < stop <= count:
         raise ValueError(
-            f"{path.name}: frames = [{first}, {stop}]; the file has {count}, so give 0 <= first < stop <= {count}"
+            f"{path.name}: frames = [{first}, {stop}]; the file has {count} frames; wanted 0 <= first < stop <= {count}"
         )
     return first, stop

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
-from ..footage import Reel
+from ..footage import FrameSource
 from ..picture import View, shares_in_view
 from ..throw import PLENTY
 from ..track import LOST, TRACKED, Track
@@ -160,9 +160,9 @@ def power_of_two(most: float) -> int:
     return 1 << max(int(most).bit_length() - 1, 0)
 
 
-def as_track(view: View, reel: Reel, seen: ClipPoses, use: Mask | None = None) -> Track:
+def as_track(view: View, source: FrameSource, seen: ClipPoses, use: Mask | None = None) -> Track:
     """A track of the frames that have a pose, of those in `use` alone where that is given; the others are lost."""
-    n = len(reel)
+    n = len(source)
     known = seen.known if use is None else seen.known & use
     covariance = np.full((n, 6, 6), np.nan)
     covariance[known] = covariances(seen.H[known][:, :6, :6])
@@ -171,11 +171,11 @@ def as_track(view: View, reel: Reel, seen: ClipPoses, use: Mask | None = None) -
     quaternion = np.full((n, 4), np.nan)
     quaternion[known] = quat_from_matrix(seen.rotation[known])
     status = np.where(known, TRACKED, LOST).astype("<U7")
-    frames = reel.first_frame + np.arange(n)
+    frames = source.first_frame + np.arange(n)
     lean = np.full((n, 6), np.nan)
     lean[known] = contour_bias_jacobians(seen.H[known], view.settings)
     lean = np.where(np.isfinite(seen.lean), seen.lean, lean)
-    return Track(frames, reel.times_s, position, continuous_sign(quaternion), covariance, status, lean)
+    return Track(frames, source.times_s, position, continuous_sign(quaternion), covariance, status, lean)
 
 
 def shown_whole(view: View, seen: ClipPoses) -> Mask:

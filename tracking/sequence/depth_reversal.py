@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import inversion_rotation, nearest_equivalent_rotation
-from ..footage import Reel
+from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, refine_pose, same_picture
 from ..throw import LITTLE_SLACK, fit_flights, sightings
@@ -62,41 +62,41 @@ def _half_turn(view: View, position_m: Array) -> Array:
     return np.asarray(2.0 * np.outer(along, along) - np.eye(3))
 
 
-def put_right(view: View, reel: Reel, seen: ClipPoses, unused: Mask) -> ClipPoses:
+def put_right(view: View, source: FrameSource, seen: ClipPoses, unused: Mask) -> ClipPoses:
     """The sightings with runs of frames followed anew from their reversal, where they lie on no motion of a die in flight and
     those of the reversal do so better.
 
     Nothing is asked of films so fast that frames were left out, nor of several cameras: what is reversed for one is none for
     the others.
     """
-    if seen.every > 1 or len(reel.clips) > 1:
+    if seen.every > 1 or len(source.clips) > 1:
         return seen
     for _ in range(ROUNDS):
-        before, seen = seen, _once(view, reel, seen, unused)
+        before, seen = seen, _once(view, source, seen, unused)
         if seen is before:
             break
     return seen
 
 
-def _once(view: View, reel: Reel, seen: ClipPoses, unused: Mask) -> ClipPoses:
+def _once(view: View, source: FrameSource, seen: ClipPoses, unused: Mask) -> ClipPoses:
     """The same sightings where no run was put right."""
     known = np.flatnonzero(seen.known)
     rows = known[np.unique(np.linspace(0, len(known) - 1, min(LOOKED_AT, len(known))).astype(int))]
-    asked = _strains(as_track(view, reel, seen), rows) > STRAINED
+    asked = _strains(as_track(view, source, seen), rows) > STRAINED
     reversals = [
-        _reversal(view, reel, seen, int(k)) if is_asked else None for k, is_asked in zip(rows, asked, strict=True)
+        _reversal(view, source, seen, int(k)) if is_asked else None for k, is_asked in zip(rows, asked, strict=True)
     ]
     for begin, end in _runs(np.array([pose is not None for pose in reversals])):
         # The die is itself again somewhere before the next frame that was asked.
         first = int(rows[begin - 1]) + 1 if begin > 0 else 0
-        stop = int(rows[end]) if end < len(rows) else len(reel)
+        stop = int(rows[end]) if end < len(rows) else len(source)
         run, left, best = slice(int(rows[begin]), int(rows[end - 1]) + 1), RELIEVED, seen
         shown = [i for i in range(begin, end) if reversals[i] is not None]
         for i in (shown[j] for j in np.unique(np.linspace(0, len(shown) - 1, min(TRIED, len(shown))).astype(int))):
             pose, k = reversals[i], int(rows[i])
             assert pose is not None
-            other = _followed(view, reel, pose, _reversed_motion(view, seen, k), k, (first, stop), unused)
-            share = _left(view, reel, seen, other, run)
+            other = _followed(view, source, pose, _reversed_motion(view, seen, k), k, (first, stop), unused)
+            share = _left(view, source, seen, other, run)
             if share < left:
                 left, best = share, other
         if best is not seen:
@@ -119,7 +119,7 @@ def _runs(shown: Mask) -> list[tuple[int, int]]:
     return [run for run, frames in zip(runs, longest, strict=True) if frames >= FEWEST]
 
 
-def _left(view: View, reel: Reel, seen: ClipPoses, other: ClipPoses, run: slice) -> float:
+def _left(view: View, source: FrameSource, seen: ClipPoses, other: ClipPoses, run: slice) -> float:
     """The share of the strain that another leaves on the frames that both saw; infinite where it is not that of a die in flight
     either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
     both = seen.known & other.known
@@ -127,7 +127,7 @@ def _left(view: View, reel: Reel, seen: ClipPoses, other: ClipPoses, run: slice)
     if not covered or both.sum() < SETTLE or other.misfit[both].mean() > seen.misfit[both].mean() + NEARLY:
         return np.inf
     rows = np.flatnonzero(both)[:: WINDOW // 2]
-    ours, theirs = (float(np.median(_strains(as_track(view, reel, one, both), rows))) for one in (seen, other))
+    ours, theirs = (float(np.median(_strains(as_track(view, source, one, both), rows))) for one in (seen, other))
     return theirs / ours if 0.0 < theirs < FLYING and ours > 0.0 else np.inf
 
 
@@ -136,12 +136,12 @@ def _reversed_motion(view: View, seen: ClipPoses, k: int) -> Array:
     return np.concatenate([seen.motion[k, :3], _half_turn(view, seen.position_m[k]) @ seen.motion[k, 3:]])
 
 
-def _reversal(view: View, reel: Reel, seen: ClipPoses, k: int) -> Pose | None:
+def _reversal(view: View, source: FrameSource, seen: ClipPoses, k: int) -> Pose | None:
     """The reversal of the pose on one frame, where it is another one and explains the picture nearly as well."""
     rotation = reversed_in_depth(view, seen.position_m[k], seen.rotation[k])
     if rotation is None:
         return None
-    picture, here = np.asarray(reel.frame(k), np.float32), (seen.position_m[k], seen.rotation[k])
+    picture, here = np.asarray(source.frame(k), np.float32), (seen.position_m[k], seen.rotation[k])
     pose = refine_pose(view, picture, here[0], rotation, coarse=2, roughly=True)
     if pose.covariance is None or pose.misfit > seen.misfit[k] + NEARLY:
         return None
@@ -149,29 +149,31 @@ def _reversal(view: View, reel: Reel, seen: ClipPoses, k: int) -> Pose | None:
 
 
 def _followed(
-    view: View, reel: Reel, pose: Pose, moving: Array, k: int, within: tuple[int, int], unused: Mask
+    view: View, source: FrameSource, pose: Pose, moving: Array, k: int, within: tuple[int, int], unused: Mask
 ) -> ClipPoses:
     """What is seen of the die followed from a pose on frame k, `moving` (6,) with about this velocity [m/s] and spin [rad/s],
     to both ends of a range of frames, as far as it goes."""
     first, stop = within
-    seen = ClipPoses.empty(len(reel))
+    seen = ClipPoses.empty(len(source))
     seen.put(k, pose, moving)
-    onward = Chase.from_start(view, pose, reel.times_s, k, unused, moving)
+    onward = Chase.from_start(view, pose, source.times_s, k, unused, moving)
     settled = min(k + 1 + SETTLE, stop)
     for row in range(k + 1, settled):
-        onward.over(reel.frame(row)[None], reel.times_s, row, seen)
+        onward.over(source.frame(row)[None], source.times_s, row, seen)
         if onward.misses > 0:
             return seen
     last = int(np.flatnonzero(seen.known)[-1])
     back = onward.turned_back()
-    for start, frames in reel.blocks(settled, stop):
-        onward.over(frames, reel.times_s, start, seen)
+    for block in source.blocks(settled, stop):
+        with block:
+            onward.over(block.frames, source.times_s, block.first, seen)
         if onward.misses > 0:
             break
-    for start, frames in reel.blocks_backwards(last):
-        skipped = max(first - start, 0)
-        back.over(frames[skipped:], reel.times_s, start + skipped, seen)
-        if start <= first or back.misses > 0:
+    for block in source.blocks_backwards(last):
+        skipped = max(first - block.first, 0)
+        with block:
+            back.over(block.frames[skipped:], source.times_s, block.first + skipped, seen)
+        if block.first <= first or back.misses > 0:
             break
     return seen
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...model.die import Die, nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
-from ..footage import Reel
+from ..footage import FrameSource
 from ..picture import ACCEPTED_EXCESS_COST, View, Workspace, new_workspace, share_in_view, with_occluder_mask
 from ..pose import ClipPoses, Pose, initial_poses, longest_leap, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
@@ -87,18 +87,21 @@ class Chase:
         back.backwards = True
         return back
 
-    def to_the_end(self, reel: Reel, seen: ClipPoses, reached: Callable[[int], None], *, all_frames: bool) -> None:
+    def to_the_end(
+        self, source: FrameSource, seen: ClipPoses, reached: Callable[[int], None], *, all_frames: bool
+    ) -> None:
         """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
         and the motion is sure: of a film far faster than the die is. After a surprise, as a bounce is one, all are looked at."""
-        self._longest = 1 if all_frames else longest_leap(len(reel))
-        while self.next_frame < len(reel):
-            for first, frames in reel.blocks(self.next_frame):
-                self.over(frames, reel.times_s, first, seen)
+        self._longest = 1 if all_frames else longest_leap(len(source))
+        while self.next_frame < len(source):
+            for block in source.blocks(self.next_frame):
+                with block:
+                    self.over(block.frames, source.times_s, block.first, seen)
                 reached(self.next_frame)
-                if self._leap(reel.times_s) > 1:
+                if self._leap(source.times_s) > 1:
                     break
-            while (leap := self._leap(reel.times_s)) > 1:
-                self._leap_over(reel, seen, leap)
+            while (leap := self._leap(source.times_s)) > 1:
+                self._leap_over(source, seen, leap)
                 seen.every = self._longest
                 reached(self.next_frame)
         seen.every = min(seen.every, self._longest)
@@ -118,14 +121,14 @@ class Chase:
         unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
         return power_of_two(min(self._longest, SURE_PX / unsure_px))
 
-    def _leap_over(self, reel: Reel, seen: ClipPoses, leap: int) -> None:
+    def _leap_over(self, source: FrameSource, seen: ClipPoses, leap: int) -> None:
         """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
-        rows = np.arange(-(-self.next_frame // leap) * leap, len(reel), leap)[: reel.block]
+        rows = np.arange(-(-self.next_frame // leap) * leap, len(source), leap)[: source.block_frames]
         rows = rows[~self.unused[rows]]
         done = 0
         if len(rows):
-            frames = np.stack([reel.frame(int(k)) for k in rows])
-            done = self._in_flight(frames, rows, reel.times_s, seen, SURPRISING)
+            frames = np.stack([source.frame(int(k)) for k in rows])
+            done = self._in_flight(frames, rows, source.times_s, seen, SURPRISING)
         if done:
             self.next_frame, self._surprises = int(rows[done - 1]) + 1, 0
         if done < len(rows) or not len(rows):

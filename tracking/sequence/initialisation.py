@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.world import GRAVITY_M_S2
-from ..footage import Reel
+from ..footage import FrameSource
 from ..picture import View
 from ..pose import (
     ALIKE,
@@ -115,7 +115,7 @@ class Runner:
 
 
 def find_beginning(
-    view: View, reel: Reel, unused: Mask, reached: Callable[[int], None] = lambda frame: None
+    view: View, source: FrameSource, unused: Mask, reached: Callable[[int], None] = lambda frame: None
 ) -> tuple[Chase, ClipPoses] | None:
     """The chase from the first frame that shows the die whole, and what it has seen so far; None where no die is found.
 
@@ -124,52 +124,52 @@ def find_beginning(
     only because they meet.
     """
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
-    found, unsure = _borne_out(view, reel, unused, reached)
+    found, unsure = _borne_out(view, source, unused, reached)
     if found is not None and not found[1].sure:
-        first = best_start(sharper, reel, unsure[0][0], unused)
+        first = best_start(sharper, source, unsure[0][0], unused)
         found = (unsure[0][0], first) if first is not None and first.sure else found
     if found is None:
-        found, others = _borne_out(sharper, reel, unused, reached)
+        found, others = _borne_out(sharper, source, unused, reached)
         unsure += others
     if found is not None:
-        return _begun(found[1], reel, found[0], unused)
+        return _begun(found[1], source, found[0], unused)
     if not unsure:
         return None
     k, chosen = min(unsure, key=lambda pair: (pair[1].rivals, -pair[1].support))
-    return _begun(chosen, reel, k, unused)
+    return _begun(chosen, source, k, unused)
 
 
 def _borne_out(
-    view: View, reel: Reel, unused: Mask, reached: Callable[[int], None]
+    view: View, source: FrameSource, unused: Mask, reached: Callable[[int], None]
 ) -> tuple[tuple[int, Runner] | None, list[tuple[int, Runner]]]:
     """The first start (row, runner) that is sure, or that others meet; and those that are neither."""
     unsure: list[tuple[int, Runner]] = []
-    for k, _ in islice(_candidates(view, reel, unused, reached), START_FRAMES):
-        best = best_start(view, reel, k, unused)
+    for k, _ in islice(_candidates(view, source, unused, reached), START_FRAMES):
+        best = best_start(view, source, k, unused)
         if best is None or best.support < FAIR_SUPPORT:
             continue
         if best.sure:
             return (k, best), unsure
         unsure.append((k, best))
-        agreed = _most_agreed(view, reel, unsure)
+        agreed = _most_agreed(view, source, unsure)
         if agreed is not None and len(unsure) >= OPINIONS:
             return agreed, unsure
-    return _most_agreed(view, reel, unsure), unsure
+    return _most_agreed(view, source, unsure), unsure
 
 
-def _most_agreed(view: View, reel: Reel, starts: list[tuple[int, Runner]]) -> tuple[int, Runner] | None:
+def _most_agreed(view: View, source: FrameSource, starts: list[tuple[int, Runner]]) -> tuple[int, Runner] | None:
     """Of starts on different frames (row, runner) the one that most others meet when they are followed to one frame; of equals
     the more even one, or the first where impacts leave none even; None where no two meet. Wrong starts go astray each in its
     own way, but for those with rivals: what is open in one picture is so in the next."""
     starts = [(k, runner) for k, runner in starts if runner.rivals == 0]
-    votes = [sum(_meet(view, reel, one, other) for other in starts if other is not one) for one in starts]
+    votes = [sum(_meet(view, source, one, other) for other in starts if other is not one) for one in starts]
     if not any(votes):
         return None
     best = max(range(len(starts)), key=lambda i: (votes[i], -min(starts[i][1].rating.unevenness, 1.0), -starts[i][0]))
     return starts[best]
 
 
-def _meet(view: View, reel: Reel, one: tuple[int, Runner], other: tuple[int, Runner]) -> bool:
+def _meet(view: View, source: FrameSource, one: tuple[int, Runner], other: tuple[int, Runner]) -> bool:
     """Whether two starts draw the same die on the last frame that the later one was followed to."""
     (k, early), (j, late) = sorted((one, other), key=lambda pair: pair[0])
     row = int(np.flatnonzero(late.seen.known)[-1])
@@ -179,12 +179,12 @@ def _meet(view: View, reel: Reel, one: tuple[int, Runner], other: tuple[int, Run
     for i in range(early.chase.next_frame, there + 1):
         if early.chase.misses > 1:
             break
-        early.chase.over(reel.frame(k + i)[None], reel.times_s[k:], i, early.seen)
+        early.chase.over(source.frame(k + i)[None], source.times_s[k:], i, early.seen)
     return bool(early.seen.known[there]) and _same(view, early, there, late, row, MET)
 
 
 def _candidates(
-    view: View, reel: Reel, unused: Mask, reached: Callable[[int], None]
+    view: View, source: FrameSource, unused: Mask, reached: Callable[[int], None]
 ) -> Iterator[tuple[int, NDArray[np.float32]]]:
     """Frames (row, pictures) that may show the die whole, in order and ever wider apart.
 
@@ -193,52 +193,54 @@ def _candidates(
     """
     # Three frames fit wrong starts as well: 200 frames a second of a die that turns ten degrees a frame gave poses 45 degrees
     # off, with sigmas of a tenth of one, on the last three. A clip of fewer frames than are wanted is all there is.
-    last = len(reel) - min(STAGES[1], len(reel))
+    last = len(source) - min(STAGES[1], len(source))
     tried, k, least_px, small = 0, 0, 0.0, []
     while k <= last:
         reached(k)
-        image = np.asarray(reel.frame(k), np.float32)
+        image = np.asarray(source.frame(k), np.float32)
         blobs = [] if unused[k] else die_blobs(view, image[0])
         if blobs and blobs[0].area_px >= least_px:
             tried += 1
             yield k, image
             if tried == 1:
-                least_px = SMALL * _usual_area_px(view, reel)
+                least_px = SMALL * _usual_area_px(view, source)
             k += 4 + tried
         else:
             small += [k] if blobs else []
             k += 1
     for k in small[:: 1 + len(small) // START_FRAMES]:
-        yield k, np.asarray(reel.frame(k), np.float32)
+        yield k, np.asarray(source.frame(k), np.float32)
 
 
-def _usual_area_px(view: View, reel: Reel) -> float:
+def _usual_area_px(view: View, source: FrameSource) -> float:
     """Median size of what differs from the background and is no shadow, over some frames of the clip."""
-    rows = np.unique(np.linspace(0, len(reel) - 1, SAMPLED).astype(int))
+    rows = np.unique(np.linspace(0, len(source) - 1, SAMPLED).astype(int))
     areas = [
-        blobs[0].area_px for k in rows if (blobs := die_blobs(view, np.asarray(reel.frame(int(k))[0], np.float32)))
+        blobs[0].area_px for k in rows if (blobs := die_blobs(view, np.asarray(source.frame(int(k))[0], np.float32)))
     ]
     return float(np.median(areas)) if areas else 0.0
 
 
-def begin_by_hand(view: View, reel: Reel, by_hand: ManualInitialisation, unused: Mask) -> tuple[Chase, ClipPoses]:
+def begin_by_hand(
+    view: View, source: FrameSource, by_hand: ManualInitialisation, unused: Mask
+) -> tuple[Chase, ClipPoses]:
     """The chase from the pose that a person gave. Raises ValueError for a frame that is not there or not used."""
-    k = by_hand.frame - reel.first_frame
-    if not 0 <= k < len(reel) or unused[k]:
-        last = reel.first_frame + len(reel) - 1
+    k = by_hand.frame - source.first_frame
+    if not 0 <= k < len(source) or unused[k]:
+        last = source.first_frame + len(source) - 1
         raise ValueError(
-            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({reel.first_frame} to {last}), none that is "
+            f"start.frame = {by_hand.frame}: wanted a frame of the clip ({source.first_frame} to {last}), none that is "
             "excluded"
         )
-    pose = manual_initial_pose(view, np.asarray(reel.frame(k)[0], np.float32), by_hand)
-    return _begun(_at_the_line(view, reel, k, pose, unused), reel, k, unused)
+    pose = manual_initial_pose(view, np.asarray(source.frame(k)[0], np.float32), by_hand)
+    return _begun(_at_the_line(view, source, k, pose, unused), source, k, unused)
 
 
-def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, ClipPoses]:
+def _begun(runner: Runner, source: FrameSource, k: int, unused: Mask) -> tuple[Chase, ClipPoses]:
     """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
     that is not sure the end is kept, where it met others or the die had shown most of itself, and what came before as far as the
     pictures bear it out as well; the rest is looked at again from there."""
-    seen, chase = ClipPoses.empty(len(reel)), runner.chase
+    seen, chase = ClipPoses.empty(len(source)), runner.chase
     rows = np.flatnonzero(runner.seen.known)
     if not runner.sure:
         cost, end = runner.seen.cost[rows], max(len(rows) - STAGES[1], 0)
@@ -250,19 +252,21 @@ def _begun(runner: Runner, reel: Reel, k: int, unused: Mask) -> tuple[Chase, Cli
     return chase, seen
 
 
-def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
+def best_start(view: View, source: FrameSource, k: int, unused: Mask) -> Runner | None:
     """The start on frame k that the frames after it bear out best; None where they bear out none."""
-    left = min(STAGES[-1], len(reel) - k)
-    starts = initial_poses(view, np.asarray(reel.frame(k), np.float32))
-    runners = [_at_the_line(view, reel, k, pose, unused) for _, pose in starts]
+    left = min(STAGES[-1], len(source) - k)
+    starts = initial_poses(view, np.asarray(source.frame(k), np.float32))
+    runners = [_at_the_line(view, source, k, pose, unused) for _, pose in starts]
     for stage in sorted({min(stage, left) for stage in STAGES}):
-        rated = [(r, rating) for r in runners if (rating := _followed(r, view, reel, k, stage)) is not None]
+        rated = [(r, rating) for r in runners if (rating := _followed(r, view, source, k, stage)) is not None]
         # Past an impact nobody moves evenly any more: of those still on the die, who led before it has won.
         even = [(r, rating) for r, rating in rated if rating.unevenness < 1.0 or stage < min(STAGES[2], left)]
         if not even:
             followed = [r for r, _ in rated]
             return (
-                _winner(view, reel, k, [r for r in runners if r in followed] or runners) if stage > STAGES[1] else None
+                _winner(view, source, k, [r for r in runners if r in followed] or runners)
+                if stage > STAGES[1]
+                else None
             )
         least = min(rating.misfit for _, rating in even)
         for runner, rating in even:
@@ -273,10 +277,10 @@ def best_start(view: View, reel: Reel, k: int, unused: Mask) -> Runner | None:
         cheaper = sum(misfit < runners[0].rating.misfit - CHEAPER for misfit in uneven)
         if len(runners) == 1 and stage >= STAGES[1] and runners[0].rating.unevenness < EVEN:
             break
-    return _winner(view, reel, k, runners, cheaper)
+    return _winner(view, source, k, runners, cheaper)
 
 
-def _winner(view: View, reel: Reel, k: int, runners: list[Runner], cheaper: int = 0) -> Runner | None:
+def _winner(view: View, source: FrameSource, k: int, runners: list[Runner], cheaper: int = 0) -> Runner | None:
     """The first of the runners, with the number of its rivals, of which some are `cheaper` than it and uneven. One that settled
     on the way runs back to the start, which must look as even."""
     if not runners:
@@ -287,24 +291,24 @@ def _winner(view: View, reel: Reel, k: int, runners: list[Runner], cheaper: int 
     if best.rating.since and last < best.rating.until:
         back = best.chase.turned_back()
         best.seen.known[:last] = False
-        back.over(np.stack([reel.frame(k + row) for row in range(last)]), reel.times_s[k:], 0, best.seen)
-        best.rating = _rating(view, best.seen, reel.times_s[k:], 0, last + 1)
+        back.over(np.stack([source.frame(k + row) for row in range(last)]), source.times_s[k:], 0, best.seen)
+        best.rating = _rating(view, best.seen, source.times_s[k:], 0, last + 1)
     return best
 
 
-def _at_the_line(view: View, reel: Reel, k: int, pose: Pose, unused: Mask) -> Runner:
+def _at_the_line(view: View, source: FrameSource, k: int, pose: Pose, unused: Mask) -> Runner:
     """A start that has not been followed yet."""
-    seen = ClipPoses.empty(min(STAGES[-1], len(reel) - k))
+    seen = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     seen.put(0, pose, np.zeros(6))
-    chase = Chase.from_start(view, pose, reel.times_s[k:], 0, unused[k:])
+    chase = Chase.from_start(view, pose, source.times_s[k:], 0, unused[k:])
     return Runner(chase, seen, Rating(pose.misfit))
 
 
-def _followed(runner: Runner, view: View, reel: Reel, k: int, stage: int) -> Rating | None:
+def _followed(runner: Runner, view: View, source: FrameSource, k: int, stage: int) -> Rating | None:
     """Follow a start up to so many frames; None where the die was lost on the way."""
-    chase, seen, times_s = runner.chase, runner.seen, reel.times_s[k:]
+    chase, seen, times_s = runner.chase, runner.seen, source.times_s[k:]
     for j in range(chase.next_frame, stage):
-        chase.over(reel.frame(k + j)[None], times_s, j, seen)
+        chase.over(source.frame(k + j)[None], times_s, j, seen)
         if chase.misses > 1:
             return None
     if seen.known[:stage].sum() < stage - 1:

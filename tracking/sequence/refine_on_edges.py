@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..clip_parameters import Offsets, rig_at
-from ..footage import Frames, Reel, Rows
+from ..footage import FrameBlock, Frames, FrameSource, Rows
 from ..picture import THREADS, CameraRig, RefinementSettings, View, refinement_boxes, shares_in_view
 from ..pose import ClipPoses, covariances, refine_frames, weak_prior
 from .labelling import angles, labelled_along
@@ -44,7 +44,7 @@ class SecondPass:
     """What there is to start from. Any frames may then be refined, and others later."""
 
     view: View
-    reel: Reel
+    source: FrameSource
     first: ClipPoses
     """Of the first pass, with starts on rows that it left out."""
     throw: Throw | None
@@ -62,14 +62,14 @@ class SecondPass:
 
     def see(self, rows: Mask, reached: Callable[[int], None]) -> ClipPoses:
         """Some frames (n,) of the clip, refined; the others are not known. `reached` is called with how far it is."""
-        view, first, count = self.view, self.first, len(self.reel)
+        view, first, count = self.view, self.first, len(self.source)
         rows, settings = rows & self.usable, view.settings._replace(settled_px=self.settled_px)
         wanted, tries = (
             first,
             [_Settling(view, settings, first, first.known & rows, self.offsets, np.zeros(count, bool))],
         )
         if self.throw is not None:
-            wanted = _motions(self.throw, self.reel.times_s)
+            wanted = _motions(self.throw, self.source.times_s)
             apart = rows & self._apart_from(wanted)
             tries = [
                 _Settling(view, settings, some, use, self.offsets, apart)
@@ -79,7 +79,7 @@ class SecondPass:
         def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
             return [job for one in tries for job in one.see(frames, shown, pool)]
 
-        see_all(self.reel, _looked_at(view, tries, count), begun, reached)
+        see_all(self.source, _looked_at(view, tries, count), begun, reached)
         seen = tries[0].seen(count)
         for one in tries[1:]:
             other = one.seen(count)
@@ -94,7 +94,7 @@ class SecondPass:
 
 
 def see_all(
-    reel: Reel,
+    source: FrameSource,
     boxes: NDArray[np.int64],
     begun: Callable[[Frames, Rows, Executor], list[Future[None]]],
     reached: Callable[[int], None],
@@ -103,16 +103,22 @@ def see_all(
     called with how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has
     nothing to do because another is late."""
     with ThreadPoolExecutor(THREADS) as pool:
-        under_way: list[Future[None]] = []
-        for shown, frames in reel.looked_at(boxes):
-            jobs = begun(frames, shown, pool)
-            for job in under_way:
-                job.result()
-            under_way = jobs
-            reached(int(shown[0]))
-        for job in under_way:
+        under_way: list[tuple[FrameBlock, list[Future[None]]]] = []
+        for block in source.blocks_within(boxes):
+            under_way.append((block, begun(block.frames, block.rows, pool)))
+            if len(under_way) > 1:
+                _finish(*under_way.pop(0))
+            reached(block.first)
+        for block, jobs in under_way:
+            _finish(block, jobs)
+    reached(len(source))
+
+
+def _finish(block: FrameBlock, jobs: list[Future[None]]) -> None:
+    """Wait for the jobs of a block, then release its memory."""
+    with block:
+        for job in jobs:
             job.result()
-    reached(len(reel))
 
 
 def among(rows: Rows, shown: Rows) -> tuple[slice, Rows]:

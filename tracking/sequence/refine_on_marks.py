@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
-from ..footage import Frames, Reel, Rows
+from ..footage import Frames, FrameSource, Rows
 from ..picture import View
 from ..pose import ClipPoses, as_track, contour_bias_jacobians, shown_whole
 from ..surface_marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
@@ -63,17 +63,17 @@ def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callabl
     Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
     other's lines of sight, which marks of one do not.
     """
-    view, reel = second.view, second.reel
-    left = np.arange(len(reel)) % every != 0
-    track = as_track(view, reel, seen, shown_whole(view, seen))
+    view, source = second.view, second.source
+    left = np.arange(len(source)) % every != 0
+    track = as_track(view, source, seen, shown_whole(view, seen))
     thinned = spared(track, view.die)
     try:
         found = measure(track, view.die, view.camera, every=thinned)
     except NoFlightError:
         return Marked(_completed(second, seen, left, reached), None, None)
     scatter = _scatter(found.frames, flown(found.throw))
-    marks = _learned(reel, view, found, scatter)
-    if marks is None or len(reel.clips) > 1 or not _are_worth_it(marks, found, every * thinned):
+    marks = _learned(source, view, found, scatter)
+    if marks is None or len(source.clips) > 1 or not _are_worth_it(marks, found, every * thinned):
         return Marked(_completed(second, seen, left, reached), marks, None)
     flights = Throw(marks.flights, flown(found.throw).impacts)
     to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
@@ -83,11 +83,11 @@ def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callabl
     # to where they were learned, on the flights.
     flying = _in_flight(edges, found.throw).tracked
     rows, carried = np.flatnonzero(flying), np.flatnonzero(edges.tracked & ~flying)
-    refining = Refining(view, marks, _poses_of(view, edges, seen, rows), flights, reel.times_s[rows])
+    refining = Refining(view, marks, _poses_of(view, edges, seen, rows), flights, source.times_s[rows])
     # Frames whose edges are seen now count half, and half when their marks are.
-    _see_some(reel, rows, refining, reached if every == 1 else lambda done: reached((len(reel) + done) // 2))
-    out, shared = ClipPoses.empty(len(reel)), np.full((len(reel), 6, 6), np.nan)
-    out.take(np.arange(len(reel)), seen)
+    _see_some(source, rows, refining, reached if every == 1 else lambda done: reached((len(source) + done) // 2))
+    out, shared = ClipPoses.empty(len(source)), np.full((len(source), 6, 6), np.nan)
+    out.take(np.arange(len(source)), seen)
     shared[rows] = refining.shared
     for put, poses in ((rows, refining.poses()), (carried, _poses_of(view, edges, seen, carried))):
         out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
@@ -104,16 +104,16 @@ def _completed(second: SecondPass, seen: ClipPoses, left: Mask, reached: Callabl
     return out
 
 
-def _learned(reel: Reel, view: View, found: Measured, scatter: float) -> Marks | None:
+def _learned(source: FrameSource, view: View, found: Measured, scatter: float) -> Marks | None:
     """The marks, from frames in flight."""
     edges, throw = _in_flight(found.frames, found.throw), flown(found.throw)
     edges = replace(edges, covariance=scatter * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
-    images = ((int(k), reel.frame(int(k))[0]) for k in rows)
+    images = ((int(k), source.frame(int(k))[0]) for k in rows)
     # A table that is not where the scene has it tells no distance.
     told = tells_the_table(found.joined)
     strikes = [link.strike if told else None for link in found.joined.links[: len(throw.impacts)]]
-    return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** reel.clips[0].bit_depth - 1))
+    return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** source.clips[0].bit_depth - 1))
 
 
 def _in_flight(track: Track, throw: Throw) -> Track:
@@ -125,7 +125,7 @@ def _in_flight(track: Track, throw: Throw) -> Track:
 def _edges_of(second: SecondPass, seen: ClipPoses, found: Measured, scatter: float) -> Track:
     """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
     view, shared = second.view, found.joined.shared
-    track = as_track(view, second.reel, seen, shown_whole(view, seen))
+    track = as_track(view, second.source, seen, shown_whole(view, seen))
     straight = without_lean(track, shared_lean(track, view.camera, view.die)[:, :, : len(shared)], shared)
     return replace(straight, covariance=scatter * straight.covariance)
 
@@ -138,16 +138,16 @@ def _poses_of(view: View, edges: Track, seen: ClipPoses, rows: Rows) -> FramePos
     )  # fmt: skip
 
 
-def _see_some(reel: Reel, rows: Rows, refining: Refining, reached: Callable[[int], None]) -> None:
+def _see_some(source: FrameSource, rows: Rows, refining: Refining, reached: Callable[[int], None]) -> None:
     """Refine the frames `rows` of a clip, which are those of `refining`."""
-    boxes = np.zeros((len(reel), 1, 4), np.int64)
+    boxes = np.zeros((len(source), 1, 4), np.int64)
     boxes[rows, 0] = refining.boxes
 
     def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
         mine, which = among(rows, shown)
         return refining.see(frames, which, mine, pool)
 
-    see_all(reel, boxes, begun, reached)
+    see_all(source, boxes, begun, reached)
 
 
 def _are_worth_it(marks: Marks, found: Measured, every: int) -> bool:

@@ -34,7 +34,7 @@ from ..clip_parameters import (
     look_rounded,
     looks_in_flight,
 )
-from ..footage import Clip, Reel, estimate_background
+from ..footage import Clip, FrameSource, estimate_background
 from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, shown_whole
 from ..quality import STANDARD, Quality
@@ -126,34 +126,34 @@ def look_through(
     """
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
-    reel = Reel(clips)
+    source = FrameSource(clips)
     view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
-    report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(reel))
-    unused = np.zeros(len(reel), bool)
-    unused[list(excluded_rows(excluded, reel.first_frame, len(reel)))] = True
-    view, seen, corners = _first_pass_rounded(view, reel, report, start, unused, rounding)
-    throw = _measured(view, reel, seen)
+    report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(source))
+    unused = np.zeros(len(source), bool)
+    unused[list(excluded_rows(excluded, source.first_frame, len(source)))] = True
+    view, seen, corners = _first_pass_rounded(view, source, report, start, unused, rounding)
+    throw = _measured(view, source, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
-        seen = labelled_across(view, seen, throw, reel.times_s)
-        throw = _measured(view, reel, seen)
+        seen = labelled_across(view, seen, throw, source.times_s)
+        throw = _measured(view, source, seen)
     offsets = Offsets.none(len(clips))
     marked = Marked(seen, None, None)
     if quality.second_pass:
-        view = lit(with_reflections(view), reel.frame, seen)
-        view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
-        report.at_least(len(reel))
+        view = lit(with_reflections(view), source.frame, seen)
+        view = replace(view, blur_px=lens_blur_px(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
+        report.at_least(len(source))
         if throw is not None:
-            offsets = find_offsets(view, reel.frame, reel.times_s, throw)
-        second = SecondPass(view, reel, seen.filled(), throw, ~unused, offsets)
-        every = _every_in_second_pass(view, reel, seen) if quality.marks and throw is not None else 1
-        seen = second.see(np.arange(len(reel)) % every == 0, lambda done: report.at_least(len(reel) + done))
+            offsets = find_offsets(view, source.frame, source.times_s, throw)
+        second = SecondPass(view, source, seen.filled(), throw, ~unused, offsets)
+        every = _every_in_second_pass(view, source, seen) if quality.marks and throw is not None else 1
+        seen = second.see(np.arange(len(source)) % every == 0, lambda done: report.at_least(len(source) + done))
         marked = Marked(seen, None, None)
         if quality.marks:
-            marked = third_pass(second, seen, every, lambda done: report.at_least(2 * len(reel) + done))
-            report.at_least(3 * len(reel))
-    track = replace(_track(reel, view, marked.seen, throw), shared=marked.shared)
+            marked = third_pass(second, seen, every, lambda done: report.at_least(2 * len(source) + done))
+            report.at_least(3 * len(source))
+    track = replace(_track(source, view, marked.seen, throw), shared=marked.shared)
     if corners is not None:
-        corners, sigma_px = _corners_in_flight(view, reel, track, corners)
+        corners, sigma_px = _corners_in_flight(view, source, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     sure = calibrated(track, view.die, view.camera, every=spared(track, view.die))
     return Followed(sure, marked.marks, offsets, view.die, corners)
@@ -203,59 +203,65 @@ def _check_sizes(clip: Clip, camera: Camera, background: NDArray[np.float32] | N
 
 
 def _first_pass(
-    view: View, reel: Reel, report: _Reporter, by_hand: ManualInitialisation | None, unused: Mask
+    view: View, source: FrameSource, report: _Reporter, by_hand: ManualInitialisation | None, unused: Mask
 ) -> tuple[View, ClipPoses]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
     beginning = (
-        find_beginning(view, reel, unused, report.at_least)
+        find_beginning(view, source, unused, report.at_least)
         if by_hand is None
-        else begin_by_hand(view, reel, by_hand, unused)
+        else begin_by_hand(view, source, by_hand, unused)
     )
     if beginning is None:
         raise NoDieError(
-            f"no die was found in {len(reel)} frames: look at the clip, the background and the [die] shape and edge"
+            f"no die was found in {len(source)} frames: look at the clip, the background and the [die] shape and edge"
         )
     chase, seen = beginning
-    view = replace(view, blur_px=lens_blur_px(view, seen.looks(reel.frame, seen.known, BLUR_FRAMES)))
+    view = replace(view, blur_px=lens_blur_px(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back()
-    chase.to_the_end(reel, seen, report.at_least, all_frames=not view.quality.second_pass)
-    for first, frames in reel.blocks_backwards(first_known):
-        back.over(frames, reel.times_s, first, seen)
+    chase.to_the_end(source, seen, report.at_least, all_frames=not view.quality.second_pass)
+    for block in source.blocks_backwards(first_known):
+        with block:
+            back.over(block.frames, source.times_s, block.first, seen)
         if back.misses > 3:
             break
     # What was found to stand before the die is known from here on.
-    return chase.view, put_right(chase.view, reel, seen, unused)
+    return chase.view, put_right(chase.view, source, seen, unused)
 
 
 def _first_pass_rounded(
-    view: View, reel: Reel, report: _Reporter, by_hand: ManualInitialisation | None, unused: Mask, rounding: Rounding
+    view: View,
+    source: FrameSource,
+    report: _Reporter,
+    by_hand: ManualInitialisation | None,
+    unused: Mask,
+    rounding: Rounding,
 ) -> tuple[View, ClipPoses, Corners | None]:
     """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
     show the radius that it was done with."""
     if rounding is Rounding.GIVEN:
-        return *_first_pass(view, reel, report, by_hand, unused), None
+        return *_first_pass(view, source, report, by_hand, unused), None
     try:
-        first, seen = _first_pass(view, reel, report, by_hand, unused)
+        first, seen = _first_pass(view, source, report, by_hand, unused)
     except NoDieError:
         # A die that is round all over is none with sharp corners.
         ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
-        first, seen = _first_pass(ball, reel, report, by_hand, unused)
-        if _corners_at_sight(first, reel, seen, rounding) is None:
+        first, seen = _first_pass(ball, source, report, by_hand, unused)
+        if _corners_at_sight(first, source, seen, rounding) is None:
             raise
-    corners = _corners_at_sight(first, reel, seen, rounding)
+    corners = _corners_at_sight(first, source, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
         return first, seen, corners if rounding is Rounding.ESTIMATED else None
     radius_m, tried = corners.radius_m, []
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
         try:
-            one, known = _first_pass(rounded(view, radius_m), reel, report, by_hand, unused)
+            one, known = _first_pass(rounded(view, radius_m), source, report, by_hand, unused)
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
         whole = shown_whole(one, known)
-        found, _ = _corners_in_flight(one, reel, as_track(one, reel, known, whole & known.even), corners)
+        found, _ = _corners_in_flight(one, source, as_track(one, source, known, whole & known.even), corners)
         borne_out, corners = found is not corners, found
         tried.append(_Trial(radius_m, one, known, borne_out, corners))
         before, radius_m = radius_m, corners.radius_m if borne_out else LESS * radius_m
@@ -292,15 +298,15 @@ def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:
     return any(each.seen.frames >= (KEPT if each.borne_out else 1.0) * frames for each in tried)
 
 
-def _corners_at_sight(view: View, reel: Reel, seen: ClipPoses, rounding: Rounding) -> Corners | None:
+def _corners_at_sight(view: View, source: FrameSource, seen: ClipPoses, rounding: Rounding) -> Corners | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
-    looks = partial(seen.looks, reel.frame, shown_whole(view, seen))
+    looks = partial(seen.looks, source.frame, shown_whole(view, seen))
     if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
         return None
     return by_free_poses(view, looks(FRAMES))
 
 
-def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -> tuple[Corners, float]:
+def _corners_in_flight(view: View, source: FrameSource, track: Track, corners: Corners) -> tuple[Corners, float]:
     """The same as the flights of a track show it, and the contour error [px] that their sigmas are to know of then; what it
     was, and none, where the flights do not show it any better.
 
@@ -316,7 +322,7 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
         )
     except NoFlightError:
         return corners, 0.0
-    looks = looks_in_flight(view, reel.frame, track, found.throw)
+    looks = looks_in_flight(view, source.frame, track, found.throw)
     again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
         return corners, 0.0
@@ -326,29 +332,29 @@ def _corners_in_flight(view: View, reel: Reel, track: Track, corners: Corners) -
 # --- between the passes --------------------------------------------------------------------------------------------------
 
 
-def _measured(view: View, reel: Reel, seen: ClipPoses) -> Throw | None:
+def _measured(view: View, source: FrameSource, seen: ClipPoses) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
-    track = as_track(view, reel, seen, shown_whole(view, seen) & seen.even)
+    track = as_track(view, source, seen, shown_whole(view, seen) & seen.even)
     try:
         return measure_throw(track, view.die, view.camera, every=spared(track, view.die))
     except NoFlightError:
         return None
 
 
-def _every_in_second_pass(view: View, reel: Reel, seen: ClipPoses) -> int:
+def _every_in_second_pass(view: View, source: FrameSource, seen: ClipPoses) -> int:
     """Of how many frames one has a second pass before the marks are known, along whose flights that of the others takes less
     time. With several cameras poses do without marks."""
-    if len(reel.clips) > 1:
+    if len(source.clips) > 1:
         return 1
-    return seen.every * spared(as_track(view, reel, seen, shown_whole(view, seen) & seen.even), view.die)
+    return seen.every * spared(as_track(view, source, seen, shown_whole(view, seen) & seen.even), view.die)
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------
 
 
-def _track(reel: Reel, view: View, seen: ClipPoses, throw: Throw | None) -> Track:
+def _track(source: FrameSource, view: View, seen: ClipPoses, throw: Throw | None) -> Track:
     """The final table: frames without a pose are absent where the motion leads out of view, or lost."""
-    track = as_track(view, reel, seen)
+    track = as_track(view, source, seen)
     status = track.status.copy()
     for k in np.flatnonzero(status == LOST):
         if throw is None:

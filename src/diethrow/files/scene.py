@@ -20,7 +20,7 @@ from ..model.die import MAX_CORNER_RADIUS_FRACTION, SHAPES, Die, make_die
 from ..model.laws import Table as ModelTable
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import Rounding
-from ..tracking.footage import MOST_PIXELS
+from ..tracking.footage import MAX_PIXELS
 from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 
@@ -404,9 +404,9 @@ class _Surroundings:
 
 def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
     """Before anything of that size is made."""
-    if table.width * table.height > MOST_PIXELS:
+    if table.width * table.height > MAX_PIXELS:
         size = [table.width, table.height]
-        raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MOST_PIXELS} pixels at most")
+        raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MAX_PIXELS} pixels at most")
 
 
 def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _Surroundings) -> View:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from footage_files import noisy_frames, write_photron
 
-from diethrow.tracking.footage.clip import Filling, open_clip
+from diethrow.tracking.footage.clip import FillsFrames, open_clip
 from diethrow.tracking.footage.photron import unpack_12bit
 
 FRAMES = noisy_frames(9, bits=12)
@@ -129,7 +129,7 @@ def test_a_part_of_a_frame_is_what_the_whole_frame_has_there(stored_bits: int, w
     levels = np.random.default_rng(stored_bits).integers(0, 2 ** min(stored_bits, 12), (5, 14, width_px))
     frames = levels.astype(np.uint8 if stored_bits == 8 else np.uint16)
     clip = open_clip(write_photron(tmp_path / "x.cihx", frames, stored_bits=stored_bits))
-    assert isinstance(clip, Filling)
+    assert isinstance(clip, FillsFrames)
     whole, part = np.zeros_like(frames), np.zeros_like(frames)
     clip.fill(0, whole)
     np.testing.assert_array_equal(whole, frames)
@@ -142,7 +142,7 @@ def test_a_part_of_a_frame_is_what_the_whole_frame_has_there(stored_bits: int, w
 def test_a_file_cut_off_while_it_is_read_is_said_to_be(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
     clip = open_clip(path)
-    assert isinstance(clip, Filling)
+    assert isinstance(clip, FillsFrames)
     pixels = path.with_suffix(".mraw")
     pixels.write_bytes(pixels.read_bytes()[:-10])
     with pytest.raises(ValueError, match="it was cut off while it was read"):

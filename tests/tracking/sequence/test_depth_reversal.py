@@ -13,7 +13,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from diethrow.model.throw.motion import Flight, State
-from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
@@ -67,7 +67,7 @@ def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> Non
     assert np.median(both - whole) > 0.1
 
 
-def spinning_triangle(seed: int = 1) -> tuple[View, Reel, Flight]:
+def spinning_triangle(seed: int = 1) -> tuple[View, FrameSource, Flight]:
     """A plain tetrahedron in flight that turns one face to the camera, 17 degrees aslant, and spins about the line of sight;
     `seed` is that of the pictures' noise."""
     room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
@@ -79,7 +79,7 @@ def spinning_triangle(seed: int = 1) -> tuple[View, Reel, Flight]:
     rotation = basis(looks) @ basis(die.solid.normals[0]).T
     release = State(0.0, position, quat_from_matrix(rotation), np.array([0.1, 0.0, -0.3]), 60.0 * toward)
     flight = Flight(release, np.inf)
-    return room.view(die), Reel([film(room, die, flight, FRAMES, seed=seed)]), flight
+    return room.view(die), FrameSource([film(room, die, flight, FRAMES, seed=seed)]), flight
 
 
 def basis(first: np.ndarray) -> np.ndarray:
@@ -89,14 +89,14 @@ def basis(first: np.ndarray) -> np.ndarray:
     return np.column_stack([first, second, np.cross(first, second)])
 
 
-def seen_at(view: View, reel: Reel, flight: Moving, *, reverse: bool) -> ClipPoses:
+def seen_at(view: View, source: FrameSource, flight: Moving, *, reverse: bool) -> ClipPoses:
     """What the pictures show near the true poses, or near their reversals."""
     seen = ClipPoses.empty(FRAMES)
-    for k, time_s in enumerate(reel.times_s):
+    for k, time_s in enumerate(source.times_s):
         state = flight.at(float(time_s))
         rotation = reversed_in_depth(view, state.position_m, state.rotation) if reverse else state.rotation
         assert rotation is not None
-        pose = refine_pose(view, np.asarray(reel.frame(k), np.float32), state.position_m, rotation, coarse=0)
+        pose = refine_pose(view, np.asarray(source.frame(k), np.float32), state.position_m, rotation, coarse=0)
         seen.put(k, pose, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
     return seen
 
@@ -114,10 +114,10 @@ def share_right(view: View, seen: ClipPoses, flight: Flight, times_s: np.ndarray
 @pytest.mark.parametrize("seed", [1, 3, 5, 9, 10])
 def test_a_die_that_was_taken_for_its_reversal_is_put_right(seed: int) -> None:
     """In each of these noises the reversal fails on a single frame of the run, which must not end it."""
-    view, reel, flight = spinning_triangle(seed)
-    wrong = seen_at(view, reel, flight, reverse=True)
-    assert share_right(view, wrong, flight, reel.times_s) < 0.1
-    assert share_right(view, put_right(view, reel, wrong, NONE_UNUSED), flight, reel.times_s) > 0.95
+    view, source, flight = spinning_triangle(seed)
+    wrong = seen_at(view, source, flight, reverse=True)
+    assert share_right(view, wrong, flight, source.times_s) < 0.1
+    assert share_right(view, put_right(view, source, wrong, NONE_UNUSED), flight, source.times_s) > 0.95
 
 
 @dataclass(frozen=True)
@@ -138,12 +138,12 @@ def test_a_die_at_rest_stays_as_it_is(angle_rad: float) -> None:
     turn = matrix_from_quat(quat_from_rotvec(np.array([0.0, 0.0, angle_rad])))
     place = np.array([0.0, 0.0, die.solid.inradius])
     still = Resting(State(0.0, place, quat_from_matrix(turn @ down), np.zeros(3), np.zeros(3)))
-    view, reel = room.view(die), Reel([film(room, die, still, FRAMES)])
-    right = seen_at(view, reel, still, reverse=False)
-    assert put_right(view, reel, right, NONE_UNUSED) is right
+    view, source = room.view(die), FrameSource([film(room, die, still, FRAMES)])
+    right = seen_at(view, source, still, reverse=False)
+    assert put_right(view, source, right, NONE_UNUSED) is right
 
 
 def test_what_is_right_stays_as_it_is() -> None:
-    view, reel, flight = spinning_triangle()
-    right = seen_at(view, reel, flight, reverse=False)
-    assert put_right(view, reel, right, NONE_UNUSED) is right
+    view, source, flight = spinning_triangle()
+    right = seen_at(view, source, flight, reverse=False)
+    assert put_right(view, source, right, NONE_UNUSED) is right

@@ -19,7 +19,7 @@ from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import open_clip
-from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.quality import FAST
@@ -56,14 +56,14 @@ BEGINNINGS = (0, 9, 18, 27, 36, 45)
 """Every ninth frame; the dice bounce about frame 40."""
 
 
-def thrown(shape: str, room: Studio | None = None) -> tuple[View, Reel, Throw]:
+def thrown(shape: str, room: Studio | None = None) -> tuple[View, FrameSource, Throw]:
     """A plain die over a shaded table: footage, and the motion in it."""
     room, die = room or replace(studio(), noise_grey=2.0, shadow=0.4), DICE[shape]
     rng = np.random.default_rng(11)
     start, down = np.array([0.0, 0.0, 0.028]), np.array([-0.03, 0.05, -0.55])
     release = State(0.0, start, random_quaternion(rng), down, 30.0 * rng.normal(size=3))
     throw = throw_die(die, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
-    return room.view(die), Reel([film(room, die, throw, FRAMES)]), throw
+    return room.view(die), FrameSource([film(room, die, throw, FRAMES)]), throw
 
 
 def share_right(view: View, seen: ClipPoses, times_s: np.ndarray, throw: Throw) -> float:
@@ -81,33 +81,33 @@ def share_right(view: View, seen: ClipPoses, times_s: np.ndarray, throw: Throw) 
 
 @pytest.mark.parametrize("shape", ["tetrahedron", "cube", "icosahedron"])
 def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) -> None:
-    view, reel, throw = thrown(shape)
+    view, source, throw = thrown(shape)
     unused = np.zeros(FRAMES, bool)
     sure = 0
     for k in BEGINNINGS:
-        runner = best_start(view, reel, k, unused)
+        runner = best_start(view, source, k, unused)
         if runner is not None and runner.sure:
             sure += 1
-            assert share_right(view, runner.seen, reel.times_s[k:], throw) == 1.0
+            assert share_right(view, runner.seen, source.times_s[k:], throw) == 1.0
     # Within eight frames before an impact nothing is sure.
     assert sure >= 3
 
 
 def test_a_clip_may_begin_anywhere() -> None:
-    view, reel, throw = thrown("cube")
+    view, source, throw = thrown("cube")
     for k in BEGINNINGS[1::2]:
-        begun = find_beginning(view, reel, np.arange(FRAMES) < k)
+        begun = find_beginning(view, source, np.arange(FRAMES) < k)
         assert begun is not None
         assert np.flatnonzero(begun[1].known)[0] >= k
-        assert share_right(view, begun[1], reel.times_s, throw) == 1.0
+        assert share_right(view, begun[1], source.times_s, throw) == 1.0
 
 
 def test_a_small_die_in_a_sharp_picture_is_found() -> None:
     """27 pixels an edge, and half the blur that is looked for at first: as that of a clip that was shrunk."""
-    view, reel, throw = thrown(
+    view, source, throw = thrown(
         "tetrahedron", replace(studio(100, 100, 600.0), noise_grey=0.7, shadow=0.4, blur_px=0.35)
     )
-    begun = find_beginning(replace(view, blur_px=0.7), reel, np.zeros(FRAMES, bool))
+    begun = find_beginning(replace(view, blur_px=0.7), source, np.zeros(FRAMES, bool))
     assert begun is not None
     assert begun[1].known[0]
-    assert share_right(view, begun[1], reel.times_s, throw) == 1.0
+    assert share_right(view, begun[1], source.times_s, throw) == 1.0

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.clip_parameters.clock_offsets import Offsets
-from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import covariances
 from diethrow.tracking.sequence.refine_on_edges import SecondPass
@@ -49,7 +49,7 @@ def test_a_tetrahedron_with_a_face_edge_on_is_not_lost(slope: float) -> None:
             state.velocity_m_s,
         )
     first.known[:] = True
-    second = SecondPass(view, Reel([clip]), first, None, np.ones(FRAMES, bool), Offsets.none(1))
+    second = SecondPass(view, FrameSource([clip]), first, None, np.ones(FRAMES, bool), Offsets.none(1))
     seen = second.see(np.ones(FRAMES, bool), lambda _: None)
     assert seen.known.all()
     found = covariances(seen.H[:, :6, :6])

@@ -19,7 +19,7 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
-from diethrow.tracking.footage.frame_blocks import Reel
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import make_view, share_in_view
 from diethrow.tracking.pose.frame_poses import ClipPoses, longest_leap
 from diethrow.tracking.pose.refine import refine_pose
@@ -116,11 +116,11 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
     pose for every frame, as right as on a usual film."""
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
-    reel, view = Reel([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
-    beginning = find_beginning(view, reel, np.zeros(count, bool))
+    source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
+    beginning = find_beginning(view, source, np.zeros(count, bool))
     assert beginning is not None
     chase, seen = beginning
-    chase.to_the_end(reel, seen, lambda frame: None, all_frames=False)
+    chase.to_the_end(source, seen, lambda frame: None, all_frames=False)
     (bounce,) = throw.bounces
     struck = int(np.ceil(bounce.time_s * fps))
     assert seen.every > 1
