@@ -17,15 +17,15 @@ import numpy as np
 from footage_files import write_photron
 from numpy.typing import NDArray
 
-from diethrow.commands.model.filmed_throw import Shot, scene_text, write_clip
+from diethrow.commands.model.filmed_throw import FilmJob, scene_text, write_clip
 from diethrow.files.outputs import whole_folder
 from diethrow.files.truth import visibility
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.replay.render.mitsuba_scene import Look, lamp_beside
-from diethrow.replay.render.renderer import Effort
+from diethrow.replay.render.mitsuba_scene import Appearance, lamp_beside
+from diethrow.replay.render.renderer import RenderSettings
 from diethrow.replay.render.sensor import Sensor
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.clip import open_clip
@@ -148,19 +148,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if (chosen.out / name).exists():
             print(f"{name}: is there")
             continue
-        shot = shot_of(name, CASES[name], Effort(chosen.samples, 1, chosen.variant))
+        job = job_of(name, CASES[name], RenderSettings(chosen.samples, 1, chosen.variant))
         with whole_folder(chosen.out / name) as folder:
-            write_clip(folder, shot)
-            if shot.sensor.bit_depth == 12:
-                as_photron(folder, shot)
-        print(f"{name}: {shot.frames} frames, {len(shot.throw.bounces)} bounces", flush=True)
+            write_clip(folder, job)
+            if job.sensor.bit_depth == 12:
+                as_photron(folder, job)
+        print(f"{name}: {job.frames} frames, {len(job.throw.bounces)} bounces", flush=True)
     lines = [f"{name}: {case.note}" for name, case in CASES.items() if (chosen.out / name).exists()]
     head = "Rendered clips with their truth (benchmarks/make_clips.py). Where there is friction: Newton's restitution."
     (chosen.out / "README.txt").write_text("\n".join([head, "", *lines, ""]))
     return 0
 
 
-def shot_of(name: str, case: Case, effort: Effort) -> Shot:
+def job_of(name: str, case: Case, effort: RenderSettings) -> FilmJob:
     """The first throw of the case's random ones that stays in view over enough bounces."""
     density = DENSITY_KG_M3 * volume_m3(case.shape, case.edge_m)
     die = make_die(case.shape, case.edge_m, density, corner_radius_m=case.corner_radius_m, marks=case.marks)
@@ -173,7 +173,7 @@ def shot_of(name: str, case: Case, effort: Effort) -> Shot:
             break
     else:
         raise ValueError(f"{name}: none of {MOST_SEEDS} throws stays in view; widen the picture")
-    look = Look(
+    look = Appearance(
         lamp_beside(camera),
         paint=case.paint,
         table_tone=case.table_tone,
@@ -184,7 +184,7 @@ def shot_of(name: str, case: Case, effort: Effort) -> Shot:
     plain = Sensor(case.bit_depth, seed=case.seed)
     sensor = replace(plain, full_well_e=plain.full_well_e / case.noise**2, read_noise_e=plain.read_noise_e / case.noise)
     blur = float(rng.uniform(0.5, 0.8))
-    return Shot(
+    return FilmJob(
         name,
         throw,
         law,
@@ -260,14 +260,14 @@ def rod_before(throw: Throw, camera: Camera) -> tuple[tuple[float, ...], tuple[f
     return (float(foot[0]), float(foot[1]), 0.0), (float(foot[0]), float(foot[1]), 0.5), 0.002
 
 
-def as_photron(folder: Path, shot: Shot) -> None:
+def as_photron(folder: Path, job: FilmJob) -> None:
     """Put a Photron header and packed .mraw in the place of the film."""
     frames = np.stack(list(open_clip(folder / "clip.avi", fps=FPS).frames()))
     write_photron(
-        folder / "clip.cihx", frames, stored_bits=12, record_rate_hz=int(FPS), shutter_hz=round(1 / shot.exposure_s)
+        folder / "clip.cihx", frames, stored_bits=12, record_rate_hz=int(FPS), shutter_hz=round(1 / job.exposure_s)
     )
     (folder / "clip.avi").unlink()
-    (folder / "scene.toml").write_text(scene_text(shot, "clip.cihx"))
+    (folder / "scene.toml").write_text(scene_text(job, "clip.cihx"))
 
 
 if __name__ == "__main__":

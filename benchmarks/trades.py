@@ -44,7 +44,7 @@ from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.ensembles.stepping import stepped_landings
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Precision
-from diethrow.replay.pages.trade import Setting, speed_against_doubt
+from diethrow.replay.pages.trade import Setting, speed_against_error
 from diethrow.tracking.footage.decimation import WHOLE, Coarseness
 from diethrow.tracking.quality import QUALITIES, Quality
 
@@ -170,7 +170,7 @@ def run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run
         return str(error).removeprefix(f"{scene.path}: ")
 
 
-def marked(rows: Sequence[Row], badness: Callable[[Setting], float | None] = lambda s: s.doubt) -> list[Row]:
+def marked(rows: Sequence[Row], badness: Callable[[Setting], float | None] = lambda s: s.chi_uncertainty) -> list[Row]:
     """The rows with those on the front marked."""
     return [replace(r, setting=s) for r, s in zip(rows, with_front([r.setting for r in rows], badness), strict=True)]
 
@@ -228,11 +228,11 @@ def by_engine(engine: Engine, starts: NDArray[np.float64]) -> Faces:
 def draw(path: Path, rows: Sequence[Row], y: str) -> None:
     """The front as a small SVG."""
     badness: Callable[[Setting], float | None] = (
-        (lambda s: s.error) if path.stem == "trades_model" else (lambda s: s.doubt)
+        (lambda s: s.error) if path.stem == "trades_model" else (lambda s: s.chi_uncertainty)
     )
     with plt.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem, "font.size": 9.0}):
         figure, ax = plt.subplots(figsize=(7.2, 3.2), layout="constrained")
-        speed_against_doubt(ax, [r.setting for r in rows], badness, "times the speed of the default", y)
+        speed_against_error(ax, [r.setting for r in rows], badness, "times the speed of the default", y)
         figure.savefig(path, metadata={"Date": None})
         plt.close(figure)
 

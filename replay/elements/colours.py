@@ -24,7 +24,7 @@ AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((214, 84, 120), (62, 160, 92), (1
 """x, y and z where a vector is drawn by component."""
 
 
-DISTINCT: tuple[Colour, ...] = (
+THROW_COLOURS: tuple[Colour, ...] = (
     (86, 180, 233),
     (240, 228, 66),
     (204, 121, 167),
@@ -74,9 +74,9 @@ FACE_COLOURS: tuple[Colour, ...] = (
 it: two of the first 4, 12 and 20 differ by CIEDE2000 of at least 20, 12 and 9, also for who lacks one kind of cone
 (Machado, Oliveira and Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009)."""
 
-TOP: Colour = (0, 0, 0)
+SPINNING_COLOUR: Colour = (0, 0, 0)
 """Where a die spins or stands for ever and lands on no face."""
-OPEN: Colour = (150, 150, 150)
+BOUNCING_COLOUR: Colour = (150, 150, 150)
 """Where it was left bouncing."""
-NOWHERE: Colour = (255, 255, 255)
+NO_RELEASE_COLOUR: Colour = (255, 255, 255)
 """Where no die can be released."""

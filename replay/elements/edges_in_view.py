@@ -19,7 +19,7 @@ at ten per cent distortion."""
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
+class VisibleEdges:
     """The visible edges of one pose on the picture, pixel centres at integers."""
 
     silhouette_px: Array
@@ -30,7 +30,7 @@ class Outline:
     """(c, 2) vertices of the faces in view."""
 
 
-def outlines(solid: Solid, camera: Camera, positions_m: Array, quaternions: Array) -> list[Outline]:
+def visible_edges(solid: Solid, camera: Camera, positions_m: Array, quaternions: Array) -> list[VisibleEdges]:
     """The outline of each pose (n, 3), (n, 4); lens distortion included, hidden edges left out.
 
     A face of a convex solid is in view when the optical centre lies on its outer side. Edges that reach behind the
@@ -49,7 +49,7 @@ def outlines(solid: Solid, camera: Camera, positions_m: Array, quaternions: Arra
         ahead = np.isfinite(edges_px).all((1, 2))
         corner_px = camera.project(corners[_corners_of(solid, face_in_view)])
         drawn.append(
-            Outline(
+            VisibleEdges(
                 edges_px[ahead & (sides[:, 0] != sides[:, 1])],
                 edges_px[ahead & sides.all(1)],
                 corner_px[np.isfinite(corner_px).all(1)],

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from ...fitting.results import Fit, Parameter
 
 UNKNOWN = "not determined"
-RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 4) -> str:
@@ -26,7 +26,7 @@ def number(value: float | None, digits: int = 4) -> str:
     text = f"{value:.{digits}g}"
     mantissa, _, exponent = text.partition("e")
     if exponent:
-        text = f"{mantissa} × 10{str(int(exponent)).translate(RAISED)}"
+        text = f"{mantissa} × 10{str(int(exponent)).translate(SUPERSCRIPTS)}"
     return text.replace("-", "−")
 
 
@@ -152,7 +152,7 @@ def landing_sentence(fit: Fit) -> str:
     return f"On which face it comes to rest is open: the likeliest, face {face}, has odds of {100 * share:.0f} %."
 
 
-MEANINGS = {
+PARAMETER_TEXTS = {
     "chi": "restitution χ [1]",
     "mu": "Coulomb friction μ [1]",
     "chi_fade_s_per_m": "fading of χ with the normal speed [s/m]",
@@ -171,9 +171,9 @@ MEANINGS = {
 """What the parameters of a fit are, with their units."""
 
 
-def meaning(name: str) -> str:
+def parameter_text(name: str) -> str:
     """A parameter in words; one that is not known here keeps its name, which carries the unit."""
-    return f"{name}: {MEANINGS[name]}" if name in MEANINGS else name
+    return f"{name}: {PARAMETER_TEXTS[name]}" if name in PARAMETER_TEXTS else name
 
 
 def effects_sentences(fit: Fit) -> list[str]:
@@ -204,18 +204,18 @@ def effects_sentences(fit: Fit) -> list[str]:
     return said
 
 
-SURE = 0.95
+CERTAIN_ODDS = 0.95
 """Odds from which a face counts as settled."""
 
 
-def settled_sentence(estimates: Sequence[Estimate]) -> list[str]:
+def certainty_sentences(estimates: Sequence[Estimate]) -> list[str]:
     """When the outcome was settled, by fits of more and more frames; nothing where there are none."""
     known = [estimate for estimate in estimates if estimate.face_odds]
     if len(known) < 2:
         return []
     likeliest = [max((estimate.face_odds or {}).items(), key=lambda item: item[1]) for estimate in known]
     face = likeliest[-1][0]
-    open_to = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < SURE), default=-1)
+    open_to = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < CERTAIN_ODDS), default=-1)
     if open_to == len(known) - 1:
         return ["No face was settled by the frames at hand."]
     first = known[open_to + 1]

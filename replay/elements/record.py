@@ -61,9 +61,9 @@ class Motion:
     """(n, 3)."""
     quaternion: Array
     """(n, 4) wxyz, body to world."""
-    gone_frame: NDArray[np.int64]
+    missing_frame: NDArray[np.int64]
     """(m,) frames on which the pose is not known: no die may be drawn there."""
-    gone_time_s: Array
+    missing_time_s: Array
     """(m,)."""
     throw: Throw | None
     """Flights and impacts; None where there are only poses."""
@@ -78,7 +78,7 @@ class Motion:
         """Stretches of rows without a gap between them."""
         if not len(self.frame):
             return []
-        gone_before = np.searchsorted(self.gone_frame, self.frame)
+        gone_before = np.searchsorted(self.missing_frame, self.frame)
         cuts = np.flatnonzero(np.diff(gone_before)) + 1
         return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(self.frame)], strict=True)]
 

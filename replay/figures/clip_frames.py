@@ -20,7 +20,7 @@ from ...model.die import Solid
 from ...model.throw import Impact
 from ...tracking.camera import Camera
 from ...tracking.footage import Clip
-from ..elements import COLOURS, Motion, Outline, Window, display_window, hex_colour, outlines
+from ..elements import COLOURS, Motion, VisibleEdges, Window, display_window, hex_colour, visible_edges
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -55,7 +55,7 @@ def stroboscope(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Seq
     window = display_window(clip)
     scene = _empty_scene(clip, window)
     ax.imshow(scene, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    drawn = outlines(solid, camera, motions[0].position_m[rows], motions[0].quaternion[rows])
+    drawn = visible_edges(solid, camera, motions[0].position_m[rows], motions[0].quaternion[rows])
     for layer, (row, outline) in enumerate(zip(rows, drawn, strict=True), 2):
         frame = int(motions[0].frame[row])
         _lay_over(ax, window.apply(clip.frame(frame - clip.first_frame)), outline, layer)
@@ -164,7 +164,7 @@ def _draw_edges(
     """The edges in view on one frame, of every motion that knows its pose there."""
     for motion in motions:
         rows = np.flatnonzero(motion.frame == frame)
-        for drawn in outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
+        for drawn in visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
             edges = np.concatenate([drawn.silhouette_px, drawn.inner_px])
             lines = edges if crop is None else crop.of(edges)
             colour, width = hex_colour(COLOURS[motion.name]), WIDTHS[motion.name]
@@ -172,7 +172,7 @@ def _draw_edges(
             ax.add_collection(drawn_edges, autolim=False)
 
 
-def _lay_over(ax: Axes, picture: Picture, outline: Outline, layer: float) -> None:
+def _lay_over(ax: Axes, picture: Picture, outline: VisibleEdges, layer: float) -> None:
     """The die of one frame, cut out of its picture."""
     inside = cv2.dilate(_hull(outline, picture.shape), np.ones((2 * CUT_MARGIN_PX + 1,) * 2, np.uint8))
     x, y, width, height = cv2.boundingRect(inside)
@@ -195,7 +195,7 @@ def _exposures(clip: Clip, camera: Camera, solid: Solid, motion: Motion) -> NDAr
     shape = (clip.height_px, clip.width_px)
     step = max(1, len(on_film) // 400)  # no two of more exposures would stand apart
     rows = sorted({*on_film[::step].tolist(), *wanted})
-    drawn = outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows])
+    drawn = visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows])
     hulls = {row: _hull(outline, shape) > 0 for row, outline in zip(rows, drawn, strict=True)}
     covered = np.zeros(shape, bool)
     for row in wanted:
@@ -259,12 +259,12 @@ def _steps_to_move(camera: Camera, solid: Solid, motion: Motion, rows: NDArray[n
 def _corner_box(camera: Camera, solid: Solid, motion: Motion, frames: Sequence[int]) -> tuple[Array, Array]:
     """The box (2,), (2,) that holds the die on these frames [px]."""
     rows = np.flatnonzero(np.isin(motion.frame, frames))
-    drawn = outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows])
+    drawn = visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows])
     points = np.concatenate([outline.corners_px for outline in drawn])
     return points.min(0), points.max(0)
 
 
-def _hull(outline: Outline, shape: tuple[int, ...]) -> Picture:
+def _hull(outline: VisibleEdges, shape: tuple[int, ...]) -> Picture:
     """255 (height, width) within the silhouette, 0 outside."""
     mask = np.zeros(shape[:2], np.uint8)
     points = np.concatenate([outline.silhouette_px.reshape(-1, 2), outline.corners_px])

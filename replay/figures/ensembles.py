@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from ...model.ensembles import ENDING_OF_INDEX, Axis, Fairness, FinalStateSensitivity, Share, UncertaintyExponent
 from ...model.throw import Ending
-from ..elements import FACE_COLOURS, MEASURED, NOWHERE, OPEN, SIMULATED, TOP, hex_colour
+from ..elements import (
+    BOUNCING_COLOUR,
+    FACE_COLOURS,
+    MEASURED,
+    NO_RELEASE_COLOUR,
+    SIMULATED,
+    SPINNING_COLOUR,
+    hex_colour,
+)
 
 Indices = NDArray[np.integer[Any]]
 
@@ -40,7 +48,10 @@ def colours_of(face: Indices, ending: Indices) -> NDArray[np.uint8]:
     """Colours (..., 3) of pixels by the face (...) that the die landed on, 0 for none, and the index of its ending."""
     table = np.array([*FACE_COLOURS], np.uint8)
     colours = table[(np.asarray(face) - 1) % len(table)]
-    without = np.array([TOP if each in _TOPS else OPEN for each in ENDING_OF_INDEX] + [NOWHERE], np.uint8)
+    without = np.array(
+        [SPINNING_COLOUR if each in _TOPS else BOUNCING_COLOUR for each in ENDING_OF_INDEX] + [NO_RELEASE_COLOUR],
+        np.uint8,
+    )
     colours[face == 0] = without[np.asarray(ending)[face == 0]]
     return colours
 
@@ -57,11 +68,11 @@ def basin_map(ax: Axes, x: Axis, y: Axis, face: Indices, ending: Indices, faces:
     patches = [_patch(FACE_COLOURS[k % len(FACE_COLOURS)], f"face {k + 1}") for k in range(faces)]
     open_ends = np.unique(ending[face == 0])
     if any(k >= 0 and ENDING_OF_INDEX[k] in _TOPS for k in open_ends):
-        patches.append(_patch(TOP, "spins"))
+        patches.append(_patch(SPINNING_COLOUR, "spins"))
     if any(k >= 0 and ENDING_OF_INDEX[k] not in _TOPS for k in open_ends):
-        patches.append(_patch(OPEN, "left bouncing"))
+        patches.append(_patch(BOUNCING_COLOUR, "left bouncing"))
     if (open_ends < 0).any():
-        patches.append(_patch(NOWHERE, "below the table"))
+        patches.append(_patch(NO_RELEASE_COLOUR, "below the table"))
     ax.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, handlelength=1.0)
     return ax
 

@@ -30,7 +30,7 @@ from ..elements import (
     Residuals,
     display_window,
     hex_colour,
-    outlines,
+    visible_edges,
 )
 
 if TYPE_CHECKING:
@@ -220,7 +220,7 @@ def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: 
     ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     for motion, width in zip(motions, (1.8, 0.7), strict=False):
         rows = np.flatnonzero(motion.frame == frame)
-        for drawn in outlines(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
+        for drawn in visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
             for edge in (*drawn.silhouette_px, *drawn.inner_px):
                 ax.plot(*edge.T, color=hex_colour(COLOURS[motion.name]), linewidth=width)
     ax.set_xlim(-0.5, clip.width_px - 0.5)

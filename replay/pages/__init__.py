@@ -1,6 +1,6 @@
 """replay.pages."""
 
-from .account import Account as Account
+from .account import ReportDetails as ReportDetails
 from .calibration import calibration_page as calibration_page
 from .captioned_figures import write_figures as write_figures
 from .check import check_page as check_page
@@ -11,4 +11,4 @@ from .trade import Setting as Setting
 from .trade import Trade as Trade
 from .trade import fastest_within as fastest_within
 from .trade import trade_page as trade_page
-from .trade import write_fronts as write_fronts
+from .trade import write_trade_figures as write_trade_figures

@@ -11,7 +11,7 @@ from ...tracking.track import Track
 
 
 @dataclass(frozen=True, eq=False)
-class Account:
+class ReportDetails:
     """What is empty or None is left out of the page."""
 
     frames: Track | None = None

@@ -16,7 +16,7 @@ from ...tracking.camera import Camera
 from ...tracking.footage import Clip
 from ..elements import Motion, Record, motions_of, residuals
 from ..figures import COLUMNS, bounce_strip, rows_of_strip, stroboscope, throw_plots
-from .account import Account
+from .account import ReportDetails
 from .page_parts import SAVING, as_address, captioned, drawing, legended
 
 WIDE, NARROW = 8.4, 5.2
@@ -30,7 +30,7 @@ SMOOTHED = "Frames of one flight were smoothed together and err alike; the band 
 
 
 @dataclass(frozen=True, eq=False)
-class Plate:
+class CaptionedFigure:
     """One figure."""
 
     name: str
@@ -63,29 +63,29 @@ class Plate:
         return png, svg
 
 
-def write_figures(folder: Path, record: Record, account: Account | None = None) -> tuple[Path, ...]:
+def write_figures(folder: Path, record: Record, account: ReportDetails | None = None) -> tuple[Path, ...]:
     """Every figure of a throw as PNG and SVG. Raises OSError where they cannot be written."""
     folder.mkdir(exist_ok=True)
-    return tuple(path for plate in plates(record, account or Account()) for path in plate.write(folder))
+    return tuple(path for plate in report_figures(record, account or ReportDetails()) for path in plate.write(folder))
 
 
-def plates(record: Record, account: Account) -> list[Plate]:
+def report_figures(record: Record, account: ReportDetails) -> list[CaptionedFigure]:
     """The figures that a record can fill, in the order of the report."""
     return [
-        *on_film(record),
-        heights(record),
-        *restitutions(record),
-        *misfits(record, account),
-        *of_fit(record),
+        *clip_figures(record),
+        height_figure(record),
+        *restitution_figures(record),
+        *residual_figures(record, account),
+        *fit_figures(record),
     ]
 
 
-def on_film(record: Record) -> Iterator[Plate]:
+def clip_figures(record: Record) -> Iterator[CaptionedFigure]:
     """The die on the frames of the clip."""
     clip, camera, solid, motions = record.clip, record.camera, record.die.solid, motions_of(record)
     if clip is None or camera is None or not _is_on_film(clip, motions[0]):
         return
-    yield Plate(
+    yield CaptionedFigure(
         "stroboscope",
         (NARROW, NARROW * clip.height_px / clip.width_px + 0.3),
         f"The whole throw in one picture: the die cut out of frames of the clip, {_edges_in_words(motions)}.",
@@ -95,14 +95,14 @@ def on_film(record: Record) -> Iterator[Plate]:
     yield from _strip(record, clip, camera, motions)
 
 
-def _strip(record: Record, clip: Clip, camera: Camera, motions: Sequence[Motion]) -> Iterator[Plate]:
+def _strip(record: Record, clip: Clip, camera: Camera, motions: Sequence[Motion]) -> Iterator[CaptionedFigure]:
     impacts, solid = record.measured.bounces, record.die.solid
     rows = rows_of_strip(clip, camera, solid, motions[0], impacts)
     if not rows:
         return
     shown = rows[-1][0][-1] + 1
     which = "Every bounce" if shown == len(impacts) else f"The first {shown} of {len(impacts)} bounces"
-    yield Plate(
+    yield CaptionedFigure(
         "bounces",
         (WIDE, WIDE / COLUMNS * len(rows) + 0.3),
         f"{which}, frame by frame, with the time from the impact in milliseconds; {_edges_in_words(motions)}.",
@@ -111,7 +111,7 @@ def _strip(record: Record, clip: Clip, camera: Camera, motions: Sequence[Motion]
     )
 
 
-def heights(record: Record) -> Plate:
+def height_figure(record: Record) -> CaptionedFigure:
     """Experiment over model, as the paper's Fig. 5."""
     track, simulated, solid = record.track, record.simulated, record.die.solid
 
@@ -128,10 +128,10 @@ def heights(record: Record) -> Plate:
 
     caption = "Height of every corner over time: measured dots"
     caption += ", simulated lines" if simulated is not None else ""
-    return Plate("heights", (WIDE, 4.0), caption + ". Dashed: the bounces.", draw)
+    return CaptionedFigure("heights", (WIDE, 4.0), caption + ". Dashed: the bounces.", draw)
 
 
-def restitutions(record: Record) -> Iterator[Plate]:
+def restitution_figures(record: Record) -> Iterator[CaptionedFigure]:
     """χ bounce by bounce."""
     impacts = record.measured.bounces
     if not any(np.isfinite(impact.chi) for impact in impacts):
@@ -139,10 +139,10 @@ def restitutions(record: Record) -> Iterator[Plate]:
     chi = record.fit.parameters.get("chi") if record.fit is not None else None
     caption = "Apparent restitution of every bounce with its interval"
     caption += ", and the fitted χ with its own as a band." if chi is not None and chi.value is not None else "."
-    yield Plate("restitution", (NARROW, 2.9), caption, lambda ax: throw_plots.restitution(ax, impacts, chi))
+    yield CaptionedFigure("restitution", (NARROW, 2.9), caption, lambda ax: throw_plots.restitution(ax, impacts, chi))
 
 
-def misfits(record: Record, account: Account) -> Iterator[Plate]:
+def residual_figures(record: Record, account: ReportDetails) -> Iterator[CaptionedFigure]:
     """Measured minus simulated."""
     if record.simulated is None:
         return
@@ -152,27 +152,27 @@ def misfits(record: Record, account: Account) -> Iterator[Plate]:
         alone = residuals(account.frames, record.simulated)
     rest, in_sigmas = smoothed, alone or smoothed
     if np.isfinite(in_sigmas.standard_errors).any():
-        yield Plate(
+        yield CaptionedFigure(
             "residuals_position_sigmas",
             (WIDE, 2.3),
             "Measured minus simulated position, world axes, in standard errors of the measured one. "
             + (SMOOTHED if alone is None else FRAMES_ALONE),
             lambda ax: throw_plots.position_sigmas(ax, in_sigmas, impacts),
         )
-        yield Plate(
+        yield CaptionedFigure(
             "residuals_rotation_sigmas",
             (WIDE, 2.3),
             "The rotation from the simulated to the measured orientation about the world axes, likewise.",
             lambda ax: throw_plots.turn_sigmas(ax, in_sigmas, impacts),
         )
     if len(rest.frame):
-        yield Plate(
+        yield CaptionedFigure(
             "residuals_position",
             (WIDE, 2.3),
             "Measured minus simulated position in millimetres.",
             lambda ax: throw_plots.position_residuals(ax, rest, impacts),
         )
-        yield Plate(
+        yield CaptionedFigure(
             "residuals_angle",
             (WIDE, 2.1),
             "Angle between the measured and the simulated orientation.",
@@ -180,7 +180,7 @@ def misfits(record: Record, account: Account) -> Iterator[Plate]:
         )
 
 
-def of_fit(record: Record) -> Iterator[Plate]:
+def fit_figures(record: Record) -> Iterator[CaptionedFigure]:
     """What the fit says of its numbers, and of the landing."""
     fit = record.fit
     if fit is None:
@@ -189,7 +189,7 @@ def of_fit(record: Record) -> Iterator[Plate]:
     if covariance is None or len(covariance) != len(names):
         covariance, names = fit.initial_covariance, STATE_NAMES
     if covariance is not None and np.isfinite(covariance).all():
-        yield Plate(
+        yield CaptionedFigure(
             "correlations",
             (NARROW, 4.5),
             "Correlations of what was fitted, in hundredths: position, rotation vector, velocity and angular velocity at the "
@@ -199,14 +199,14 @@ def of_fit(record: Record) -> Iterator[Plate]:
     odds = fit.face_odds
     if odds:
         caption = "Where throws that are drawn from the fit and simulated on come to rest."
-        yield Plate("odds", (NARROW, 2.6), caption, lambda ax: throw_plots.face_odds(ax, odds))
+        yield CaptionedFigure("odds", (NARROW, 2.6), caption, lambda ax: throw_plots.face_odds(ax, odds))
     if sum(bool(estimate.face_odds) for estimate in record.estimates) > 1:
         caption = (
             "Odds of the faces from the frames up to the end of each flight, by the effects of the whole fit. "
             "Dashed: the bounces."
         )
         impacts = record.measured.bounces
-        yield Plate(
+        yield CaptionedFigure(
             "odds_on_the_way",
             (WIDE, 2.6),
             caption,
@@ -214,7 +214,7 @@ def of_fit(record: Record) -> Iterator[Plate]:
         )
 
 
-def as_html(chosen: Iterable[Plate]) -> str:
+def as_html(chosen: Iterable[CaptionedFigure]) -> str:
     """Plates one below the other."""
     return "\n".join(plate.as_html() for plate in chosen)
 

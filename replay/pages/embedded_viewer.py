@@ -22,7 +22,7 @@ from functools import lru_cache
 from pathlib import Path
 from socket import AF_INET, SOCK_STREAM, socket
 
-WITH_VIEWER = (
+VIEWER_POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; font-src data:; "
     "script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; media-src blob:; connect-src data: blob:"
 )
@@ -32,7 +32,7 @@ START_S = 30.0
 COMPRESSION = 6
 """Of gzip: 9 takes three times as long for one per cent less."""
 
-PLACE = """<div class="screen" id="replay">
+VIEWER_PLACE = """<div class="screen" id="replay">
 <style>
 #replay button { font: inherit; padding: .5rem 1rem; border: 1px solid var(--rule); background: var(--wash); cursor: pointer; }
 #replay canvas { display: block; width: 100%; height: min(80vh, 46rem); background: #0d1011; }

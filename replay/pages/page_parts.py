@@ -60,11 +60,11 @@ SAVING: dict[str, dict[str, Any]] = {
 }
 """How each kind of picture is saved: without dates and names, so that the same record gives the same page."""
 
-STILL = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+STATIC_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 """Content security policy of a page that runs nothing: the browser itself keeps it off the network."""
 
 
-def whole_page(title: str, parts: Iterable[str], style: str = "", policy: str = STILL) -> str:
+def whole_page(title: str, parts: Iterable[str], style: str = "", policy: str = STATIC_POLICY) -> str:
     """A page of finished parts; `style` is added to that of all pages, `policy` says what the browser lets it do."""
     return "\n".join(
         [
@@ -120,7 +120,7 @@ def captioned(address: str, caption: str, *, narrow: bool = False) -> str:
     return f"<figure{kind}>{picture}<figcaption>{text}</figcaption></figure>"
 
 
-def told_table(rows: Iterable[tuple[str, str]]) -> str:
+def key_value_table(rows: Iterable[tuple[str, str]]) -> str:
     """Names with what is to be said of each, without a header."""
     body = "\n".join(f"<tr>{_cell(name)}{_cell(text)}</tr>" for name, text in rows)
     return f'<div class="wide"><table class="told">\n<tbody>\n{body}\n</tbody></table></div>'

@@ -16,23 +16,23 @@ from ..elements import (
     SIMULATED,
     UNKNOWN,
     Record,
+    certainty_sentences,
     chi_of,
     decimals_for,
     effects_sentences,
     fixed,
     hex_colour,
     landing_sentence,
-    meaning,
     number,
+    parameter_text,
     role,
-    settled_sentence,
     verdict,
 )
 from . import captioned_figures
-from .account import Account
-from .embedded_viewer import PLACE, WITH_VIEWER, viewer_html
+from .account import ReportDetails
+from .embedded_viewer import VIEWER_PLACE, VIEWER_POLICY, viewer_html
 from .findings import findings_table
-from .page_parts import STILL, as_table, told_table, whole_page
+from .page_parts import STATIC_POLICY, as_table, key_value_table, whole_page
 
 if TYPE_CHECKING:
     from ...fitting.results import Fit, Parameter
@@ -41,18 +41,18 @@ if TYPE_CHECKING:
 UNKNOWN_ERRORS = np.full(3, np.nan)
 
 
-def write_report(path: Path, record: Record, account: Account | None = None, replay: Path | None = None) -> None:
+def write_report(path: Path, record: Record, account: ReportDetails | None = None, replay: Path | None = None) -> None:
     """Write the page. What is not determined is said to be so, with the reason that the fit gives.
 
     With `replay`, a recording, the page holds the viewer and the recording as well. Raises OSError where a file cannot
     be read or written.
     """
-    path.write_text(page(record, account or Account(), replay), encoding="utf-8")
+    path.write_text(page(record, account or ReportDetails(), replay), encoding="utf-8")
 
 
-def page(record: Record, account: Account | None = None, replay: Path | None = None) -> str:
+def page(record: Record, account: ReportDetails | None = None, replay: Path | None = None) -> str:
     """The whole page as HTML; every text that comes from outside is escaped."""
-    told = account or Account()
+    told = account or ReportDetails()
     parts = [
         f"<h1>{escape(record.title)}</h1>",
         _subtitle(record),
@@ -66,7 +66,7 @@ def page(record: Record, account: Account | None = None, replay: Path | None = N
         _origin(told.origin),
         viewer_html(replay) if replay is not None else "",
     ]
-    policy = STILL if replay is None else WITH_VIEWER
+    policy = STATIC_POLICY if replay is None else VIEWER_POLICY
     return whole_page(record.title, (part for part in parts if part), policy=policy)
 
 
@@ -110,9 +110,9 @@ def _throw(record: Record, embedded: bool) -> str:
     return "\n".join(
         [
             "<h2>The throw</h2>",
-            *([PLACE] if embedded else []),
-            captioned_figures.as_html(captioned_figures.on_film(record)),
-            captioned_figures.heights(record).as_html(),
+            *([VIEWER_PLACE] if embedded else []),
+            captioned_figures.as_html(captioned_figures.clip_figures(record)),
+            captioned_figures.height_figure(record).as_html(),
         ]
     )
 
@@ -131,7 +131,9 @@ def _bounces(record: Record) -> str:
         "lowest face before → after",
     )
     table = as_table(header, (_bounce_row(k, impact) for k, impact in enumerate(impacts, 1)))
-    return "\n".join(["<h2>Bounces</h2>", table, captioned_figures.as_html(captioned_figures.restitutions(record))])
+    return "\n".join(
+        ["<h2>Bounces</h2>", table, captioned_figures.as_html(captioned_figures.restitution_figures(record))]
+    )
 
 
 def _fit(record: Record) -> str:
@@ -144,16 +146,16 @@ def _fit(record: Record) -> str:
         parts += ["<h3>Effects</h3>", _effects(fit)]
     if fit.initial is not None:
         parts += ["<h3>Initial conditions</h3>", _initial(fit.initial, fit)]
-        parts += [plate.as_html() for plate in captioned_figures.of_fit(record) if plate.name == "correlations"]
+        parts += [plate.as_html() for plate in captioned_figures.fit_figures(record) if plate.name == "correlations"]
     if fit.messages:
         parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
     return "\n".join(parts)
 
 
-def _residuals(record: Record, account: Account) -> str:
+def _residuals(record: Record, account: ReportDetails) -> str:
     if record.simulated is None:
         return ""
-    shown = captioned_figures.as_html(captioned_figures.misfits(record, account))
+    shown = captioned_figures.as_html(captioned_figures.residual_figures(record, account))
     nothing = "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
     return f"<h2>Residuals</h2>\n{shown or nothing}"
 
@@ -161,13 +163,13 @@ def _residuals(record: Record, account: Account) -> str:
 def _landing(record: Record) -> str:
     if record.fit is None:
         return ""
-    said = [landing_sentence(record.fit), *settled_sentence(record.estimates)]
+    said = [landing_sentence(record.fit), *certainty_sentences(record.estimates)]
     parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(said))}</p>"]
-    parts += [plate.as_html() for plate in captioned_figures.of_fit(record) if plate.name.startswith("odds")]
+    parts += [plate.as_html() for plate in captioned_figures.fit_figures(record) if plate.name.startswith("odds")]
     return "\n".join(parts)
 
 
-def _checks(record: Record, account: Account) -> str:
+def _checks(record: Record, account: ReportDetails) -> str:
     if not account.findings and not record.notices:
         return ""
     parts = ["<h2>Calibration and timing</h2>"]
@@ -200,7 +202,7 @@ def _origin(origin: Mapping[str, Any] | None) -> str:
         + "\n".join(inputs)
         + "\n</tbody></table></div>"
     )
-    told = told_table((name, text) for name, text in rows if text)
+    told = key_value_table((name, text) for name, text in rows if text)
     return "\n".join(["<h2>Where this comes from</h2>", told, files if inputs else ""])
 
 
@@ -225,14 +227,14 @@ def _arrow(before: float, after: float, decimals: int) -> str:
 def _parameter_row(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]:
     reason = f"{UNKNOWN}: {_reason(name, fit)}"
     if parameter.value is None:
-        return meaning(name), reason, UNKNOWN, role(parameter)
+        return parameter_text(name), reason, UNKNOWN, role(parameter)
     if parameter.low is None or parameter.high is None:
         no_interval = reason if parameter.free else "held, so it has none"
-        return meaning(name), number(parameter.value), no_interval, role(parameter)
+        return parameter_text(name), number(parameter.value), no_interval, role(parameter)
     decimals = decimals_for(parameter.high - parameter.low)
     ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
     level = f" ({100 * parameter.level:.3g} %)" if parameter.level is not None else ""
-    return meaning(name), fixed(parameter.value, decimals), ends + level, role(parameter)
+    return parameter_text(name), fixed(parameter.value, decimals), ends + level, role(parameter)
 
 
 def _reason(name: str, fit: Fit) -> str:

@@ -11,7 +11,7 @@ from ...model.throw import Throw
 from ..elements import bounce_sentence
 from ..figures import throw_heights
 from .captioned_figures import WIDE
-from .embedded_viewer import PLACE, WITH_VIEWER, viewer_html
+from .embedded_viewer import VIEWER_PLACE, VIEWER_POLICY, viewer_html
 from .page_parts import captioned, plotted, whole_page
 
 MOST_BOUNCES = 50
@@ -26,7 +26,7 @@ def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], rep
     parts = [
         f"<h1>{escape(title)}</h1>",
         f'<div class="verdict"><p>{escape(" ".join(sentences))}</p></div>',
-        PLACE,
+        VIEWER_PLACE,
         captioned(
             plotted((WIDE, 4.0), lambda ax: throw_heights(ax, die.solid, throw)),
             "Height of every corner over time. Dashed: the bounces.",
@@ -35,4 +35,4 @@ def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], rep
         "<ul>\n" + "\n".join(f"<li>{escape(line)}</li>" for line in listed or ["None."]) + "\n</ul>",
         viewer_html(replay),
     ]
-    return whole_page(title, parts, policy=WITH_VIEWER)
+    return whole_page(title, parts, policy=VIEWER_POLICY)

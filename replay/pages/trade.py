@@ -13,10 +13,10 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ...tracking.footage import Coarseness
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour
-from .captioned_figures import Plate
+from .captioned_figures import CaptionedFigure
 from .page_parts import as_table, captioned, plotted, whole_page
 
-FEW_TIMES = 8.0
+NARROW_SPEED_RANGE = 8.0
 """Between settings that lie no further apart than this the axis of speed has numbers between 1, 2 and 5."""
 
 
@@ -59,7 +59,7 @@ class Setting:
         return told["--quality"], Coarseness(int(told.get("--every", "1")), int(told.get("--shrink", "1")))
 
     @property
-    def doubt(self) -> float | None:
+    def chi_uncertainty(self) -> float | None:
         """How far χ may be off: the longer side of its interval, or its distance from the reference."""
         if self.half_width is None:
             return None
@@ -98,19 +98,19 @@ class Trade:
         """One line."""
         best = self.recommended
         if best is None:
-            reached = [s.doubt for s in self.of("tracking") if s.doubt is not None]
+            reached = [s.chi_uncertainty for s in self.of("tracking") if s.chi_uncertainty is not None]
             told = f"the best comes to ±{min(reached):.2g}" if reached else "none gives χ"
             return f"No setting gives χ to ±{self.within:g} on this scene: {told}."
         options = " ".join(best.options) or "no option"
         return (
             f"For χ to ±{self.within:g}: diethrow analyze with {options}, {best.rate:.0f} frames a second; it gives "
-            f"±{best.doubt:.2g}."
+            f"±{best.chi_uncertainty:.2g}."
         )
 
 
 def fastest_within(settings: Sequence[Setting], within: float) -> Setting | None:
     """The fastest setting whose χ is within what is asked for; None where none is."""
-    good = [s for s in settings if s.doubt is not None and s.doubt <= within]
+    good = [s for s in settings if s.chi_uncertainty is not None and s.chi_uncertainty <= within]
     return max(good, key=lambda s: s.rate, default=None)
 
 
@@ -142,13 +142,13 @@ def trade_page(title: str, trade: Trade) -> str:
     return whole_page(title, parts, "td:nth-child(2) { white-space: nowrap; }")
 
 
-def write_fronts(folder: Path, trade: Trade) -> None:
+def write_trade_figures(folder: Path, trade: Trade) -> None:
     """The pictures of the page as files: tracking.png, work.png, fit.png, model.png, and each as SVG."""
     for plate in _plates(trade):
         plate.write(folder)
 
 
-def speed_against_doubt(
+def speed_against_error(
     ax: Axes, settings: Sequence[Setting], badness: Callable[[Setting], float | None], x: str, y: str
 ) -> Axes:
     """One point a setting on logarithmic axes, those on the front joined; a value of 0 stands at the lower edge."""
@@ -168,7 +168,7 @@ def speed_against_doubt(
     ax.set_yscale("log")
     # Powers of ten would leave most of these axes with one number.
     span = max((s.rate for s, _ in places), default=1.0) / min((s.rate for s, _ in places), default=1.0)
-    steps = (1.0, 2.0, 5.0) if span > FEW_TIMES else (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
+    steps = (1.0, 2.0, 5.0) if span > NARROW_SPEED_RANGE else (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
     ax.xaxis.set_major_locator(LogLocator(subs=steps))
     ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
@@ -178,15 +178,15 @@ def speed_against_doubt(
     return ax
 
 
-def _plates(trade: Trade) -> list[Plate]:
+def _plates(trade: Trade) -> list[CaptionedFigure]:
     """A picture of each trade that has anything to show."""
     drawn: list[tuple[str, Callable[[Setting], float | None], str, str]] = [
-        ("tracking", lambda s: s.doubt, "frames of the clip a second of a processor", "χ may be off by"),
-        ("work", lambda s: s.doubt, "frames of the clip a second of a processor", "χ may be off by"),
+        ("tracking", lambda s: s.chi_uncertainty, "frames of the clip a second of a processor", "χ may be off by"),
+        ("work", lambda s: s.chi_uncertainty, "frames of the clip a second of a processor", "χ may be off by"),
         ("fit", lambda s: s.half_width, "fits a second of a processor", "half width of the χ interval"),
         ("model", lambda s: s.error, "throws a second of a processor", "share on another face"),
     ]
-    plates = []
+    report_figures = []
     for kind, badness, x, y in drawn:
         settings = [s for s in trade.of(kind) if badness(s) is not None]
         if settings:
@@ -194,12 +194,12 @@ def _plates(trade: Trade) -> list[Plate]:
                 "Each point is a setting, by its number in the table; joined: those that nothing beats in both. Right is "
                 "faster, low is better."
             )
-            draw = partial(speed_against_doubt, settings=settings, badness=badness, x=x, y=y)
-            plates.append(Plate(kind, (8.4, 3.6), caption, draw))
-    return plates
+            draw = partial(speed_against_error, settings=settings, badness=badness, x=x, y=y)
+            report_figures.append(CaptionedFigure(kind, (8.4, 3.6), caption, draw))
+    return report_figures
 
 
-def _picture(plate: Plate) -> str:
+def _picture(plate: CaptionedFigure) -> str:
     return captioned(plotted(plate.inches, plate.draw), plate.caption)
 
 

@@ -30,7 +30,7 @@ GROUND = (24, 26, 30)
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class RecordingContents:
     """What the recording holds."""
 
     motions: tuple[str, ...]
@@ -56,7 +56,7 @@ class Shown:
     bounces: bool = False
 
 
-def blueprint(shown: Shown) -> rrb.Blueprint:
+def blueprint(shown: RecordingContents) -> rrb.Blueprint:
     """Replay, Bounces, Residuals, Fit: those of them that have something to show."""
     tabs = [_replay_tab(shown)]
     if shown.bounces:
@@ -87,7 +87,7 @@ def panels(timeline: str, fps: float, played: tuple[int, int]) -> tuple[rrb.Blue
 # --- Replay ---
 
 
-def _replay_tab(shown: Shown) -> rrb.Container:
+def _replay_tab(shown: RecordingContents) -> rrb.Container:
     both = len(shown.motions) == 2
     sides = [_side_view(shown, motion) for motion in shown.motions]
     overlay = [_overlay_view(shown)] if both else []
@@ -98,7 +98,7 @@ def _replay_tab(shown: Shown) -> rrb.Container:
     return rrb.Horizontal(rrb.Vertical(*film, *overlay), right, column_shares=[2, 3], name="Replay")
 
 
-def _side_view(shown: Shown, motion: str) -> rrb.Spatial3DView:
+def _side_view(shown: RecordingContents, motion: str) -> rrb.Spatial3DView:
     """The table, the camera, and one die with its bounces."""
     contents = [f"+ world/{motion}/{part}" for part in ("die/**", "trail", "impacts/**", "impulses/**")]
     return scene_view(
@@ -106,7 +106,7 @@ def _side_view(shown: Shown, motion: str) -> rrb.Spatial3DView:
     )
 
 
-def _overlay_view(shown: Shown) -> rrb.Spatial3DView:
+def _overlay_view(shown: RecordingContents) -> rrb.Spatial3DView:
     """Both dice in one view that stays close to the measured one."""
     # Without the measured edges, which would hide the model's where the two agree.
     motions = {"measured": ("die", "trail", "impacts/**"), "simulated": ("die/edges",)}
@@ -190,7 +190,7 @@ def _film_view(picture_px: tuple[int, int]) -> rrb.Spatial2DView:
     )
 
 
-def _heights_view(shown: Shown) -> rrb.TimeSeriesView:
+def _heights_view(shown: RecordingContents) -> rrb.TimeSeriesView:
     """Sixteen names would hide the curves: the title carries the legend."""
     legend = ", ".join({"measured": "measured wide", "simulated": "simulated narrow"}[name] for name in shown.motions)
     name = f"Height of every corner [mm]: {legend}; upright lines: bounces"
@@ -254,7 +254,7 @@ def _about_zero(values: ArrayLike, least: float = 0.0) -> tuple[float, float]:
     return -1.05 * limit, 1.05 * limit
 
 
-def _fit_tab(shown: Shown) -> rrb.Container | rrb.View:
+def _fit_tab(shown: RecordingContents) -> rrb.Container | rrb.View:
     text = rrb.TextDocumentView(origin="report/estimate", name="Fit")
     plots: list[rrb.View] = []
     if shown.chi_range is not None:

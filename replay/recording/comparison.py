@@ -23,7 +23,7 @@ from ..elements import (
     estimate_sentence,
     mixed,
 )
-from .impacts import send_sentences
+from .impacts import send_log_lines
 from .timelines import Clock, on_frames, send_instants
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def send_estimates(recording: rr.RecordingStream, estimates: Sequence[Estimate],
         return
     times = np.array([estimate.time_s for estimate in estimates])
     said = [f"fit {estimate_sentence(estimate)}" for estimate in estimates]
-    send_sentences(recording, "events/told", times, said, clock, mixed(IMPACT, WHITE, 0.4))
+    send_log_lines(recording, "events/told", times, said, clock, mixed(IMPACT, WHITE, 0.4))
     _send_chi(recording, [estimate for estimate in estimates if estimate.chi.value is not None], clock)
     _send_odds(recording, [estimate for estimate in estimates if estimate.face_odds], clock)
 

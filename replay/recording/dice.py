@@ -64,9 +64,9 @@ def _mesh(solid: Solid, colour: Colour) -> rr.Mesh3D:
 
 def send_clears(recording: rr.RecordingStream, entity: str, motion: Motion) -> None:
     """Empty the entity and all below it on every frame without a pose."""
-    if len(motion.gone_frame):
-        gone = rr.Clear.columns(is_recursive=[True] * len(motion.gone_frame))
-        recording.send_columns(entity, on_frames(motion.gone_frame, motion.gone_time_s), gone)
+    if len(motion.missing_frame):
+        gone = rr.Clear.columns(is_recursive=[True] * len(motion.missing_frame))
+        recording.send_columns(entity, on_frames(motion.missing_frame, motion.missing_time_s), gone)
 
 
 def _send_trail(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> None:

@@ -42,12 +42,12 @@ def send_bounces(
     line = rr.SeriesLines(
         colors=mixed(colour, BLACK, 0.35), names=f"{motion.name} bounce", widths=1.0, aggregation_policy="off"
     )
-    send_uprights(recording, f"plots/height/bounces/{motion.name}", times, [0.0], [height_mm], clock, line)
+    send_vertical_lines(recording, f"plots/height/bounces/{motion.name}", times, [0.0], [height_mm], clock, line)
     said = [f"{motion.name}: {bounce_sentence(k, impact)}" for k, impact in enumerate(throw.bounces, 1)]
-    send_sentences(recording, f"events/{motion.name}", times, said, clock, colour)
+    send_log_lines(recording, f"events/{motion.name}", times, said, clock, colour)
 
 
-def send_sentences(
+def send_log_lines(
     recording: rr.RecordingStream, entity: str, times_s: ArrayLike, said: Sequence[str], clock: Clock, colour: Colour
 ) -> None:
     """Lines of the event log."""
@@ -55,7 +55,7 @@ def send_sentences(
     send_instants(recording, entity, times_s, clock, log)
 
 
-def send_uprights(
+def send_vertical_lines(
     recording: rr.RecordingStream,
     entity: str,
     times_s: ArrayLike,
@@ -161,4 +161,6 @@ def send_bounce_chi(recording: rr.RecordingStream, motion: Motion, clock: Clock)
     if sure:
         style = rr.SeriesLines(colors=colour, names="95 % interval", widths=1.5, aggregation_policy="off")
         low, high = [impact.chi_low for impact in sure], [impact.chi_high for impact in sure]
-        send_uprights(recording, f"{entity}_interval", [impact.time_s for impact in sure], low, high, clock, style)
+        send_vertical_lines(
+            recording, f"{entity}_interval", [impact.time_s for impact in sure], low, high, clock, style
+        )

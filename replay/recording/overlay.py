@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...tracking.camera import Camera
-from ..elements import COLOURS, Motion, Outline, outlines
+from ..elements import COLOURS, Motion, VisibleEdges, visible_edges
 from .dice import send_clears
 from .timelines import on_frames
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 def send_overlay(recording: rr.RecordingStream, solid: Solid, camera: Camera, motion: Motion) -> None:
     """Visible edges and corners on the film. The simulated die is drawn thinner, and on top."""
-    drawn = outlines(solid, camera, motion.position_m, motion.quaternion)
+    drawn = visible_edges(solid, camera, motion.position_m, motion.quaternion)
     if not drawn:
         return
     top = motion.name == "simulated"
@@ -41,7 +41,7 @@ def _send_lines(
 
 
 def _send_corners(
-    recording: rr.RecordingStream, entity: str, motion: Motion, drawn: list[Outline], radius: float, order: float
+    recording: rr.RecordingStream, entity: str, motion: Motion, drawn: list[VisibleEdges], radius: float, order: float
 ) -> None:
     style = rr.Points2D.from_fields(colors=[COLOURS[motion.name]], radii=[-radius], draw_order=order)
     recording.log(entity, style, static=True)

@@ -24,7 +24,7 @@ FRUSTUM = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class SceneBounds:
     """The box that holds the throw, and from where it is looked at."""
 
     low_m: Array
@@ -42,7 +42,7 @@ class Stage:
         return np.asarray(0.5 * (self.low_m + self.high_m))
 
 
-def stage_of(solid: Solid, motions: Sequence[Motion], camera: Camera | None) -> Stage:
+def scene_bounds_of(solid: Solid, motions: Sequence[Motion], camera: Camera | None) -> SceneBounds:
     """The box of the first motion that has poses: the model's may go on far beyond what was seen."""
     shown = next((motion for motion in motions if len(motion.frame)), None)
     if shown is None:
@@ -52,7 +52,7 @@ def stage_of(solid: Solid, motions: Sequence[Motion], camera: Camera | None) -> 
         low, high = corners.min((0, 1)), corners.max((0, 1))
         frames = int(shown.frame[0]), int(shown.frame[-1])
     low[2] = 0.0
-    return Stage(low, high, eye_of(low, high, camera.centre_m if camera is not None else None), frames)
+    return SceneBounds(low, high, eye_of(low, high, camera.centre_m if camera is not None else None), frames)
 
 
 def eye_of(low_m: Array, high_m: Array, camera_m: Array | None = None) -> Array:

@@ -29,9 +29,9 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
-from ..elements import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
+from ..elements import BLACK, MEASURED, SIMULATED, THROW_COLOURS, WHITE, Colour, mixed
 from .scenery import eye_of, send_table
-from .several_throws_blueprint import Cast, Joined, views_of
+from .several_throws_blueprint import JoinedContents, JoinedThrow, views_of
 from .throw_recording import open_recording
 from .timelines import on_frames
 
@@ -56,7 +56,7 @@ class Source:
 
 
 @dataclass(frozen=True, eq=False)
-class _Read:
+class _LoadedRecording:
     """A recording, and what has to be known of it before it is joined."""
 
     name: str
@@ -103,7 +103,7 @@ def join_recordings(out: Path, sources: Sequence[Source], *, same_throw: bool = 
     with open_recording(out, title, f"{title.replace(' ', '-')}-{identity}", views_of(joined)) as recording:
         send_table(recording, joined.low_m, joined.high_m)
         for k, (read, shift, cast) in enumerate(zip(reads, shifts, joined.cast, strict=True)):
-            move = _Move(read, shift, cast, same_throw, first=k == 0, keeps_frames=joined.keeps_frames)
+            move = _ChunkRewriter(read, shift, cast, same_throw, first=k == 0, keeps_frames=joined.keeps_frames)
             for chunk in read.chunks:
                 moved = move.chunk(chunk)
                 if moved is not None:
@@ -136,7 +136,7 @@ def entity_name(title: str) -> str:
 # --- reading ---
 
 
-def _read(source: Source) -> _Read:
+def _read(source: Source) -> _LoadedRecording:
     if not source.path.is_file():
         raise FileNotFoundError(f"{source.path}: there is no such recording")
     try:
@@ -155,7 +155,7 @@ def _read(source: Source) -> _Read:
     box += np.array([[-radius] * 3, [radius] * 3])
     box[0, 2] = 0.0
     fps = 1e9 * float(frames[-1] - frames[0]) / max(float(times[-1] - times[0]), 1.0)
-    return _Read(
+    return _LoadedRecording(
         entity_name(source.name),
         source.name,
         chunks,
@@ -205,7 +205,7 @@ def _times(batch: pa.RecordBatch, timeline: str) -> NDArray[np.int64]:
     return np.asarray(batch.column(timeline).cast(pa.int64())).astype(np.int64)
 
 
-def _shifts(reads: Sequence[_Read]) -> list[tuple[int, int]]:
+def _shifts(reads: Sequence[_LoadedRecording]) -> list[tuple[int, int]]:
     """Nanoseconds and frames to add to each recording, none negative, so that all first bounces coincide."""
     bounces = [read.bounce for read in reads]
     missing = [read.title for read in reads if read.bounce is None]
@@ -215,7 +215,7 @@ def _shifts(reads: Sequence[_Read]) -> list[tuple[int, int]]:
     return [(last_t - bounce[0], last_frame - bounce[1]) for bounce in bounces if bounce]
 
 
-def _joined(reads: Sequence[_Read], shifts: Sequence[tuple[int, int]], same_throw: bool) -> Joined:
+def _joined(reads: Sequence[_LoadedRecording], shifts: Sequence[tuple[int, int]], same_throw: bool) -> JoinedContents:
     """What the views are made for."""
     low = np.min([read.box_m[0] for read in reads], axis=0)
     high = np.max([read.box_m[1] for read in reads], axis=0)
@@ -224,7 +224,7 @@ def _joined(reads: Sequence[_Read], shifts: Sequence[tuple[int, int]], same_thro
         [time + shift[0] for time in read.span] if not keeps else [frame + shift[1] for frame in read.frames]
         for read, shift in zip(reads, shifts, strict=True)
     ]
-    return Joined(
+    return JoinedContents(
         cast=tuple(_cast(read, k, same_throw) for k, read in enumerate(reads)),
         same_throw=same_throw,
         low_m=low,
@@ -237,9 +237,9 @@ def _joined(reads: Sequence[_Read], shifts: Sequence[tuple[int, int]], same_thro
     )
 
 
-def _cast(read: _Read, k: int, same_throw: bool) -> Cast:
-    colour = DISTINCT[(k + 1 if same_throw else k) % len(DISTINCT)]
-    return Cast(
+def _cast(read: _LoadedRecording, k: int, same_throw: bool) -> JoinedThrow:
+    colour = THROW_COLOURS[(k + 1 if same_throw else k) % len(THROW_COLOURS)]
+    return JoinedThrow(
         read.name,
         read.title,
         colour if not same_throw else MEASURED,
@@ -255,13 +255,13 @@ def _cast(read: _Read, k: int, same_throw: bool) -> Cast:
 
 
 @dataclass(frozen=True, eq=False)
-class _Move:
+class _ChunkRewriter:
     """How the chunks of one recording come into the joined one."""
 
-    read: _Read
+    read: _LoadedRecording
     shift: tuple[int, int]
     """Nanoseconds and frames to add."""
-    cast: Cast
+    cast: JoinedThrow
     same_throw: bool
     first: bool
     keeps_frames: bool
@@ -370,7 +370,7 @@ def _mapped(batch: pa.RecordBatch, name: str, change: Any) -> pa.RecordBatch:
 
 
 def _send_lowest(
-    recording: rr.RecordingStream, read: _Read, shift: tuple[int, int], cast: Cast, keeps_frames: bool
+    recording: rr.RecordingStream, read: _LoadedRecording, shift: tuple[int, int], cast: JoinedThrow, keeps_frames: bool
 ) -> None:
     """The height of the lowest corner, one curve a throw: eight corners each would hide one another."""
     for motion, colour in (("measured", cast.measured_colour), ("simulated", cast.simulated_colour)):
@@ -390,7 +390,7 @@ def _send_lowest(
             recording.send_columns(entity, index if keeps_frames else index[1:], columns)
 
 
-def _table(reads: Sequence[_Read]) -> str:
+def _table(reads: Sequence[_LoadedRecording]) -> str:
     """One row a recording, for the first page of the report."""
     lines = ["| | χ | 95 % interval | bounces | explained | residuals [σ] |", "| --- | --- | --- | --- | --- | --- |"]
     for read in reads:

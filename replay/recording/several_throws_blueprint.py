@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Cast:
+class JoinedThrow:
     """One recording among others."""
 
     name: str
@@ -30,10 +30,10 @@ class Cast:
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class JoinedContents:
     """What the joined recording holds."""
 
-    cast: tuple[Cast, ...]
+    cast: tuple[JoinedThrow, ...]
     same_throw: bool
     """They differ in the model alone."""
     low_m: Array
@@ -51,7 +51,7 @@ class Joined:
     """First and last frame with a pose; nanoseconds where frames are not counted."""
 
 
-def views_of(joined: Joined) -> rrb.Blueprint:
+def views_of(joined: JoinedContents) -> rrb.Blueprint:
     """Replay, Bounces, Residuals, Fit."""
     tabs = [_replay_tab(joined), _bounces_tab()]
     if any(cast.simulated and cast.measured for cast in joined.cast):
@@ -61,7 +61,7 @@ def views_of(joined: Joined) -> rrb.Blueprint:
     return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), *panels(timeline, joined.fps, joined.played), auto_views=False)
 
 
-def _replay_tab(joined: Joined) -> rrb.Container:
+def _replay_tab(joined: JoinedContents) -> rrb.Container:
     films = _films(joined)
     heights = plot("plots/height", "Height of every corner [mm]", legend=None)
     if not joined.same_throw:
@@ -73,7 +73,7 @@ def _replay_tab(joined: Joined) -> rrb.Container:
     return rrb.Horizontal(rrb.Grid(*films, grid_columns=columns), scene, column_shares=[2, 3], name="Replay")
 
 
-def _films(joined: Joined) -> list[rrb.View]:
+def _films(joined: JoinedContents) -> list[rrb.View]:
     """One film a throw; of models of one throw, that of the throw."""
     if joined.same_throw:
         return [rrb.Spatial2DView(origin="world/camera/image", name="Camera")] if joined.cast[0].film else []
@@ -84,7 +84,7 @@ def _films(joined: Joined) -> list[rrb.View]:
     ]
 
 
-def _scene(joined: Joined) -> rrb.Spatial3DView:
+def _scene(joined: JoinedContents) -> rrb.Spatial3DView:
     """All dice on one table: measured ones solid, models by their edges beside a measured die."""
     contents, motions = list(SCENERY), []
     if joined.same_throw and joined.cast[0].measured:
@@ -110,7 +110,7 @@ def _bounces_tab() -> rrb.Container:
     return rrb.Horizontal(left, right, column_shares=[6, 5], name="Bounces")
 
 
-def _residuals_tab(joined: Joined) -> rrb.Container:
+def _residuals_tab(joined: JoinedContents) -> rrb.Container:
     """Of each, position and rotation in standard errors on one line, and all in one plot below."""
     rows = [
         rrb.Horizontal(
@@ -137,7 +137,7 @@ def _residuals_tab(joined: Joined) -> rrb.Container:
     return rrb.Vertical(together, *rows, name="Residuals")
 
 
-def _fit_tab(joined: Joined) -> rrb.Container:
+def _fit_tab(joined: JoinedContents) -> rrb.Container:
     pages = [rrb.TextDocumentView(origin=f"report/{cast.name}", name=cast.title) for cast in joined.cast]
     text = rrb.Vertical(rrb.TextDocumentView(origin="report/table", name="All"), rrb.Tabs(*pages), row_shares=[1, 2])
     odds = [

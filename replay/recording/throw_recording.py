@@ -46,12 +46,12 @@ from ..elements import (
     track_of,
     verdict,
 )
-from .blueprint import Shown, blueprint
+from .blueprint import RecordingContents, blueprint
 from .comparison import send_estimates, send_residuals, send_status
 from .dice import send_die, send_spin_and_energy
 from .impacts import arrow_scale, send_bounce_chi, send_bounces
 from .overlay import send_overlay
-from .scenery import Stage, send_footage, send_table, stage_of
+from .scenery import SceneBounds, scene_bounds_of, send_footage, send_table
 from .timelines import Clock
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def write_recording(path: Path, record: Record) -> None:
     """
     motions = motions_of(record)
     clock = Clock(record.track.frame, record.track.time_s)
-    stage = stage_of(record.die.solid, motions, record.camera)
+    stage = scene_bounds_of(record.die.solid, motions, record.camera)
     rest = residuals(record.track, record.simulated) if record.simulated is not None else None
     estimates = record.estimates
     picture_px = (record.clip.width_px, record.clip.height_px) if record.clip is not None else None
@@ -102,7 +102,7 @@ def write_throw_recording(path: Path, die: Die, throw: Throw, fps: float, title:
     track = track_of(throw, fps)
     motion = motion_of("simulated", track, throw)
     clock = Clock(track.frame, track.time_s)
-    stage = stage_of(die.solid, [motion], None)
+    stage = scene_bounds_of(die.solid, [motion], None)
     shown = _shown(die, stage, [motion], fps)
     with open_recording(path, title, _identity(title, [motion]), blueprint(shown)) as recording:
         recording.send_property("throw", rr.AnyValues(bounces=len(throw.bounces), frames=len(track), fps_hz=fps))
@@ -151,17 +151,17 @@ def _identity(title: str, motions: Sequence[Motion]) -> str:
 
 def _shown(
     die: Die,
-    stage: Stage,
+    stage: SceneBounds,
     motions: Sequence[Motion],
     fps: float,
     *,
     picture_px: tuple[int, int] | None = None,
     rest: Residuals | None = None,
     estimates: Sequence[Estimate] = (),
-) -> Shown:
+) -> RecordingContents:
     """What the views are made for."""
     impacts = motions[0].impacts
-    return Shown(
+    return RecordingContents(
         motions=tuple(motion.name for motion in motions),
         fps=fps,
         eye_m=stage.eye_m,
@@ -190,7 +190,7 @@ def _chi_range(impacts: Sequence[Impact], estimates: Sequence[Estimate]) -> tupl
 
 
 def _send_motion(
-    recording: rr.RecordingStream, die: Die, motion: Motion, clock: Clock, scale: float, stage: Stage
+    recording: rr.RecordingStream, die: Die, motion: Motion, clock: Clock, scale: float, stage: SceneBounds
 ) -> None:
     send_die(recording, die.solid, motion)
     if motion.throw is not None:

@@ -1,10 +1,10 @@
 """replay.render."""
 
-from .mitsuba_scene import Look as Look
+from .mitsuba_scene import Appearance as Appearance
 from .mitsuba_scene import lamp_beside as lamp_beside
-from .renderer import Effort as Effort
-from .renderer import Studio as Studio
-from .renderer import film_light as film_light
+from .renderer import FilmRenderer as FilmRenderer
+from .renderer import RenderSettings as RenderSettings
+from .renderer import frame_light as frame_light
 from .sensor import FixedPattern as FixedPattern
 from .sensor import Sensor as Sensor
 from .sensor import expose as expose

@@ -201,10 +201,11 @@ def _marks(die: Die, face: int) -> NDArray[np.float32]:
     size = FINER * TILE_PX
     fine = np.zeros((size, size), np.uint8)
     frame = face_frame(die.solid, face)
-    for outlines in _mark_outlines(die, face, frame):
+    for visible_edges in _mark_outlines(die, face, frame):
         # Sixteenths of a fine pixel; the tile's middle is where four fine pixels meet.
         points = [
-            np.rint((size / 2 - 0.5 + size / 2 * outline * [1.0, -1.0]) * 16).astype(np.int32) for outline in outlines
+            np.rint((size / 2 - 0.5 + size / 2 * outline * [1.0, -1.0]) * 16).astype(np.int32)
+            for outline in visible_edges
         ]
         cv2.fillPoly(fine, points, 255, shift=4)
     shares = fine.reshape(TILE_PX, FINER, TILE_PX, FINER).mean((1, 3)) / 255.0
@@ -226,12 +227,12 @@ def _mark_outlines(die: Die, face: int, frame: FaceFrame) -> list[list[Array]]:
 def _number(number: int, faces: int, inscribed: float) -> list[Array]:
     """The outlines of a number; 6 and 9 are underlined where both occur."""
     path = TextPath((0, 0), str(number), size=1.0, prop=FontProperties(family="DejaVu Sans", weight="bold"))
-    outlines = [np.asarray(polygon, float) for polygon in path.to_polygons()]
-    everything = np.concatenate(outlines)
+    visible_edges = [np.asarray(polygon, float) for polygon in path.to_polygons()]
+    everything = np.concatenate(visible_edges)
     low, high = everything.min(0), everything.max(0)
     if number in (6, 9) and faces >= 9:
-        outlines.append(np.array([(low[0], -0.18), (high[0], -0.18), (high[0], -0.08), (low[0], -0.08)]))
+        visible_edges.append(np.array([(low[0], -0.18), (high[0], -0.18), (high[0], -0.08), (low[0], -0.08)]))
         low = np.array([low[0], -0.18])
     # A narrow digit is no larger than a wide one.
     scale = NUMBER_WIDTH * inscribed / max(float(np.linalg.norm(high - low)), 1.0)
-    return [(outline - (low + high) / 2) * scale for outline in outlines]
+    return [(outline - (low + high) / 2) * scale for outline in visible_edges]

@@ -56,7 +56,7 @@ class Optics:
         width, height = (-(-(int(c.max()) + 6 - low) // 32) * 32 for c, low in ((columns, left), (rows, top)))
         return left, top, left + width, top + height
 
-    def brought_home(self, ideal: Array, box: Box, fine: Box) -> Array:
+    def to_real_image(self, ideal: Array, box: Box, fine: Box) -> Array:
         """The real picture in a box, from the ideal one in its box."""
         if self.places is None:
             return ideal

@@ -33,7 +33,7 @@ DEPTH = 5
 
 
 @dataclass(frozen=True)
-class Look:
+class Appearance:
     """The scene but for die, table and camera: paint, lamp, and what stands in front."""
 
     lamp_m: Point
@@ -68,7 +68,7 @@ def lamp_beside(camera: Camera, distance_m: float = 0.6) -> Point:
     return float(x), float(y), float(distance_m * np.sin(rise))
 
 
-def scene_of(mi: Any, die: Die, optics: Optics, surface: str, look: Look) -> dict[str, Any]:
+def scene_of(mi: Any, die: Die, optics: Optics, surface: str, look: Appearance) -> dict[str, Any]:
     """Everything, as Mitsuba's dictionary."""
     paint = face_paint(die, paint=look.paint, ink=look.ink, grain=look.grain, seed=look.seed)
     coat = mi.load_dict({"type": "roughplastic", "alpha": look.roughness, "diffuse_reflectance": _picture(mi, paint)})
@@ -150,7 +150,7 @@ def _lamp(mi: Any, middle: Point, side: float) -> dict[str, Any]:
     }
 
 
-def _room_light(mi: Any, surface: str, look: Look) -> dict[str, Any]:
+def _room_light(mi: Any, surface: str, look: Appearance) -> dict[str, Any]:
     """Even light from all sides; round a mirror, which shows it, a room with things in it."""
     radiance = look.fill / np.pi
     if not is_mirror(surface):
@@ -170,7 +170,7 @@ def _room_light(mi: Any, surface: str, look: Look) -> dict[str, Any]:
     }
 
 
-def _table_coat(mi: Any, surface: str, look: Look) -> dict[str, Any]:
+def _table_coat(mi: Any, surface: str, look: Appearance) -> dict[str, Any]:
     scale = mi.ScalarTransform4f().scale(2.0 * TABLE_HALF_M / WIDTH_M)
     shift = mi.ScalarTransform4f().translate([0.5, 0.5, 0.0])
     # The rectangle's own coordinates run from 0 to 1; the texture's middle is to lie at the origin.

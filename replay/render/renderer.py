@@ -30,7 +30,7 @@ from ...model.throw import Throw
 from ...tracking.camera import Camera
 from .image_boxes import Box, blend, box_about, merged, part_of, rounded_up
 from .lens import FINER, optics_of
-from .mitsuba_scene import UPSIDE_DOWN, Look, scene_of, sensor_axes
+from .mitsuba_scene import UPSIDE_DOWN, Appearance, scene_of, sensor_axes
 from .table_textures import is_mirror
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ class NoRendererError(ValueError):
 
 
 @dataclass(frozen=True)
-class Effort:
+class RenderSettings:
     """What rendering may cost."""
 
     samples: int = 48
@@ -74,13 +74,13 @@ class Effort:
             raise ValueError(f"samples = {self.samples}, threads = {self.threads}: wanted 1 or more of each")
 
 
-def film_light(studio: Studio, throw: Throw, times_s: Array, exposure_s: float) -> Iterator[Array]:
+def frame_light(studio: FilmRenderer, throw: Throw, times_s: Array, exposure_s: float) -> Iterator[Array]:
     """The light (height, width) of each frame, 1.0 where it fills the sensor; `times_s` (n,) are mid-exposures."""
     for number, time_s in enumerate(times_s):
         yield studio.light(*_poses(studio, throw, float(time_s), exposure_s), seed=number)
 
 
-def _poses(studio: Studio, throw: Throw, time_s: float, exposure_s: float) -> tuple[Array, Array]:
+def _poses(studio: FilmRenderer, throw: Throw, time_s: float, exposure_s: float) -> tuple[Array, Array]:
     """Positions (m, 3) and quaternions (m, 4) through an exposure, no corner moving much from one to the next."""
     ends = throw.poses(time_s + exposure_s * np.array([-0.5, 0.0, 0.5]))
     corners = studio.corners_px(*ends)
@@ -90,11 +90,18 @@ def _poses(studio: Studio, throw: Throw, time_s: float, exposure_s: float) -> tu
     return throw.poses(time_s + exposure_s * share)
 
 
-class Studio:
+class FilmRenderer:
     """The scene in Mitsuba, ready to be photographed with the die anywhere. Holds state: one die is moved about."""
 
     def __init__(
-        self, die: Die, camera: Camera, surface: str, look: Look, *, blur_px: float = 0.6, effort: Effort = Effort()
+        self,
+        die: Die,
+        camera: Camera,
+        surface: str,
+        look: Appearance,
+        *,
+        blur_px: float = 0.6,
+        effort: RenderSettings = RenderSettings(),
     ) -> None:
         """Raises NoRendererError without Mitsuba, and ValueError for a blur below what pixels have."""
         if blur_px < 0.4:
@@ -171,7 +178,7 @@ class Studio:
         for k in range(passes):
             rendered = self._mi.render(self._scene, spp=int(np.ceil(samples / passes)), seed=(seed * 64 + k) % 2**32)
             total += np.asarray(rendered, float)[..., 0] / passes
-        return self._gain * self._optics.brought_home(total, box, fine)
+        return self._gain * self._optics.to_real_image(total, box, fine)
 
     def _aim(self, fine: Box) -> None:
         """Show this box of the ideal picture alone.
@@ -217,7 +224,7 @@ class Studio:
         return points
 
 
-def _mitsuba(effort: Effort) -> Any:
+def _mitsuba(effort: RenderSettings) -> Any:
     """The renderer's module. Raises NoRendererError where it is not installed."""
     try:
         import drjit

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from diethrow.cli.app import app
 from diethrow.commands.clip.track import open_footage
-from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, shot_of
+from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, film_job
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
 from diethrow.files.truth import visibility
@@ -88,7 +88,7 @@ def test_a_film_is_a_clip_with_its_truth(plan: Path, scene: Path, tmp_path: Path
     assert np.abs(frame - background).max() > 400
     with (out / "truth.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    throw = shot_of(read_plan(plan), given, FilmSettings(frames=4), "film").throw
+    throw = film_job(read_plan(plan), given, FilmSettings(frames=4), "film").throw
     for row in rows:
         state = throw.at(float(row["t"]))
         assert [float(row[name]) for name in "xyz"] == pytest.approx(state.position_m, abs=1e-12)
@@ -107,21 +107,21 @@ def test_without_mitsuba_the_error_says_what_to_install(
 
 
 def test_a_camera_of_its_own_keeps_the_throw_in_view(plan: Path) -> None:
-    shot = shot_of(read_plan(plan), None, FilmSettings(), "film")
-    times = np.arange(shot.frames) / shot.fps
-    camera = camera_for(shot.throw, shot.die, times)
-    positions = shot.throw.poses(times)[0]
-    rotations = np.array([shot.throw.at(float(t)).rotation for t in times])
-    wholly, _ = visibility(shot.die, camera, positions, rotations)
-    first = shot.throw.impacts[0].time_s
+    job = film_job(read_plan(plan), None, FilmSettings(), "film")
+    times = np.arange(job.frames) / job.fps
+    camera = camera_for(job.throw, job.die, times)
+    positions = job.throw.poses(times)[0]
+    rotations = np.array([job.throw.at(float(t)).rotation for t in times])
+    wholly, _ = visibility(job.die, camera, positions, rotations)
+    first = job.throw.impacts[0].time_s
     assert wholly[times >= first].all()
     # Nor from so far that nothing can be measured: the die is at least a twentieth of the picture.
-    assert shot.die.solid.edge_m * camera.matrix[0, 0] / camera.translation_m[2] > camera.width_px / 20
+    assert job.die.solid.edge_m * camera.matrix[0, 0] / camera.translation_m[2] > camera.width_px / 20
 
 
 def test_what_is_left_out_of_the_fall_is_left_out_of_the_truth(plan: Path) -> None:
     """A film that starts later shows the same throw, its clock set to zero at the start."""
-    whole, late = (shot_of(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
+    whole, late = (film_job(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
     for t in (0.0, 0.02, 0.05):
         assert late.at(t).position_m == pytest.approx(whole.at(t + 0.01).position_m, abs=1e-9)
     # The impacts multiply rounding by a few units.
@@ -130,9 +130,9 @@ def test_what_is_left_out_of_the_fall_is_left_out_of_the_truth(plan: Path) -> No
 
 def test_a_film_until_rest_shows_the_die_lie_down(plan: Path) -> None:
     plan.write_text(plan.read_text().replace("impacts = 2", "").replace("[until]", ""))
-    shot = shot_of(read_plan(plan), None, FilmSettings(), "film")
-    end = shot.throw.at((shot.frames - 1) / shot.fps)
-    lowest = float((shot.die.solid.vertices @ end.rotation.T + end.position_m)[:, 2].min())
+    job = film_job(read_plan(plan), None, FilmSettings(), "film")
+    end = job.throw.at((job.frames - 1) / job.fps)
+    lowest = float((job.die.solid.vertices @ end.rotation.T + end.position_m)[:, 2].min())
     assert lowest > -1e-6
 
 
@@ -166,7 +166,7 @@ def test_a_scene_must_be_of_the_same_die(
 ) -> None:
     scene.write_text(scene.read_text().replace(change[0], change[1]).replace('marks = "pips"\n', ""))
     if not told:
-        assert shot_of(read_plan(plan), read_scene(scene), FilmSettings(), "film").camera.width_px == 96
+        assert film_job(read_plan(plan), read_scene(scene), FilmSettings(), "film").camera.width_px == 96
         return
     status, _, error = invoke("film", plan, "--scene", scene, "--out", tmp_path / "film")
     assert status == 2

@@ -22,7 +22,7 @@ from diethrow.model.ensembles.basins import Axis
 from diethrow.model.ensembles.landings import ENDING_OF_INDEX
 from diethrow.model.ensembles.odds import Share, Tally, wilson_interval
 from diethrow.model.throw.simulate import Ending
-from diethrow.replay.elements.colours import FACE_COLOURS, NOWHERE, OPEN, TOP
+from diethrow.replay.elements.colours import BOUNCING_COLOUR, FACE_COLOURS, NO_RELEASE_COLOUR, SPINNING_COLOUR
 from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
 
 PLAN = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 40.0, throws=500, after=2)
@@ -294,7 +294,9 @@ def test_faces_keep_apart_for_the_colour_blind() -> None:
 def test_what_is_no_face_has_a_colour_of_its_own() -> None:
     spins, bounces = (ENDING_OF_INDEX.index(ending) for ending in (Ending.SPINNING, Ending.BOUNCING))
     colours = colours_of(np.array([1, 0, 0, 0, 20]), np.array([0, spins, bounces, -1, 0]))
-    assert colours.tolist() == [list(c) for c in (FACE_COLOURS[0], TOP, OPEN, NOWHERE, FACE_COLOURS[19])]
+    assert colours.tolist() == [
+        list(c) for c in (FACE_COLOURS[0], SPINNING_COLOUR, BOUNCING_COLOUR, NO_RELEASE_COLOUR, FACE_COLOURS[19])
+    ]
 
 
 def test_pictures_carry_units_and_name_every_face() -> None:

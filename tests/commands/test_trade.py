@@ -43,13 +43,16 @@ def test_nothing_on_the_front_is_beaten() -> None:
     random = np.random.default_rng(1)
     tried = [setting(str(k), random.uniform(1, 9), random.uniform(1e-3, 1e-1)) for k in range(30)]
     tried += [setting("open", 20.0, None)]
-    marked = trades.with_front(tried, lambda s: s.doubt)
+    marked = trades.with_front(tried, lambda s: s.chi_uncertainty)
     for one in marked:
         beaten = any(
-            other.doubt is not None and one.doubt is not None and other.rate > one.rate and other.doubt < one.doubt
+            other.chi_uncertainty is not None
+            and one.chi_uncertainty is not None
+            and other.rate > one.rate
+            and other.chi_uncertainty < one.chi_uncertainty
             for other in marked
         )
-        assert one.on_front == (one.doubt is not None and not beaten)
+        assert one.on_front == (one.chi_uncertainty is not None and not beaten)
 
 
 def test_the_advice_names_options_or_says_that_there_are_none() -> None:

@@ -28,7 +28,7 @@ from .options import (
     flag_words,
     usable_cores,
 )
-from .printing import print_shot, print_throw
+from .printing import print_film, print_throw
 from .progress import announcing, progress_bars
 
 if TYPE_CHECKING:
@@ -123,10 +123,8 @@ def film(
                 variant=variant,
             )
         with progress_bars() as progress:
-            shot = shoot(
-                checked, out, scene=seen, settings=settings, force=force, progress=progress, command=as_typed()
-            )
-        print_shot(shot, out)
+            job = shoot(checked, out, scene=seen, settings=settings, force=force, progress=progress, command=as_typed())
+        print_film(job, out)
 
 
 @app.command(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..commands.clip.calibrate import CameraFound
     from ..commands.clip.check import Check
     from ..commands.clip.joint_fit import FitOfMany
-    from ..commands.model.filmed_throw import Shot
+    from ..commands.model.filmed_throw import FilmJob
     from ..commands.results.joined_recordings import ThrowRecording
     from ..fitting.results import Parameter
     from ..model.throw import ThrowResult
@@ -67,9 +67,9 @@ def print_throw(result: ThrowResult, out: Path) -> None:
     typer.echo(f"Open it:  diethrow replay {out} --open")
 
 
-def print_shot(shot: Shot, out: Path) -> None:
+def print_film(job: FilmJob, out: Path) -> None:
     """The size of a rendered clip, and the command that analyses it."""
-    typer.echo(f"{shot.frames} frames of {shot.camera.width_px} x {shot.camera.height_px} pixels")
+    typer.echo(f"{job.frames} frames of {job.camera.width_px} x {job.camera.height_px} pixels")
     typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from math import inf, sqrt
 
-from ..commands.model.face_odds import told
+from ..commands.model.face_odds import share_table
 from ..model.ensembles import PaperConditions, Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
@@ -147,8 +147,8 @@ def _result(statement: Statement, tallies: Mapping[float, Tally]) -> Result:
             "chi": CHI,
             "throws": next(iter(tallies.values())).throws,
             "by_spin": {
-                f"omega_eta_{spin:g}": {name: told(share) for name, share in each.items()}
-                | {"on no face": told(aside[spin])}
+                f"omega_eta_{spin:g}": {name: share_table(share) for name, share in each.items()}
+                | {"on no face": share_table(aside[spin])}
                 for spin, each in by_spin.items()
             },
         },
@@ -222,8 +222,8 @@ def _no_bounce(run: Run) -> Result:
                 name: [
                     {
                         "spin_rad_s": spin,
-                        "first_impact": told(Share(int(t.as_start[1]), t.throws)),
-                        "at_rest_chi_0": told(_rest(t)),
+                        "first_impact": share_table(Share(int(t.as_start[1]), t.throws)),
+                        "at_rest_chi_0": share_table(_rest(t)),
                     }
                     for spin, t in scan.items()
                 ]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..commands.model.face_odds import told
+from ..commands.model.face_odds import share_table
 from ..model.die import SHAPES, die_from_solid, make_die, truncated_dipyramid
 from ..model.ensembles import Share, Tally, ThrowSetup, UniformConditions, tally_throws
 from ..model.laws import SmoothImpact
@@ -116,7 +116,7 @@ def fig_2(run: Run) -> tuple[Result, ...]:
                 "fair_share": FAIR,
                 "spin_rad_s": SPIN_RAD_S,
                 "cuts": CUTS,
-                "shares": {f"chi_{chi:g}": [told(share) for share in row] for chi, row in shares.items()},
+                "shares": {f"chi_{chi:g}": [share_table(share) for share in row] for chi, row in shares.items()},
                 "fair_cuts": [
                     {"chi": each.chi, "cut": each.cut, "standard_error": each.standard_error} for each in fair
                 ],

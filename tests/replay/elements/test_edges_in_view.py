@@ -9,7 +9,7 @@ from scipy.spatial import ConvexHull
 
 from diethrow.model.die.solid import SHAPES, isohedral_solid
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.replay.elements.edges_in_view import outlines
+from diethrow.replay.elements.edges_in_view import visible_edges
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -23,7 +23,7 @@ def test_the_silhouette_of_a_convex_solid_is_the_hull_of_its_corners(shape: str)
     quaternions = rng.standard_normal((20, 4))
     quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
     positions = np.tile([0.0, 0.0, 0.02], (20, 1))
-    for drawn, quaternion in zip(outlines(solid, straight, positions, quaternions), quaternions, strict=True):
+    for drawn, quaternion in zip(visible_edges(solid, straight, positions, quaternions), quaternions, strict=True):
         corners = straight.project(solid.vertices @ matrix_from_quat(quaternion).T + positions[0])
         hull = ConvexHull(corners)
         assert len(drawn.silhouette_px) == len(hull.vertices)
@@ -36,7 +36,7 @@ def test_edges_seen_and_hidden_make_up_the_solid() -> None:
     """A cube on which one looks at a corner shows six silhouette edges, three inner ones, and hides three."""
     throw = made.throw()
     positions, quaternions = throw.poses([made.IMPACT_S])
-    (drawn,) = outlines(made.die().solid, made.camera(), positions, quaternions)
+    (drawn,) = visible_edges(made.die().solid, made.camera(), positions, quaternions)
     assert len(drawn.silhouette_px) == 6
     assert len(drawn.inner_px) == 3
     assert len(drawn.corners_px) == 7
@@ -44,5 +44,5 @@ def test_edges_seen_and_hidden_make_up_the_solid() -> None:
 
 def test_a_die_behind_the_camera_is_not_drawn() -> None:
     behind = made.camera().centre_m + np.array([0.0, -1.0, 0.0])
-    (drawn,) = outlines(made.die().solid, made.camera(), behind[None], np.array([[1.0, 0.0, 0.0, 0.0]]))
+    (drawn,) = visible_edges(made.die().solid, made.camera(), behind[None], np.array([[1.0, 0.0, 0.0, 0.0]]))
     assert drawn.silhouette_px.size == drawn.inner_px.size == drawn.corners_px.size == 0

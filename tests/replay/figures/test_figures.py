@@ -18,15 +18,15 @@ from diethrow.replay.elements.colours import MEASURED, SIMULATED, hex_colour
 from diethrow.replay.elements.record import motions_of, residuals
 from diethrow.replay.figures import throw_plots
 from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, rows_of_strip, stroboscope
-from diethrow.replay.pages.account import Account
-from diethrow.replay.pages.captioned_figures import STATE_NAMES, of_fit, plates, write_figures
+from diethrow.replay.pages.account import ReportDetails
+from diethrow.replay.pages.captioned_figures import STATE_NAMES, fit_figures, report_figures, write_figures
 
 
 def axes() -> Axes:
     return Figure().subplots()
 
 
-def heights(ax: Axes, label: str) -> Axes:
+def height_figure(ax: Axes, label: str) -> Axes:
     track = made.track()
     return throw_plots.corner_heights(
         ax, made.die().solid, track.time_s, track.position_m, track.quaternion, made.throw().impacts, label=label
@@ -36,10 +36,10 @@ def heights(ax: Axes, label: str) -> Axes:
 def drawn() -> list[Axes]:
     rest, impacts = residuals(made.track(), made.track(1e-5)), made.throw().impacts
     record = made.record()
-    on_film = record.clip, made.camera(), made.die().solid, motions_of(record)
+    clip_figures = record.clip, made.camera(), made.die().solid, motions_of(record)
     assert record.clip is not None
     return [
-        heights(axes(), "measured"),
+        height_figure(axes(), "measured"),
         throw_plots.position_residuals(axes(), rest, impacts),
         throw_plots.angle_residuals(axes(), rest, impacts),
         throw_plots.sigma_residuals(axes(), rest, impacts),
@@ -49,8 +49,8 @@ def drawn() -> list[Axes]:
         throw_plots.correlations(axes(), 1e-8 * np.eye(12), STATE_NAMES),
         throw_plots.face_odds(axes(), {1: 0.7, 2: 0.3}),
         throw_plots.odds_on_the_way(axes(), estimates(), impacts),
-        stroboscope(axes(), *on_film),
-        bounce_strip(axes(), *on_film, impacts),
+        stroboscope(axes(), *clip_figures),
+        bounce_strip(axes(), *clip_figures, impacts),
         throw_plots.restitution(axes(), impacts, made.fit().parameters["chi"]),
         throw_plots.edges_on_frame(
             axes(), record.clip, made.camera(), made.die().solid, motions_of(record), made.FIRST_FRAME + 10
@@ -70,7 +70,7 @@ def test_every_axis_carries_its_unit() -> None:
 
 
 def test_measured_is_blue_dots_and_simulated_orange_lines() -> None:
-    ax = heights(heights(axes(), "measured"), "simulated")
+    ax = height_figure(height_figure(axes(), "measured"), "simulated")
     count = len(made.die().solid.vertices)
     by_colour = {hex_colour(MEASURED): [], hex_colour(SIMULATED): []}
     for line in ax.lines:
@@ -92,7 +92,7 @@ def test_the_lowest_corner_touches_the_table_at_the_impact() -> None:
 
 def test_a_gap_in_the_track_is_a_gap_in_the_figure() -> None:
     track = made.track()
-    line = heights(axes(), "measured").lines[0]
+    line = height_figure(axes(), "measured").lines[0]
     np.testing.assert_array_equal(np.isnan(np.asarray(line.get_ydata(), float)), ~track.tracked)
 
 
@@ -164,7 +164,7 @@ def test_impacts_within_three_frames_share_a_row() -> None:
 def test_every_figure_is_written_as_png_and_svg(tmp_path: Path) -> None:
     record = made.record(estimates=estimates(), fit=made.fit(face_odds={1: 0.9, 2: 0.1}))
     written = write_figures(tmp_path / "figures", record)
-    names = [plate.name for plate in plates(record, Account())]
+    names = [plate.name for plate in report_figures(record, ReportDetails())]
     assert len(names) >= 9
     assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "svg")]
     assert all(path.read_bytes().startswith((b"\x89PNG", b"<?xml")) for path in written)
@@ -172,12 +172,12 @@ def test_every_figure_is_written_as_png_and_svg(tmp_path: Path) -> None:
 
 def test_what_a_record_lacks_has_no_figure() -> None:
     bare = made.record(clip=None, camera=None, fit=None, simulated=None)
-    assert [plate.name for plate in plates(bare, Account())] == ["heights", "restitution"]
+    assert [plate.name for plate in report_figures(bare, ReportDetails())] == ["heights", "restitution"]
 
 
 def test_correlations_are_shown_with_the_free_parameters_where_the_fit_has_them() -> None:
     fit = made.fit(covariance=1e-8 * np.eye(13))
     for given, wanted in ((fit, (*STATE_NAMES, "chi")), (made.fit(), STATE_NAMES)):
-        plate = next(plate for plate in of_fit(made.record(fit=given)) if plate.name == "correlations")
+        plate = next(plate for plate in fit_figures(made.record(fit=given)) if plate.name == "correlations")
         ax = plate.draw(axes())
         assert tuple(label.get_text() for label in ax.get_yticklabels()) == wanted

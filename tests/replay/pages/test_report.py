@@ -15,7 +15,7 @@ from diethrow.fitting.predict.sequential import Estimate
 from diethrow.fitting.results import Effect, Parameter
 from diethrow.model.throw.motion import Throw
 from diethrow.replay.elements import findings_text
-from diethrow.replay.pages.account import Account
+from diethrow.replay.pages.account import ReportDetails
 from diethrow.replay.pages.report import page, write_report
 from diethrow.tracking.check.verdicts import Finding, Verdict
 
@@ -114,7 +114,7 @@ def test_the_account_of_a_run_is_told_and_escaped() -> None:
         "timings_s": {"track": 1.5},
     }
     findings = (Finding("scale", Verdict.DOUBTFUL, HOSTILE, HOSTILE),)
-    parsed = Page(page(made.record(), Account(findings=findings, origin=origin)))
+    parsed = Page(page(made.record(), ReportDetails(findings=findings, origin=origin)))
     assert parsed.open == []
     assert "script" not in parsed.tags
     assert parsed.text.count("<script>alert(1)</script>") == 5
@@ -148,7 +148,7 @@ def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
 
     def told(*odds: float) -> str:
         known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
-        return " ".join(findings_text.settled_sentence(known))
+        return " ".join(findings_text.certainty_sentences(known))
 
     assert "Face 1 was settled by the flight after bounce 2, which began at 20.0 ms" in told(0.5, 0.97, 1.0)
     assert "after bounce 3" in told(0.99, 0.1, 1.0)

@@ -11,7 +11,7 @@ import replay_records as made
 from rrd_files import entities, rows, verify
 
 from diethrow.model.throw.motion import Throw
-from diethrow.replay.elements.colours import BLACK, DISTINCT, MEASURED, SIMULATED, WHITE, Colour, mixed
+from diethrow.replay.elements.colours import BLACK, MEASURED, SIMULATED, THROW_COLOURS, WHITE, Colour, mixed
 from diethrow.replay.recording.several_throws import Source, join_recordings, recoloured
 from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 
@@ -98,7 +98,7 @@ def test_films_and_poses_keep_every_digit(two: list[Source], joined: Path) -> No
 
 
 def test_each_throw_has_its_colour_and_its_model_a_paler_one(joined: Path) -> None:
-    for name, colour in zip(("first", "the_2nd"), DISTINCT, strict=False):
+    for name, colour in zip(("first", "the_2nd"), THROW_COLOURS, strict=False):
         for motion, wanted in (("measured", colour), ("simulated", mixed(colour, WHITE, 0.45))):
             (found,) = rows(joined, f"/plots/spin/{name}/{motion}", "SeriesLines:colors")
             assert found[1] == [int.from_bytes(bytes([*wanted, 255]), "big")]
@@ -132,7 +132,7 @@ def test_models_of_one_throw_share_its_film_and_its_measured_die(models: Path) -
 @pytest.mark.parametrize("extreme", [WHITE, BLACK])
 def test_a_tint_becomes_the_same_tint_of_the_new_colour(share: float, extreme: Colour) -> None:
     """To within the rounding of both."""
-    new = DISTINCT[2]
+    new = THROW_COLOURS[2]
     found = recoloured(mixed(MEASURED, extreme, share), MEASURED, new)
     assert found is not None
     assert np.abs(np.subtract(found, mixed(new, extreme, share))).max() <= 3
@@ -140,7 +140,7 @@ def test_a_tint_becomes_the_same_tint_of_the_new_colour(share: float, extreme: C
 
 def test_what_is_no_tint_of_a_colour_keeps_its_own() -> None:
     for other in (SIMULATED, (128, 128, 128), WHITE, BLACK):
-        assert recoloured(other, MEASURED, DISTINCT[2]) is None
+        assert recoloured(other, MEASURED, THROW_COLOURS[2]) is None
 
 
 def test_recordings_of_different_rates_count_no_frames_together(two: list[Source], tmp_path: Path) -> None:

@@ -15,8 +15,8 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.replay.render.die_surface import PIPS, TILE_PX, die_mesh, face_frame, face_paint
 from diethrow.replay.render.image_boxes import blend, rounded_up
 from diethrow.replay.render.lens import optics_of, undistorted
-from diethrow.replay.render.mitsuba_scene import Look, lamp_beside
-from diethrow.replay.render.renderer import Effort, Studio, film_light
+from diethrow.replay.render.mitsuba_scene import Appearance, lamp_beside
+from diethrow.replay.render.renderer import FilmRenderer, RenderSettings, frame_light
 from diethrow.replay.render.sensor import Sensor, expose, fixed_pattern, rounded
 from diethrow.replay.render.table_textures import SURFACES, table_paint
 from diethrow.tracking.camera import Camera
@@ -184,9 +184,9 @@ def test_a_bent_picture_keeps_its_light() -> None:
     box = (10, 20, 60, 70)
     fine = optics.rendered_box(box)
     ideal = np.ones((fine[3] - fine[1], fine[2] - fine[0]))
-    assert optics.brought_home(ideal, box, fine) == pytest.approx(1.0, abs=1e-9)
+    assert optics.to_real_image(ideal, box, fine) == pytest.approx(1.0, abs=1e-9)
     ideal[50, 50] += 4.0
-    assert optics.brought_home(ideal, box, fine).sum() == pytest.approx(50 * 50 + 1.0, abs=2e-3)
+    assert optics.to_real_image(ideal, box, fine).sum() == pytest.approx(50 * 50 + 1.0, abs=2e-3)
 
 
 @pytest.mark.parametrize("box", [(0, 0, 5, 9), (90, 91, 96, 96), (3, 40, 90, 50), (0, 0, 96, 96), (31, 32, 63, 64)])
@@ -211,10 +211,12 @@ def test_blending_a_picture_over_itself_changes_nothing_and_over_another_leaves_
 # --- pictures ---
 
 
-def studio(die: Die, *, surface: str = "matte", distortion: float = 0.0, samples: int = 16, size: int = 96) -> Studio:
+def studio(
+    die: Die, *, surface: str = "matte", distortion: float = 0.0, samples: int = 16, size: int = 96
+) -> FilmRenderer:
     view = camera(distortion, size)
-    look = Look(lamp_beside(view), lamp_side_m=0.02, grain=0.0)
-    return Studio(die, view, surface, look, effort=Effort(samples))
+    look = Appearance(lamp_beside(view), lamp_side_m=0.02, grain=0.0)
+    return FilmRenderer(die, view, surface, look, effort=RenderSettings(samples))
 
 
 def flight(position: tuple[float, float, float], velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Throw:
@@ -230,7 +232,7 @@ def test_the_die_is_seen_where_the_camera_projects_it(distortion: float) -> None
     die = make_die("cube", 0.016, 0.005)
     room = studio(die, distortion=distortion, samples=64, size=160)
     throw = flight((0.0, 0.0, 0.03))
-    light = next(film_light(room, throw, np.array([0.0]), 1e-6))
+    light = next(frame_light(room, throw, np.array([0.0]), 1e-6))
     view = make_view(room.camera, die, np.asarray(255.0 * room.empty(), np.float32), 1.5, None, 0.6)
     true = throw.at(0.0)
     found = refine_pose(view, np.asarray(255.0 * light, np.float32), true.position_m, true.rotation)
@@ -250,8 +252,8 @@ def test_a_still_die_has_no_motion_blur_and_a_moving_one_the_mean_of_its_instant
     room = studio(die, samples=32)
     moving = flight((0.0, 0.0, 0.03), (2.0, 0.0, 0.0))
     times = np.array([0.0])
-    blurred = next(film_light(room, moving, times, 1e-3))
-    instants = [next(film_light(room, flight((0.002 * s, 0.0, 0.03)), times, 1e-6)) for s in np.linspace(-0.5, 0.5, 9)]
+    blurred = next(frame_light(room, moving, times, 1e-3))
+    instants = [next(frame_light(room, flight((0.002 * s, 0.0, 0.03)), times, 1e-6)) for s in np.linspace(-0.5, 0.5, 9)]
     # The path tracer's noise at 32 samples is 3 % of the range; a die displaced by a pixel changes its edges by 30 %.
     assert np.abs(blurred - np.mean(instants, 0)).mean() < 0.015
     assert np.abs(blurred - instants[4]).max() > 0.15
@@ -263,7 +265,7 @@ def test_a_mirror_shows_the_die_upside_down() -> None:
     die = make_die("cube", 0.012, 0.005)
     room = studio(die, surface="mirror", samples=16)
     throw = flight((0.0, 0.0, 0.012))
-    change = np.abs(next(film_light(room, throw, np.array([0.0]), 1e-6)) - room.empty())
+    change = np.abs(next(frame_light(room, throw, np.array([0.0]), 1e-6)) - room.empty())
     image = room.camera.project(np.array([0.0, 0.0, -0.012])).round().astype(int)
     at_image, aside = (change[y - 4 : y + 5, x - 4 : x + 5].mean() for x, y in (image, image + np.array([25, 0])))
     # The image's shaded faces are a few grey levels of the room's, the path tracer's noise is a hundredth of the range.
@@ -274,10 +276,10 @@ def test_a_mirror_shows_the_die_upside_down() -> None:
 @with_mitsuba
 def test_a_die_beyond_the_picture_leaves_the_table_empty() -> None:
     room = studio(make_die("cube", 0.016, 0.005), samples=4)
-    light = next(film_light(room, flight((3.0, 0.0, 0.02)), np.array([0.0]), 1e-6))
+    light = next(frame_light(room, flight((3.0, 0.0, 0.02)), np.array([0.0]), 1e-6))
     assert (light == room.empty()).all()
 
 
 def test_a_blur_below_a_pixels_own_is_refused() -> None:
     with pytest.raises(ValueError, match=r"blur_px = 0.2: wanted 0.4 or more"):
-        Studio(make_die("cube", 0.016, 0.005), camera(), "wood", Look(lamp_beside(camera())), blur_px=0.2)
+        FilmRenderer(make_die("cube", 0.016, 0.005), camera(), "wood", Appearance(lamp_beside(camera())), blur_px=0.2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from ...replay.pages import Account
+from ...replay.pages import ReportDetails
 from ...tracking.check import Finding, contacts_of, fall_of, judge_throw, timing_of
 
 if TYPE_CHECKING:
@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from ...files.scene import Scene
 
 
-def account_of(scene: Scene, tracking: Tracking, origin: Mapping[str, Any]) -> Account:
+def account_of(scene: Scene, tracking: Tracking, origin: Mapping[str, Any]) -> ReportDetails:
     """The account of an analysis whose provenance is `origin`."""
-    return Account(frames=tracking.straight, findings=findings_of(scene, tracking), origin=origin)
+    return ReportDetails(frames=tracking.straight, findings=findings_of(scene, tracking), origin=origin)
 
 
 def findings_of(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:

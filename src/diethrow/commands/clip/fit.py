@@ -29,7 +29,7 @@ from ...model.laws import LEVEL
 from ...model.laws import Table as ModelTable
 from ...model.throw import Throw
 from ...replay.elements import Record
-from ...replay.pages import Account, write_figures, write_report
+from ...replay.pages import ReportDetails, write_figures, write_report
 from ...replay.recording import write_recording
 from ...tracking.throw import frames_in_flight
 from ...tracking.track import ABSENT, Track
@@ -70,7 +70,7 @@ def fit_track(
         )
         record_replay(folder, record, progress, watch)
         write_origin(folder, scene, command, inputs, watch)
-        account = Account(frames=frames, origin=read_json(folder / "provenance.json"))
+        account = ReportDetails(frames=frames, origin=read_json(folder / "provenance.json"))
         write_pages(folder, record, account, PLAIN, progress, watch)
     return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
 
@@ -124,7 +124,7 @@ def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopw
 
 
 def write_pages(
-    folder: Path, record: Record, account: Account, shown: Shown, progress: Progress, watch: Stopwatch
+    folder: Path, record: Record, account: ReportDetails, shown: Shown, progress: Progress, watch: Stopwatch
 ) -> None:
     """The report, which tells the provenance, and the figures; then their time goes into the provenance, too."""
     with watch.stage("report"):

@@ -47,7 +47,7 @@ from ...model.ensembles import ThrowSetup, stepped_landings
 from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
-from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_fronts
+from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_trade_figures
 from ...tracking.footage import WHOLE, Coarseness
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.throw import frames_in_flight
@@ -212,8 +212,8 @@ def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Tr
     fits = list(_fits(finest, chi, draws, progress))
     model = list(_models(finest, progress))
     settings = [
-        *with_front(tracking, lambda s: s.doubt),
-        *with_front(parts, lambda s: s.doubt),
+        *with_front(tracking, lambda s: s.chi_uncertainty),
+        *with_front(parts, lambda s: s.chi_uncertainty),
         *with_front(fits, lambda s: s.half_width),
         *with_front(model, lambda s: s.error),
     ]
@@ -474,7 +474,7 @@ def _write(folder: Path, title: str, measured: Trade) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(rows[0])
         writer.writerows([_cell(value) for value in row.values()] for row in rows)
-    write_fronts(folder, measured)
+    write_trade_figures(folder, measured)
     (folder / "trade.html").write_text(trade_page(title, measured), encoding="utf-8")
 
 

@@ -37,7 +37,7 @@ from ...model.ensembles import (
 )
 from ...model.laws import LEVEL, Table
 from ...replay.figures import ball_measures, basin_map, colours_of, uncertain_shares
-from .face_odds import law_of, told
+from .face_odds import impact_law_of, share_table
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -93,7 +93,7 @@ class BasinsPlan:
     @property
     def stage(self) -> ThrowSetup:
         """Die, law and table."""
-        return ThrowSetup(make_die(self.shape, self.edge_m, self.mass_kg), law_of(self.chi, self.mu), self.table)
+        return ThrowSetup(make_die(self.shape, self.edge_m, self.mass_kg), impact_law_of(self.chi, self.mu), self.table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,15 +210,15 @@ def summary(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | None)
     faces = " ".join(f"{each['share']:.4f}" for each in table["area"]["faces"])
     lines = [f"{mapped.face.size} throws: faces {faces}; on no face {table['area']['no_face']:.4f}"]
     if measured is not None:
-        told = table["predictability"]
-        half, most = (told["deciding_epsilon"][name] for name in ("of_0.5", "of_0.99"))
+        share_table = table["predictability"]
+        half, most = (share_table["deciding_epsilon"][name] for name in ("of_0.5", "of_0.99"))
         lines.append(
             f"Half of the throws are decided at a distance of {_size(half)} of the window, 99 % at {_size(most)}."
         )
         if measured.exponent:
             exponent = measured.exponent
             lines.append(f"Uncertainty exponent {exponent.value:.3f} ± {exponent.standard_error:.3f}")
-        lines += told["messages"]
+        lines += share_table["messages"]
     return lines
 
 
@@ -266,7 +266,7 @@ def predictability_table(plan: BasinsPlan, measured: Predictability) -> dict[str
     return {
         "conditions": int(sensitivity.decided.sum()),
         "uncertain": [
-            {"epsilon": float(e), **told(s)} for e, s in zip(sensitivity.epsilons, sensitivity.shares, strict=True)
+            {"epsilon": float(e), **share_table(s)} for e, s in zip(sensitivity.epsilons, sensitivity.shares, strict=True)
         ],
         "uncertain_by_chance": sensitivity.chance,
         "deciding_epsilon": {f"of_{share:g}": sensitivity.deciding_epsilon(share) for share in (0.5, 0.9, 0.99)},

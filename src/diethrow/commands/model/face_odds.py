@@ -95,10 +95,10 @@ class OddsPlan:
     def stages(self) -> tuple[ThrowSetup, ...]:
         """One for each χ."""
         die = make_die(self.shape, self.edge_m, self.mass_kg)
-        return tuple(ThrowSetup(die, law_of(chi, self.mu), self.table) for chi in self.chi)
+        return tuple(ThrowSetup(die, impact_law_of(chi, self.mu), self.table) for chi in self.chi)
 
 
-def law_of(chi: float, mu: float | None) -> ImpactLaw:
+def impact_law_of(chi: float, mu: float | None) -> ImpactLaw:
     """The smooth impact, or Coulomb's friction with an energetic restitution where a μ is given."""
     return SmoothImpact(chi) if mu is None else CoulombImpact(chi, mu)
 
@@ -267,15 +267,19 @@ def _series(tally: Tally) -> dict[str, Any]:
         "impacts_per_throw": tally.impacts / tally.throws,
         "most_impacts": tally.most_impacts,
         "landed": [
-            {"face": k + 1, **told(Share(int(n), tally.throws)), "of_landed": told(Share(int(n), tally.rested))}
+            {
+                "face": k + 1,
+                **share_table(Share(int(n), tally.throws)),
+                "of_landed": share_table(Share(int(n), tally.rested)),
+            }
             for k, n in enumerate(tally.landed)
         ],
         "landed_as_start": {
-            **told(Share(tally.landed_as_start, tally.throws)),
-            "of_landed": told(Share(tally.landed_as_start, tally.rested)),
+            **share_table(Share(tally.landed_as_start, tally.throws)),
+            "of_landed": share_table(Share(tally.landed_as_start, tally.rested)),
         },
         "endings": {
-            ending.name.lower(): {**told(Share(int(n), tally.throws)), "meaning": ending.value}
+            ending.name.lower(): {**share_table(Share(int(n), tally.throws)), "meaning": ending.value}
             for ending, n in zip(ENDING_OF_INDEX, tally.endings, strict=True)
             if n
         },
@@ -287,16 +291,16 @@ def _series(tally: Tally) -> dict[str, Any]:
         "at_impact": [
             {
                 "impact": impact,
-                "lowest": [{"face": k + 1, **told(Share(int(n), tally.throws))} for k, n in enumerate(row)],
-                "as_start": told(Share(int(tally.as_start[impact]), tally.throws)),
-                "as_landed": told(Share(int(tally.as_landed[impact]), tally.throws)),
+                "lowest": [{"face": k + 1, **share_table(Share(int(n), tally.throws))} for k, n in enumerate(row)],
+                "as_start": share_table(Share(int(tally.as_start[impact]), tally.throws)),
+                "as_landed": share_table(Share(int(tally.as_landed[impact]), tally.throws)),
             }
             for impact, row in enumerate(tally.lowest)
         ],
     }
 
 
-def told(share: Share) -> dict[str, Any]:
+def share_table(share: Share) -> dict[str, Any]:
     """A share as JSON has it."""
     low, high = share.interval
     return {"count": share.count, "of": share.of, "share": share.value, "low": low, "high": high}

@@ -26,14 +26,14 @@ from ...model.die import Die
 from ...model.laws import CoulombImpact, SmoothImpact
 from ...model.throw import State, Throw, Until, throw_die
 from ...replay.render import (
-    Effort,
+    Appearance,
+    FilmRenderer,
     FixedPattern,
-    Look,
+    RenderSettings,
     Sensor,
-    Studio,
     expose,
-    film_light,
     fixed_pattern,
+    frame_light,
     lamp_beside,
     rounded,
 )
@@ -103,9 +103,9 @@ class FilmSettings:
                 raise ValueError(f"{name} = {value}: wanted a finite number above 0")
 
     @property
-    def effort(self) -> Effort:
+    def effort(self) -> RenderSettings:
         """What rendering may cost."""
-        return Effort(self.samples, self.threads, self.variant)
+        return RenderSettings(self.samples, self.threads, self.variant)
 
     @property
     def sensor(self) -> Sensor:
@@ -133,7 +133,7 @@ class _Understood:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class FilmJob:
     """Everything that decides a clip."""
 
     name: str
@@ -145,10 +145,10 @@ class Shot:
     fps: float
     exposure_s: float
     frames: int
-    look: Look
+    look: Appearance
     sensor: Sensor
     blur_px: float = 0.6
-    effort: Effort = field(default_factory=Effort)
+    effort: RenderSettings = field(default_factory=RenderSettings)
     seed: int = 1
     """Of noise and light paths."""
 
@@ -162,7 +162,7 @@ def film(
     force: bool = False,
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
-) -> Shot:
+) -> FilmJob:
     """Simulate the throw of a plan and write what the camera sees of it to the folder `out`.
 
     The camera, its rate and exposure, the surface and the marks of the die are the scene's; without a scene the camera is
@@ -173,21 +173,21 @@ def film(
     inputs = (plan.path, *((scene.path,) if scene else ()))
     with whole_folder(out, force=force, inputs=inputs) as folder:
         with watch.stage("throw"):
-            shot = shot_of(plan, scene, settings, Path(out).name)
+            job = film_job(plan, scene, settings, Path(out).name)
         with watch.stage("film"):
-            write_clip(folder, shot, progress)
+            write_clip(folder, job, progress)
         write_provenance(
             folder / "provenance.json",
             command=command,
-            understood=_Understood(plan, settings, shot.camera),
+            understood=_Understood(plan, settings, job.camera),
             inputs=inputs,
             seconds=watch.seconds,
             seeds={"film": settings.seed},
         )
-    return shot
+    return job
 
 
-def shot_of(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) -> Shot:
+def film_job(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) -> FilmJob:
     """Simulate the throw and settle everything that was left open. Raises SceneError as `film`."""
     fps = settings.fps or (scene.clip.fps if scene and scene.clip.fps else plan.fps)
     exposure_s = settings.exposure_s or (scene.clip.exposure_s if scene else None) or min(EXPOSURE_S, 1.0 / fps)
@@ -198,8 +198,8 @@ def shot_of(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) 
     camera = _scene_camera(scene, plan) if scene else camera_for(throw, plan.die, times, settings.size_px)
     surface = scene.table.surface if scene else plan.table.surface
     die = replace(plan.die, marks=plan.die.marks or scene.die.marks) if scene else plan.die
-    look = Look(lamp_beside(camera), seed=settings.seed)
-    return Shot(
+    look = Appearance(lamp_beside(camera), seed=settings.seed)
+    return FilmJob(
         name,
         throw,
         plan.law,
@@ -294,41 +294,41 @@ def _extent(throw: Throw, die: Die, times_s: Array) -> tuple[Array, Array]:
 # --- writing ---
 
 
-def write_clip(folder: Path, shot: Shot, progress: Progress = lambda stage, done, total: None) -> None:
+def write_clip(folder: Path, job: FilmJob, progress: Progress = lambda stage, done, total: None) -> None:
     """The clip of a shot with its scene, its background and its truth, into a folder that exists."""
-    studio = Studio(shot.die, shot.camera, shot.surface, shot.look, blur_px=shot.blur_px, effort=shot.effort)
-    pattern = fixed_pattern(shot.sensor, shot.camera.height_px, shot.camera.width_px)
+    studio = FilmRenderer(job.die, job.camera, job.surface, job.look, blur_px=job.blur_px, effort=job.effort)
+    pattern = fixed_pattern(job.sensor, job.camera.height_px, job.camera.width_px)
     progress("Lighting the table", 0, 0)
-    cv2.imwrite(str(folder / "background.png"), _background(shot, pattern, studio.empty()))
-    write_ffv1(folder / "clip.avi", _frames(studio, shot, pattern, progress), shot)
-    (folder / "scene.toml").write_text(scene_text(shot, "clip.avi"), encoding="utf-8")
-    write_truth(folder, shot.throw, shot.die, shot.camera, shot.law, shot.fps, shot.frames)
+    cv2.imwrite(str(folder / "background.png"), _background(job, pattern, studio.empty()))
+    write_ffv1(folder / "clip.avi", _frames(studio, job, pattern, progress), job)
+    (folder / "scene.toml").write_text(scene_text(job, "clip.avi"), encoding="utf-8")
+    write_truth(folder, job.throw, job.die, job.camera, job.law, job.fps, job.frames)
 
 
-def _frames(studio: Studio, shot: Shot, pattern: FixedPattern, progress: Progress) -> Iterator[NDArray]:
+def _frames(studio: FilmRenderer, job: FilmJob, pattern: FixedPattern, progress: Progress) -> Iterator[NDArray]:
     """The frames as the sensor gives them."""
-    rng = np.random.default_rng([shot.seed, 1])
-    times = np.arange(shot.frames) / shot.fps
-    for k, light in enumerate(film_light(studio, shot.throw, times, shot.exposure_s)):
-        progress("Filming", k + 1, shot.frames)
-        yield rounded(shot.sensor, expose(shot.sensor, pattern, light, rng))
+    rng = np.random.default_rng([job.seed, 1])
+    times = np.arange(job.frames) / job.fps
+    for k, light in enumerate(frame_light(studio, job.throw, times, job.exposure_s)):
+        progress("Filming", k + 1, job.frames)
+        yield rounded(job.sensor, expose(job.sensor, pattern, light, rng))
 
 
-def _background(shot: Shot, pattern: FixedPattern, light: Array) -> NDArray:
+def _background(job: FilmJob, pattern: FixedPattern, light: Array) -> NDArray:
     """The mean of some exposures of the empty table."""
-    rng = np.random.default_rng([shot.seed, 2])
-    exposures = [expose(shot.sensor, pattern, light, rng) for _ in range(EMPTY_EXPOSURES)]
-    return rounded(shot.sensor, np.mean(exposures, 0))
+    rng = np.random.default_rng([job.seed, 2])
+    exposures = [expose(job.sensor, pattern, light, rng) for _ in range(EMPTY_EXPOSURES)]
+    return rounded(job.sensor, np.mean(exposures, 0))
 
 
-def write_ffv1(path: Path, frames: Iterator[NDArray], shot: Shot) -> None:
+def write_ffv1(path: Path, frames: Iterator[NDArray], job: FilmJob) -> None:
     """Grey frames, lossless, one at a time."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("ffv1", rate=30)  # AVI refuses 1500/s; the scene file tells the recording rate
-        stream.height, stream.width = shot.camera.height_px, shot.camera.width_px
-        stream.pix_fmt = PIXELS[shot.sensor.bit_depth]
+        stream.height, stream.width = job.camera.height_px, job.camera.width_px
+        stream.pix_fmt = PIXELS[job.sensor.bit_depth]
         for number, levels in enumerate(frames):
-            frame = av.VideoFrame(shot.camera.width_px, shot.camera.height_px, stream.pix_fmt)
+            frame = av.VideoFrame(job.camera.width_px, job.camera.height_px, stream.pix_fmt)
             lines = np.zeros((levels.shape[0], frame.planes[0].line_size // levels.itemsize), levels.dtype)
             lines[:, : levels.shape[1]] = levels
             frame.planes[0].update(lines.tobytes())
@@ -337,17 +337,17 @@ def write_ffv1(path: Path, frames: Iterator[NDArray], shot: Shot) -> None:
         container.mux(stream.encode(None))
 
 
-def scene_text(shot: Shot, clip: str) -> str:
+def scene_text(job: FilmJob, clip: str) -> str:
     """The scene file that a user would write for this clip."""
-    camera, die = shot.camera, shot.die
+    camera, die = job.camera, job.die
     radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
     marks = f'marks = "{die.marks}"\n' if die.marks else ""
-    return f"""# {shot.name}: a simulated throw, rendered as filmed at {shot.fps:g} frames per second.
+    return f"""# {job.name}: a simulated throw, rendered as filmed at {job.fps:g} frames per second.
 
 [clip]
 path = "{clip}"
-fps = {float(shot.fps)!r}
-exposure_s = {float(shot.exposure_s)!r}
+fps = {float(job.fps)!r}
+exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
 
 [camera]
@@ -359,7 +359,7 @@ rotation = {camera.rotation.tolist()}
 translation_m = {camera.translation_m.tolist()}
 
 [table]
-surface = "{shot.surface}"
+surface = "{job.surface}"
 
 [die]
 shape = "{die.solid.name}"

@@ -57,7 +57,7 @@ def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool
         raise ValueError(f"--align {align}: wanted {BOUNCE} or {FRAME}")
     if len(found) < 2:
         raise ValueError(f"{found[0].path} is one recording; wanted two or more to join, or no --out to look at one")
-    same = share_their_footage(found) if models is None else models
+    same = made_from_same_footage(found) if models is None else models
     with whole_file(out, force=force, inputs=[one.path for one in found]) as file:
         sources = [Source(one.path, one.name) for one in found]
         join_recordings(file, sources, same_throw=same, at_bounce=align == BOUNCE)
@@ -78,7 +78,7 @@ def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False) -
             writer.writerows((one.name, *(one.properties.get(name, "") for name in COLUMNS)) for one in found)
 
 
-def share_their_footage(found: Sequence[ThrowRecording]) -> bool:
+def made_from_same_footage(found: Sequence[ThrowRecording]) -> bool:
     """Whether all were made from the same clip or track, as their provenance says."""
     made_from = [_footage(one.path.with_name("provenance.json")) for one in found]
     return bool(made_from[0]) and all(inputs == made_from[0] for inputs in made_from)
