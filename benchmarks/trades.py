@@ -45,7 +45,7 @@ from diethrow.model.ensembles.stepping import stepped_landings
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Precision
 from diethrow.replay.pages.trade import Setting, speed_against_error
-from diethrow.tracking.footage.decimation import WHOLE, Coarseness
+from diethrow.tracking.footage.decimation import WHOLE_CLIP, Decimation
 from diethrow.tracking.quality import QUALITIES, Quality
 
 Faces = NDArray[np.int64]
@@ -138,16 +138,16 @@ def measured_clip(name: str, rounds: int) -> list[Row]:
     scene = read_scene(ROOT / "data_samples" / name / "scene.toml")
     truth = tomllib.loads((ROOT / "tests" / "data" / name / "truth.toml").read_text(encoding="utf-8"))
     chi = float(truth["truth"]["chi"])
-    tries: list[tuple[str, tuple[str, ...], Quality, Coarseness, str]] = [
-        (*named(choice), QUALITIES[choice[0]], Coarseness(*choice[1:]), "tracking") for choice in LADDER
+    tries: list[tuple[str, tuple[str, ...], Quality, Decimation, str]] = [
+        (*named(choice), QUALITIES[choice[0]], Decimation(*choice[1:]), "tracking") for choice in LADDER
     ]
-    tries += [(what, (), quality, WHOLE, "work") for what, quality in WORK]
+    tries += [(what, (), quality, WHOLE_CLIP, "work") for what, quality in WORK]
     found: list[Run | str] = [""] * len(tries)
 
     def seconds(j: int) -> float:
-        what, _, quality, coarseness, _ = tries[j]
+        what, _, quality, decimation, _ = tries[j]
         print(f"{name}: {what}", file=sys.stderr, flush=True)
-        found[j] = run = run_or_reason(scene, quality, coarseness)
+        found[j] = run = run_or_reason(scene, quality, decimation)
         return run.seconds if isinstance(run, Run) else np.nan
 
     default = partial(seconds, LADDER.index(DEFAULT))
@@ -162,10 +162,10 @@ def measured_clip(name: str, rounds: int) -> list[Row]:
     return [*marked([r for r in rows if not r.is_work]), *marked([r for r in rows if r.is_work])]
 
 
-def run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run | str:
+def run_or_reason(scene: Scene, quality: Quality, decimation: Decimation) -> Run | str:
     """A run, or why there is none."""
     try:
-        return track_and_fit(scene, quality, coarseness)
+        return track_and_fit(scene, quality, decimation)
     except RunError as error:
         return str(error).removeprefix(f"{scene.path}: ")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from ...tracking.footage import Coarseness
+from ...tracking.footage import Decimation
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour
 from .captioned_figures import CaptionedFigure
 from .page_parts import as_table, captioned, plotted, whole_page
@@ -53,10 +53,10 @@ class Setting:
         return max(self.chi_high - self.chi, self.chi - self.chi_low)
 
     @property
-    def choice(self) -> tuple[str, Coarseness]:
-        """Quality and coarseness that the options of a tracking name."""
+    def choice(self) -> tuple[str, Decimation]:
+        """Quality and decimation that the options of a tracking name."""
         told = dict(zip(self.options[::2], self.options[1::2], strict=True))
-        return told["--quality"], Coarseness(int(told.get("--every", "1")), int(told.get("--shrink", "1")))
+        return told["--quality"], Decimation(int(told.get("--every", "1")), int(told.get("--shrink", "1")))
 
     @property
     def chi_uncertainty(self) -> float | None:

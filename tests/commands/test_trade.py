@@ -13,7 +13,7 @@ from diethrow.commands.clip import trade as trades
 from diethrow.commands.clip.trade import read_trade, setting_for, trade
 from diethrow.files.scene import read_scene
 from diethrow.replay.pages.trade import Setting, Trade, fastest_within, trade_page
-from diethrow.tracking.footage.decimation import Coarseness
+from diethrow.tracking.footage.decimation import Decimation
 
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood" / "scene.toml"
 
@@ -105,7 +105,7 @@ def test_a_setting_is_taken_from_what_was_measured(measured: tuple[Trade, Path])
     best = fastest_within(found.of("tracking"), 0.3)
     assert best is not None
     assert setting_for(read_scene(SAMPLE), 0.3, out / "trade.json") == best.choice
-    assert best.choice in {("fast", Coarseness(4, 2)), ("fast", Coarseness(1, 1))}
+    assert best.choice in {("fast", Decimation(4, 2)), ("fast", Decimation(1, 1))}
     with pytest.raises(ValueError, match="no setting in it gives χ"):
         setting_for(read_scene(SAMPLE), 1e-9, out / "trade.json")
 

@@ -6,8 +6,8 @@ from .cine import is_cine as is_cine
 from .clip import Clip as Clip
 from .clip import clip_files as clip_files
 from .clip import open_clip as open_clip
-from .decimation import WHOLE as WHOLE
-from .decimation import Coarseness as Coarseness
+from .decimation import WHOLE_CLIP as WHOLE_CLIP
+from .decimation import Decimation as Decimation
 from .frame_blocks import FrameBlock as FrameBlock
 from .frame_blocks import Frames as Frames
 from .frame_blocks import FrameSource as FrameSource

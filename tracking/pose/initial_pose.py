@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
-from ..footage import Coarseness
+from ..footage import Decimation
 from ..picture import (
     COARSE_BLUR_AND_BAND_PX,
     THREADS,
@@ -103,7 +103,7 @@ def _found_about(view: View, images: NDArray[np.float32], blobs: list[Blob]) -> 
 
 def _found_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> list[tuple[float, Pose]]:
     """The starts that pictures of a part of the size show, each refined on the whole ones."""
-    less = Coarseness(shrink=shrink)
+    less = Decimation(shrink=shrink)
     sizes = [(camera.height_px, camera.width_px) for camera in view.cameras]
     backgrounds, smaller = (
         [less.picture(picture[:height, :width]) for picture, (height, width) in zip(pictures, sizes, strict=True)]

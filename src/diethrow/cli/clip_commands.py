@@ -80,7 +80,7 @@ def analyze(
         checked = read_scene(scene, allow_outside=allow_outside)
         from ..analysis import Shown
         from ..commands.clip.analyze import analyze as analyze_scene
-        from ..tracking.footage import Coarseness
+        from ..tracking.footage import Decimation
         from .compiling import model_ahead
 
         with checked_options():
@@ -106,7 +106,7 @@ def analyze(
                 out,
                 force=force,
                 quality=chosen,
-                coarseness=Coarseness(every, shrink),
+                decimation=Decimation(every, shrink),
                 intervals=method,
                 shown=Shown(embed_replay, figures),
                 progress=progress,
@@ -131,7 +131,7 @@ def track(
 
         checked = read_scene(scene, allow_outside=allow_outside)
         from ..commands.clip.track import track_only
-        from ..tracking.footage import Coarseness
+        from ..tracking.footage import Decimation
 
         how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
         with progress_bars() as progress:
@@ -140,7 +140,7 @@ def track(
                 out,
                 force=force,
                 quality=quality_of_name(quality),
-                coarseness=Coarseness(every, shrink),
+                decimation=Decimation(every, shrink),
                 progress=progress,
                 command=(*command_words("track", scene, out, force, allow_outside), *how),
             )

@@ -16,7 +16,7 @@ from ...files.records import read_json
 from ...files.scene import Scene
 from ...fitting.throw import IntervalMethod
 from ...replay.elements import Record
-from ...tracking.footage import WHOLE, Coarseness
+from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
 from .account import account_of
 from .fit import growing, record_replay, run_fit, write_model, write_pages
@@ -29,7 +29,7 @@ def analyze(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
-    coarseness: Coarseness = WHOLE,
+    decimation: Decimation = WHOLE_CLIP,
     intervals: IntervalMethod = "profile",
     shown: Shown = PLAIN,
     progress: Progress = silent,
@@ -37,7 +37,7 @@ def analyze(
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
-    `coarseness` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
+    `decimation` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
     from; `shown` what is drawn besides; `command` is repeated in the provenance, and left out it is the one that would do
     the same. Raises SceneError for a scene that cannot be analysed, RunError for a clip without a die, OutputExistsError
     for a folder that exists (unless `force`); then no folder is left.
@@ -46,7 +46,7 @@ def analyze(
     check_scene(scene)
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
-        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
+        tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
         fit = run_fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
@@ -65,7 +65,7 @@ def analyze(
             notices=notices,
         )
         record_replay(folder, record, progress, watch)
-        command = command or same_command("analyze", scene, out, quality, coarseness, intervals)
+        command = command or same_command("analyze", scene, out, quality, decimation, intervals)
         write_origin(folder, scene, command, inputs, watch, tracking.corners)
         account = account_of(scene, tracking, read_json(folder / "provenance.json"))
         write_pages(folder, record, account, shown, progress, watch)

@@ -5,9 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.records import write_json
@@ -15,9 +12,9 @@ from ...files.scene import Scene, View
 from ...files.settings import SceneError
 from ...replay.pages import check_page
 from ...tracking.check import Finding, Preflight, Sight, Verdict, judge, preflight
-from ...tracking.footage import Clip, load_background, open_clip
+from ...tracking.footage import Clip, open_clip
 from ...tracking.pose import ManualInitialisation
-from .track import check_scene, input_paths, open_footage
+from .track import check_scene, input_paths, open_background, open_footage
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +77,7 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
 
 def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> Preflight:
     """What the clip of one camera offers."""
-    background = _background(view, clip, scene)
+    background = open_background(scene, view, clip)
 
     def open_part(first: int, stop: int) -> Clip:
         assert view.path is not None, "views() demands paths"
@@ -100,15 +97,6 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
         )
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error
-
-
-def _background(view: View, clip: Clip, scene: Scene) -> NDArray[np.float32] | None:
-    if view.background_path is None:
-        return None
-    try:
-        return load_background(view.background_path, clip)
-    except (ValueError, OSError) as error:
-        raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
 def _record(check: Check) -> dict[str, object]:

@@ -21,7 +21,7 @@ from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
 from ...tracking.clip_parameters import Corners
-from ...tracking.footage import WHOLE, Clip, Coarseness, clip_files, load_background, open_clip
+from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_background, open_clip
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import Followed, look_through
 from ...tracking.surface_marks import read_faces, with_numbers
@@ -35,7 +35,7 @@ def track_only(
     *,
     force: bool = False,
     quality: Quality = STANDARD,
-    coarseness: Coarseness = WHOLE,
+    decimation: Decimation = WHOLE_CLIP,
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Tracking:
@@ -44,9 +44,9 @@ def track_only(
     check_scene(scene)
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
-        tracking = track_scene(scene, progress, watch, quality, coarseness=coarseness)
+        tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
         write_tracking(folder, scene, tracking)
-        command = command or same_command("track", scene, out, quality, coarseness)
+        command = command or same_command("track", scene, out, quality, decimation)
         write_origin(folder, scene, command, inputs, watch, tracking.corners)
     return tracking
 
@@ -74,7 +74,7 @@ def track_scene(
     watch: Stopwatch | None = None,
     quality: Quality = STANDARD,
     clips: Sequence[Clip] | None = None,
-    coarseness: Coarseness = WHOLE,
+    decimation: Decimation = WHOLE_CLIP,
 ) -> Tracking:
     """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
 
@@ -85,17 +85,17 @@ def track_scene(
     views = scene.views()
     with watch.stage("open"):
         clips = [open_footage(scene, view) for view in views] if clips is None else clips
-        backgrounds = [_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+        backgrounds = [open_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
     cameras = tuple(view.camera for view in views)
-    if not coarseness.is_whole:
-        scene, clips, backgrounds, cameras = _coarser(scene, clips, backgrounds, coarseness)
+    if not decimation.is_whole:
+        scene, clips, backgrounds, cameras = _decimated(scene, clips, backgrounds, decimation)
     try:
         with watch.stage("track"):
             progress("Following the die", 0, len(clips[0]))
             followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
-        frames = replace(followed.track, frame=coarseness.numbers(followed.track.frame))
+        frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
         straight, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
         # A clip that is cut off may be why nothing is found in it.
@@ -138,7 +138,8 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
 
 
-def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
+def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
+    """The background picture of a view; None without one. Raises SceneError where it cannot be read, or does not fit."""
     if view.background_path is None:
         return None
     try:
@@ -147,24 +148,24 @@ def _background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | N
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
-def _coarser(
+def _decimated(
     scene: Scene,
     clips: Sequence[Clip],
     backgrounds: Sequence[NDArray[np.float32] | None],
-    coarseness: Coarseness,
+    decimation: Decimation,
 ) -> tuple[Scene, list[Clip], list[NDArray[np.float32] | None], tuple[Camera, ...]]:
     """Everything that a scene says of its footage, for the part of it that is used."""
     if scene.start is not None:
         wanted = "a first pose by hand goes with the whole clip: leave out [start], or use every frame at its own size"
         raise refuse(scene.path, "start.frame", scene.start.frame, wanted)
     first = clips[0].first_frame
-    source = replace(scene.clip, excluded=coarseness.rows(first, scene.clip.excluded))
+    source = replace(scene.clip, excluded=decimation.frame_ranges(first, scene.clip.excluded))
     try:
-        fewer = [coarseness.clip(clip) for clip in clips]
+        fewer = [decimation.clip(clip) for clip in clips]
     except ValueError as error:
         raise SceneError(f"{scene.path}: {error}") from error
-    smaller = [None if picture is None else coarseness.picture(picture) for picture in backgrounds]
-    cameras = tuple(coarseness.camera(view.camera) for view in scene.views())
+    smaller = [None if picture is None else decimation.picture(picture) for picture in backgrounds]
+    cameras = tuple(decimation.camera(view.camera) for view in scene.views())
     return replace(scene, clip=source), fewer, smaller, cameras
 
 
@@ -228,13 +229,13 @@ def same_command(
     scene: Scene,
     out: Path,
     quality: Quality,
-    coarseness: Coarseness,
+    decimation: Decimation,
     intervals: IntervalMethod = "profile",
 ) -> tuple[str, ...]:
     """The command line that does the same; empty for a quality that has no name there."""
     if quality not in QUALITIES.values():
         return ()
-    less = ("--every", str(coarseness.every), "--shrink", str(coarseness.shrink)) if not coarseness.is_whole else ()
+    less = ("--every", str(decimation.every), "--shrink", str(decimation.shrink)) if not decimation.is_whole else ()
     other = ("--intervals", intervals) if intervals != "profile" else ()
     start = ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside")
     return (*start, "--quality", quality.name, *less, *other)

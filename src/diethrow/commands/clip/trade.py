@@ -48,7 +48,7 @@ from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
 from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_trade_figures
-from ...tracking.footage import WHOLE, Coarseness
+from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.throw import frames_in_flight
 from ...tracking.track import Track
@@ -149,8 +149,8 @@ def read_trade(path: Path) -> tuple[Setting, ...]:
 
 def setting_for(
     scene: Scene, within: float, measured: Path | None = None, progress: Progress = silent
-) -> tuple[str, Coarseness]:
-    """Quality and coarseness of the fastest analysis that gives χ to ± `within`.
+) -> tuple[str, Decimation]:
+    """Quality and decimation of the fastest analysis that gives χ to ± `within`.
 
     From the trade.json of `measured`, on this or a like scene; without it the ladder is climbed until the interval is
     half as wide as is wanted, because what a coarse run gets wrong is not in its own interval. Raises ValueError where
@@ -167,14 +167,14 @@ def setting_for(
     for k, (quality, every, shrink) in enumerate(LADDER):
         progress("Choosing a setting", k, len(LADDER))
         try:
-            run = track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
+            run = track_and_fit(scene, QUALITIES[quality], Decimation(every, shrink))
         except RunError:
             if k == len(LADDER) - 1:
                 raise
             continue
         width = setting_of(*named((quality, every, shrink)), run, None, None).half_width
         if width is not None and width <= 0.5 * within:
-            return quality, Coarseness(every, shrink)
+            return quality, Decimation(every, shrink)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
     told = "leaves χ open" if narrowest is None else f"gives ±{narrowest:.2g}"
     raise ValueError(
@@ -189,12 +189,12 @@ def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Tr
     total = len(LADDER) + len(WORK) + 1
     progress("Tracking", 0, total)
     quality, every, shrink = FIRST_OF_LADDER
-    track_and_fit(scene, QUALITIES[quality], Coarseness(every, shrink))
-    tries = [(choice, QUALITIES[choice[0]], Coarseness(*choice[1:])) for choice in reversed(LADDER)]
+    track_and_fit(scene, QUALITIES[quality], Decimation(every, shrink))
+    tries = [(choice, QUALITIES[choice[0]], Decimation(*choice[1:])) for choice in reversed(LADDER)]
     runs: list[tuple[tuple[str, int, int], Run | str]] = []
-    for k, (choice, of_choice, coarseness) in enumerate(tries):
+    for k, (choice, of_choice, decimation) in enumerate(tries):
         progress("Tracking", k + 1, total)
-        run = _run_or_reason(scene, of_choice, coarseness)
+        run = _run_or_reason(scene, of_choice, decimation)
         if k == 0 and isinstance(run, str):
             raise RunError(run)
         runs.append((choice, run))
@@ -203,7 +203,7 @@ def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Tr
     work: list[tuple[str, Run | str]] = []
     for k, (name, changed) in enumerate(WORK):
         progress("Tracking", len(LADDER) + 1 + k, total)
-        work.append((name, _run_or_reason(scene, changed, WHOLE)))
+        work.append((name, _run_or_reason(scene, changed, WHOLE_CLIP)))
     truth = _true_chi(scene)
     chi = truth if truth is not None else finest.fit.parameters["chi"].value
     reference = "the truth beside the scene" if truth is not None else "the finest run"
@@ -237,18 +237,18 @@ class Run:
         return frames_in_flight(self.tracking.straight, self.tracking.measured)
 
 
-def track_and_fit(scene: Scene, quality: Quality, coarseness: Coarseness = WHOLE) -> Run:
+def track_and_fit(scene: Scene, quality: Quality, decimation: Decimation = WHOLE_CLIP) -> Run:
     """Follow the die and fit the throw, against the clock of the processor. Raises RunError where no die is found."""
     began = time.process_time()
-    tracking = track_scene(scene, quality=quality, coarseness=coarseness)
+    tracking = track_scene(scene, quality=quality, decimation=decimation)
     fit = fit_throw(frames_in_flight(tracking.straight, tracking.measured), tracking.measured, tracking.die)
     seconds = time.process_time() - began
-    return Run(tracking, fit, coarseness.every * len(tracking.frames), seconds)
+    return Run(tracking, fit, decimation.every * len(tracking.frames), seconds)
 
 
-def _run_or_reason(scene: Scene, quality: Quality, coarseness: Coarseness) -> Run | str:
+def _run_or_reason(scene: Scene, quality: Quality, decimation: Decimation) -> Run | str:
     try:
-        return track_and_fit(scene, quality, coarseness)
+        return track_and_fit(scene, quality, decimation)
     except RunError as error:
         return str(error)
 
