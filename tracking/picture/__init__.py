@@ -25,13 +25,12 @@ from .kernel_types import OccluderMask as OccluderMask
 from .kernel_types import RefinementSettings as RefinementSettings
 from .kernel_types import Shape as Shape
 from .kernel_types import Workspace as Workspace
-from .kernel_types import inner_no_memory as inner_no_memory
-from .kernel_types import inner_nogil as inner_nogil
 from .kernel_types import new_workspace as new_workspace
 from .mirror_silhouette import mirror_region_costs as mirror_region_costs
 from .mirror_silhouette import reflects as reflects
 from .pose_equations import view_equations as view_equations
 from .projection import outline_hull as outline_hull
+from .projection import pixel_of_ray as pixel_of_ray
 from .projection import place_die as place_die
 from .projection import reach_of_die as reach_of_die
 from .projection import scale_px as scale_px
@@ -52,6 +51,7 @@ from .small_matrices import product as product
 from .small_matrices import rotation_exp as rotation_exp
 from .small_matrices import rotation_log as rotation_log
 from .small_matrices import solve_factored as solve_factored
+from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
 from .view import CONTOUR as CONTOUR

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .kernel_types import BIWEIGHT_CUT, BLUR, FEWEST_STRETCHES, PARAMETERS, REWEIGHTINGS, Workspace, inner_no_memory
+from ...model.compiled import inner_no_memory
+from .kernel_types import BIWEIGHT_CUT, BLUR, FEWEST_STRETCHES, PARAMETERS, REWEIGHTINGS, Workspace
 from .robust_greys import four_left, four_sums, median_size, rises, scale_left, shift_alike, two_left, two_sums
 from .small_matrices import cholesky_factor, solve_factored
 

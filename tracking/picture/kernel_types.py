@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import compiled, inner
+from ...model.compiled import compiled
 
 STRETCH_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""
@@ -63,11 +63,6 @@ ON_PATH_CHI2 = 30.0
 """Squared sigmas of six numbers: one in 25 000 of honest poses lies further off."""
 COVARIANCE_GROWTH = 1.06
 """Growth of a motion's covariance a frame."""
-inner_nogil = inner(nogil=True)
-inner_no_memory = inner(nogil=True, _nrt=False)
-inner_fast_sums = inner(nogil=True, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
-"""For kernels that only others call. The free ones take no memory and count no references to arrays: counting took a quarter of
-the time. Of the last, plain sums over pixels, the order is left to the compiler: four times the speed and no other figure."""
 
 
 class Shape(NamedTuple):

@@ -55,6 +55,7 @@ from typing import Any
 
 import numpy as np
 
+from ...model.compiled import inner_no_memory
 from .edge_stretch import add_stretch, eliminate
 from .kernel_types import (
     BLUR,
@@ -70,7 +71,6 @@ from .kernel_types import (
     FrameWindows,
     Shape,
     Workspace,
-    inner_no_memory,
 )
 from .projection import neighbours, outline_hull, place_die, project_point, reach_of_die, room_beside, within_hull
 from .rounded_edge import rounded_basis, sharp_basis, strip_lines, strip_shades, strip_turn

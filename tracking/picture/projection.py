@@ -5,20 +5,30 @@ from __future__ import annotations
 from math import hypot, sqrt
 from typing import Any
 
-from .kernel_types import CameraRig, Shape, Workspace, inner_no_memory
+from ...model.compiled import inner_no_memory
+from .kernel_types import CameraRig, Shape, Workspace
+
+
+@inner_no_memory
+def pixel_of_ray(K: Any, dist: Any, a: float, b: float) -> tuple[float, float]:
+    """Pixel of a camera ray (a, b) = (x/z, y/z), lens distortion included: the model of `tracking.camera`."""
+    k1, k2, p1, p2, k3 = dist[0], dist[1], dist[2], dist[3], dist[4]
+    r2 = a * a + b * b
+    g = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    ad = a * g + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)
+    bd = b * g + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b
+    return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
 
 
 @inner_no_memory
 def project_point(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tuple[float, float]:
-    """Pixel of a camera point and, in J (2, 3), its derivative."""
+    """Pixel of a camera point and, in J (2, 3), its derivative [px/m]."""
     iz = 1.0 / z
     a, b = x * iz, y * iz
     k1, k2, p1, p2, k3 = dist[0], dist[1], dist[2], dist[3], dist[4]
     r2 = a * a + b * b
     g = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     dg = k1 + r2 * (2.0 * k2 + 3.0 * r2 * k3)
-    ad = a * g + 2.0 * p1 * a * b + p2 * (r2 + 2.0 * a * a)
-    bd = b * g + p1 * (r2 + 2.0 * b * b) + 2.0 * p2 * a * b
     aa = g + 2.0 * a * a * dg + 2.0 * p1 * b + 6.0 * p2 * a
     ab = 2.0 * a * b * dg + 2.0 * p1 * a + 2.0 * p2 * b
     bb = g + 2.0 * b * b * dg + 6.0 * p1 * b + 2.0 * p2 * a
@@ -26,7 +36,7 @@ def project_point(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tu
     va, vb = K[1, 1] * ab, K[1, 1] * bb
     J[0, 0], J[0, 1], J[0, 2] = ua * iz, ub * iz, -(ua * a + ub * b) * iz
     J[1, 0], J[1, 1], J[1, 2] = va * iz, vb * iz, -(va * a + vb * b) * iz
-    return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
+    return pixel_of_ray(K, dist, a, b)
 
 
 @inner_no_memory

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled
+from ...model.compiled import compiled, inner_nogil
 from .kernel_types import (
     SHADOW_SQUARED_SIGMAS_CUT,
     SQUARED_SIGMAS_CUT,
@@ -15,7 +15,6 @@ from .kernel_types import (
     FrameWindows,
     Shape,
     Workspace,
-    inner_nogil,
     new_workspace,
 )
 from .projection import draw_outer, face_lines, place_die, rounded_contour, within_hull

@@ -5,10 +5,11 @@ from __future__ import annotations
 from math import sqrt
 from typing import Any
 
-from .kernel_types import BIWEIGHT_VARIANCE, MEDIAN_HALVINGS, MEDIAN_TOLERANCE, inner_fast_sums, inner_no_memory
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
+from .kernel_types import BIWEIGHT_VARIANCE, MEDIAN_HALVINGS, MEDIAN_TOLERANCE
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def median_size(values: Any, n: int) -> float:
     """Median of the first n of some sizes, to MEDIAN_TO of it: by halving an interval, whose counts are done eight at a time,
     where sorting waits at every comparison."""
@@ -30,7 +31,7 @@ def median_size(values: Any, n: int) -> float:
     return 0.5 * (low + high)
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def two_sums(
     n: int, icut: float, near: Any, far: Any, grey: Any, res: Any, w: Any
 ) -> tuple[float, float, float, float, float]:
@@ -59,7 +60,7 @@ def two_left(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: 
         size[i] = abs(res[i])
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
     """The same for the four intensities of a rounded edge, as normal matrix A (lower half) and right side y."""
     p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
@@ -90,7 +91,7 @@ def four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any
     y[0], y[1], y[2], y[3] = y0, y1, y2, y3
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def four_left(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
     """What four intensities leave of the grey levels, and its size."""
     c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
@@ -100,7 +101,7 @@ def four_left(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
         size[i] = abs(res[i])
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def scale_left(n: int, icut: float, res: Any) -> float:
     """Scale of residuals, given the inverse cut of the biweight about an earlier one: one step of an M-estimate, three
     times as efficient as the median that it starts from."""
@@ -114,7 +115,7 @@ def scale_left(n: int, icut: float, res: Any) -> float:
     return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any, w: Any) -> tuple[float, float]:
     """Derivative of the grey levels by d; robust cost and sum of the weights."""
     c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
@@ -134,7 +135,7 @@ def rises(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any, 
     return cost, used
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def shift_alike(n: int, rise: Any, w: Any) -> float:
     """(Σ w |r|)² / Σ w r², with r the derivatives of grey levels by d: by how much the variance of d is greater where n
     pixels err alike, and not each for itself."""

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS, inner_fast_sums, inner_no_memory
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
+from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS
 
 _FINE, _FAR = 128, 5.0
 _STEP = np.arange(-_FAR * _FINE, _FAR * _FINE + 2) / _FINE
@@ -134,7 +135,7 @@ def rounded_basis(
         spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1 * shade, b2, b3
 
 
-@inner_fast_sums
+@inner_fast_sums_no_memory
 def sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any) -> None:
     """Basis functions of the two intensities of n pixels beside sharp edges, and their derivatives by the distance, in place
     of that distance in blurs (`near`), what shades the far side (`far`), and one over the blur (`near_slope`).

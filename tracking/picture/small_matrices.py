@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .kernel_types import inner_no_memory, inner_nogil
+from ...model.compiled import inner_no_memory, inner_nogil
 
 
 @inner_no_memory
@@ -41,6 +41,16 @@ def solve_factored(L: Any, K: int, y: Any, out: Any) -> None:
         for k in range(i + 1, K):
             s -= L[k, i] * out[k]
         out[i] = s / L[i, i]
+
+
+@inner_no_memory
+def solve_positive(A: Any, n: int, y: Any, out: Any) -> bool:
+    """Solve the leading n × n of a symmetric positive definite A out = y, whose Cholesky factor replaces the lower triangle
+    of A; False where it is not definite."""
+    if not cholesky_factor(A, n, A, 1e-12):
+        return False
+    solve_factored(A, n, y, out)
+    return True
 
 
 @inner_nogil

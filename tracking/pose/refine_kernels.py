@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled
+from ...model.compiled import compiled, inner_no_memory, inner_nogil
 from ..picture import (
     COARSE_BLUR_AND_BAND_PX,
     COARSE_RESTART_PX,
@@ -21,8 +21,6 @@ from ..picture import (
     Shape,
     Workspace,
     cholesky_factor,
-    inner_no_memory,
-    inner_nogil,
     new_workspace,
     place_die,
     reach_of_die,

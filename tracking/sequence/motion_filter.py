@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled
+from ...model.compiled import compiled, inner_no_memory, inner_nogil
 from ...model.world import GRAVITY_M_S2
 from ..picture import (
     ACCEPTED_EXCESS_COST,
@@ -27,8 +27,6 @@ from ..picture import (
     RefinementSettings,
     Shape,
     Workspace,
-    inner_no_memory,
-    inner_nogil,
     inverse_positive,
     new_workspace,
     outline_hull,

@@ -7,51 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .kernel_types import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
-
-
-@inner_no_memory
-def pixel_of_point(K: Any, dist: Any, x: float, y: float, z: float) -> tuple[float, float]:
-    """Pixel of a camera point, lens distortion included."""
-    a, b = x / z, y / z
-    r2 = a * a + b * b
-    g = 1.0 + r2 * (dist[0] + r2 * (dist[1] + r2 * dist[4]))
-    ad = a * g + 2.0 * dist[2] * a * b + dist[3] * (r2 + 2.0 * a * a)
-    bd = b * g + dist[2] * (r2 + 2.0 * b * b) + 2.0 * dist[3] * a * b
-    return K[0, 0] * ad + K[0, 1] * bd + K[0, 2], K[1, 1] * bd + K[1, 2]
-
-
-@inner_no_memory
-def solve_positive(A: Any, n: int, y: Any, out: Any) -> bool:
-    """Solve the leading n × n of a symmetric positive definite system in place of its lower triangle; False where it is not."""
-    for i in range(n):
-        for j in range(i + 1):
-            s = A[i, j]
-            for k in range(j):
-                s -= A[i, k] * A[j, k]
-            if i == j:
-                if s <= 1e-12 * abs(A[i, i]) or s <= 0.0:
-                    return False
-                A[i, i] = sqrt(s)
-            else:
-                A[i, j] = s / A[j, j]
-    solve_factored(A, n, y, out)
-    return True
-
-
-@inner_no_memory
-def solve_factored(L: Any, n: int, y: Any, out: Any) -> None:
-    """Solve L Lᵀ out = y."""
-    for i in range(n):
-        s = y[i]
-        for k in range(i):
-            s -= L[i, k] * out[k]
-        out[i] = s / L[i, i]
-    for i in range(n - 1, -1, -1):
-        s = out[i]
-        for k in range(i + 1, n):
-            s -= L[k, i] * out[k]
-        out[i] = s / L[i, i]
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
+from ..picture import pixel_of_ray
 
 
 @inner_no_memory
@@ -112,7 +69,7 @@ def outline(
         z = origin[2] + corners[i, 0] * E[0, 2] + corners[i, 1] * E[1, 2]
         if z <= 1e-6:
             return False
-        px[i, 0], px[i, 1] = pixel_of_point(K, dist, x, y, z)
+        px[i, 0], px[i, 1] = pixel_of_ray(K, dist, x / z, y / z)
         mx += px[i, 0] / count
         my += px[i, 1] / count
     for i in range(count):

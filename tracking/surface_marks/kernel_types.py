@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import compiled, inner, int64, truth
+from ...model.compiled import compiled, int64, truth
 
 GAINS = 6
 """Light on one face of one frame: T, 1, a, b, aT, bT. What the paint scatters follows the texture T, what it mirrors lies over
@@ -61,12 +61,6 @@ MOST_HIDDEN = 0.5
 FIRST, ALL, POSE, LOOKING, FITTING = int64(0), int64(GAINS), int64(6), int64(4), int64(3)
 NO_PLACES, KNOWN, MOST = truth(False), truth(True), int64(BUFFER)
 """Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
-inner_nogil = inner(nogil=True)
-inner_fast_sums = inner(nogil=True, fastmath={"reassoc", "contract", "nsz"})
-inner_no_memory = inner(nogil=True, _nrt=False)
-inner_fast_sums_no_memory = inner(nogil=True, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
-"""For kernels that only others call; free ones take no memory and count no references to arrays; of plain sums over pixels the
-order is left to the compiler."""
 
 
 class Optics(NamedTuple):

@@ -18,17 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled
-from .face_geometry import (
-    exposure_shrink,
-    face_in_camera,
-    line_on_face,
-    outline,
-    reach_px,
-    solve_factored,
-    solve_positive,
-    turn_to_world,
-)
+from ...model.compiled import compiled, inner_fast_sums
+from ..picture import solve_factored, solve_positive
+from .face_geometry import exposure_shrink, face_in_camera, line_on_face, outline, reach_px, turn_to_world
 from .kernel_types import (
     ALL,
     BLUR_STEP,
@@ -47,7 +39,6 @@ from .kernel_types import (
     Bench,
     Faces,
     Optics,
-    inner_fast_sums,
 )
 from .texture_blur import blur_on_face, extra_blur, soften, spline_bend, spline_value, spline_with_slopes
 from .texture_gains import light_sums, relative_slopes, robust_gains

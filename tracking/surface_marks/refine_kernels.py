@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import compiled
-from .face_geometry import moved_px, solve_positive, turned_by
+from ..picture import solve_positive
+from .face_geometry import moved_px, turned_by
 from .kernel_types import MOST, NO_PLACES, OVERSTEP, POSE, SETTLED_PX, Faces, Optics, new_bench
 from .mark_equations import mark_equations
 

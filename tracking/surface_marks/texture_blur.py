@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from .kernel_types import FIRST, STENCIL_BLUR, inner_fast_sums_no_memory, inner_no_memory, inner_nogil
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
+from .kernel_types import FIRST, STENCIL_BLUR
 
 
 @inner_no_memory

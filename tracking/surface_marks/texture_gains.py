@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled
-from .face_geometry import exposure_shrink, face_in_camera, outline, pixel_of_point, reach_px, smear, solve_positive
+from ...model.compiled import compiled, inner_fast_sums, inner_no_memory, inner_nogil
+from ..picture import pixel_of_ray, solve_positive
+from .face_geometry import exposure_shrink, face_in_camera, outline, reach_px, smear
 from .kernel_types import (
     EVERY_THIRD,
     FIRST,
@@ -24,9 +25,6 @@ from .kernel_types import (
     Bench,
     Faces,
     Optics,
-    inner_fast_sums,
-    inner_no_memory,
-    inner_nogil,
 )
 from .texture_blur import blur_on_face, extra_blur, soften
 
@@ -196,7 +194,7 @@ def look_at_face(
             X = origin[0] + a * E[0, 0] + b * E[1, 0]
             Y = origin[1] + a * E[0, 1] + b * E[1, 1]
             Z = origin[2] + a * E[0, 2] + b * E[1, 2]
-            u, v = pixel_of_point(K, dist, X, Y, Z)
+            u, v = pixel_of_ray(K, dist, X / Z, Y / Z)
             inside = True
             for k in range(sides):
                 if planes[k, 0] * u + planes[k, 1] * v + planes[k, 2] < 0.0:
