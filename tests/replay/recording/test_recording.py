@@ -20,7 +20,7 @@ from diethrow.model.rotations import matrix_from_quat
 from diethrow.replay.elements import video
 from diethrow.replay.elements.colours import MEASURED, SIMULATED
 from diethrow.replay.elements.record import residuals
-from diethrow.replay.recording import recording, scenery
+from diethrow.replay.recording import scenery, throw_recording
 from diethrow.replay.recording.several_throws import properties_of
 from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 from diethrow.tracking.track import ABSENT
@@ -309,7 +309,7 @@ def test_a_failure_leaves_no_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     def fail(*_: object) -> None:
         raise RuntimeError("stopped half-way")
 
-    monkeypatch.setattr(recording, "send_residuals", fail)
+    monkeypatch.setattr(throw_recording, "send_residuals", fail)
     path = tmp_path / "x.rrd"
     with pytest.raises(RuntimeError, match="half-way"):
         write_recording(path, made.record())
