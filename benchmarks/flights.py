@@ -30,7 +30,7 @@ from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.throw.measurement import calibrated, measure
+from diethrow.tracking.throw.measurement import measure, with_calibrated_covariance
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import TRACKED, Track
 
@@ -91,7 +91,7 @@ def report(throw: Throw, track: Track, runs: int) -> None:
     """One row."""
     camera = studio().camera
     found, measuring = timed(lambda: measure(track, CUBE, camera), runs)
-    sure, calibrating = timed(lambda: calibrated(track, CUBE, camera), runs)
+    sure, calibrating = timed(lambda: with_calibrated_covariance(track, CUBE, camera), runs)
     _, smoothing = timed(lambda: smooth(sure, found.own, found.floor), runs)
     tracemalloc.start()
     measure(track, CUBE, camera)

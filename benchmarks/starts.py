@@ -40,7 +40,7 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.sequence import track_clip
-from diethrow.tracking.sequence.initialisation import best_start, find_beginning
+from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,13 +75,13 @@ def measured(folder: Path, count: int, everything: bool) -> list[str]:
     judge = Judge(view, source, truth)
     told: Counter[str] = Counter()
     alone_ms, begun_ms = [], []
-    best_start(view, source, int(judge.frames(1)[0]), unused)  # compiles
+    best_hypothesis(view, source, int(judge.frames(1)[0]), unused)  # compiles
     for k in judge.frames(count):
-        alone, ms = timed(best_start, view, source, k, unused)
+        alone, ms = timed(best_hypothesis, view, source, k, unused)
         alone_ms.append(ms)
         verdict = "none" if alone is None else f"{'sure' if alone.sure else 'unsure'} {judge.of(alone.seen, k)}"
         cut = unused | (np.arange(len(source)) < k)
-        begun, ms = timed(find_beginning, view, source, cut)
+        begun, ms = timed(find_initial_pose, view, source, cut)
         begun_ms.append(ms)
         outcome = "begun none" if begun is None else f"begun {judge.of(begun[1], 0)}"
         told.update([verdict, outcome])

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...model.die import Solid
 from ...model.throw import HeldContact, Impact, Throw
-from ...tracking.throw import Carried
+from ...tracking.throw import SupportedMotion
 from ..elements import BLACK, COLOURS, Colour, Motion, bounce_sentence, impulse_of, mixed
 from .dice import flight_begins
 from .timelines import Clock, send_instants
@@ -139,7 +139,7 @@ def _stretches(throw: Throw) -> list[str]:
         if isinstance(flight, HeldContact):
             kinds = {1: "on vertex", 2: "on edge"}
             names.append(" ".join([kinds.get(len(flight.vertices), "on face"), *map(str, flight.vertices)]))
-        elif isinstance(flight, Carried):
+        elif isinstance(flight, SupportedMotion):
             names.append("on the table")
         else:
             flown += 1

@@ -20,7 +20,7 @@ from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.pose import initial_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence.track_clip import NoDieError, follow
+from diethrow.tracking.sequence.tracker import NoDieError, follow
 from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
 from diethrow.tracking.track import Track
 

@@ -15,7 +15,7 @@ from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.surface_marks.learning import frames_to_learn_from, learn_marks
 from diethrow.tracking.surface_marks.textures import Marks
-from diethrow.tracking.throw.joint_flights import Strike
+from diethrow.tracking.throw.flight_chain import VertexImpact
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -102,7 +102,7 @@ def struck_film() -> list[Image]:
     return [np.rint(photograph(ROOM, CUBE, state, rng, pips(CUBE))) for state in states]
 
 
-def learned_along(throw: Throw, strikes: Sequence[Strike | None]) -> Marks:
+def learned_along(throw: Throw, strikes: Sequence[VertexImpact | None]) -> Marks:
     """Of the filmed impact, with what it is known to be, from edges with the common error; the throw may end before the film."""
     film = struck_film()
     track = edges_track(throw, COMMON, int(throw.flights[-1].end_s * FPS) + 1)

@@ -13,7 +13,7 @@ from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.throw.joint_flights import Strike
+from diethrow.tracking.throw.flight_chain import VertexImpact
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -38,10 +38,10 @@ def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_aft
     return Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
 
 
-def strike_at(die: Die, vertex: int) -> Strike:
+def strike_at(die: Die, vertex: int) -> VertexImpact:
     """An impact at one vertex of that die."""
     point = inner_vertices(die.solid, die.corner_radius_m)[vertex]
-    return Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)
+    return VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)
 
 
 def frame_covariance(rng: np.random.Generator, n: int, scale: float = 1.0) -> Array:

@@ -40,8 +40,8 @@ from ..picture import (
 )
 from ..pose import ManualInitialisation, die_blobs, refine_pose
 from ..quality import FAST
-from ..sequence import NoDieError, look_through
-from ..throw import NoFlightError, measure_throw, transition
+from ..sequence import NoDieError, track_clip
+from ..throw import NoFlightError, measure_throw, transition_matrix
 from ..track import Track
 from .gravity import Fall, measure_fall
 
@@ -149,7 +149,7 @@ def preflight(
     """Measure what the clip offers. `open_part` opens frames first to stop (numbers in the file) of the same clip.
 
     `background` (height, width) is a frame without the die; `exposure_s`, `start`, `excluded` and `rounding` as for
-    `look_through`.
+    `track_clip`.
     Raises ValueError where the clip cannot be read.
     """
     estimated = background is None
@@ -166,7 +166,7 @@ def preflight(
         stop = min(first + PIECE_FRAMES, len(clip))
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
-            seen = look_through(
+            seen = track_clip(
                 part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded,
                 rounding=rounding, quality=FAST,
             )  # fmt: skip
@@ -351,7 +351,9 @@ def contacts_of(throw: Throw, die: Die) -> tuple[Array, Array]:
         x, y, z = corners[low]
         row = np.zeros(12)
         row[2], row[3:6] = 1.0, (y, -x, 0.0)  # ẑ · (δθ × r)
-        covariance = transition(before, impact.time_s) @ before.covariance @ transition(before, impact.time_s).T
+        covariance = (
+            transition_matrix(before, impact.time_s) @ before.covariance @ transition_matrix(before, impact.time_s).T
+        )
         speed = impact.normal_velocity_before_m_s * impact.sigma_time_s
         heights.append(float(state.position_m[2] + z - die.corner_radius_m))
         sigmas.append(float(np.sqrt(max(float(row @ covariance @ row), 0.0) + speed**2)))

@@ -31,7 +31,7 @@ from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rot
 from ...model.throw import State, Throw
 from ..picture import CameraRig, View, make_view, shares_in_view
 from ..pose import Pose, refine_pose
-from ..throw import SIZE_PX, SIZE_SHARE
+from ..throw import CONTOUR_SHARE, CONTOUR_SIGMA_PX
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -94,7 +94,7 @@ def find_offsets(view: View, frame: Callable[[int], NDArray[np.generic]], times_
     rows = _rows_in_flight(times_s, throw)
     looks = [_Look.at(alone, frame(int(k)), throw.at(float(times_s[k]))) for k in rows]
     radius_px = view.die.corner_radius_m * view.camera.matrix[0, 0] / _distance_m(view, throw)
-    size_px = float(np.hypot(SIZE_PX, SIZE_SHARE * radius_px))
+    size_px = float(np.hypot(CONTOUR_SIGMA_PX, CONTOUR_SHARE * radius_px))
     for c in range(1, n):
         pairs = [(look, look.poses[0], look.poses[c]) for look in looks]
         rows_of_c = list(_rows(pairs))

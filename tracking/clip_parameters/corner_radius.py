@@ -48,7 +48,7 @@ from ..picture import (
     whole_frame_windows,
 )
 from ..pose import Picture, SampledFrames, refine_and_score
-from ..throw import flown, outline_growth
+from ..throw import flights_only, outline_growth
 from ..track import Track
 
 Array = NDArray[np.float64]
@@ -211,7 +211,7 @@ def by_flights(view: View, looks: SampledFrames, first_m: float, contour_px: flo
 
 def looks_in_flight(view: View, picture: Picture, track: Track, throw: Throw) -> SampledFrames:
     """Frames of a track that show the whole die on its flights, at the poses of the flights."""
-    throw = flown(throw)
+    throw = flights_only(throw)
     spacing_s = float(np.median(np.diff(track.time_s)))
     bounces = np.array([impact.time_s for impact in throw.impacts])
     near = np.abs(track.time_s[:, None] - bounces).min(1, initial=np.inf) < NEAR_BOUNCE * spacing_s

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ..footage import FrameSource
 from ..picture import View, shares_in_view
-from ..throw import PLENTY
+from ..throw import ENOUGH_FRAMES
 from ..track import LOST, TRACKED, Track
 from .refine import Pose, contour_bias_jacobians, covariances, misfits
 
@@ -152,7 +152,7 @@ class SampledFrames:
 
 def longest_leap(frames: int) -> int:
     """From how many frames of a clip of so many one is plenty."""
-    return power_of_two(frames / PLENTY)
+    return power_of_two(frames / ENOUGH_FRAMES)
 
 
 def power_of_two(most: float) -> int:

@@ -1,5 +1,5 @@
 """tracking.sequence."""
 
-from .track_clip import Followed as Followed
-from .track_clip import NoDieError as NoDieError
-from .track_clip import look_through as look_through
+from .tracker import NoDieError as NoDieError
+from .tracker import TrackedClip as TrackedClip
+from .tracker import track_clip as track_clip

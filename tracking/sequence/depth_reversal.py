@@ -19,9 +19,9 @@ from ...model.die import inversion_rotation, nearest_equivalent_rotation
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, refine_pose, same_picture
-from ..throw import LITTLE_SLACK, fit_flights, sightings
+from ..throw import UNMODELLED_SHARE, fit_flights, observations_of
 from ..track import Track
-from .frame_to_frame import Chase
+from .frame_to_frame import FrameTracker
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -62,7 +62,7 @@ def _half_turn(view: View, position_m: Array) -> Array:
     return np.asarray(2.0 * np.outer(along, along) - np.eye(3))
 
 
-def put_right(view: View, source: FrameSource, seen: ClipPoses, unused: Mask) -> ClipPoses:
+def correct_depth_reversals(view: View, source: FrameSource, seen: ClipPoses, unused: Mask) -> ClipPoses:
     """The sightings with runs of frames followed anew from their reversal, where they lie on no motion of a die in flight and
     those of the reversal do so better.
 
@@ -156,7 +156,7 @@ def _followed(
     first, stop = within
     seen = ClipPoses.empty(len(source))
     seen.put(k, pose, moving)
-    onward = Chase.from_start(view, pose, source.times_s, k, unused, moving)
+    onward = FrameTracker.from_start(view, pose, source.times_s, k, unused, moving)
     settled = min(k + 1 + SETTLE, stop)
     for row in range(k + 1, settled):
         onward.over(source.frame(row)[None], source.times_s, row, seen)
@@ -186,7 +186,7 @@ def _strains(track: Track, rows: NDArray[np.int64]) -> Array:
         return np.zeros(len(rows))
     at = np.clip(np.searchsorted(use, rows) - WINDOW // 2, 0, max(len(use) - WINDOW, 0))
     windows = [np.arange(k, min(k + WINDOW, len(use))) for k in at]
-    _, left = fit_flights(sightings(track, use, LITTLE_SLACK), windows)
+    _, left = fit_flights(observations_of(track, use, UNMODELLED_SHARE), windows)
     return np.asarray(left / (6.0 * np.array([len(window) for window in windows]) - 12.0))
 
 

@@ -50,7 +50,7 @@ sure it must be of where the next leap leads; and squared sigmas that poses behi
 ones one in 25 000."""
 
 
-class Chase:
+class FrameTracker:
     """Follows the die through blocks of frames; the one place that remembers how it moved."""
 
     def __init__(
@@ -68,7 +68,7 @@ class Chase:
     @staticmethod
     def from_start(
         view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], moving: Array | None = None
-    ) -> Chase:
+    ) -> FrameTracker:
         """A chase of which only the pose on frame k is known, or, as after a bounce, also about how the die moves: `moving` (6,),
         velocity [m/s] and spin [rad/s]. Frames that are `unused` (n,) are passed over."""
         near = times_s[max(k - 1, 0) : k + 2]
@@ -76,13 +76,15 @@ class Chase:
         reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if moving is None else (BOUNCED_REACH, BOUNCED_RAD)
         P = _unsure(view, pose, frame_s, reach, rad)
         motion = np.concatenate([pose.position_m, np.zeros(6) if moving is None else moving])
-        made = Chase(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
+        made = FrameTracker(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
         made.next_frame = k + 1
         return made
 
-    def turned_back(self) -> Chase:
+    def turned_back(self) -> FrameTracker:
         """The chase of the frames before those of this one, from what is known of the flight that it is in."""
-        back = Chase(self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused)
+        back = FrameTracker(
+            self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused
+        )
         back.view, back._occluders = self.view, self._occluders
         back.backwards = True
         return back

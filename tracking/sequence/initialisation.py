@@ -35,7 +35,7 @@ from ..pose import (
     manual_initial_pose,
     same_picture,
 )
-from .frame_to_frame import Chase
+from .frame_to_frame import FrameTracker
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -93,7 +93,7 @@ class Rating:
 class Runner:
     """A start and how far it has been followed."""
 
-    chase: Chase
+    chase: FrameTracker
     seen: ClipPoses
     """The frames of the race alone, the first of them the frame of the start."""
     rating: Rating
@@ -114,9 +114,9 @@ class Runner:
         return self.rivals == 0 and self.support > SURE_SUPPORT and whole and self.rating.unevenness < EVEN
 
 
-def find_beginning(
+def find_initial_pose(
     view: View, source: FrameSource, unused: Mask, reached: Callable[[int], None] = lambda frame: None
-) -> tuple[Chase, ClipPoses] | None:
+) -> tuple[FrameTracker, ClipPoses] | None:
     """The chase from the first frame that shows the die whole, and what it has seen so far; None where no die is found.
 
     Frames that are `unused` (n,) are passed over; `reached` is told the frame that is looked at. Where no start is borne out with
@@ -126,7 +126,7 @@ def find_beginning(
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
     found, unsure = _borne_out(view, source, unused, reached)
     if found is not None and not found[1].sure:
-        first = best_start(sharper, source, unsure[0][0], unused)
+        first = best_hypothesis(sharper, source, unsure[0][0], unused)
         found = (unsure[0][0], first) if first is not None and first.sure else found
     if found is None:
         found, others = _borne_out(sharper, source, unused, reached)
@@ -145,7 +145,7 @@ def _borne_out(
     """The first start (row, runner) that is sure, or that others meet; and those that are neither."""
     unsure: list[tuple[int, Runner]] = []
     for k, _ in islice(_candidates(view, source, unused, reached), START_FRAMES):
-        best = best_start(view, source, k, unused)
+        best = best_hypothesis(view, source, k, unused)
         if best is None or best.support < FAIR_SUPPORT:
             continue
         if best.sure:
@@ -221,9 +221,9 @@ def _usual_area_px(view: View, source: FrameSource) -> float:
     return float(np.median(areas)) if areas else 0.0
 
 
-def begin_by_hand(
+def initial_pose_by_hand(
     view: View, source: FrameSource, by_hand: ManualInitialisation, unused: Mask
-) -> tuple[Chase, ClipPoses]:
+) -> tuple[FrameTracker, ClipPoses]:
     """The chase from the pose that a person gave. Raises ValueError for a frame that is not there or not used."""
     k = by_hand.frame - source.first_frame
     if not 0 <= k < len(source) or unused[k]:
@@ -236,7 +236,7 @@ def begin_by_hand(
     return _begun(_at_the_line(view, source, k, pose, unused), source, k, unused)
 
 
-def _begun(runner: Runner, source: FrameSource, k: int, unused: Mask) -> tuple[Chase, ClipPoses]:
+def _begun(runner: Runner, source: FrameSource, k: int, unused: Mask) -> tuple[FrameTracker, ClipPoses]:
     """The chase and what it saw, with the rows of the clip in place of those of the race that began on frame k. Of a start
     that is not sure the end is kept, where it met others or the die had shown most of itself, and what came before as far as the
     pictures bear it out as well; the rest is looked at again from there."""
@@ -252,7 +252,7 @@ def _begun(runner: Runner, source: FrameSource, k: int, unused: Mask) -> tuple[C
     return chase, seen
 
 
-def best_start(view: View, source: FrameSource, k: int, unused: Mask) -> Runner | None:
+def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Runner | None:
     """The start on frame k that the frames after it bear out best; None where they bear out none."""
     left = min(STAGES[-1], len(source) - k)
     starts = initial_poses(view, np.asarray(source.frame(k), np.float32))
@@ -300,7 +300,7 @@ def _at_the_line(view: View, source: FrameSource, k: int, pose: Pose, unused: Ma
     """A start that has not been followed yet."""
     seen = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     seen.put(0, pose, np.zeros(6))
-    chase = Chase.from_start(view, pose, source.times_s[k:], 0, unused[k:])
+    chase = FrameTracker.from_start(view, pose, source.times_s[k:], 0, unused[k:])
     return Runner(chase, seen, Rating(pose.misfit))
 
 

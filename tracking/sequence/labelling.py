@@ -23,7 +23,7 @@ ASTRAY_RAD = 0.2
 """How far from its flight, in any labelling, a frame lies that no flight tells how to label."""
 
 
-def labelled_across(view: View, seen: ClipPoses, throw: Throw, times_s: Array) -> ClipPoses:
+def with_consistent_labels(view: View, seen: ClipPoses, throw: Throw, times_s: Array) -> ClipPoses:
     """The sightings with one labelling throughout: where contacts follow each other too fast for the poses between them
     to be sure, each flight takes the labelling that turns least from the flight before. Where one leads astray at the contact,
     frames beside it that follow each other tell it by themselves."""
@@ -49,7 +49,7 @@ def labelled_across(view: View, seen: ClipPoses, throw: Throw, times_s: Array) -
     return replace(seen, rotation=rotation)
 
 
-def labelled_along(view: View, seen: ClipPoses, flown: ClipPoses, first: ClipPoses) -> ClipPoses:
+def with_labels_of_flights(view: View, seen: ClipPoses, flown: ClipPoses, first: ClipPoses) -> ClipPoses:
     """The sightings in the labelling of flights, which are `flown` on every frame, and where these lead ASTRAY_RAD away, in that
     of a first pass."""
     rows, rotation = np.flatnonzero(seen.known), seen.rotation.copy()

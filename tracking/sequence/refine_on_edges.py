@@ -20,7 +20,7 @@ from ..clip_parameters import Offsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
 from ..picture import THREADS, CameraRig, RefinementSettings, View, refinement_boxes, shares_in_view
 from ..pose import ClipPoses, covariances, refine_frames, weak_prior
-from .labelling import angles, labelled_along
+from .labelling import angles, with_labels_of_flights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -40,7 +40,7 @@ OPEN_RAD = np.radians(6.0)
 
 
 @dataclass(frozen=True, eq=False)
-class SecondPass:
+class EdgeRefinement:
     """What there is to start from. Any frames may then be refined, and others later."""
 
     view: View
@@ -55,7 +55,7 @@ class SecondPass:
     settled_px: float = 0.0
     """A step that moves no point of the die by more than this is the last one: see `along`."""
 
-    def along(self, throw: Throw) -> SecondPass:
+    def along(self, throw: Throw) -> EdgeRefinement:
         """The same from flights so sure that a step which hardly leaves them is the last: what is left of the way to what the
         pixels of a frame say, about a tenth, is error rather than motion."""
         return replace(self, throw=throw, settled_px=self.view.quality.settled_px)
@@ -84,7 +84,7 @@ class SecondPass:
         for one in tries[1:]:
             other = one.seen(count)
             seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
-        return labelled_along(view, seen, wanted, first)
+        return with_labels_of_flights(view, seen, wanted, first)
 
     def _apart_from(self, flown: ClipPoses) -> Mask:
         """(n,) where the first pass lies further from flights than a refinement is sure to cover."""

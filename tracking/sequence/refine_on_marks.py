@@ -21,19 +21,19 @@ from ..picture import View
 from ..pose import ClipPoses, as_track, contour_bias_jacobians, shown_whole
 from ..surface_marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
 from ..throw import (
-    Measured,
+    MeasuredThrow,
     NoFlightError,
-    flown,
+    decimation_factor,
+    determines_table_height,
+    flights_only,
     frames_in_flight,
     measure,
-    shared_lean,
-    spared,
-    tells_the_table,
-    transition,
-    without_lean,
+    shared_bias_jacobian,
+    transition_matrix,
+    without_shared_bias,
 )
 from ..track import Track
-from .refine_on_edges import SecondPass, among, see_all
+from .refine_on_edges import EdgeRefinement, among, see_all
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -46,7 +46,7 @@ half as large, dice of 20 px an edge did without their marks, and were turned by
 
 
 @dataclass(frozen=True, eq=False)
-class Marked:
+class MarkRefinement:
     """What a third pass gives."""
 
     seen: ClipPoses
@@ -56,7 +56,7 @@ class Marked:
     """(n, 6, 6) covariance that poses on marks share, NaN where a frame has none; None where marks were not used."""
 
 
-def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callable[[int], None]) -> Marked:
+def third_pass(second: EdgeRefinement, seen: ClipPoses, every: int, reached: Callable[[int], None]) -> MarkRefinement:
     """All frames refined on marks and edges, where that helps. `seen` is what the second pass shows on one frame in `every`.
     `reached` is called with how far it is, in frames.
 
@@ -66,16 +66,16 @@ def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callabl
     view, source = second.view, second.source
     left = np.arange(len(source)) % every != 0
     track = as_track(view, source, seen, shown_whole(view, seen))
-    thinned = spared(track, view.die)
+    thinned = decimation_factor(track, view.die)
     try:
         found = measure(track, view.die, view.camera, every=thinned)
     except NoFlightError:
-        return Marked(_completed(second, seen, left, reached), None, None)
-    scatter = _scatter(found.frames, flown(found.throw))
+        return MarkRefinement(_completed(second, seen, left, reached), None, None)
+    scatter = _scatter(found.frames, flights_only(found.throw))
     marks = _learned(source, view, found, scatter)
     if marks is None or len(source.clips) > 1 or not _are_worth_it(marks, found, every * thinned):
-        return Marked(_completed(second, seen, left, reached), marks, None)
-    flights = Throw(marks.flights, flown(found.throw).impacts)
+        return MarkRefinement(_completed(second, seen, left, reached), marks, None)
+    flights = Throw(marks.flights, flights_only(found.throw).impacts)
     to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
     seen = _completed(second.along(to_the_end), seen, left, reached)
     edges = _edges_of(second, seen, found, scatter)
@@ -92,10 +92,10 @@ def third_pass(second: SecondPass, seen: ClipPoses, every: int, reached: Callabl
     for put, poses in ((rows, refining.poses()), (carried, _poses_of(view, edges, seen, carried))):
         out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
         out.lean[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
-    return Marked(out, marks, shared)
+    return MarkRefinement(out, marks, shared)
 
 
-def _completed(second: SecondPass, seen: ClipPoses, left: Mask, reached: Callable[[int], None]) -> ClipPoses:
+def _completed(second: EdgeRefinement, seen: ClipPoses, left: Mask, reached: Callable[[int], None]) -> ClipPoses:
     """With the frames that are left."""
     if not left.any():
         return seen
@@ -104,14 +104,14 @@ def _completed(second: SecondPass, seen: ClipPoses, left: Mask, reached: Callabl
     return out
 
 
-def _learned(source: FrameSource, view: View, found: Measured, scatter: float) -> Marks | None:
+def _learned(source: FrameSource, view: View, found: MeasuredThrow, scatter: float) -> Marks | None:
     """The marks, from frames in flight."""
-    edges, throw = _in_flight(found.frames, found.throw), flown(found.throw)
+    edges, throw = _in_flight(found.frames, found.throw), flights_only(found.throw)
     edges = replace(edges, covariance=scatter * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), source.frame(int(k))[0]) for k in rows)
     # A table that is not where the scene has it tells no distance.
-    told = tells_the_table(found.joined)
+    told = determines_table_height(found.joined)
     strikes = [link.strike if told else None for link in found.joined.links[: len(throw.impacts)]]
     return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** source.clips[0].bit_depth - 1))
 
@@ -119,14 +119,16 @@ def _learned(source: FrameSource, view: View, found: Measured, scatter: float) -
 def _in_flight(track: Track, throw: Throw) -> Track:
     """Without frames that the table carries at the end. Where the die flies to the end, all are in flight: a thinned fit ends
     before the last one does."""
-    return track if flown(throw) is throw else frames_in_flight(track, throw)
+    return track if flights_only(throw) is throw else frames_in_flight(track, throw)
 
 
-def _edges_of(second: SecondPass, seen: ClipPoses, found: Measured, scatter: float) -> Track:
+def _edges_of(second: EdgeRefinement, seen: ClipPoses, found: MeasuredThrow, scatter: float) -> Track:
     """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
     view, shared = second.view, found.joined.shared
     track = as_track(view, second.source, seen, shown_whole(view, seen))
-    straight = without_lean(track, shared_lean(track, view.camera, view.die)[:, :, : len(shared)], shared)
+    straight = without_shared_bias(
+        track, shared_bias_jacobian(track, view.camera, view.die)[:, :, : len(shared)], shared
+    )
     return replace(straight, covariance=scatter * straight.covariance)
 
 
@@ -150,7 +152,7 @@ def _see_some(source: FrameSource, rows: Rows, refining: Refining, reached: Call
     see_all(source, boxes, begun, reached)
 
 
-def _are_worth_it(marks: Marks, found: Measured, every: int) -> bool:
+def _are_worth_it(marks: Marks, found: MeasuredThrow, every: int) -> bool:
     """Whether marks tell of the same motion as edges, and tell more. One frame in `every` had edges."""
     learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared])
     both = [(found.throw.flights[k], marks.flights[k]) for k in learned]
@@ -171,7 +173,7 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
         t = 0.5 * (ours.start.time_s + ours.end_s)
         a, b = ours.at(t), theirs.at(t)
         miss = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
-        M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
+        M, N = transition_matrix(ours, t)[:6], transition_matrix(theirs, t)[:6]
         C = M @ ours.covariance @ M.T + N @ theirs.covariance @ N.T
         squared.append(float(miss @ np.linalg.solve(C, miss)))
     return float(np.median(squared)) if squared else 0.0
@@ -187,7 +189,7 @@ def _gain(both: Sequence[tuple[Flight, Flight]], own: Sequence[Flight], every: i
             continue
         if np.isfinite(ours.end_s):
             t = 0.5 * (ours.start.time_s + ours.end_s)
-            M, N = transition(ours, t)[:6], transition(theirs, t)[:6]
+            M, N = transition_matrix(ours, t)[:6], transition_matrix(theirs, t)[:6]
             shared = ours.covariance - alone.covariance
             edges, marks = M @ (alone.covariance / every + shared) @ M.T, N @ theirs.covariance @ N.T
             gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))

@@ -21,7 +21,15 @@ from scipy.optimize import brentq
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
 from ..picture import THREADS, View
-from ..throw import ASIDE_SHARE, CONTACT_SIGMA_M, TABLE_SIGMA_M, Strike, moved, strike_equations, transition
+from ..throw import (
+    CONTACT_SIGMA_M,
+    LATERAL_SHARE,
+    TABLE_SIGMA_M,
+    VertexImpact,
+    perturbed,
+    transition_matrix,
+    vertex_impact_equations,
+)
 from .kernel_types import BUFFER, SHARED, WARPS, Faces, Optics, new_bench
 from .mark_equations import mark_equations
 from .textures import Look, Marks, Poses, faces_of, optics_of, poses_of
@@ -59,11 +67,11 @@ class Bounce:
     time_s: float
     sigma_s: float
     """How well that instant is known before the marks tell it."""
-    strike: Strike | None
+    strike: VertexImpact | None
     """None where the contact was not at one vertex: the flights meet there and obey nothing else."""
 
 
-def bounces_between(looks: list[Look], throw: Throw, strikes: Sequence[Strike | None]) -> list[Bounce]:
+def bounces_between(looks: list[Look], throw: Throw, strikes: Sequence[VertexImpact | None]) -> list[Bounce]:
     """The bounces of a throw, whose impacts were those strikes (impacts,), that tell of flights which are looked at: of both
     beside it, or of one where the other is too short to be."""
     used, out = {look.flight for look in looks}, []
@@ -128,7 +136,7 @@ def adjusted(view: View, looks: list[Look], bounces: list[Bounce], marks: Marks,
     flights, common = list(marks.flights), list(marks.shared)
     for k, at in column.items():
         c = slice(at, at + 12)
-        flights[k] = replace(flights[k], start=moved(flights[k].start, step[c]), covariance=C[c, c])
+        flights[k] = replace(flights[k], start=perturbed(flights[k].start, step[c]), covariance=C[c, c])
         common[k] = C[c, c] - own[c, c]
     moves = np.zeros(len(flights))
     for k, at in column.items():
@@ -158,10 +166,10 @@ def _bounce_equations(flights: Sequence[Flight], bounce: Bounce) -> tuple[Array,
     table: flights on both sides meet (6 rows), and where it is a strike, they obey it (4). Of one flight alone its corner
     touches the table (1)."""
     t, motions = bounce.time_s, [flights[k] for k in bounce.flights]
-    states, onward = [motion.at(t) for motion in motions], [transition(motion, t) for motion in motions]
+    states, onward = [motion.at(t) for motion in motions], [transition_matrix(motion, t) for motion in motions]
     rows, right = np.zeros((0, 26)), np.zeros(0)
     if bounce.strike is not None:
-        obeyed, miss = strike_equations(states[0], states[-1], bounce.strike, 0.0)
+        obeyed, miss = vertex_impact_equations(states[0], states[-1], bounce.strike, 0.0)
         by_table = np.array([[-1.0 / CONTACT_SIGMA_M], [0.0], [0.0], [0.0]])
         by_starts = [obeyed[:, :12] @ onward[0], obeyed[:, 12:24] @ onward[-1]]
         rows, right = np.hstack([*by_starts, obeyed[:, 24:], by_table]), -miss
@@ -224,7 +232,7 @@ def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
         return float(np.median(squared)) - CHI2_MEDIAN
 
     least, most = np.log(np.array(CONTOUR_SHARES) * view.die.solid.edge_m)
-    known = ASIDE_SHARE * view.die.corner_radius_m
+    known = LATERAL_SHARE * view.die.corner_radius_m
     if beyond(least) <= 0.0:
         return max(float(np.exp(least)), known)
     return max(float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01))), known)

@@ -52,7 +52,7 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import THREADS, View, outline_box
 from ..pose import weak_prior
-from ..throw import Strike, transitions
+from ..throw import VertexImpact, transition_matrices
 from ..track import Track
 from .bundle_adjustment import adjusted, bounces_between, contour_covariance, turn_between
 from .kernel_types import TUKEY
@@ -118,7 +118,7 @@ def learn_marks(
     images: Iterable[tuple[int, NDArray[Any]]],
     track: Track,
     throw: Throw,
-    strikes: Sequence[Strike | None],
+    strikes: Sequence[VertexImpact | None],
     *,
     saturation_grey: float = np.inf,
 ) -> Marks | None:
@@ -258,7 +258,7 @@ def shared_covariances(view: View, marks: Marks, flight: int, times_s: Array) ->
     """(n, 6, 6) of the poses at `times_s` (n,) that all frames share: what the uncertain places of the textures do to every
     one of them, and what no frame can show, PLACED_PX and PLACED_SHARE. It belongs on top of whatever a fit of many frames says,
     because it does not shrink with their number. NaN in a flight from which nothing was learned."""
-    M = transitions(marks.flights[flight], times_s)[:, :6]
+    M = transition_matrices(marks.flights[flight], times_s)[:, :6]
     places_m, _ = marks.flights[flight].poses(times_s)
     seen_m = PLACED_PX / view.camera.matrix[0, 0] * np.linalg.norm(places_m - view.camera.centre_m, axis=1)
     placed_m = np.hypot(seen_m, PLACED_SHARE * view.die.corner_radius_m)

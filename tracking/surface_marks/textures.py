@@ -21,7 +21,7 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Throw
 from ..camera import Camera
 from ..picture import THREADS, View
-from ..throw import transitions
+from ..throw import transition_matrices
 from .kernel_types import GRAZING, MARGIN_BLURS, MOST_HIDDEN, Faces, Optics, new_bench
 from .texture_gains import look_at_face
 
@@ -148,7 +148,7 @@ def poses_of(looks: list[Look], flights: tuple[Flight, ...]) -> Poses:
         out.position_m[mine], q = flight.poses(times[mine])
         out.rotation[mine] = matrix_from_quat(q)
         out.velocity_m_s[mine], out.omega_rad_s[mine] = np.split(flight.rates(times[mine]), 2, axis=1)
-        out.by_start[mine] = transitions(flight, times[mine])[:, :6]
+        out.by_start[mine] = transition_matrices(flight, times[mine])[:, :6]
     return out
 
 

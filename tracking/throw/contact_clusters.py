@@ -4,7 +4,7 @@ A fast die strikes again before it has flown for three frames, and no flight bet
 that is known up to the first contact says, for each coefficient of restitution, all that follows: the model is asked
 (`model.simulate`), restitution by restitution, and friction by friction where the other bounces of the throw show any.
 Each order of vertices that comes out is a hypothesis, which begins at the model's own motion and is then fitted as a
-chain of impacts with nothing of the model left in it but what any impact obeys (`joined.Strike`): the restitution may
+chain of impacts with nothing of the model left in it but what any impact obeys (`joined.VertexImpact`): the restitution may
 differ from contact to contact, and friction may act.
 
 The order of vertices that explains the frames best is taken if it explains them as well as two unrelated flights do, if no
@@ -26,12 +26,12 @@ from ...model.die import Die, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from ...model.throw import State, Throw, Until, throw_die
-from .flights import Sightings
-from .joint_flights import CUT_SIGMA, Joined, Link, Strike
+from .flight_chain import CUT_SIGMA, FlightChain, Link, VertexImpact
+from .flights import Observations
 from .segmentation import BRIEFEST_S, WINDOW
 
 Array = NDArray[np.float64]
-Fit = Callable[[Sightings, Sequence[State], Sequence[Link]], Joined]
+Fit = Callable[[Observations, Sequence[State], Sequence[Link]], FlightChain]
 
 SOUND = 0.5
 """Weight from which a frame is taken to lie on its flight."""
@@ -71,8 +71,8 @@ class _Story:
 
 
 def resolved(
-    seen: Sightings, joined: Joined, k: int, die: Die, strikes: Sequence[Strike], fit: Fit
-) -> tuple[Sightings, Joined, int] | None:
+    seen: Observations, joined: FlightChain, k: int, die: Die, strikes: Sequence[VertexImpact], fit: Fit
+) -> tuple[Observations, FlightChain, int] | None:
     """The frames (relabelled where need be), the chain with link k and its neighbours resolved into impacts, and the first
     of these; None where that cannot be."""
     before = _anchor(seen, joined, range(k, -1, -1))
@@ -108,26 +108,26 @@ def _holds(order: tuple[int, ...], part: tuple[int, ...]) -> bool:
     return all(vertex in rest for vertex in part)
 
 
-def is_crowded(seen: Sightings, joined: Joined, k: int) -> bool:
+def is_crowded(seen: Observations, joined: FlightChain, k: int) -> bool:
     """Whether some frames beside a link lie on neither of its flights: one may straddle an impact, more of them have
     seen another one."""
     row = int(np.searchsorted(seen.time_s, joined.links[k].time_s))
     return int((joined.weights[max(row - BESIDE, 0) : row + BESIDE] < LOST_WEIGHT).sum()) > 1
 
 
-def _sound(seen: Sightings, joined: Joined, flight: int) -> NDArray[np.int64]:
+def _sound(seen: Observations, joined: FlightChain, flight: int) -> NDArray[np.int64]:
     """Rows of a flight that lie on it."""
     ends = [-np.inf, *joined.links_s, np.inf]
     inside = (seen.time_s > ends[flight]) & (seen.time_s <= ends[flight + 1])
     return np.flatnonzero(inside & (joined.weights > SOUND))
 
 
-def _anchor(seen: Sightings, joined: Joined, flights: range) -> int | None:
+def _anchor(seen: Observations, joined: FlightChain, flights: range) -> int | None:
     """The first of these flights with enough sound frames."""
     return next((j for j in flights if len(_sound(seen, joined, j)) >= ANCHOR), None)
 
 
-def _stories(seen: Sightings, joined: Joined, before: int, ends: tuple[int, int], die: Die) -> list[_Story]:
+def _stories(seen: Observations, joined: FlightChain, before: int, ends: tuple[int, int], die: Die) -> list[_Story]:
     """What the model makes of the flight before, by law; one story for each order of vertices, the nearest first."""
     flight = joined.flights[before]
     release = flight.at(float(seen.time_s[ends[0]]))
@@ -146,7 +146,7 @@ def _stories(seen: Sightings, joined: Joined, before: int, ends: tuple[int, int]
     return sorted(told.values(), key=lambda story: story.miss)
 
 
-def _laws(joined: Joined, die: Die) -> list[ImpactLaw]:
+def _laws(joined: FlightChain, die: Die) -> list[ImpactLaw]:
     """Restitutions, and friction where the strikes of the chain have some."""
     slips = []
     for k, link in enumerate(joined.links):
@@ -171,7 +171,7 @@ def _thrown(die: Die, release: State, law: ImpactLaw, until_s: float) -> Throw |
     return None
 
 
-def _miss(seen: Sightings, throw: Throw, ends: tuple[int, int], die: Die) -> float:
+def _miss(seen: Observations, throw: Throw, ends: tuple[int, int], die: Die) -> float:
     """Median distance of the frames between from a throw, places in edges and turns in radians together."""
     rows = slice(ends[0] + 1, ends[1] + 1)
     p, q = throw.poses(seen.time_s[rows])
@@ -188,7 +188,9 @@ def _nearest(quaternion: Array, like: Array, die: Die) -> Array:
     )
 
 
-def _relabelled(seen: Sightings, joined: Joined, story: _Story, ends: tuple[int, int], die: Die) -> Sightings:
+def _relabelled(
+    seen: Observations, joined: FlightChain, story: _Story, ends: tuple[int, int], die: Die
+) -> Observations:
     """The frames under the labelling that the story carries on: each frame between by itself, those behind as one."""
     quaternion = seen.quaternion.copy()
     rows = slice(ends[0] + 1, ends[1])
@@ -203,7 +205,13 @@ def _relabelled(seen: Sightings, joined: Joined, story: _Story, ends: tuple[int,
 
 
 def _chain(
-    joined: Joined, before: int, after: int, story: _Story, own: Sightings, strikes: Sequence[Strike], die: Die
+    joined: FlightChain,
+    before: int,
+    after: int,
+    story: _Story,
+    own: Observations,
+    strikes: Sequence[VertexImpact],
+    die: Die,
 ) -> tuple[list[State], list[Link]]:
     """Starts and links of the whole chain with the story in the place of what lay between the two flights."""
     count = len(story.order)

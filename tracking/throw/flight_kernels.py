@@ -249,15 +249,15 @@ def step(
     most_s: float,
 ) -> None:  # fmt: skip
     """Change a chain in place: its first state, and each link, whose instant moves by `most_s` at the most."""
-    moved = np.empty(14)
-    _moved(first, change, moved)
+    perturbed = np.empty(14)
+    _moved(first, change, perturbed)
     for i in range(14):
-        first[i] = moved[i]
+        first[i] = perturbed[i]
     for k in range(len(times_s)):
         if is_open[k]:
-            _moved(free[k], changes[k], moved)
+            _moved(free[k], changes[k], perturbed)
             for i in range(14):
-                free[k, i] = moved[i]
+                free[k, i] = perturbed[i]
         else:
             times_s[k] += min(max(changes[k, 0], -most_s), most_s)
             for i in range(6):

@@ -9,7 +9,7 @@ rotation, R_true = exp(δθ) R, a state changes its pose a time τ later by
 
     z_k = w_k + c_k + C_k^-½ L_k s,     Var w = σ²,   Var c = σ² a,   corr(c_j, c_k) = exp(-|t_j - t_k|/T),
 
-with σ, a and T for each of the six (`Scatter`). w is the noise of the frame's own pixels. c is what shading, grain and
+with σ, a and T for each of the six (`ErrorModel`). w is the noise of the frame's own pixels. c is what shading, grain and
 marks do while they move slowly over the edges: a first-order autoregression. L s is what errs alike on every frame of
 the clip (`lean`), with s a few numbers that all flights share.
 """
@@ -38,7 +38,7 @@ AT_ONCE = 64
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class ErrorModel:
     """How the frames' whitened errors compare with what the frames state, and how long they stay alike: six of each."""
 
     scale: Array
@@ -49,9 +49,9 @@ class Scatter:
     """(6,) T: time after which the slow part has forgotten all but 1/e of itself."""
 
     @staticmethod
-    def white(scale: float = 1.0) -> Scatter:
+    def white(scale: float = 1.0) -> ErrorModel:
         """Frames that err each for itself, by so many times what they state."""
-        return Scatter(np.full(6, scale), np.zeros(6), np.ones(6))
+        return ErrorModel(np.full(6, scale), np.zeros(6), np.ones(6))
 
     @property
     def variance(self) -> Array:
@@ -66,7 +66,7 @@ class Scatter:
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class Observations:
     """Poses of single frames, as the fits want them."""
 
     time_s: Array
@@ -80,20 +80,20 @@ class Sightings:
     @staticmethod
     def from_poses(
         time_s: Array, position_m: Array, quaternion: Array, covariance: Array, *, slack: float = 1.0
-    ) -> Sightings:
+    ) -> Observations:
         """Poses of frames (n,) with their covariance (n, 6, 6), slack added; where that is NaN, the usual slack alone."""
         most = np.diag([SLACK_POSITION_M**2] * 3 + [SLACK_ROTATION_RAD**2] * 3)
         known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         C = np.where(known[:, None, None], np.where(known[:, None, None], covariance, 0.0) + slack**2 * most, most)
-        return Sightings(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)))
+        return Observations(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)))
 
-    def leaning(self, lean: Array) -> Sightings:
+    def leaning(self, lean: Array) -> Observations:
         """The same frames with errors (n, 6, m) that the clip shares."""
         return replace(self, lean=np.ascontiguousarray(lean))
 
-    def rows(self, which: NDArray[np.int64] | slice) -> Sightings:
+    def rows(self, which: NDArray[np.int64] | slice) -> Observations:
         """Some of the frames."""
-        return Sightings(
+        return Observations(
             self.time_s[which], self.position_m[which], self.quaternion[which], self.whitener[which], self.lean[which]
         )
 
@@ -101,7 +101,7 @@ class Sightings:
         return len(self.time_s)
 
 
-def chain_misses(seen: Sightings, cuts: NDArray[np.int64], states: Array, shared: Array) -> Array:
+def chain_misses(seen: Observations, cuts: NDArray[np.int64], states: Array, shared: Array) -> Array:
     """Whitened residuals (n, 6) of frames from the motions of flights, the shared errors (m,) taken out: rows cuts[k] to
     cuts[k + 1] belong to the packed state (14,) `states[k]`."""
     misses = np.empty((len(seen), 6))
@@ -109,7 +109,7 @@ def chain_misses(seen: Sightings, cuts: NDArray[np.int64], states: Array, shared
     return misses
 
 
-def informations(seen: Sightings, share: Array) -> tuple[Array, Array]:
+def informations(seen: Observations, share: Array) -> tuple[Array, Array]:
     """What frames say of their poses and of the shared errors, the six whitened numbers counting with their `share` (6,):
     information (n, 6 + m, 6 + m), and the (n, 6 + m, 6) that turn whitened residuals into pulls. Of no motion: fits of
     one share have it once."""
@@ -120,7 +120,7 @@ def informations(seen: Sightings, share: Array) -> tuple[Array, Array]:
 
 
 def chain_sums(
-    seen: Sightings,
+    seen: Observations,
     cuts: NDArray[np.int64],
     states: Array,
     misses: Array,
@@ -137,7 +137,13 @@ def chain_sums(
 
 
 def chain_meats(
-    seen: Sightings, cuts: NDArray[np.int64], states: Array, weights: Array, share: Array, scatter: Scatter, size: int
+    seen: Observations,
+    cuts: NDArray[np.int64],
+    states: Array,
+    weights: Array,
+    share: Array,
+    scatter: ErrorModel,
+    size: int,
 ) -> Array:
     """Covariances (flights, size, size) of the gradients of `chain_sums` when the errors are as `scatter` says: the middle of
     a sandwich."""
@@ -163,7 +169,7 @@ def roll_out(
     return states, ends, passages
 
 
-def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
+def fit_flight(seen: Observations) -> tuple[State, Array, float]:
     """One flight through some frames, each erring for itself: its state at the middle frame, the covariance (12, 12) of
     that state, and the sum of squared sigmas left. At least two frames.
 
@@ -174,7 +180,7 @@ def fit_flight(seen: Sightings) -> tuple[State, Array, float]:
     return unpacked(states[0]), inverses[0], float(left[0])
 
 
-def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
+def fit_flights(seen: Observations, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
     """As `fit_flight` for many groups of rows at once: packed states (groups, 14), and the sums of squared sigmas (groups,)
     left."""
     states, left = np.empty((len(groups), 14)), np.empty(len(groups))
@@ -185,21 +191,21 @@ def fit_flights(seen: Sightings, groups: Sequence[NDArray[np.int64]]) -> tuple[A
     return states, left
 
 
-def _fitted(seen: Sightings, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _fitted(seen: Observations, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """States (g, 14), covariances (g, 12, 12) and squares (g,) of groups of frames that lie one after the other."""
     states, inverses, left = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
     kernels.fit_many(*_arrays(seen), ends, states, inverses, left)
     return states, inverses, left
 
 
-def seen_minus_motion(seen: Sightings, state: State) -> Array:
+def seen_minus_motion(seen: Observations, state: State) -> Array:
     """Whitened residuals (n, 6) of frames from one motion."""
     return chain_misses(
         replace(seen, lean=seen.lean[:, :, :0]), np.array([0, len(seen)]), packed(state)[None], np.zeros(0)
     )
 
 
-def misfits(seen: Sightings, state: State) -> Array:
+def misfits(seen: Observations, state: State) -> Array:
     """Distance (n,) of frames from a motion, in sigmas (root mean square of six)."""
     return np.asarray(np.sqrt((seen_minus_motion(seen, state) ** 2).mean(1)))
 
@@ -218,7 +224,7 @@ def left_jacobians(v: Array) -> Array:
     return np.asarray(np.eye(3) + first * V + second * (V @ V))
 
 
-def pose_rows(flight: Flight, times_s: Array) -> Array:
+def pose_jacobian(flight: Flight, times_s: Array) -> Array:
     """Derivatives (n, 6, 12) of the pose at instants (n,) with respect to the flight's start state."""
     tau = np.asarray(times_s, float) - flight.start.time_s
     turns = np.outer(tau, flight.start.omega_rad_s)
@@ -230,19 +236,19 @@ def pose_rows(flight: Flight, times_s: Array) -> Array:
     return M
 
 
-def transitions(flight: Flight, times_s: Array) -> Array:
+def transition_matrices(flight: Flight, times_s: Array) -> Array:
     """Derivatives (n, 12, 12) of the state at instants (n,) with respect to the flight's start state."""
     M = np.tile(np.eye(12), (len(times_s), 1, 1))
-    M[:, :6] = pose_rows(flight, times_s)
+    M[:, :6] = pose_jacobian(flight, times_s)
     return M
 
 
-def transition(flight: Flight, time_s: float) -> Array:
+def transition_matrix(flight: Flight, time_s: float) -> Array:
     """Derivative (12, 12) of the state at one instant with respect to the flight's start state."""
-    return np.asarray(transitions(flight, np.array([time_s]))[0])
+    return np.asarray(transition_matrices(flight, np.array([time_s]))[0])
 
 
-def moved(state: State, change: Array) -> State:
+def perturbed(state: State, change: Array) -> State:
     """The state after a change of position, rotation vector, velocity and angular velocity (12,)."""
     return State(
         state.time_s,
@@ -293,7 +299,7 @@ def _whiteners(C: Array) -> Array:
     return np.ascontiguousarray(root / unit)
 
 
-def _arrays(seen: Sightings) -> tuple[Array, Array, Array, Array]:
+def _arrays(seen: Observations) -> tuple[Array, Array, Array, Array]:
     return (
         np.ascontiguousarray(seen.time_s, np.float64),
         np.ascontiguousarray(seen.position_m),

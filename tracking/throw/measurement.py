@@ -17,27 +17,27 @@ from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..track import Track
 from .contact_clusters import instant_s
-from .flights import Sightings
-from .joint_flights import TABLE_SIGMA_M, Joined, Link
-from .links import (
+from .contacts import (
     FAR_SIGMAS,
     MOST_FRAMES,
     UNKNOWN_TABLE_M,
-    Rules,
-    Settled,
+    Priors,
+    ResolvedChain,
     explains_better,
     join_flights,
     normal_velocity,
     normal_velocity_rows,
-    settle,
+    resolve_contacts,
 )
-from .rest import Carried, carried_from, low_from, on_table, resting_vertices
-from .segmentation import FEWEST, part_flights, sane_rows, spared
-from .shared_bias import SIZE_LEFT_PX, shared_lean, shared_sigma, without_lean
+from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
+from .flights import Observations
+from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
+from .segmentation import FEWEST, decimation_factor, rows_without_outliers, segment_flights
+from .shared_bias import CONTOUR_FLOOR_PX, shared_bias_jacobian, shared_bias_sigma, without_shared_bias
 
 Array = NDArray[np.float64]
 
-LITTLE_SLACK = 0.1
+UNMODELLED_SHARE = 0.1
 """Of the usual slack, where the scatter of the frames is measured: what keeps a frame that states no error in bounds."""
 WIDER = 4.0
 """Factor on the sigmas of frames with which a track is parted into flights once more. Contacts close to each other are opened,
@@ -59,7 +59,7 @@ class NoFlightError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class MeasuredThrow:
     """A throw as the frames have it, and what was learnt of the frames on the way."""
 
     throw: Throw
@@ -67,7 +67,7 @@ class Measured:
     """The single frames with the error that they share taken out."""
     on_table: Track
     """The same with those that the table carries put on it."""
-    joined: Joined
+    joined: FlightChain
     rows: NDArray[np.int64]
     """(n,) rows of the track that the flights were fitted to."""
     floor: Array
@@ -101,72 +101,72 @@ def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every
     """Flights with covariance and impacts with their uncertainty, from the poses of single frames.
 
     With the camera that saw them, the errors that all poses share are looked for. What comes after the last flight, where
-    the die rolls or rests, is an impact `held` and a flight without covariance (`rest.Carried`). The flights are fitted to
+    the die rolls or rests, is an impact `held` and a flight without covariance (`SupportedMotion`). The flights are fitted to
     one in `every` tracked frames. Raises NoFlightError where fewer than three of those in a row are tracked.
     """
     return measure(track, die, camera, every=every).throw
 
 
-def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Measured:
+def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> MeasuredThrow:
     """As `measure_throw`, with what was learnt of the frames, of all of them."""
     use = np.flatnonzero(track.tracked)[::every]
     if len(use) < FEWEST:
         raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
-    tracked, use = len(use), use[sane_rows(sightings(track, use), die)]
+    tracked, use = len(use), use[rows_without_outliers(observations_of(track, use), die)]
     if len(use) < FEWEST:
         raise NoFlightError(
             f"{_frames(tracked)} tracked, and {len(use)} of them move as a die can: wanted at least three in a row to measure "
             "a flight"
         )
     lean = np.zeros((len(track), 6, 0))
-    seen = sightings(track, use, LITTLE_SLACK)
+    seen = observations_of(track, use, UNMODELLED_SHARE)
     # Whether a die falls is asked with covariances as calibrated, where they are: unlike the fits, that finds no scatter itself.
-    as_stated = seen if track.own is None else sightings(replace(track, own=None), use, LITTLE_SLACK)
-    flying = carried_from(as_stated, die)
+    as_stated = seen if track.own is None else observations_of(replace(track, own=None), use, UNMODELLED_SHARE)
+    flying = first_supported_row(as_stated, die)
     prior = sigma = np.zeros(0)
     if camera is not None:
-        lean, sigma = shared_lean(track, camera, die), shared_sigma(track, camera, die)
+        lean, sigma = shared_bias_jacobian(track, camera, die), shared_bias_sigma(track, camera, die)
         seen, prior = seen.leaning(lean[use, :, :1]), sigma[:1]
     if flying < FEWEST:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
     limit_s = instant_s(seen.time_s)
-    low = low_from(seen, die) if flying < len(use) else len(use)
+    low = first_low_row(seen, die) if flying < len(use) else len(use)
     while True:
         # Where flights part is looked for on fewer frames than they are then fitted to, where so many show it.
         ahead = slice(0, flying)
-        some = sightings(track, use[ahead][:: spared(track, die, use[ahead])])
-        joined = _settled(some, seen.rows(ahead), die, Rules(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
+        some = observations_of(track, use[ahead][:: decimation_factor(track, die, use[ahead])])
+        joined = _settled(some, seen.rows(ahead), die, Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M))
         flights, impacts = joined.flights, _impacts(joined, _believed(seen.time_s[ahead], joined), die, limit_s)
         told = _last_told(impacts, float(seen.time_s[max(low, FEWEST)]) if max(low, FEWEST) < flying else np.inf)
         if told == len(impacts):
             break
         flying = int(np.searchsorted(seen.time_s, impacts[told].time_s))
     floor = _floor(track, lean, sigma, use, flying)
-    straight = without_lean(track, lean[:, :, : len(joined.shared)], joined.shared)
+    straight = without_shared_bias(track, lean[:, :, : len(joined.shared)], joined.shared)
     resting = straight
     if flying < len(use):
-        if camera is not None and tells_the_table(joined):
+        if camera is not None and determines_table_height(joined):
             carried = track.tracked & (track.time_s >= track.time_s[use[flying]])
             resting = on_table(straight, np.flatnonzero(carried), die, joined.table_m, TABLE_SIGMA_M)
-        poses, last_s = sightings(resting, use[flying:]), float(seen.time_s[flying - 1])
+        poses, last_s = observations_of(resting, use[flying:]), float(seen.time_s[flying - 1])
         flights, impacts = _at_rest(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_floors(own, track.time_s[use[:flying]], floor[use[:flying]])
-    return Measured(throw, straight, resting, joined, use[:flying], floor, own)
+    return MeasuredThrow(throw, straight, resting, joined, use[:flying], floor, own)
 
 
-def _settled(some: Sightings, seen: Sightings, die: Die, rules: Rules) -> Joined:
+def _settled(some: Observations, seen: Observations, die: Die, rules: Priors) -> FlightChain:
     """The chain of flights through frames, which are parted on `some` of them. Where it leaves a doubt, a chain that wider sigmas
     lead to is asked for as well, and the one that explains the frames better is taken."""
-    found = settle(seen, join_flights(some, part_flights(some, die), die), die, rules)
+    found = resolve_contacts(seen, join_flights(some, segment_flights(some, die), die), die, rules)
     if _is_beyond_doubt(found, die) or len(found.joined.links) > MANY:
         return found.joined
     wide = replace(some, whitener=some.whitener / WIDER)
-    other = settle(seen, join_flights(wide, part_flights(wide, die), die), die, rules)
+    other = resolve_contacts(seen, join_flights(wide, segment_flights(wide, die), die), die, rules)
     return other.joined if explains_better(seen, other, found) else found.joined
 
 
-def _is_beyond_doubt(found: Settled, die: Die) -> bool:
+def _is_beyond_doubt(found: ResolvedChain, die: Die) -> bool:
     """Whether every link is an impact, at a vertex where the die lets that be told, and most frames of each flight lie on it, and
     few on none. Of a flight without frames that is not known."""
     joined = found.joined
@@ -181,7 +181,7 @@ def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flyi
     one's of the others: by edges, whose `lean` (track rows, 6, m) has priors `sigma` (m,), none without a camera, or by marks."""
     floor = np.zeros((len(track), 6, 6))
     if len(sigma):
-        left = np.tile(np.append(SIZE_LEFT_PX, sigma[1:]), (len(use), 1))
+        left = np.tile(np.append(CONTOUR_FLOOR_PX, sigma[1:]), (len(use), 1))
         # How far out the contour of a die seems that the table carries, amid its shadow, flights do not tell.
         left[flying:, 0] = sigma[0]
         floor[use] = (lean[use] * left[:, None] ** 2) @ np.swapaxes(lean[use], 1, 2)
@@ -193,7 +193,7 @@ def _floor(track: Track, lean: Array, sigma: Array, use: NDArray[np.int64], flyi
     return _filled(floor, use)
 
 
-def tells_the_table(joined: Joined) -> bool:
+def determines_table_height(joined: FlightChain) -> bool:
     """Whether impacts tell the height of the table, and it is about where the scene has it."""
     struck = any(link.strike is not None for link in joined.links)
     return struck and abs(joined.table_m) < FAR_SIGMAS * TABLE_SIGMA_M
@@ -217,7 +217,7 @@ def _frames(count: int) -> str:
     return "1 frame is" if count == 1 else f"{count} frames are"
 
 
-def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
+def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Track:
     """The track with its covariances scaled to how the poses scatter about their own flights, slow errors included, and
     with what all poses err alike added. The poses stay as they are; without a flight, all does."""
     try:
@@ -225,13 +225,13 @@ def calibrated(track: Track, die: Die, camera: Camera | None = None, *, every: i
     except NoFlightError:
         return track
     use = np.flatnonzero(track.tracked)
-    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
+    root = np.linalg.inv(observations_of(track, use, UNMODELLED_SHARE).whitener)
     covariance = track.covariance.copy()
     covariance[use] = (root * found.joined.scatter.variance) @ np.swapaxes(root, 1, 2) + found.floor[use]
     return replace(track, covariance=covariance, own=track.covariance if track.own is None else track.own)
 
 
-def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Track:
+def _independent(track: Track, throw: Throw, joined: FlightChain, floor: Array) -> Track:
     """The track with slow errors counted as they count in a mean over many frames, and with those that all frames of a
     flight share multiplied by the number of its frames. Of a die that the table carries the table tells them."""
     use = np.flatnonzero(track.tracked)
@@ -242,18 +242,20 @@ def _independent(track: Track, throw: Throw, joined: Joined, floor: Array) -> Tr
     if track.own is not None:
         # A frame that the table carries belongs to no mean: it is as sure as it was said to be, or as the table makes it.
         use, count = use[count > 0], count[count > 0]
-    root = np.linalg.inv(sightings(track, use, LITTLE_SLACK).whitener)
+    root = np.linalg.inv(observations_of(track, use, UNMODELLED_SHARE).whitener)
     covariance = track.covariance.copy()
     slow = (root * joined.scatter.slow_variance(spacing_s)) @ np.swapaxes(root, 1, 2)
     covariance[use] = slow + count[:, None, None] * floor[use]
     return replace(track, covariance=covariance, own=None)
 
 
-def sightings(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Sightings:
+def observations_of(track: Track, use: NDArray[np.int64], slack: float = 1.0) -> Observations:
     """Some rows of a track as the fits want them: as sure as the pixels of each frame make it. How frames scatter, and what all
     err alike, fits find by themselves; stated beforehand, it hid weak bounces of rounded dice."""
     own = track.covariance if track.own is None else track.own
-    return Sightings.from_poses(track.time_s[use], track.position_m[use], track.quaternion[use], own[use], slack=slack)
+    return Observations.from_poses(
+        track.time_s[use], track.position_m[use], track.quaternion[use], own[use], slack=slack
+    )
 
 
 def _filled(floor: Array, use: NDArray[np.int64]) -> Array:
@@ -299,11 +301,11 @@ def _with_floor(flight: Flight, floor: Array) -> Flight:
 
 
 def _at_rest(
-    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], seen: Sightings, last_s: float, die: Die
+    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], seen: Observations, last_s: float, die: Die
 ) -> tuple[tuple[Flight, ...], tuple[Impact, ...]]:
     """Flights and impacts with the end that the table carries, from between the last frame in flight and the next."""
     begin, end = 0.5 * (last_s + float(seen.time_s[0])), float(seen.time_s[-1])
-    carried = Carried(
+    carried = SupportedMotion(
         start=State(begin, seen.position_m[0], seen.quaternion[0], np.zeros(3), np.zeros(3)),
         end_s=end,
         times_s=seen.time_s,
@@ -321,13 +323,13 @@ def _at_rest(
     return (*flights[:-1], replace(flights[-1], end_s=begin), carried), (*impacts, held)
 
 
-def _believed(time_s: Array, joined: Joined) -> NDArray[np.bool_]:
+def _believed(time_s: Array, joined: FlightChain) -> NDArray[np.bool_]:
     """(flights,) which flights BORNE_OUT of their frames, at instants (n,), lie on. What they miss another contact may be, or a
     die that rolls: such a flight is where the fit had to put it."""
     return ~(joined.borne_out(time_s) <= BORNE_OUT)
 
 
-def _impacts(joined: Joined, believed: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:
+def _impacts(joined: FlightChain, believed: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:
     """What each link says about its bounce; nothing where a flight beside it is none, or its instant is less sure than
     `limit_s`."""
     return tuple(
@@ -335,7 +337,7 @@ def _impacts(joined: Joined, believed: NDArray[np.bool_], die: Die, limit_s: flo
     )
 
 
-def _impact(joined: Joined, die: Die, k: int, limit_s: float, *, told: bool) -> Impact:
+def _impact(joined: FlightChain, die: Die, k: int, limit_s: float, *, told: bool) -> Impact:
     """One bounce: contact, velocities of the contact point on both sides, apparent restitution with its interval."""
     link, before, after = joined.links[k], joined.flights[k], joined.flights[k + 1]
     t = link.time_s

@@ -26,7 +26,7 @@ from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotv
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
 from ..track import LOST, Track
-from .flights import Sightings
+from .flights import Observations
 from .segmentation import TABLE_REACH
 
 Array = NDArray[np.float64]
@@ -65,7 +65,7 @@ CARRIED = 0.5
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Carried(Flight):
+class SupportedMotion(Flight):
     """What was seen of a die that the table carries: the poses of its frames, and straight lines between."""
 
     times_s: Array
@@ -95,13 +95,13 @@ class Carried(Flight):
         return positions, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-def low_from(seen: Sightings, die: Die) -> int:
+def first_low_row(seen: Observations, die: Die) -> int:
     """The first of the last rows over which the die stays near the table, LOW_SHARE; the number of rows where it does not."""
     off = _off_level(seen, die)
     return len(seen) if off is None else _last_rows(off < LOW_SHARE * die.solid.edge_m)
 
 
-def carried_from(seen: Sightings, die: Die) -> int:
+def first_supported_row(seen: Observations, die: Die) -> int:
     """The first of the last rows over which the table carries the die; the number of rows where it flies to the end."""
     n, off = len(seen), _off_level(seen, die)
     if off is None:
@@ -120,7 +120,7 @@ def carried_from(seen: Sightings, die: Die) -> int:
     return min(first + LEFT, n)
 
 
-def _off_level(seen: Sightings, die: Die) -> Array | None:
+def _off_level(seen: Observations, die: Die) -> Array | None:
     """(n,) [m] how far the lowest point is, smoothed, from where it stays at the end; None where that is not the table."""
     if len(seen) < FEWEST:
         return None
@@ -138,7 +138,7 @@ def _last_rows(holds: NDArray[np.bool_]) -> int:
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def _flown_on(seen: Sightings, first: int, die: Die) -> int | None:
+def _flown_on(seen: Observations, first: int, die: Die) -> int | None:
     """The row behind the flights that go on from row `first`, itself if the die does not fly there; None where the frames, or
     too few behind, do not tell.
 
@@ -158,7 +158,7 @@ def _flown_on(seen: Sightings, first: int, die: Die) -> int | None:
     return None
 
 
-def _strays(seen: Sightings, span: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
+def _strays(seen: Observations, span: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
     """Of frames, `span` in a row of which MOST_FALLING are enough: the first row (w,), the squared sigmas by which they stray
     from free motion, in how fast they fall and how their spin changes, and those by which they would at the least if the table
     carried the die.
@@ -175,11 +175,11 @@ def _strays(seen: Sightings, span: int, die: Die) -> tuple[NDArray[np.int64], Ar
     A[..., 6:12] = tau[..., None, None] * np.eye(6)
     A[..., 2, 12] = -0.5 * tau**2
     A[..., 3:, 13:] = 0.5 * tau[..., None, None] ** 2 * np.eye(3)
-    moved = seen.position_m[rows] - seen.position_m[middle]
+    perturbed = seen.position_m[rows] - seen.position_m[middle]
     turned = rotation_between(seen.quaternion[middle], seen.quaternion[rows])
     W = seen.whitener[rows]
     A = (W @ A).reshape(len(rows), -1, 16)
-    y = (W @ np.concatenate([moved, turned], axis=2)[..., None]).reshape(len(rows), -1)
+    y = (W @ np.concatenate([perturbed, turned], axis=2)[..., None]).reshape(len(rows), -1)
     inverse = np.linalg.inv(np.einsum("wip,wiq->wpq", A, A))
     found = np.einsum("wpq,wiq,wi->wp", inverse, A, y)
     left = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
@@ -199,7 +199,7 @@ def _told(C: Array, die: Die) -> Array:
     return np.asarray(((share * GRAVITY_M_S2) ** 2 / C[:, :1, 0] + turning**2 / least_known).min(1))
 
 
-def _is_carried(seen: Sightings, rows: slice) -> bool:
+def _is_carried(seen: Observations, rows: slice) -> bool:
     """Whether the centre clearly does not fall freely over these frames, but much more slowly."""
     t, z = seen.time_s[rows] - seen.time_s[rows].mean(), seen.position_m[rows, 2]
     basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)
@@ -234,9 +234,9 @@ def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, ta
     return replace(track, position_m=position, quaternion=quaternion, covariance=covariance)
 
 
-def flown(throw: Throw) -> Throw:
+def flights_only(throw: Throw) -> Throw:
     """The flights of a measured throw alone, without what the table carries at its end."""
-    if not isinstance(throw.flights[-1], Carried):
+    if not isinstance(throw.flights[-1], SupportedMotion):
         return throw
     return Throw(throw.flights[:-1], throw.impacts[:-1])
 
@@ -244,7 +244,7 @@ def flown(throw: Throw) -> Throw:
 def frames_in_flight(track: Track, throw: Throw) -> Track:
     """The track with the frames behind the last flight of a measured throw as lost: what a model of flights may be
     fitted to. The poses stay as they are."""
-    behind = track.tracked & (track.time_s > flown(throw).flights[-1].end_s)
+    behind = track.tracked & (track.time_s > flights_only(throw).flights[-1].end_s)
     return replace(track, status=np.where(behind, LOST, track.status)) if behind.any() else track
 
 

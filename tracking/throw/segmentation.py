@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ..track import Track
-from .flights import Sightings, chain_misses, fit_flights
+from .flights import Observations, chain_misses, fit_flights
 
 Array = NDArray[np.float64]
 
@@ -44,7 +44,7 @@ GAIN = 10.0
 better than one. Noise alone gives 1 ± 0.4, the mean and spread of chi-square over its twelve degrees of freedom."""
 FEWEST = 3
 """Frames that measure a flight."""
-PLENTY = 800
+ENOUGH_FRAMES = 800
 """Frames of a throw that tell its flights apart, and place them well enough to look for better poses along them."""
 SMALL_MOVE_REACH, SMALL_TURN_RAD = 0.05, np.radians(2.0)
 """Least that a die moves from frame to frame on ordinary footage, in units of its reach: less, and frames may be left out."""
@@ -56,14 +56,14 @@ TABLE_REACH = 0.35
 per cent of the distance to the camera is a quarter of a die)."""
 
 
-def spared(track: Track, die: Die, rows: NDArray[np.int64] | None = None) -> int:
+def decimation_factor(track: Track, die: Die, rows: NDArray[np.int64] | None = None) -> int:
     """Of how many tracked frames, of `rows` where those are given, one will do to find flights: 1 but on a film that shows more
     than PLENTY of a motion so slow, for its rate, that frames left out hide nothing."""
     known = np.flatnonzero(track.tracked) if rows is None else rows
-    if len(known) < 2 * PLENTY:
+    if len(known) < 2 * ENOUGH_FRAMES:
         return 1
     # Over so many frames what single poses err no longer seems a motion.
-    apart = len(known) // PLENTY
+    apart = len(known) // ENOUGH_FRAMES
     a, b = known[:-apart], known[apart:]
     moves = np.linalg.norm(track.position_m[b] - track.position_m[a], axis=1) / (
         SMALL_MOVE_REACH * die.solid.circumradius
@@ -74,7 +74,7 @@ def spared(track: Track, die: Die, rows: NDArray[np.int64] | None = None) -> int
     return int(max(1.0, apart * min(1.0 / max(fastest, 1e-9), 1.0)))
 
 
-def sane_rows(seen: Sightings, die: Die) -> NDArray[np.int64]:
+def rows_without_outliers(seen: Observations, die: Die) -> NDArray[np.int64]:
     """The rows without those whose pose is plainly wrong amid neighbours that agree on a motion."""
     rows = np.arange(len(seen))
     for _ in range(PASSES):
@@ -86,7 +86,7 @@ def sane_rows(seen: Sightings, die: Die) -> NDArray[np.int64]:
     return rows
 
 
-def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> NDArray[np.int64]:
+def _unsteady(seen: Observations, rows: NDArray[np.int64], die: Die) -> NDArray[np.int64]:
     """Which of the rows are worth a closer look: those off the way from the frame before to the frame behind, those
     beside them, and the ends."""
     if len(rows) < 3:
@@ -102,7 +102,7 @@ def _unsteady(seen: Sightings, rows: NDArray[np.int64], die: Die) -> NDArray[np.
     return np.flatnonzero(rough)
 
 
-def _are_wrong(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _are_wrong(seen: Observations, rows: NDArray[np.int64], looked: NDArray[np.int64]) -> NDArray[np.bool_]:
     """(k,) whether each of the rows `rows[looked]` (k,) lies far off the motion of its neighbours."""
     if len(rows) <= BESIDE:
         return np.zeros(len(looked), bool)
@@ -114,7 +114,7 @@ def _are_wrong(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int6
     return np.asarray((usual < SANE_SIGMAS) & (off > np.maximum(WRONG_SIGMAS, TIMES_WORSE * usual)))
 
 
-def _are_stray(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int64], die: Die) -> NDArray[np.bool_]:
+def _are_stray(seen: Observations, rows: NDArray[np.int64], looked: NDArray[np.int64], die: Die) -> NDArray[np.bool_]:
     """(k,) whether each of the rows `rows[looked]` lies so far off the motions before and after (one of them, at an end of
     the track) that no contact between could have thrown it there: one of a few wrong frames beside each other."""
     begins = looked[:, None] + np.array([-BESIDE, 1, 2])
@@ -132,18 +132,18 @@ def _are_stray(seen: Sightings, rows: NDArray[np.int64], looked: NDArray[np.int6
     return np.asarray((off | ~told).all(1) & (both | (ends & told.any(1))))
 
 
-def _common_motions(seen: Sightings, groups: NDArray[np.int64]) -> tuple[Array, Array]:
+def _common_motions(seen: Observations, groups: NDArray[np.int64]) -> tuple[Array, Array]:
     """Packed motions (k, 14) of groups (k, BESIDE) of rows, and the distance (k,) of the frames from them."""
     states, left = fit_flights(seen, list(groups))
     return states, np.sqrt(left / (6.0 * BESIDE))
 
 
-def _misses(seen: Sightings, states: Array) -> Array:
+def _misses(seen: Observations, states: Array) -> Array:
     """(n, 6) whitened distances of frames (n,), each from a motion (n, 14) of its own."""
     return chain_misses(seen, np.arange(len(seen) + 1), states, np.zeros(0))
 
 
-def part_flights(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
+def segment_flights(seen: Observations, die: Die) -> list[NDArray[np.int64]]:
     """Rows of each flight, in order: the track parted wherever a second motion explains it better than one."""
     n = len(seen.time_s)
     window = max(WINDOW, ceil(BRIEFEST_S / float(np.median(np.diff(seen.time_s)))))
@@ -157,7 +157,7 @@ def part_flights(seen: Sightings, die: Die) -> list[NDArray[np.int64]]:
     return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= FEWEST]
 
 
-def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
+def _near_table(seen: Observations, die: Die) -> NDArray[np.bool_]:
     """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on a frame beside it."""
     heights = (matrix_from_quat(seen.quaternion) @ die.solid.vertices.T)[:, 2].min(1) + seen.position_m[:, 2]
     fall = np.abs(np.diff(heights, prepend=heights[0]))
@@ -169,7 +169,7 @@ def _near_table(seen: Sightings, die: Die) -> NDArray[np.bool_]:
     return out
 
 
-def _gains(seen: Sightings, cuts: NDArray[np.int64], rows: NDArray[np.int64], window: int) -> Array:
+def _gains(seen: Observations, cuts: NDArray[np.int64], rows: NDArray[np.int64], window: int) -> Array:
     """(k,) gain of a cut before each of some rows (k,) over none, in squared sigmas for each number that it adds."""
     gains = np.full(len(rows), -np.inf)
     after = np.searchsorted(cuts, rows, side="right")

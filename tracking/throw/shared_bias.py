@@ -26,14 +26,14 @@ from ..track import Track
 
 Array = NDArray[np.float64]
 
-SIZE_PX = 0.05
+CONTOUR_SIGMA_PX = 0.05
 """One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
-SIZE_LEFT_PX = 0.008
+CONTOUR_FLOOR_PX = 0.008
 """What of δ neither fall nor table can tell: it is not quite the same at the top of a flight and on the table, as the light on
 the faces that make the contour changes."""
-SIZE_SHARE = 0.1
+CONTOUR_SHARE = 0.1
 """And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
-ASIDE_PX, ASIDE_SHARE = 0.01, 0.02
+LATERAL_SIGMA_PX, LATERAL_SHARE = 0.01, 0.02
 """One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
 opposite contours of a sharp die err by some hundredths of a pixel each, and there are several of them. A bevel of radius r
 is seen some 1.4 r wide, and what shade it has between its two faces' is the light's affair: where on it an edge seems to
@@ -46,7 +46,7 @@ SHARED = 6
 """Contour out; die to the right and down; die turned about the camera's three axes."""
 
 
-def shared_lean(track: Track, camera: Camera, die: Die) -> Array:
+def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
     """(n, 6, SHARED) change of each frame's pose, world axes, [m] and [rad] for a pixel of each shared error.
 
     The track's own `lean` takes the place of the first where it has one. NaN where the frame has no pose.
@@ -68,16 +68,16 @@ def shared_lean(track: Track, camera: Camera, die: Die) -> Array:
     return lean
 
 
-def shared_sigma(track: Track, camera: Camera, die: Die) -> Array:
+def shared_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
     """(SHARED,) prior standard deviations [px] of the shared errors."""
     sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
     radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
-    size = np.sqrt(SIZE_PX**2 + (SIZE_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
-    aside = np.hypot(ASIDE_PX, ASIDE_SHARE * radius_px)
+    size = np.sqrt(CONTOUR_SIGMA_PX**2 + (CONTOUR_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
+    aside = np.hypot(LATERAL_SIGMA_PX, LATERAL_SHARE * radius_px)
     return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
 
 
-def without_lean(track: Track, lean: Array, shared: Array) -> Track:
+def without_shared_bias(track: Track, lean: Array, shared: Array) -> Track:
     """The track with shared errors (m,) of that lean (n, 6, m) taken out of its poses, to the first order."""
     change = lean @ shared
     quaternion = track.quaternion.copy()

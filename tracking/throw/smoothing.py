@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ...model.rotations import continuous_sign
 from ...model.throw import Throw
 from ..track import LOST, TRACKED, Track
-from .flights import pose_rows
+from .flights import pose_jacobian
 
 Array = NDArray[np.float64]
 
@@ -20,8 +20,8 @@ SURE_POSITION_M, SURE_ROTATION_RAD = 5e-4, 0.035
 
 def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArray[np.bool_] | None = None) -> Track:
     """The track with every pose replaced by that of its flight, with the flight's covariance and, on top of it, that of
-    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.Measured.own`). Frames that stand
-    `alone` (n,), because no flight goes through them (`bounces.Measured.alone`), keep their own poses.
+    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.MeasuredThrow.own`). Frames that stand
+    `alone` (n,), because no flight goes through them (`bounces.MeasuredThrow.alone`), keep their own poses.
 
     Lost frames between tracked frames of one flight become tracked where the flight knows the pose well; frames before
     the first and after the last tracked one, and frames that were absent, stay as they are. Errors of neighbouring
@@ -41,7 +41,7 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArra
         flight, mine = throw.flights[k], rows[told & (flight_of == k)]
         if flight.covariance is None or not len(mine):
             continue
-        M = pose_rows(flight, track.time_s[mine])
+        M = pose_jacobian(flight, track.time_s[mine])
         poses = M @ flight.covariance @ np.swapaxes(M, 1, 2)
         if floor is not None:
             poses += floor[mine]

@@ -32,8 +32,8 @@ from diethrow.tracking.clip_parameters.corner_radius import (
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence import track_clip as following
-from diethrow.tracking.sequence.track_clip import Followed, look_through
+from diethrow.tracking.sequence import tracker as following
+from diethrow.tracking.sequence.tracker import TrackedClip, track_clip
 
 ROOM = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
@@ -173,13 +173,13 @@ def clip() -> tuple[ArrayClip, Throw]:
 
 
 @cache
-def followed(rounding: Rounding, radius_m: float) -> Followed:
+def followed(rounding: Rounding, radius_m: float) -> TrackedClip:
     """The clip, tracked with a radius that is given, or in the place of one."""
     die = replace(CUBE, corner_radius_m=radius_m)
-    return look_through(clip()[0], ROOM.camera, die, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
+    return track_clip(clip()[0], ROOM.camera, die, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
 
 
-def depth_errors_m(result: Followed) -> np.ndarray:
+def depth_errors_m(result: TrackedClip) -> np.ndarray:
     """(n,) along the line of sight."""
     track, (_, throw) = result.track, clip()
     use = track.tracked
@@ -228,10 +228,8 @@ def sharp_clip() -> ArrayClip:
     return ArrayClip(frames.astype(np.uint8), times, 8)
 
 
-def sharp_followed(rounding: Rounding) -> Followed:
-    return look_through(
-        sharp_clip(), ROOM.camera, CUBE, background=np.rint(ROOM.table), rounding=rounding, quality=FAST
-    )
+def sharp_followed(rounding: Rounding) -> TrackedClip:
+    return track_clip(sharp_clip(), ROOM.camera, CUBE, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
 
 
 def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:

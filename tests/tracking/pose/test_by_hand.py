@@ -17,7 +17,7 @@ from diethrow.tracking.picture.view import View, visible_faces
 from diethrow.tracking.pose.by_hand import manual_initial_pose, poses_from_clicks
 from diethrow.tracking.pose.manual_input import Click, ManualInitialisation, excluded_rows
 from diethrow.tracking.pose.refine import Pose
-from diethrow.tracking.sequence.track_clip import follow
+from diethrow.tracking.sequence.tracker import follow
 from diethrow.tracking.track import LOST, TRACKED
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
-from diethrow.tracking.sequence.depth_reversal import put_right, reversed_in_depth
+from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals, reversed_in_depth
 
 FRAMES = 48
 NONE_UNUSED = np.zeros(FRAMES, bool)
@@ -117,7 +117,7 @@ def test_a_die_that_was_taken_for_its_reversal_is_put_right(seed: int) -> None:
     view, source, flight = spinning_triangle(seed)
     wrong = seen_at(view, source, flight, reverse=True)
     assert share_right(view, wrong, flight, source.times_s) < 0.1
-    assert share_right(view, put_right(view, source, wrong, NONE_UNUSED), flight, source.times_s) > 0.95
+    assert share_right(view, correct_depth_reversals(view, source, wrong, NONE_UNUSED), flight, source.times_s) > 0.95
 
 
 @dataclass(frozen=True)
@@ -140,10 +140,10 @@ def test_a_die_at_rest_stays_as_it_is(angle_rad: float) -> None:
     still = Resting(State(0.0, place, quat_from_matrix(turn @ down), np.zeros(3), np.zeros(3)))
     view, source = room.view(die), FrameSource([film(room, die, still, FRAMES)])
     right = seen_at(view, source, still, reverse=False)
-    assert put_right(view, source, right, NONE_UNUSED) is right
+    assert correct_depth_reversals(view, source, right, NONE_UNUSED) is right
 
 
 def test_what_is_right_stays_as_it_is() -> None:
     view, source, flight = spinning_triangle()
     right = seen_at(view, source, flight, reverse=False)
-    assert put_right(view, source, right, NONE_UNUSED) is right
+    assert correct_depth_reversals(view, source, right, NONE_UNUSED) is right

@@ -23,8 +23,8 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence.initialisation import best_start, find_beginning
-from diethrow.tracking.sequence.track_clip import follow
+from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
+from diethrow.tracking.sequence.tracker import follow
 
 ROOT = Path(__file__).parents[3]
 
@@ -85,7 +85,7 @@ def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) 
     unused = np.zeros(FRAMES, bool)
     sure = 0
     for k in BEGINNINGS:
-        runner = best_start(view, source, k, unused)
+        runner = best_hypothesis(view, source, k, unused)
         if runner is not None and runner.sure:
             sure += 1
             assert share_right(view, runner.seen, source.times_s[k:], throw) == 1.0
@@ -96,7 +96,7 @@ def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) 
 def test_a_clip_may_begin_anywhere() -> None:
     view, source, throw = thrown("cube")
     for k in BEGINNINGS[1::2]:
-        begun = find_beginning(view, source, np.arange(FRAMES) < k)
+        begun = find_initial_pose(view, source, np.arange(FRAMES) < k)
         assert begun is not None
         assert np.flatnonzero(begun[1].known)[0] >= k
         assert share_right(view, begun[1], source.times_s, throw) == 1.0
@@ -107,7 +107,7 @@ def test_a_small_die_in_a_sharp_picture_is_found() -> None:
     view, source, throw = thrown(
         "tetrahedron", replace(studio(100, 100, 600.0), noise_grey=0.7, shadow=0.4, blur_px=0.35)
     )
-    begun = find_beginning(replace(view, blur_px=0.7), source, np.zeros(FRAMES, bool))
+    begun = find_initial_pose(replace(view, blur_px=0.7), source, np.zeros(FRAMES, bool))
     assert begun is not None
     assert begun[1].known[0]
     assert share_right(view, begun[1], source.times_s, throw) == 1.0

@@ -15,7 +15,7 @@ from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_fr
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
-from diethrow.tracking.sequence.labelling import labelled_across, labelled_along
+from diethrow.tracking.sequence.labelling import with_consistent_labels, with_labels_of_flights
 
 FRAMES, STRUCK = 24, 11.5
 """Frames of a die that spins, and when it strikes the table, in frames."""
@@ -61,7 +61,7 @@ def test_frames_that_follow_each_other_keep_their_labelling_wherever_flights_lea
     for seed in range(6):
         view, seen = spinning(shape, seed)
         astray = through(seen, [0.0, 0.5, 0.0], [0.9, 0.0, -0.4])
-        assert labelled_across(view, seen, astray, TIMES_S).rotation == pytest.approx(seen.rotation, abs=1e-12)
+        assert with_consistent_labels(view, seen, astray, TIMES_S).rotation == pytest.approx(seen.rotation, abs=1e-12)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -71,7 +71,7 @@ def test_behind_frames_without_a_pose_flights_tell_the_labelling(shape: str) -> 
     known = seen.known.copy()
     known[gap] = False
     other = relabelled(view, replace(seen, known=known), slice(12, FRAMES), 2)
-    found = labelled_across(view, other, through(other, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]), TIMES_S)
+    found = with_consistent_labels(view, other, through(other, [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]), TIMES_S)
     assert found.rotation[:10] == pytest.approx(seen.rotation[:10], abs=1e-12)
     assert found.rotation[behind] == pytest.approx(seen.rotation[behind], abs=1e-12)
 
@@ -83,10 +83,10 @@ def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the
     refined = relabelled(view, replace(first, rotation=turned @ first.rotation), slice(0, FRAMES), 4)
     wrong = relabelled(view, first, slice(0, FRAMES), 5)
     right = turned @ first.rotation
-    assert labelled_along(view, refined, first, wrong).rotation == pytest.approx(right, abs=1e-12)
+    assert with_labels_of_flights(view, refined, first, wrong).rotation == pytest.approx(right, abs=1e-12)
     astray = replace(first, rotation=matrix_from_quat(quat_from_rotvec([0.24, 0.15, -0.24])) @ first.rotation)
-    assert labelled_along(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)
+    assert with_labels_of_flights(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)
     # Where the first pass has none there is nothing else to go by.
     unknown = replace(first, known=np.zeros(FRAMES, bool))
     nearest = nearest_equivalent_rotation(refined.rotation, astray.rotation, view.symmetries)
-    assert labelled_along(view, refined, astray, unknown).rotation == pytest.approx(nearest, abs=1e-12)
+    assert with_labels_of_flights(view, refined, astray, unknown).rotation == pytest.approx(nearest, abs=1e-12)

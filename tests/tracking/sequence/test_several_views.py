@@ -20,7 +20,7 @@ from diethrow.tracking.clip_parameters.clock_offsets import rig_at
 from diethrow.tracking.picture.view import MIRRORED, View, make_view, stacked, with_reflections
 from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
-from diethrow.tracking.sequence.track_clip import follow, look_through
+from diethrow.tracking.sequence.tracker import follow, track_clip
 from diethrow.tracking.surface_marks.face_numbers import read_faces
 
 Array = NDArray[np.float64]
@@ -149,7 +149,7 @@ def test_a_camera_whose_clock_is_late_is_found_out_and_does_no_harm() -> None:
     throw, late_s = bouncing_cube(), 0.3 / 1500.0
     room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
     clips = [film(room, CUBE, throw, 48, seed=1), film(side, CUBE, later(throw, late_s), 48, seed=2)]
-    found = look_through(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
+    found = track_clip(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
     offsets, track = found.offsets, found.track
     assert abs(offsets.seconds[1] - late_s) < 4.0 * offsets.sigma_s[1] < 0.1 / 1500.0
     assert "camera 2" in offsets.notices(1 / 1500.0)[0]
@@ -164,7 +164,7 @@ def test_synchronised_cameras_show_no_offset() -> None:
     throw = bouncing_cube()
     room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
     clips = [film(r, CUBE, throw, 48, seed=k) for k, r in enumerate((room, side))]
-    offsets = look_through(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table]).offsets
+    offsets = track_clip(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table]).offsets
     assert not offsets.any
     assert offsets.notices(1 / 1500.0) == ()
     assert offsets.sigma_s[1] < 0.05 / 1500.0
@@ -198,7 +198,7 @@ def test_the_numbers_are_read_where_several_cameras_track() -> None:
     for room in (ROOM, side):
         frames = [np.clip(photograph(room, cube, state, rng, pips(cube)), 0, 255) for state in states]
         clips.append(ArrayClip(np.rint(frames).astype(np.uint8), times, 8))
-    followed = look_through(clips, [ROOM.camera, side.camera], cube, background=[ROOM.table, side.table])
+    followed = track_clip(clips, [ROOM.camera, side.camera], cube, background=[ROOM.table, side.table])
     read = read_faces(cube, followed.marks)
     claimed = [number for number in read.numbers if number is not None]
     # Two faces are hardly seen by the first camera, whose pictures are read.

@@ -25,22 +25,37 @@ from diethrow.model.rotations import (
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.throw import measurement
-from diethrow.tracking.throw.flights import Scatter, Sightings, moved, packed, roll_out, transition, unpacked
-from diethrow.tracking.throw.joint_flights import (
+from diethrow.tracking.throw.contacts import UNKNOWN_TABLE_M, Priors, ResolvedChain, explains_better, resolve_contacts
+from diethrow.tracking.throw.flight_chain import (
     LEVER_RAD_S,
     LEVER_SHARE,
     TABLE_SIGMA_M,
-    Joined,
+    FlightChain,
     Link,
-    Strike,
-    fit_joined,
-    strike_cost,
-    strike_equations,
+    VertexImpact,
+    fit_chain,
+    vertex_impact_cost,
+    vertex_impact_equations,
 )
-from diethrow.tracking.throw.links import UNKNOWN_TABLE_M, Rules, Settled, explains_better, settle
-from diethrow.tracking.throw.measurement import measure, measure_throw, tells_the_table
-from diethrow.tracking.throw.rest import LEFT, Carried, carried_from, flown, frames_in_flight, on_table
-from diethrow.tracking.throw.segmentation import part_flights
+from diethrow.tracking.throw.flights import (
+    ErrorModel,
+    Observations,
+    packed,
+    perturbed,
+    roll_out,
+    transition_matrix,
+    unpacked,
+)
+from diethrow.tracking.throw.measurement import determines_table_height, measure, measure_throw
+from diethrow.tracking.throw.rest import (
+    LEFT,
+    SupportedMotion,
+    first_supported_row,
+    flights_only,
+    frames_in_flight,
+    on_table,
+)
+from diethrow.tracking.throw.segmentation import segment_flights
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
 
@@ -52,8 +67,8 @@ TETRA = make_die("tetrahedron", 0.022, 0.0015)
 OCTA = make_die("octahedron", 0.016, 0.003)
 
 
-def sightings(track: Track) -> Sightings:
-    return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
+def observations_of(track: Track) -> Observations:
+    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:
@@ -66,9 +81,9 @@ def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Thr
     return throw, seen(throw, rng)
 
 
-def joined_at(throw: Throw, track: Track, strike: Strike | None) -> Joined:
-    return fit_joined(
-        sightings(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, strike=strike)]
+def joined_at(throw: Throw, track: Track, strike: VertexImpact | None) -> FlightChain:
+    return fit_chain(
+        observations_of(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, strike=strike)]
     )
 
 
@@ -91,12 +106,12 @@ def test_every_impact_obeys_the_rules_of_a_strike_at_its_own_vertex_and_at_no_ot
 def test_what_a_strike_costs_is_known_before_it_is_fitted(die: Die) -> None:
     throw, track = bounced(die, LAWS["friction"], 3, 40)
     starts, t = [f.start for f in throw.flights], throw.impacts[0].time_s
-    white = Scatter.white()
-    free = fit_joined(sightings(track), starts, [Link(t)], scatter=white)
+    white = ErrorModel.white()
+    free = fit_chain(observations_of(track), starts, [Link(t)], scatter=white)
     vertex = throw.impacts[0].vertices[0]
     for v in range(8):
-        struck = fit_joined(sightings(track), starts, [Link(t, strike=strike_at(die, v))], scatter=white)
-        told, found = strike_cost(free, 0, strike_at(die, v), TABLE_SIGMA_M), struck.cost - free.cost
+        struck = fit_chain(observations_of(track), starts, [Link(t, strike=strike_at(die, v))], scatter=white)
+        told, found = vertex_impact_cost(free, 0, strike_at(die, v), TABLE_SIGMA_M), struck.cost - free.cost
         if v == vertex:
             # To the first order, but for Tukey's loss, which a frame at one sigma feels by a twentieth.
             assert told == pytest.approx(found, rel=0.2, abs=0.5)
@@ -111,14 +126,14 @@ def test_what_a_strike_obeys_changes_as_its_rows_say(die: Die) -> None:
     t, (before, behind) = throw.impacts[0].time_s, throw.flights
     strike = strike_at(die, throw.impacts[0].vertices[0])
     # A little beside what the impact obeys, so that no term is zero.
-    a, b = moved(before.at(t), np.full(12, 1e-4)), moved(behind.at(t), np.full(12, -2e-4))
-    rows, miss = strike_equations(a, b, strike, 0.0)
+    a, b = perturbed(before.at(t), np.full(12, 1e-4)), perturbed(behind.at(t), np.full(12, -2e-4))
+    rows, miss = vertex_impact_equations(a, b, strike, 0.0)
     steps = np.concatenate([np.tile(np.repeat([1e-7, 1e-6, 1e-5, 1e-3], 3), 2), [1e-8]])
 
     def missed(change: Array) -> Array:
-        sides = [Flight(moved(s, c), np.inf).at(t + change[24]) for s, c in ((a, change[:12]), (b, change[12:24]))]
+        sides = [Flight(perturbed(s, c), np.inf).at(t + change[24]) for s, c in ((a, change[:12]), (b, change[12:24]))]
         # The tolerance of the spin is set by the jump as it stands.
-        new, scale = strike_equations(sides[0], sides[1], strike, 0.0)[1], np.ones(4)
+        new, scale = vertex_impact_equations(sides[0], sides[1], strike, 0.0)[1], np.ones(4)
         scale[1:] = lever(sides) / lever([a, b])
         return np.asarray(new * scale)
 
@@ -158,7 +173,7 @@ def test_a_state_is_carried_on_as_its_flight_says() -> None:
         wanted = flight.at(0.2 + after)
         for name in ("position_m", "quaternion", "velocity_m_s", "omega_rad_s"):
             np.testing.assert_allclose(getattr(there, name), getattr(wanted, name), atol=1e-12)
-        np.testing.assert_allclose(passages[0], transition(flight, 0.2 + after), atol=1e-12)
+        np.testing.assert_allclose(passages[0], transition_matrix(flight, 0.2 + after), atol=1e-12)
 
 
 @cache
@@ -230,7 +245,7 @@ def test_a_die_that_rolls_or_lies_is_not_fitted_with_flights(law: ImpactLaw, see
     found = measure_throw(track, CUBE)
     last = found.impacts[-1]
     assert last.contact == "held"
-    assert isinstance(found.flights[-1], Carried)
+    assert isinstance(found.flights[-1], SupportedMotion)
     # From where it is carried on, the lowest corner of the true die never leaves the table by more than a small hop.
     behind = track.time_s[track.time_s >= last.time_s]
     heights = [
@@ -253,8 +268,8 @@ def test_frames_at_rest_keep_their_own_poses_and_are_left_out_of_fits() -> None:
     np.testing.assert_array_equal(smoothed.position_m[still], track.position_m[still])
     np.testing.assert_array_equal(smoothed.covariance[still], track.covariance[still])
     assert (smoothed.status == TRACKED).all()
-    assert all(impact.contact != "held" for impact in flown(found).impacts)
-    assert (frames_in_flight(track, flown(found)).status[still] == LOST).all()
+    assert all(impact.contact != "held" for impact in flights_only(found).impacts)
+    assert (frames_in_flight(track, flights_only(found)).status[still] == LOST).all()
     p, q = found.poses(track.time_s[still])
     np.testing.assert_allclose(p, track.position_m[still], atol=1e-12)
     np.testing.assert_allclose(rotation_between(q, track.quaternion[still]), 0.0, atol=1e-9)
@@ -314,7 +329,7 @@ def test_a_die_that_nearly_rests_flies_from_bounce_to_bounce() -> None:
         throw, _ = to_rest(CUBE, SmoothImpact(0.3), seed)
         track = seen(throw, np.random.default_rng(seed), noise=0.2)
         true = np.array([impact.time_s for impact in throw.bounces])
-        found = np.array([impact.time_s for impact in flown(measure_throw(track, CUBE)).impacts])
+        found = np.array([impact.time_s for impact in flights_only(measure_throw(track, CUBE)).impacts])
         assert all(np.abs(true - t).min() * FPS < 1.5 for t in found)
         alone = true[[np.sort(np.abs(true - t))[1] * FPS > 8.0 for t in true]]
         told, wanted = told + sum(np.abs(found - t).min() * FPS < 0.5 for t in alone), wanted + len(alone)
@@ -336,14 +351,14 @@ def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
     covariance = frame_covariance(rng, len(t), 0.2)
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(t), 6)))
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    assert carried_from(Sightings.from_poses(t, *poses, covariance, slack=0.0), CUBE) == LEFT
+    assert first_supported_row(Observations.from_poses(t, *poses, covariance, slack=0.0), CUBE) == LEFT
 
 
 def test_frames_that_no_flight_goes_through_keep_their_own_poses() -> None:
     whole, _ = bounced(CUBE, LAWS["smooth"], 3, 40)
     t = whole.impacts[0].time_s
     aside = np.array([0.004, 0.0, 0.001, 0.3, 0.2, 0.0, 0.2, 0.0, 0.1, 5.0, 0.0, -9.0])
-    behind = Flight(moved(whole.flights[1].at(t), aside), whole.flights[1].end_s)
+    behind = Flight(perturbed(whole.flights[1].at(t), aside), whole.flights[1].end_s)
     track = seen(Throw((whole.flights[0], behind), whole.impacts), np.random.default_rng(3))
     between = np.flatnonzero(track.time_s > t)[:5]
     position = track.position_m.copy()
@@ -378,10 +393,10 @@ def test_a_die_in_flight_is_not_at_rest_even_where_it_passes_low(seed: int) -> N
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=3, frames_after=40)
     track = seen(throw, rng)
-    assert carried_from(
-        Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE
+    assert first_supported_row(
+        Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE
     ) == len(track)
-    assert flown(throw) is throw
+    assert flights_only(throw) is throw
     assert frames_in_flight(track, replace_end(throw)) is track
 
 
@@ -400,8 +415,8 @@ def test_a_die_in_flight_is_not_at_rest_though_a_very_fast_film_shows_it_erring_
     whole = rng.standard_normal((len(time_s), 6)) + slow
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), whole)
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    seen_so = Sightings.from_poses(time_s, *poses, covariance, slack=0.0)
-    assert carried_from(seen_so, CUBE) == len(time_s)
+    seen_so = Observations.from_poses(time_s, *poses, covariance, slack=0.0)
+    assert first_supported_row(seen_so, CUBE) == len(time_s)
 
 
 def replace_end(throw: Throw) -> Throw:
@@ -433,9 +448,9 @@ def test_a_table_at_another_height_than_stated_does_not_bend_the_flights() -> No
     lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.004]))
     plain, found = measure(track, CUBE), measure(lifted, CUBE)
     assert found.joined.table_m == pytest.approx(0.004, abs=5e-4)
-    assert tells_the_table(plain.joined)
+    assert determines_table_height(plain.joined)
     # Neither what rests on it nor what strikes it is put where the scene has the table.
-    assert not tells_the_table(found.joined)
+    assert not determines_table_height(found.joined)
     assert found.throw.impacts[0].time_s == pytest.approx(plain.throw.impacts[0].time_s, abs=0.02 / FPS)
 
 
@@ -445,24 +460,24 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
     whole, _ = bounced(CUBE, LAWS["smooth"], 3, 40)
     t = whole.impacts[0].time_s
     aside = np.array([0.004, 0.0, 0.001, 0.3, 0.2, 0.0, 0.2, 0.0, 0.1, 5.0, 0.0, -9.0])
-    behind = Flight(moved(whole.flights[1].at(t), aside), whole.flights[1].end_s)
+    behind = Flight(perturbed(whole.flights[1].at(t), aside), whole.flights[1].end_s)
     throw = Throw((whole.flights[0], behind), whole.impacts)
     track = seen(throw, np.random.default_rng(3))
-    poses = sightings(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
+    poses = observations_of(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
     links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
-    chain = fit_joined(poses, [throw.flights[0].start, behind.start, behind.start], links)
-    settled = settle(poses, chain, CUBE, Rules(np.zeros(0), TABLE_SIGMA_M)).joined
+    chain = fit_chain(poses, [throw.flights[0].start, behind.start, behind.start], links)
+    settled = resolve_contacts(poses, chain, CUBE, Priors(np.zeros(0), TABLE_SIGMA_M)).joined
     assert [link.is_open for link in settled.links] == [True]
     # It is told of where the motion before comes down to the table, which its many frames know to a tenth of a frame.
     assert abs(settled.links[0].time_s - t) < 0.3 / FPS
     for fitted, true in zip(settled.flights, throw.flights, strict=True):
         errors = initial_errors(fitted.at(t), true.at(t))
-        sigma = np.sqrt(np.diag(transition(fitted, t) @ fitted.covariance @ transition(fitted, t).T))
+        sigma = np.sqrt(np.diag(transition_matrix(fitted, t) @ fitted.covariance @ transition_matrix(fitted, t).T))
         # Twelve numbers, the largest of which is seldom beyond three sigmas.
         assert np.abs(errors / sigma).max() < 4.0
 
 
-def chains_of(throw: Throw, track: Track) -> dict[str, Joined]:
+def chains_of(throw: Throw, track: Track) -> dict[str, FlightChain]:
     """The chain of the true impacts of a throw of two, and what else may be made of its frames."""
     strikes = [strike_at(CUBE, impact.vertices[0]) for impact in throw.impacts]
     links = [Link(impact.time_s, strike=strike) for impact, strike in zip(throw.impacts, strikes, strict=True)]
@@ -477,7 +492,7 @@ def chains_of(throw: Throw, track: Track) -> dict[str, Joined]:
             [links[0], Link(middle_s, is_open=True), links[1]],
         ),
     }
-    return {name: fit_joined(sightings(track), *guess) for name, guess in some.items()}
+    return {name: fit_chain(observations_of(track), *guess) for name, guess in some.items()}
 
 
 @pytest.mark.parametrize("seed", [2, 4, 7])
@@ -485,8 +500,8 @@ def test_the_true_impacts_explain_the_frames_best(seed: int) -> None:
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
     track = seen(throw, rng)
-    poses, rules = sightings(track), Rules(np.zeros(0), TABLE_SIGMA_M)
-    chains = {name: Settled(poses, joined, rules) for name, joined in chains_of(throw, track).items()}
+    poses, rules = observations_of(track), Priors(np.zeros(0), TABLE_SIGMA_M)
+    chains = {name: ResolvedChain(poses, joined, rules) for name, joined in chains_of(throw, track).items()}
     for name, other in chains.items():
         assert not explains_better(poses, other, chains["true"])
         assert name == "true" or explains_better(poses, chains["true"], other)
@@ -498,13 +513,17 @@ def test_a_table_that_is_not_where_it_is_said_to_be_denies_no_impact() -> None:
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
     track = seen(throw, rng)
     lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.002]))
-    poses, told, found = sightings(lifted), Rules(np.zeros(0), TABLE_SIGMA_M), Rules(np.zeros(0), UNKNOWN_TABLE_M)
+    poses, told, found = (
+        observations_of(lifted),
+        Priors(np.zeros(0), TABLE_SIGMA_M),
+        Priors(np.zeros(0), UNKNOWN_TABLE_M),
+    )
     starts = [flight.start for flight in throw.flights]
     struck = [Link(impact.time_s, strike=strike_at(CUBE, impact.vertices[0])) for impact in throw.impacts]
     opened = [Link(impact.time_s, is_open=True) for impact in throw.impacts]
-    true = Settled(poses, found.fit(poses, starts, struck), found)
+    true = ResolvedChain(poses, found.fit(poses, starts, struck), found)
     assert true.joined.table_m == pytest.approx(0.002, abs=2e-4)
-    assert explains_better(poses, true, Settled(poses, told.fit(poses, starts, opened), told))
+    assert explains_better(poses, true, ResolvedChain(poses, told.fit(poses, starts, opened), told))
 
 
 def test_flights_that_a_first_parting_gets_wrong_are_parted_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -513,11 +532,11 @@ def test_flights_that_a_first_parting_gets_wrong_are_parted_again(monkeypatch: p
     track = seen(throw, rng)
     plain, partings = measure_throw(track, CUBE), []
 
-    def wrong_at_first(some: Sightings, die: Die) -> list[NDArray[np.int64]]:
-        partings.append(part_flights(some, die))
+    def wrong_at_first(some: Observations, die: Die) -> list[NDArray[np.int64]]:
+        partings.append(segment_flights(some, die))
         return partings[-1] if len(partings) > 1 else [np.arange(len(some))]
 
-    monkeypatch.setattr(measurement, "part_flights", wrong_at_first)
+    monkeypatch.setattr(measurement, "segment_flights", wrong_at_first)
     found = measure_throw(track, CUBE)
     assert len(partings) == 2
     assert [impact.vertices for impact in found.impacts] == [impact.vertices for impact in plain.impacts]
@@ -545,8 +564,8 @@ def test_what_no_frame_knows_of_stays_where_it_is() -> None:
     t = throw.impacts[0].time_s
     inside = track.time_s[np.searchsorted(track.time_s, t)]
     links = [Link(t), Link(0.5 * (t + inside))]
-    third = moved(throw.flights[1].start, np.zeros(12))
-    joined = fit_joined(sightings(track), [throw.flights[0].start, throw.flights[1].start, third], links)
+    third = perturbed(throw.flights[1].start, np.zeros(12))
+    joined = fit_chain(observations_of(track), [throw.flights[0].start, throw.flights[1].start, third], links)
     assert np.isfinite(joined.beside).all()
     assert all(np.isfinite(flight.covariance).all() for flight in joined.flights if flight.covariance is not None)
     assert np.median(joined.residual) < 2.0

@@ -14,21 +14,21 @@ from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.check.gravity import fall_notices, measure_fall
+from diethrow.tracking.throw.error_model import estimate_error_model
 from diethrow.tracking.throw.flights import (
-    Scatter,
-    Sightings,
+    ErrorModel,
+    Observations,
     chain_meats,
     chain_misses,
     chain_sums,
     fit_flight,
     informations,
-    moved,
     packed,
+    perturbed,
     seen_minus_motion,
 )
-from diethrow.tracking.throw.measurement import calibrated, measure
-from diethrow.tracking.throw.residual_correlation import estimate_scatter
-from diethrow.tracking.throw.shared_bias import SIZE_PX, shared_lean, shared_sigma
+from diethrow.tracking.throw.measurement import measure, with_calibrated_covariance
+from diethrow.tracking.throw.shared_bias import CONTOUR_SIGMA_PX, shared_bias_jacobian, shared_bias_sigma
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, Track
 
@@ -56,14 +56,14 @@ def scattered(rng: np.random.Generator, wander: float, frames: float, flight_fra
     return replace(track, position_m=track.position_m + size * (slow.position_m - p), quaternion=turned)
 
 
-def scatter_of(track: Track) -> Scatter:
-    sightings = sightings_of(track)
-    state, _, _ = fit_flight(sightings)
-    return estimate_scatter(sightings, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
+def scatter_of(track: Track) -> ErrorModel:
+    observations_of = sightings_of(track)
+    state, _, _ = fit_flight(observations_of)
+    return estimate_error_model(observations_of, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
 
 
-def sightings_of(track: Track) -> Sightings:
-    return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
+def sightings_of(track: Track) -> Observations:
+    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
@@ -111,36 +111,36 @@ def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
 
 def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> None:
     rng = np.random.default_rng(5)
-    sightings = sightings_of(seen(one_flight(rng), rng))
-    state, _, _ = fit_flight(sightings)
-    ones, share = np.ones(len(sightings)), np.full(6, 0.25)
-    cuts, states = np.array([0, len(sightings)]), packed(state)[None]
-    misses = chain_misses(sightings, cuts, states, np.zeros(0))
-    normal, _ = chain_sums(sightings, cuts, states, misses, ones, informations(sightings, share), 12)
+    observations_of = sightings_of(seen(one_flight(rng), rng))
+    state, _, _ = fit_flight(observations_of)
+    ones, share = np.ones(len(observations_of)), np.full(6, 0.25)
+    cuts, states = np.array([0, len(observations_of)]), packed(state)[None]
+    misses = chain_misses(observations_of, cuts, states, np.zeros(0))
+    normal, _ = chain_sums(observations_of, cuts, states, misses, ones, informations(observations_of, share), 12)
     # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
-    meats = chain_meats(sightings, cuts, states, ones, share, Scatter.white(2.0), 12)
+    meats = chain_meats(observations_of, cuts, states, ones, share, ErrorModel.white(2.0), 12)
     unit = 1.0 / np.sqrt(np.diag(normal[0]))
     np.testing.assert_allclose(meats[0] * np.outer(unit, unit), normal[0] * np.outer(unit, unit), atol=1e-12)
 
 
 def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_makes_it() -> None:
     rng = np.random.default_rng(6)
-    sightings = sightings_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
-    state, _, _ = fit_flight(sightings)
-    n = len(sightings)
-    scatter = Scatter(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
+    observations_of = sightings_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
+    state, _, _ = fit_flight(observations_of)
+    n = len(observations_of)
+    scatter = ErrorModel(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
     steps = np.concatenate([1e-7 * np.ones(3), 1e-6 * np.ones(3), 1e-5 * np.ones(3), 1e-4 * np.ones(3)])
     X = np.empty((n, 6, 12))
     for a, step in enumerate(np.diag(steps)):
-        ahead, behind = (seen_minus_motion(sightings, moved(state, sign * step)) for sign in (1.0, -1.0))
+        ahead, behind = (seen_minus_motion(observations_of, perturbed(state, sign * step)) for sign in (1.0, -1.0))
         X[:, :, a] = (behind - ahead) / (2.0 * steps[a])
-    apart = np.abs(sightings.time_s[:, None] - sightings.time_s)
+    apart = np.abs(observations_of.time_s[:, None] - observations_of.time_s)
     wanted = np.zeros((12, 12))
     for i in range(6):
         V = scatter.scale[i] ** 2 * (np.eye(n) + scatter.wander[i] * np.exp(-apart / scatter.memory_s[i]))
         wanted += X[:, i].T @ V @ X[:, i]
     cuts, states = np.array([0, n]), packed(state)[None]
-    found = chain_meats(sightings, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
+    found = chain_meats(observations_of, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
     unit = 1.0 / np.sqrt(np.diag(wanted))
     # Central differences of noisy residuals: the derivative is that at the frame seen, off by its residual of 0.1 degrees.
     np.testing.assert_allclose(found * np.outer(unit, unit), wanted * np.outer(unit, unit), atol=0.02)
@@ -172,7 +172,7 @@ def over_seeds(frames: float | None, count: int = 10) -> tuple[Array, Array]:
         if frames is not None:
             track = blurred_in_time(track, throw, rng, frames)
         track = replace(track, covariance=track.covariance / 4.0)
-        single.append(np.median(nees(calibrated(track, CUBE), throw)))
+        single.append(np.median(nees(with_calibrated_covariance(track, CUBE), throw)))
         smoothed.append(np.median(nees(smooth(track, measure(track, CUBE).throw), throw)))
     return np.array(single), np.array(smoothed)
 
@@ -191,7 +191,7 @@ def leaning(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
     """A throw seen in the studio with its contour taken so far out."""
     throw, rng = lone(seed)
     track = seen(throw, rng, noise=0.3)
-    lean = shared_lean(track, studio().camera, CUBE)[:, :, 0]
+    lean = shared_bias_jacobian(track, studio().camera, CUBE)[:, :, 0]
     turned = quat_multiply(quat_from_rotvec(size_px * lean[:, 3:]), track.quaternion)
     return throw, replace(track, position_m=track.position_m + size_px * lean[:, :3], quaternion=turned)
 
@@ -200,8 +200,8 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
     camera = studio().camera
     throw, track = leaning(0.08)
     found = measure(track, CUBE, camera)
-    sigma = float(found.joined.shared_sigma[0])
-    assert sigma < 0.3 * SIZE_PX
+    sigma = float(found.joined.shared_bias_sigma[0])
+    assert sigma < 0.3 * CONTOUR_SIGMA_PX
     assert found.joined.shared[0] == pytest.approx(0.08, abs=3.0 * sigma + 0.003)
     p, _ = throw.poses(track.time_s)
     depth = camera.rotation[2]
@@ -233,14 +233,14 @@ def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
 def test_without_a_lean_none_is_found() -> None:
     _, track = leaning(0.0)
     found = measure(track, CUBE, studio().camera)
-    assert abs(found.joined.shared[0]) < 3.5 * float(found.joined.shared_sigma[0])
+    assert abs(found.joined.shared[0]) < 3.5 * float(found.joined.shared_bias_sigma[0])
 
 
 def test_the_lean_is_what_a_larger_outline_does_to_a_pose() -> None:
     _, rng = lone(1)
     track = seen(lone(1)[0], rng, noise=1e-6)
     camera = studio().camera
-    lean = shared_lean(track, camera, CUBE)
+    lean = shared_bias_jacobian(track, camera, CUBE)
     out = camera.project(CUBE.solid.vertices + track.position_m[0])
     near = camera.project(CUBE.solid.vertices + track.position_m[0] + 0.5 * lean[0, :3, 0])
     middle = camera.project(track.position_m[0])
@@ -255,7 +255,7 @@ def test_a_track_that_brings_its_own_lean_is_believed() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     own = np.tile(np.arange(6.0), (len(track), 1))
-    lean = shared_lean(replace(track, lean=own), studio().camera, CUBE)
+    lean = shared_bias_jacobian(replace(track, lean=own), studio().camera, CUBE)
     np.testing.assert_array_equal(lean[:, :, 0], own)
 
 
@@ -264,7 +264,7 @@ def test_frames_without_a_pose_have_no_lean() -> None:
     track = seen(throw, rng)
     status = track.status.copy()
     status[4] = LOST
-    lean = shared_lean(replace(track, status=status), studio().camera, CUBE)
+    lean = shared_bias_jacobian(replace(track, status=status), studio().camera, CUBE)
     assert np.isnan(lean[4]).all()
     assert np.isfinite(np.delete(lean, 4, axis=0)).all()
 
@@ -273,7 +273,7 @@ def test_rounded_corners_are_allowed_more_of_it() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     camera = studio().camera
-    assert (shared_sigma(track, camera, ROUND) > 2.0 * shared_sigma(track, camera, CUBE)).all()
+    assert (shared_bias_sigma(track, camera, ROUND) > 2.0 * shared_bias_sigma(track, camera, CUBE)).all()
 
 
 def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_known_with_the_nearest() -> None:
@@ -308,7 +308,7 @@ def test_what_all_frames_err_alike_makes_flights_no_less_sure_of_each_other(seed
     alike = np.concatenate([4e-4 * np.array([0.6, 0.5, 0.6]), np.radians(2.0) * np.array([0.4, 0.8, -0.4])])
     shared = np.outer(alike, alike) + np.diag([1e-4**2] * 3 + [np.radians(0.5) ** 2] * 3)
     before = measure(track, CUBE, camera)
-    sure = calibrated(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
+    sure = with_calibrated_covariance(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
     again = measure(sure, CUBE, camera)
     for ours, theirs in zip(again.throw.impacts, before.throw.impacts, strict=True):
         assert ours.vertices == theirs.vertices

@@ -15,7 +15,7 @@ from throws import FPS, random_release, seen, true_throw
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
-from diethrow.tracking.throw.flights import moved
+from diethrow.tracking.throw.flights import perturbed
 from diethrow.tracking.throw.measurement import NoFlightError, measure, measure_throw
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
@@ -162,7 +162,7 @@ def kicked(throw: Throw, gap_frames: float) -> Throw:
     touch = middle.at(again_s)
     kick = np.zeros(12)
     kick[8:] = [0.3, 15.0, -10.0, 5.0]
-    last = Flight(moved(touch, kick), again_s + 40 / FPS)
+    last = Flight(perturbed(touch, kick), again_s + 40 / FPS)
     return Throw((before, replace(middle, end_s=again_s), last), (bounce, replace(bounce, time_s=again_s)))
 
 

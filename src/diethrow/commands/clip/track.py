@@ -23,9 +23,9 @@ from ...tracking.camera import Camera
 from ...tracking.clip_parameters import Corners
 from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_background, open_clip
 from ...tracking.quality import QUALITIES, STANDARD, Quality
-from ...tracking.sequence import Followed, look_through
+from ...tracking.sequence import TrackedClip, track_clip
 from ...tracking.surface_marks import read_faces, with_numbers
-from ...tracking.throw import NoFlightError, flown, measure, smooth
+from ...tracking.throw import NoFlightError, flights_only, measure, smooth
 from ...tracking.track import ABSENT, LOST, Track
 
 
@@ -176,9 +176,9 @@ def _follow(
     backgrounds: Sequence[NDArray[np.float32] | None],
     quality: Quality,
     progress: Progress,
-) -> Followed:
+) -> TrackedClip:
     try:
-        return look_through(
+        return track_clip(
             clips,
             cameras,
             scene.die,
@@ -206,7 +206,7 @@ def find_impacts(
             found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return found.independent, flown(found.throw), smooth(found.on_table, found.own, found.floor, found.alone)
+        return found.independent, flights_only(found.throw), smooth(found.on_table, found.own, found.floor, found.alone)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:

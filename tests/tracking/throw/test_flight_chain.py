@@ -13,17 +13,17 @@ from throws import FPS, initial_errors, random_release, seen, true_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.throw.flight_chain import FlightChain, Link, fit_chain
 from diethrow.tracking.throw.flights import (
     SLACK_POSITION_M,
     SLACK_ROTATION_RAD,
-    Sightings,
+    Observations,
     fit_flight,
     left_jacobians,
-    moved,
+    perturbed,
     scaled_inverse,
-    transition,
+    transition_matrix,
 )
-from diethrow.tracking.throw.joint_flights import Joined, Link, fit_joined
 from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]
@@ -46,9 +46,9 @@ def test_the_transition_is_the_derivative_of_the_motion(seed: int, after_s: floa
     steps = 1e-5 * np.eye(12)
     measured = np.empty((12, 12))
     for a, step in enumerate(steps):
-        ahead, behind = (Flight(moved(flight.start, sign * step), np.inf).at(end.time_s) for sign in (1.0, -1.0))
+        ahead, behind = (Flight(perturbed(flight.start, sign * step), np.inf).at(end.time_s) for sign in (1.0, -1.0))
         measured[:, a] = (initial_errors(end, ahead) - initial_errors(end, behind)) / 2e-5
-    np.testing.assert_allclose(transition(flight, end.time_s), measured, atol=1e-8)
+    np.testing.assert_allclose(transition_matrix(flight, end.time_s), measured, atol=1e-8)
 
 
 @pytest.mark.parametrize("first_s", [0.0, 0.004, 0.03])
@@ -56,10 +56,10 @@ def test_transitions_follow_each_other_like_the_motion_does(first_s: float) -> N
     flight = flight_of(np.random.default_rng(9))
     begin, middle, end = 0.3, 0.3 + first_s, 0.36
     onward = Flight(flight.at(middle), np.inf)
-    whole = transition(onward, end) @ transition(flight, middle)
+    whole = transition_matrix(onward, end) @ transition_matrix(flight, middle)
     # Products of a handful of numbers of order one: rounding only.
-    np.testing.assert_allclose(whole, transition(flight, end), atol=1e-12)
-    np.testing.assert_allclose(transition(flight, begin), np.eye(12), atol=1e-15)
+    np.testing.assert_allclose(whole, transition_matrix(flight, end), atol=1e-12)
+    np.testing.assert_allclose(transition_matrix(flight, begin), np.eye(12), atol=1e-15)
 
 
 def jacobian_by_quadrature(v: Array) -> Array:
@@ -90,8 +90,8 @@ def test_the_left_jacobian_turns_a_change_of_the_vector_into_a_turn(angle: float
     np.testing.assert_allclose(left_jacobians(v[None])[0] @ change, rotation_between(behind, ahead) / 2.0, atol=1e-15)
 
 
-def sightings(track: Track) -> Sightings:
-    return Sightings.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
+def observations_of(track: Track) -> Observations:
+    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
 
 
 def with_slack(track: Track, rng: np.random.Generator) -> Track:
@@ -102,12 +102,12 @@ def with_slack(track: Track, rng: np.random.Generator) -> Track:
     return replace(track, position_m=track.position_m + aside, quaternion=quaternion)
 
 
-def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> Joined:
+def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> FlightChain:
     """The joint fit from guesses as rough as single flights give them: 0.2 frames, 3 cm/s and 2 rad/s off."""
     rough = 0.03 * np.eye(12)[6:9].sum(0) + 2.0 * np.eye(12)[9:12].sum(0)
-    starts = [moved(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
+    starts = [perturbed(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
     links = [impact.time_s + rng.uniform(-0.2, 0.2) / FPS for impact in throw.impacts]
-    return fit_joined(sightings(track), starts, [Link(t) for t in links])
+    return fit_chain(observations_of(track), starts, [Link(t) for t in links])
 
 
 def test_a_chain_without_noise_is_found_exactly() -> None:
@@ -156,7 +156,7 @@ def test_one_flight_is_fitted_with_its_own_covariance(spin_rad_s: float) -> None
     for seed in range(60):
         rng = np.random.default_rng(seed)
         throw = true_throw(CUBE, random_release(CUBE, rng, spin_rad_s=spin_rad_s), 0.6, impacts=0)
-        state, covariance, _ = fit_flight(sightings(with_slack(seen(throw, rng), rng)))
+        state, covariance, _ = fit_flight(observations_of(with_slack(seen(throw, rng), rng)))
         errors = initial_errors(state, throw.at(state.time_s))
         unit = 1.0 / np.sqrt(np.diag(covariance))
         nees.append(errors * unit @ np.linalg.solve(covariance * np.outer(unit, unit), errors * unit))
@@ -170,7 +170,7 @@ def test_a_flight_is_followed_past_many_turns() -> None:
     start = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), spin)
     p, q = Flight(start, np.inf).poses(times)
     covariance = np.tile(np.diag([1e-10] * 3 + [1e-6] * 3), (60, 1, 1))
-    state, _, left = fit_flight(Sightings.from_poses(times, p, q, covariance))
+    state, _, left = fit_flight(Observations.from_poses(times, p, q, covariance))
     # Four and a half turns in forty milliseconds; without noise only rounding is left.
     np.testing.assert_allclose(state.omega_rad_s, spin, rtol=1e-9)
     assert left < 1e-9
@@ -203,8 +203,10 @@ def test_a_short_flight_whose_guess_is_far_off_is_found_beside_a_long_one(seed: 
     track = seen(throw, rng)
     # Half a metre a second and 60 rad/s: the last frames are 4 mm and half a radian away, hundreds of sigmas.
     aside = np.array([0, 0, 0, 0, 0, 0, 0.5, -0.3, 0.4, 60.0, -40.0, 30.0], float)
-    far = fit_joined(sightings(track), [throw.flights[0].start, moved(throw.flights[1].at(t), aside)], [Link(t)])
-    near = fit_joined(sightings(track), [f.start for f in throw.flights], [Link(t)])
+    far = fit_chain(
+        observations_of(track), [throw.flights[0].start, perturbed(throw.flights[1].at(t), aside)], [Link(t)]
+    )
+    near = fit_chain(observations_of(track), [f.start for f in throw.flights], [Link(t)])
     assert far.weights[track.time_s > t].min() > 0.0
     assert far.links_s[0] == pytest.approx(near.links_s[0], abs=0.05 * float(near.sigma_time_s[0]))
 
@@ -216,9 +218,9 @@ def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
     after = throw.flights[1]
     aside = np.zeros(12)
     aside[:6] = [0.002, 0.0, 0.001, 0.1, 0.05, 0.0]
-    apart = Throw((throw.flights[0], Flight(moved(after.start, aside), after.end_s)), throw.impacts)
+    apart = Throw((throw.flights[0], Flight(perturbed(after.start, aside), after.end_s)), throw.impacts)
     track = seen(apart, rng, noise=1e-9)
-    joined = fit_joined(sightings(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
+    joined = fit_chain(observations_of(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
     np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(joined.sigma_time_s[0])
     assert np.isnan(joined.beside[0]).all()

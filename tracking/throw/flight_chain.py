@@ -9,7 +9,7 @@ First-order changes at an impact, with those within a flight from `flights`:
 
     δp' = δp(t) - Δv δt     δv' = δv + δ(Δv)     δθ' = δθ(t) - Δω δt     δω' = δω + δ(Δω)
 
-**What any impact obeys** (`Strike`), with friction or without: the table pushes at one point, r from the centre, for no
+**What any impact obeys** (`VertexImpact`), with friction or without: the table pushes at one point, r from the centre, for no
 time. Hence J Δω = m r × Δv (J the moment of inertia), and the point is on the table at t. Both are written as
 observations with a tolerance, so that a die of not quite the stated inertia and a table not quite at its stated height
 bend the fit no further than they may, and the squares they leave (`strain`) say whether the impact is one at that point.
@@ -33,15 +33,15 @@ from ...model.world import GRAVITY_M_S2
 from . import flight_kernels as kernels
 from .chain_solver import MOST, Stages, solve_chain, spread_along
 from .flights import (
-    Scatter,
-    Sightings,
+    ErrorModel,
+    Observations,
     chain_meats,
     chain_misses,
     chain_sums,
     informations,
     packed,
     roll_out,
-    transition,
+    transition_matrix,
     unpacked,
 )
 
@@ -71,7 +71,7 @@ contact is a patch of some 0.1 mm, not a point."""
 
 
 @dataclass(frozen=True, eq=False)
-class Strike:
+class VertexImpact:
     """A contact at one point of the die."""
 
     point_m: Array
@@ -93,7 +93,7 @@ class Link:
     time_s: float
     is_open: bool = False
     """Whether no single instant joins the flights; `time_s` only parts their frames then."""
-    strike: Strike | None = None
+    strike: VertexImpact | None = None
     """The point of contact; None for a joined link whose jumps are free."""
 
     @property
@@ -103,7 +103,7 @@ class Link:
 
 
 @dataclass(frozen=True, eq=False)
-class Joined:
+class FlightChain:
     """A fitted chain of flights."""
 
     flights: tuple[Flight, ...]
@@ -119,10 +119,10 @@ class Joined:
     """(n,) distance of each frame from the motion, in sigmas of its six numbers (root mean square), scattered as they are."""
     weights: Array
     """(n,) 0 for a frame that was taken for wrong, 1 for one amid the others."""
-    scatter: Scatter
+    scatter: ErrorModel
     shared: Array
     """(m,) the errors that all frames share."""
-    shared_sigma: Array
+    shared_bias_sigma: Array
     """(m,) their standard errors."""
     strain: Array
     """(N,) squared sigmas by which each strike misses what an impact obeys, over its four numbers; 0 without a strike."""
@@ -135,7 +135,7 @@ class Joined:
     @property
     def contour_sigma_px(self) -> float:
         """Standard error [px] of the first of the shared errors, the contour's; infinite where none was looked for."""
-        return float(self.shared_sigma[0]) if len(self.shared) else np.inf
+        return float(self.shared_bias_sigma[0]) if len(self.shared) else np.inf
 
     @property
     def links_s(self) -> Array:
@@ -153,26 +153,26 @@ class Joined:
         return np.array([float((own > 0.0).mean()) if len(own) else np.nan for own in weights])
 
 
-def fit_joined(
-    seen: Sightings,
+def fit_chain(
+    seen: Observations,
     starts: Sequence[State],
     links: Sequence[Link],
     *,
-    scatter: Scatter | None = None,
-    shared_sigma: Array | None = None,
+    scatter: ErrorModel | None = None,
+    shared_bias_sigma: Array | None = None,
     table_sigma_m: float = TABLE_SIGMA_M,
     steps: int = 40,
-) -> Joined:
+) -> FlightChain:
     """Least squares over a whole chain: Gauss-Newton with Levenberg's damping and biweight frames.
 
     `starts` (N + 1) are guesses of each flight's state (only the velocities matter for flights behind a joined link).
-    `scatter` says how errors go together; white ones of a scale that is found here where it is None. `shared_sigma` (m,)
+    `scatter` says how errors go together; white ones of a scale that is found here where it is None. `shared_bias_sigma` (m,)
     is the prior of the shared errors, none of which is looked for where it is None; `table_sigma_m` that of the height of
     the table. Deterministic; a chain that cannot be improved is returned as it is.
     """
-    seen = seen if shared_sigma is not None else seen.leaning(np.zeros((len(seen), 6, 0)))
-    sigma = np.zeros(0) if shared_sigma is None else shared_sigma
-    form = scatter or Scatter.white()
+    seen = seen if shared_bias_sigma is not None else seen.leaning(np.zeros((len(seen), 6, 0)))
+    sigma = np.zeros(0) if shared_bias_sigma is None else shared_bias_sigma
+    form = scatter or ErrorModel.white()
     chain = _Chain.from_guess(seen, list(starts), tuple(links), sigma, form, table_sigma_m)
     best = _descended(chain, find_scale=scatter is None, by_flight=False, steps=steps)
     if best.lost_flights > 0:
@@ -208,7 +208,7 @@ def _descended(chain: _Chain, *, find_scale: bool, by_flight: bool, steps: int) 
     course, damping, gains = chain.course(), 1e-6, [0.0]
     for turn in range(steps):
         if find_scale:
-            chain = replace(chain, scatter=Scatter.white(_scale(course.squares(Scatter.white()), chain.numbers)))
+            chain = replace(chain, scatter=ErrorModel.white(_scale(course.squares(ErrorModel.white()), chain.numbers)))
         squares = course.squares(chain.scatter)
         cuts = course.cuts if by_flight else np.array([0, len(squares)])
         weights = _biweights(squares, _looseness(squares, cuts) if turn < LOOSE_TURNS else np.ones(len(squares)))
@@ -260,7 +260,7 @@ def _biweights(squares: Array, loose: Array) -> Array:
     return np.asarray(np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0))
 
 
-def strike_equations(before: State, behind: State, strike: Strike, table_m: float) -> tuple[Array, Array]:
+def vertex_impact_equations(before: State, behind: State, strike: VertexImpact, table_m: float) -> tuple[Array, Array]:
     """Rows (4, 25), and what is missed (4,), in sigmas, of what a strike obeys: by the states before and behind, both at the
     instant of the contact as it stands, and by that instant."""
     jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
@@ -275,11 +275,11 @@ def strike_equations(before: State, behind: State, strike: Strike, table_m: floa
     return rows, miss[0]
 
 
-def strike_cost(joined: Joined, k: int, strike: Strike, table_sigma_m: float) -> float:
+def vertex_impact_cost(joined: FlightChain, k: int, strike: VertexImpact, table_sigma_m: float) -> float:
     """Squared sigmas that the joined link k would cost as that strike, over what it costs free: to the first order, from how
     far the free motion is off what the strike obeys, and how sure it is there."""
     before, behind = joined.flights[k].at(joined.links[k].time_s), joined.flights[k + 1].start
-    rows, miss = strike_equations(before, behind, strike, joined.table_m)
+    rows, miss = vertex_impact_equations(before, behind, strike, joined.table_m)
     spread = np.eye(4) + rows @ joined.beside[k] @ rows.T
     spread[0, 0] += (table_sigma_m / CONTACT_SIGMA_M) ** 2
     # By eigenvalues, none of which is below one: a flight that no frame bears out may make some of them overflow a factor.
@@ -328,7 +328,7 @@ class _Course:
     """(n, 6) whitened."""
     rules: _Rules
 
-    def squares(self, scatter: Scatter) -> Array:
+    def squares(self, scatter: ErrorModel) -> Array:
         """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
         return np.einsum("ni,ni,i->n", self.misses, self.misses, 1.0 / scatter.variance) / 6.0
 
@@ -338,7 +338,7 @@ class _Chain:
     """The unknowns: the first state, for each link either (t, Δv, Δω) or a free state, what all frames share, and the
     height of the table where anything strikes it."""
 
-    seen: Sightings
+    seen: Observations
     spacing_s: float
     """Usual time between frames."""
     first: Array
@@ -356,12 +356,12 @@ class _Chain:
     contacts: tuple[Array, Array, Array]
     """(S, 3) points, (S,) roundings and (S,) m/J of the strikes."""
     shared: Array
-    shared_sigma: Array
+    shared_bias_sigma: Array
     table_m: float
     table_sigma_m: float
     lever_sigma: Array
     """(N,) tolerance [rad/s] of each strike's spin; set by the guess, so that the cost means the same on every step."""
-    scatter: Scatter
+    scatter: ErrorModel
     told: tuple[Array, Array]
     """What the frames say, for the scatter that the chain began with (`flights.informations`)."""
     told_share: float
@@ -369,11 +369,11 @@ class _Chain:
 
     @staticmethod
     def from_guess(
-        seen: Sightings,
+        seen: Observations,
         starts: list[State],
         links: tuple[Link, ...],
-        shared_sigma: Array,
-        scatter: Scatter,
+        shared_bias_sigma: Array,
+        scatter: ErrorModel,
         table_sigma_m: float,
     ) -> _Chain:
         numbers, times_s = np.array([packed(start) for start in starts]), np.array([link.time_s for link in links])
@@ -391,7 +391,7 @@ class _Chain:
         share = 1.0 / scatter.slow_variance(spacing_s)
         return _Chain(
             seen, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
-            np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
+            np.array([k for k, _ in struck], np.int64), contacts, np.zeros(len(shared_bias_sigma)), shared_bias_sigma, 0.0,
             table_sigma_m, _lever_sigma(jumps), scatter, informations(seen, share), float(share[0]),
         )  # fmt: skip
 
@@ -431,7 +431,7 @@ class _Chain:
     @property
     def _priors(self) -> tuple[Array, Array]:
         """Of the constants: standard deviations (c,), and where they stand (c,)."""
-        sigma, value = self.shared_sigma, self.shared
+        sigma, value = self.shared_bias_sigma, self.shared
         return (
             (np.append(sigma, self.table_sigma_m), np.append(value, self.table_m)) if self.has_table else (sigma, value)
         )
@@ -453,7 +453,7 @@ class _Chain:
         return float(frames) + self._rest(course)
 
     def robust_cost(self, course: _Course) -> float:
-        """The same with Tukey's loss for frames (`Joined.cost`)."""
+        """The same with Tukey's loss for frames (`FlightChain.cost`)."""
         ratio = np.minimum(np.sqrt(course.squares(self.scatter)) / CUT_SIGMA, 1.0)
         share = float(np.mean(self.scatter.variance * self._share()))
         return self._rest(course) + share * float((2.0 * CUT_SIGMA**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
@@ -501,7 +501,7 @@ class _Chain:
             table_m=self.table_m + (float(first[-1]) if self.has_table else 0.0),
         )  # fmt: skip
 
-    def finished(self, course: _Course, weights: Array) -> Joined:
+    def finished(self, course: _Course, weights: Array) -> FlightChain:
         """The result, with every flight at its own beginning."""
         normal, _, stages = self.equations(course, weights)
         last, pairs = spread_along(normal, self._noises(course, weights, normal), stages)
@@ -523,16 +523,16 @@ class _Chain:
                 # The state that a chain or a free flight starts from is kept at its reference instant; the flight is quoted
                 # from where it begins.
                 motion = Flight(state, np.inf)
-                passage = transition(motion, float(begins[k]))
+                passage = transition_matrix(motion, float(begins[k]))
                 state, C = motion.at(float(begins[k])), passage @ C @ passage.T
             flights.append(Flight(state, float(ends[k]), (C + C.T) / 2.0))
         squares, strain = course.squares(self.scatter), np.zeros(count)
         strain[self.which] = (course.rules.miss**2).sum(1)
         links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
-        shared_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
-        return Joined(
+        shared_bias_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
+        return FlightChain(
             tuple(flights), links, sigma_time_s, beside, np.sqrt(squares), weights, self.scatter, self.shared,
-            shared_sigma, strain, self.table_m, self.robust_cost(course),
+            shared_bias_sigma, strain, self.table_m, self.robust_cost(course),
         )  # fmt: skip
 
     def _noises(self, course: _Course, weights: Array, normal: Array) -> Array:

@@ -21,9 +21,9 @@ from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from .contact_clusters import instant_s, is_crowded, resolved
-from .flights import Scatter, Sightings, fit_flight, misfits, scaled_inverse
-from .joint_flights import Joined, Link, Strike, fit_joined, strike_cost
-from .residual_correlation import estimate_scatter
+from .error_model import estimate_error_model
+from .flight_chain import FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
+from .flights import ErrorModel, Observations, fit_flight, misfits, scaled_inverse
 from .segmentation import TABLE_REACH
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ class _Part:
     """Of the good ones."""
 
     @staticmethod
-    def of(seen: Sightings, rows: NDArray[np.int64]) -> _Part:
+    def of(seen: Observations, rows: NDArray[np.int64]) -> _Part:
         state, _, _ = fit_flight(seen.rows(rows))
         misfit = misfits(seen.rows(rows), state)
         good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
@@ -98,7 +98,7 @@ class _Part:
         return int(self.rows[0]), int(self.rows[-1])
 
 
-def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> Joined:
+def join_flights(seen: Observations, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
     """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
     flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
     bounces are removed, of neighbours the weaker first; open ones stay, since one motion through both flights would be
@@ -135,7 +135,7 @@ def join_flights(seen: Sightings, parts: list[NDArray[np.int64]], die: Die) -> J
         alone = merged
 
 
-def _is_gross(seen: Sightings, a: _Part, b: _Part, die: Die) -> bool:
+def _is_gross(seen: Observations, a: _Part, b: _Part, die: Die) -> bool:
     """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
     track was lost there and taken up under another labelling. Forcing them together would spoil both."""
     before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
@@ -146,7 +146,7 @@ def _is_gross(seen: Sightings, a: _Part, b: _Part, die: Die) -> bool:
     return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
 
 
-def _strain(seen: Sightings, before: _Part, after: _Part) -> float:
+def _strain(seen: Observations, before: _Part, after: _Part) -> float:
     """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
     left out: one frame may straddle the contact in its exposure."""
     a = before if len(before.rows) <= LONGEST else _Part.of(seen, before.rows[-LONGEST:])
@@ -157,7 +157,7 @@ def _strain(seen: Sightings, before: _Part, after: _Part) -> float:
     return float(np.mean(np.sort(beside)[:-1])) / max(usual, 0.5)
 
 
-def _can_be_bounce(seen: Sightings, joined: Joined, k: int, die: Die) -> bool:
+def _can_be_bounce(seen: Observations, joined: FlightChain, k: int, die: Die) -> bool:
     """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before
     and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
 
@@ -177,12 +177,12 @@ def _can_be_bounce(seen: Sightings, joined: Joined, k: int, die: Die) -> bool:
     if joined.sigma_time_s[k] > instant_s(seen.time_s):
         return False
     return any(
-        strike_cost(joined, k, strike, UNKNOWN_TABLE_M) < STRIKE_STRAIN and _may_rebound(joined, k, strike)
+        vertex_impact_cost(joined, k, strike, UNKNOWN_TABLE_M) < STRIKE_STRAIN and _may_rebound(joined, k, strike)
         for strike in _lowest(joined, k, _strikes(die))
     )
 
 
-def _may_rebound(joined: Joined, k: int, strike: Strike) -> bool:
+def _may_rebound(joined: FlightChain, k: int, strike: VertexImpact) -> bool:
     """Whether the contact came down before and goes up after, within two sigmas."""
     t = float(joined.links_s[k])
     a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
@@ -192,7 +192,7 @@ def _may_rebound(joined: Joined, k: int, strike: Strike) -> bool:
     return normal_velocity(a, arm) < REBOUND_SIGMAS * sigma[0] and normal_velocity(b, arm) > -REBOUND_SIGMAS * sigma[1]
 
 
-def _jump(joined: Joined, k: int, die: Die) -> float:
+def _jump(joined: FlightChain, k: int, die: Die) -> float:
     """Size [m/s] of the change of motion at a link, at the die's surface."""
     t = float(joined.links_s[k])
     a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
@@ -200,7 +200,9 @@ def _jump(joined: Joined, k: int, die: Die) -> float:
     return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
 
 
-def _fit_parts(seen: Sightings, parts: list[_Part], opened: list[bool], fitted: Sightings | None = None) -> Joined:
+def _fit_parts(
+    seen: Observations, parts: list[_Part], opened: list[bool], fitted: Observations | None = None
+) -> FlightChain:
     """The joint fit of all frames, or of those given, from each flight's own fit."""
     links = []
     for before, after, is_open in zip(parts[:-1], parts[1:], opened, strict=True):
@@ -211,7 +213,7 @@ def _fit_parts(seen: Sightings, parts: list[_Part], opened: list[bool], fitted: 
             low, high = float(seen.time_s[before.rows[-1]]), float(seen.time_s[after.rows[0]])
             t = _meeting(before.state, after.state, low, high)
         links.append(Link(t, is_open))
-    return fit_joined(seen if fitted is None else fitted, [part.state for part in parts], links)
+    return fit_chain(seen if fitted is None else fitted, [part.state for part in parts], links)
 
 
 def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
@@ -228,44 +230,51 @@ def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
 
 
 @dataclass(frozen=True, eq=False)
-class Rules:
+class Priors:
     """What holds for all fits of a clip: the priors of the shared errors (m,) and of the height of the table [m]."""
 
-    shared_sigma: Array
+    shared_bias_sigma: Array
     table_sigma_m: float
 
     def fit(
-        self, seen: Sightings, starts: Sequence[State], links: Sequence[Link], scatter: Scatter | None = None
-    ) -> Joined:
-        return fit_joined(
-            seen, starts, links, scatter=scatter, shared_sigma=self.shared_sigma, table_sigma_m=self.table_sigma_m
+        self, seen: Observations, starts: Sequence[State], links: Sequence[Link], scatter: ErrorModel | None = None
+    ) -> FlightChain:
+        return fit_chain(
+            seen,
+            starts,
+            links,
+            scatter=scatter,
+            shared_bias_sigma=self.shared_bias_sigma,
+            table_sigma_m=self.table_sigma_m,
         )
 
-    def again(self, seen: Sightings, joined: Joined, links: Sequence[Link], scatter: Scatter | None) -> Joined:
+    def again(
+        self, seen: Observations, joined: FlightChain, links: Sequence[Link], scatter: ErrorModel | None
+    ) -> FlightChain:
         """The same flights with other links, or with another scatter."""
         return self.fit(seen, [flight.start for flight in joined.flights], links, scatter)
 
 
 @dataclass(frozen=True, eq=False)
-class Settled:
+class ResolvedChain:
     """A chain of flights with its links named."""
 
-    seen: Sightings
+    seen: Observations
     """The frames, relabelled where need be."""
-    joined: Joined
-    rules: Rules
+    joined: FlightChain
+    rules: Priors
     """Those that were given, or wider ones where the clip is not as they say."""
 
 
-def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Settled:
+def resolve_contacts(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> ResolvedChain:
     """The chain with each joined link an impact at the vertex that explains it best, or free where none does, and with the
     frames' own scatter. The scatter is that about flights joined anyhow: what an impact that is none would do to them must
     show as a cost, not as scatter."""
     found = rules.again(seen, joined, joined.links, None)
-    if (np.abs(found.shared) > FAR_SIGMAS * rules.shared_sigma).any():
+    if (np.abs(found.shared) > FAR_SIGMAS * rules.shared_bias_sigma).any():
         # A contour is not off by as much: the size of the die, the clock or the camera is not that of this clip, and a
         # track that hid it would be worth less than one that shows it (`gravity`).
-        rules, seen = replace(rules, shared_sigma=np.zeros(0)), seen.leaning(seen.lean[:, :, :0])
+        rules, seen = replace(rules, shared_bias_sigma=np.zeros(0)), seen.leaning(seen.lean[:, :, :0])
         found = rules.again(seen, joined, joined.links, None)
     found = rules.again(seen, found, found.links, _scatter_of(seen, found))
     found = _struck(seen, found, die, rules)
@@ -276,17 +285,17 @@ def settle(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Settled:
         rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
         found = rules.again(seen, found, found.links, found.scatter)
     found = _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
-    return Settled(seen, _at_first_touches(seen, found, die, rules), rules)
+    return ResolvedChain(seen, _at_first_touches(seen, found, die, rules), rules)
 
 
-def explains_better(seen: Sightings, one: Settled, other: Settled) -> bool:
+def explains_better(seen: Observations, one: ResolvedChain, other: ResolvedChain) -> bool:
     """Whether a chain of flights explains some frames better than another, each with its own labelling of them: by the wider
     rules of the two, with the scatter of the one about which they scatter less, and at a price for each number."""
     scatter = min((one.joined.scatter, other.joined.scatter), key=lambda each: float(np.log(each.variance).sum()))
     table_sigma_m = max(one.rules.table_sigma_m, other.rules.table_sigma_m)
-    shared_sigma = min(one.rules.shared_sigma, other.rules.shared_sigma, key=len)
-    rules = Rules(shared_sigma, table_sigma_m)
-    lean = seen.lean[:, :, : len(shared_sigma)]
+    shared_bias_sigma = min(one.rules.shared_bias_sigma, other.rules.shared_bias_sigma, key=len)
+    rules = Priors(shared_bias_sigma, table_sigma_m)
+    lean = seen.lean[:, :, : len(shared_bias_sigma)]
     costs = []
     for each in (one, other):
         frames = replace(seen, quaternion=each.seen.quaternion).leaning(lean)
@@ -296,7 +305,7 @@ def explains_better(seen: Sightings, one: Settled, other: Settled) -> bool:
     return costs[0] < costs[1]
 
 
-def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
+def _taken_together(seen: Observations, joined: FlightChain, rules: Priors) -> FlightChain:
     """The chain with contacts that nothing tells apart as one, which stays open: two of which one is open and no frame
     between, so that nothing is known of the flight between; and two that a fit has drawn to one instant."""
     while True:
@@ -312,7 +321,7 @@ def _taken_together(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
         joined = rules.fit(seen, starts, links, joined.scatter)
 
 
-def _at_first_touches(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+def _at_first_touches(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
     """The chain with each open link where the first of its contacts must be: the motion before, followed on from its last
     sure frame, comes down to the table. Where it does not before the next flight is sure, the link stays where it is."""
     inner = inner_vertices(die.solid, die.corner_radius_m)
@@ -330,11 +339,11 @@ def _at_first_touches(seen: Sightings, joined: Joined, die: Die, rules: Rules) -
         below = np.flatnonzero(heights < 0.0)
         if len(below):
             links[k] = replace(link, time_s=float(times[below[0]]))
-    moved = any(a.time_s != b.time_s for a, b in zip(links, joined.links, strict=True))
-    return rules.again(seen, joined, links, joined.scatter) if moved else joined
+    perturbed = any(a.time_s != b.time_s for a, b in zip(links, joined.links, strict=True))
+    return rules.again(seen, joined, links, joined.scatter) if perturbed else joined
 
 
-def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+def _struck(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
     """The chain with its joined links as impacts at the low vertex of least cost: those with one likely vertex at once, if
     that holds, and the others one by one. Those that cost more than noise does are left free: two contacts at once, or an
     edge that struck along its length, push at no one vertex."""
@@ -361,36 +370,38 @@ def _struck(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
     return joined
 
 
-def _likely(seen: Sightings, joined: Joined, k: int, low: list[Strike], rules: Rules) -> list[tuple[float, Strike]]:
+def _likely(
+    seen: Observations, joined: FlightChain, k: int, low: list[VertexImpact], rules: Priors
+) -> list[tuple[float, VertexImpact]]:
     """Of the contacts that link k may be, those that are not out of the question, with what they would cost to the first
     order."""
     if joined.links[k].is_open:
         return []
-    costs = [(strike_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
+    costs = [(vertex_impact_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
     if not _is_borne_out(seen, joined, k):
         return costs
     return [(cost, strike) for cost, strike in costs if cost < HOPELESS]
 
 
-def _is_borne_out(seen: Sightings, joined: Joined, k: int) -> bool:
+def _is_borne_out(seen: Observations, joined: FlightChain, k: int) -> bool:
     """Whether most frames of the flights on either side of a link lie on them. What a flight that others have spoilt makes
     of a contact says nothing."""
     return bool((joined.borne_out(seen.time_s)[k : k + 2] > MOST_FRAMES).all())
 
 
-def _numbered(joined: Joined) -> list[tuple[int, Link]]:
+def _numbered(joined: FlightChain) -> list[tuple[int, Link]]:
     return list(enumerate(joined.links))
 
 
-def _strikes(die: Die) -> list[Strike]:
+def _strikes(die: Die) -> list[VertexImpact]:
     """A contact at each vertex. A die that is no spherical top has none that could be judged so simply."""
     if not die.is_spherical_top:
         return []
     inner = inner_vertices(die.solid, die.corner_radius_m)
-    return [Strike(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
+    return [VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
 
 
-def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike]:
+def _lowest(joined: FlightChain, k: int, strikes: list[VertexImpact]) -> list[VertexImpact]:
     """The contacts that link k may be, the lowest vertex first."""
     if not strikes:
         return []
@@ -400,14 +411,14 @@ def _lowest(joined: Joined, k: int, strikes: list[Strike]) -> list[Strike]:
     return [strikes[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
 
 
-def _scatter_of(seen: Sightings, joined: Joined) -> Scatter:
+def _scatter_of(seen: Observations, joined: FlightChain) -> ErrorModel:
     """The scatter of the frames about the fitted flights."""
-    return estimate_scatter(
+    return estimate_error_model(
         seen, joined.parts(seen.time_s), [flight.start for flight in joined.flights], joined.shared, joined.weights
     )
 
 
-def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joined:
+def _without_slight_ones(seen: Observations, joined: FlightChain, rules: Priors) -> FlightChain:
     """The chain without joined links that explain no more than chance does, now that it is known how errors go together:
     the slightest first."""
     while True:
@@ -423,7 +434,7 @@ def _without_slight_ones(seen: Sightings, joined: Joined, rules: Rules) -> Joine
         joined = min(trials, key=lambda trial: trial.cost)
 
 
-def _gained(joined: Joined, k: int) -> float:
+def _gained(joined: FlightChain, k: int) -> float:
     """Squared sigmas that a joined link explains, to the first order: how surely the motion jumps there."""
     t = float(joined.links_s[k])
     a, b, C = joined.flights[k].at(t), joined.flights[k + 1].at(t), joined.beside[k]
@@ -432,7 +443,7 @@ def _gained(joined: Joined, k: int) -> float:
     return float(jump @ scaled_inverse(spread) @ jump)
 
 
-def _merged(seen: Sightings, joined: Joined, k: int, rules: Rules) -> Joined:
+def _merged(seen: Observations, joined: FlightChain, k: int, rules: Priors) -> FlightChain:
     """The chain with the flights before and behind link k as one, begun from the longer."""
     lasts = [flight.end_s - flight.start.time_s for flight in joined.flights[k : k + 2]]
     dropped = k if lasts[0] < lasts[1] else k + 1
@@ -441,7 +452,7 @@ def _merged(seen: Sightings, joined: Joined, k: int, rules: Rules) -> Joined:
     return rules.fit(seen, starts, links, joined.scatter)
 
 
-def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> Joined:
+def _without_ghosts(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
     """The chain without open links at which nothing can have struck: the motion before, followed on to where the next
     flight is sure, stays clear of the table."""
     strikes = _strikes(die)
@@ -461,12 +472,14 @@ def _without_ghosts(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> 
     return joined
 
 
-def _with_quick_ones(seen: Sightings, joined: Joined, die: Die, rules: Rules) -> tuple[Sightings, Joined]:
+def _with_quick_ones(
+    seen: Observations, joined: FlightChain, die: Die, rules: Priors
+) -> tuple[Observations, FlightChain]:
     """The frames and the chain with open links, and such as leave frames beside them unexplained, resolved where the
     model tells what may have happened there."""
     strikes, scatter = _strikes(die), joined.scatter
 
-    def fit(own: Sightings, starts: Sequence[State], links: Sequence[Link]) -> Joined:
+    def fit(own: Observations, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
         return rules.fit(own, starts, links, scatter)
 
     k = len(joined.links) - 1
@@ -478,11 +491,11 @@ def _with_quick_ones(seen: Sightings, joined: Joined, die: Die, rules: Rules) ->
     return seen, joined
 
 
-def _spacing(seen: Sightings) -> float:
+def _spacing(seen: Observations) -> float:
     return float(np.median(np.diff(seen.time_s)))
 
 
-def _height(state: State, strikes: list[Strike]) -> float:
+def _height(state: State, strikes: list[VertexImpact]) -> float:
     """Of the lowest point of the die."""
     return float(state.position_m[2] + min(strike.arm(state.rotation)[2] for strike in strikes))
 
@@ -494,7 +507,7 @@ def normal_velocity(state: State, arm: Array) -> float:
 
 def normal_velocity_rows(before: State, after: State, arm: Array) -> Array:
     """Derivatives (2, 25) of the normal velocity of a point of the die before and after an impact with respect to the states
-    on both sides and the instant, as `Joined.beside` has them."""
+    on both sides and the instant, as `FlightChain.beside` has them."""
     rows = np.zeros((2, 25))
     for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
         w = state.omega_rad_s

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
 from ...model.throw import State
-from .flights import Scatter, Sightings, seen_minus_motion
+from .flights import ErrorModel, Observations, seen_minus_motion
 
 Array = NDArray[np.float64]
 
@@ -54,9 +54,9 @@ NEIGHBOURS = 0.2
 """Share with which each of the five other series counts."""
 
 
-def estimate_scatter(
-    seen: Sightings, parts: Sequence[slice], states: Sequence[State], shared: Array, weights: Array
-) -> Scatter:
+def estimate_error_model(
+    seen: Observations, parts: Sequence[slice], states: Sequence[State], shared: Array, weights: Array
+) -> ErrorModel:
     """The scatter of frames (n,) about flights, each given by its rows and its fitted state; frames of little weight
     are left out. White and as stated where no flight has frames enough.
 
@@ -73,7 +73,7 @@ def estimate_scatter(
             series.append(seen_minus_motion(part, state) - leaning[:, :, 0])
             ends.append(ends[-1] + len(part))
     if not times:
-        return Scatter.white()
+        return ErrorModel.white()
     spacing = float(np.median(np.concatenate([np.diff(t) for t in times])))
     longest = max(float(t[-1] - t[0]) for t in times) / 3.0
     frames, wanders = _grid(longest / spacing)
@@ -94,7 +94,7 @@ def _grid(longest: float) -> tuple[Array, Array]:
     return memories, np.concatenate([[0.0], smaller, WANDERS])
 
 
-def _mean_scatter(odds: Array, variance: Array, memories_s: Array, wanders: Array, spacing: float) -> Scatter:
+def _mean_scatter(odds: Array, variance: Array, memories_s: Array, wanders: Array, spacing: float) -> ErrorModel:
     """The scatter whose white, single and lasting variance are the geometric means over scatters (6, memories, wanders)
     of these odds. Arithmetic means would be those of the few with the longest memory."""
     keep = np.exp(-spacing / memories_s)[:, None]
@@ -102,7 +102,7 @@ def _mean_scatter(odds: Array, variance: Array, memories_s: Array, wanders: Arra
     white, single, lasting = (np.exp((odds * np.log(variance * form)).sum(axis=(1, 2))) for form in forms)
     wander = single / white - 1.0
     ratio = np.maximum((lasting / white - 1.0) / np.maximum(wander, 1e-12), 1.0 + 1e-6)
-    return Scatter(np.sqrt(white), wander, spacing / np.log((ratio + 1.0) / (ratio - 1.0)))
+    return ErrorModel(np.sqrt(white), wander, spacing / np.log((ratio + 1.0) / (ratio - 1.0)))
 
 
 @compiled(nogil=True)

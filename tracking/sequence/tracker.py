@@ -39,13 +39,13 @@ from ..picture import View, make_view, noise_and_rounding, rounded, share_in_vie
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, shown_whole
 from ..quality import STANDARD, Quality
 from ..surface_marks import Marks
-from ..throw import NoFlightError, calibrated, measure, measure_throw, spared
+from ..throw import NoFlightError, decimation_factor, measure, measure_throw, with_calibrated_covariance
 from ..track import ABSENT, LOST, Track
-from .depth_reversal import put_right
-from .initialisation import begin_by_hand, find_beginning
-from .labelling import labelled_across
-from .refine_on_edges import SecondPass
-from .refine_on_marks import Marked, third_pass
+from .depth_reversal import correct_depth_reversals
+from .initialisation import find_initial_pose, initial_pose_by_hand
+from .labelling import with_consistent_labels
+from .refine_on_edges import EdgeRefinement
+from .refine_on_marks import MarkRefinement, third_pass
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -67,7 +67,7 @@ class NoDieError(ValueError):
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class TrackedClip:
     """What following a die through a clip gives."""
 
     track: Track
@@ -94,14 +94,14 @@ def follow(
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> Track:
-    """Track a die through a clip: a pose with covariance for every frame on which it can be known. As `look_through`."""
-    return look_through(
+    """Track a die through a clip: a pose with covariance for every frame on which it can be known. As `track_clip`."""
+    return track_clip(
         clip, camera, die, background=background, exposure_s=exposure_s, mirror=mirror, start=start, excluded=excluded,
         quality=quality, progress=progress,
     ).track  # fmt: skip
 
 
-def look_through(
+def track_clip(
     clip: Clip | Sequence[Clip],
     camera: Camera | Sequence[Camera],
     die: Die,
@@ -114,7 +114,7 @@ def look_through(
     rounding: Rounding = Rounding.GIVEN,
     quality: Quality = STANDARD,
     progress: Progress | None = None,
-) -> Followed:
+) -> TrackedClip:
     """Follow a die through a clip, and learn what its faces show where the quality asks for it.
 
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a
@@ -134,20 +134,20 @@ def look_through(
     view, seen, corners = _first_pass_rounded(view, source, report, start, unused, rounding)
     throw = _measured(view, source, seen)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
-        seen = labelled_across(view, seen, throw, source.times_s)
+        seen = with_consistent_labels(view, seen, throw, source.times_s)
         throw = _measured(view, source, seen)
     offsets = Offsets.none(len(clips))
-    marked = Marked(seen, None, None)
+    marked = MarkRefinement(seen, None, None)
     if quality.second_pass:
         view = lit(with_reflections(view), source.frame, seen)
         view = replace(view, blur_px=lens_blur_px(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
         report.at_least(len(source))
         if throw is not None:
             offsets = find_offsets(view, source.frame, source.times_s, throw)
-        second = SecondPass(view, source, seen.filled(), throw, ~unused, offsets)
+        second = EdgeRefinement(view, source, seen.filled(), throw, ~unused, offsets)
         every = _every_in_second_pass(view, source, seen) if quality.marks and throw is not None else 1
         seen = second.see(np.arange(len(source)) % every == 0, lambda done: report.at_least(len(source) + done))
-        marked = Marked(seen, None, None)
+        marked = MarkRefinement(seen, None, None)
         if quality.marks:
             marked = third_pass(second, seen, every, lambda done: report.at_least(2 * len(source) + done))
             report.at_least(3 * len(source))
@@ -155,8 +155,8 @@ def look_through(
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, source, track, corners)
         view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
-    sure = calibrated(track, view.die, view.camera, every=spared(track, view.die))
-    return Followed(sure, marked.marks, offsets, view.die, corners)
+    sure = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
+    return TrackedClip(sure, marked.marks, offsets, view.die, corners)
 
 
 def _view_of(
@@ -207,9 +207,9 @@ def _first_pass(
 ) -> tuple[View, ClipPoses]:
     """A pose for every frame that can be followed from the start, and the view with its blur estimated there."""
     beginning = (
-        find_beginning(view, source, unused, report.at_least)
+        find_initial_pose(view, source, unused, report.at_least)
         if by_hand is None
-        else begin_by_hand(view, source, by_hand, unused)
+        else initial_pose_by_hand(view, source, by_hand, unused)
     )
     if beginning is None:
         raise NoDieError(
@@ -227,7 +227,7 @@ def _first_pass(
         if back.misses > 3:
             break
     # What was found to stand before the die is known from here on.
-    return chase.view, put_right(chase.view, source, seen, unused)
+    return chase.view, correct_depth_reversals(chase.view, source, seen, unused)
 
 
 def _first_pass_rounded(
@@ -336,7 +336,7 @@ def _measured(view: View, source: FrameSource, seen: ClipPoses) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
     track = as_track(view, source, seen, shown_whole(view, seen) & seen.even)
     try:
-        return measure_throw(track, view.die, view.camera, every=spared(track, view.die))
+        return measure_throw(track, view.die, view.camera, every=decimation_factor(track, view.die))
     except NoFlightError:
         return None
 
@@ -346,7 +346,7 @@ def _every_in_second_pass(view: View, source: FrameSource, seen: ClipPoses) -> i
     time. With several cameras poses do without marks."""
     if len(source.clips) > 1:
         return 1
-    return seen.every * spared(as_track(view, source, seen, shown_whole(view, seen) & seen.even), view.die)
+    return seen.every * decimation_factor(as_track(view, source, seen, shown_whole(view, seen) & seen.even), view.die)
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

@@ -23,12 +23,12 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import make_view, share_in_view
 from diethrow.tracking.pose.frame_poses import ClipPoses, longest_leap
 from diethrow.tracking.pose.refine import refine_pose
-from diethrow.tracking.sequence.frame_to_frame import Chase, widest_sigma
-from diethrow.tracking.sequence.initialisation import find_beginning
+from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
+from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
-from diethrow.tracking.sequence.track_clip import NoDieError, follow, look_through
+from diethrow.tracking.sequence.tracker import NoDieError, follow, track_clip
 from diethrow.tracking.throw.measurement import measure_throw
-from diethrow.tracking.throw.segmentation import spared
+from diethrow.tracking.throw.segmentation import decimation_factor
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
@@ -106,8 +106,8 @@ TIMES_FASTER = 6
 @pytest.fixture
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
-    monkeypatch.setattr("diethrow.tracking.pose.frame_poses.PLENTY", FRAMES)
-    monkeypatch.setattr("diethrow.tracking.throw.segmentation.PLENTY", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.pose.frame_poses.ENOUGH_FRAMES", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.throw.segmentation.ENOUGH_FRAMES", FRAMES)
 
 
 @pytest.mark.usefixtures("few_are_plenty")
@@ -117,7 +117,7 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
     source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
-    beginning = find_beginning(view, source, np.zeros(count, bool))
+    beginning = find_initial_pose(view, source, np.zeros(count, bool))
     assert beginning is not None
     chase, seen = beginning
     chase.to_the_end(source, seen, lambda frame: None, all_frames=False)
@@ -170,7 +170,7 @@ def test_on_such_a_film_a_spinning_die_that_lands_keeps_its_labelling_on_every_f
     throw = Landing(Flight(release, np.inf), lands_s)
     clip = film(ROOM, CUBE, throw, 300, fps=fps, spots=pips(CUBE))
     told: list[tuple[int, int]] = []
-    track = look_through(
+    track = track_clip(
         clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), progress=lambda done, total: told.append((done, total))
     ).track
     assert track.shared is not None, "marks were used"
@@ -200,8 +200,8 @@ def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() ->
     """No frame of a flight at usual speed is spared because of a long rest behind it, those of slow motion are."""
     usual = Flight(falling_cube().flights[0].start, np.inf)
     times, slow = np.arange(FRAMES + 40_000) / FPS, np.arange(4000) / (40.0 * FPS)
-    assert spared(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
-    assert spared(tracked(slow, *usual.poses(slow)), CUBE) > 3
+    assert decimation_factor(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
+    assert decimation_factor(tracked(slow, *usual.poses(slow)), CUBE) > 3
 
 
 def tracked(times_s: Array, position_m: Array, quaternion: Array) -> Track:
@@ -243,7 +243,7 @@ def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
     view = replace(ROOM, table=np.asarray(table, np.float32)).view(CUBE)
     state = falling_cube().at(0.0)
     pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), state.position_m, state.rotation)
-    chase = Chase.from_start(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
+    chase = FrameTracker.from_start(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
     chase.over(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
     blank = np.isnan(chase.view.backgrounds[0])
     columns = np.flatnonzero(blank.any(0))
