@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         model = measured_model(chosen.rounds, chosen.throws)
         clips = {name: measured_clip(name, chosen.rounds) for name in chosen.clips}
     for name, rows in clips.items():
-        draw(chosen.out / f"trades_{name}.svg", [r for r in rows if not r.is_work], "χ may be off by")
+        draw(chosen.out / f"trades_{name}.svg", [r for r in rows if not r.is_work], "uncertainty of χ")
     draw(chosen.out / "trades_model.svg", model, "share on another face")
     (chosen.out / "trades.md").write_text(page(command, chosen.rounds, chosen.throws, clips, model), encoding="utf-8")
     return 0
@@ -242,47 +242,47 @@ def page(command: str, rounds: int, throws: int, clips: dict[str, list[Row]], mo
     parts = [
         f"""# Speed against accuracy
 
-What a choice between faster and finer costs and gains, measured on the clips in `data_samples` and beside other engines:
-`diethrow trade SCENE` does the same on one's own scene and names the setting to use. This page was written by
+The cost and gain of choices between faster and finer, measured on the clips in `data_samples` and against other engines.
+`diethrow trade SCENE` does the same on any scene and recommends a setting. This page was written by
 
 ```sh
 {command}
 ```
 
-Speed is a ratio to the default, which runs just before and just after, by the time of one processor: the median of {rounds}
-rounds in which everything runs by turns, and in brackets the range. In bold is what nothing beats in both speed and accuracy;
-numbers in the pictures are those of the tables, right is faster, low is better.
+Speed is the ratio of processor times to the default, which runs just before and just after: the median of {rounds}
+rounds in which all settings take turns, with the range in brackets. Bold settings are on the front: none is both faster and more accurate;
+the pictures use the numbers of the tables.
 
 ## Tracking and fit
 
-The default is `--quality standard` on the whole clip. χ is that of the whole way from clip to fit; *±* is the half width of
-its 95 % interval, *off by* its distance from the truth with which the clip was rendered. Corners are compared with those of
+The default is `--quality standard` on the whole clip. χ is the result of the whole analysis; *±* is the half width of
+its 95 % interval, *error* its distance from the truth of the rendered clip. Corners are compared with those of
 the finest run. In a clip's second table the standard quality has one of its numbers changed: pixel lines walked along the
-edges and pixels that judge a pose are what is looked at; first poses and rivals are hypotheses.
+edges, pixels that score a pose, initial poses and hypotheses.
 """
     ]
     for name, rows in clips.items():
         ladder, work = [r for r in rows if not r.is_work], [r for r in rows if r.is_work]
-        parts.append(f"### {name}\n\n![Speed against the doubt of χ](trades_{name}.svg)\n")
-        parts.append(table(["", "setting", "speed", "χ", "±", "off by", "corners [mm]"], clip_cells(ladder)))
-        parts.append(table(["", "standard, but", "speed", "χ", "±", "off by", "corners [mm]"], clip_cells(work)))
+        parts.append(f"### {name}\n\n![Speed against the interval width of χ](trades_{name}.svg)\n")
+        parts.append(table(["", "setting", "speed", "χ", "±", "error", "corners [mm]"], clip_cells(ladder)))
+        parts.append(table(["", "standard, but", "speed", "χ", "±", "error", "corners [mm]"], clip_cells(work)))
         reasons = [f"- {r.setting.name}: {r.setting.why_not}" for r in rows if r.setting.why_not is not None]
         if reasons:
             parts.append("χ stays open:\n\n" + "\n".join(reasons) + "\n")
     parts.append(
-        f"""## Model, beside other engines
+        f"""## The model against other engines
 
 {throws} throws of a cube of 2 cm from 0.3 m at 40 rad/s, χ = {CHI:g}, no friction, until the face is decided. The engines are
-set up as `benchmarks/peers.py` says, each as near to a rigid impact as it comes; what that script prints is how their states
-agree impact by impact. The default is events with roots to {TOLERANCES_M[0]:.0e} m; by chance five throws in six land
-on another face.
+set up as in `benchmarks/peers.py`, each as near to a rigid impact as it allows; that script prints how their states agree
+impact by impact. The default is events with roots to {TOLERANCES_M[0]:.0e} m; by chance five throws in six land on
+another face.
 
 ![Speed against the share of throws on another face](trades_model.svg)
 """
     )
     cells = [[str(k), r.setting.name, ratio(r), f"{r.setting.error or 0.0:.1%}"] for k, r in enumerate(model, start=1)]
     parts.append(
-        table(["", "way", "speed", "on another face"], [bold(c, r) for c, r in zip(cells, model, strict=True)])
+        table(["", "method", "speed", "on another face"], [bold(c, r) for c, r in zip(cells, model, strict=True)])
     )
     return "\n".join(parts)
 
