@@ -250,8 +250,8 @@ The cost and gain of choices between faster and finer, measured on the clips in 
 ```
 
 Speed is the ratio of processor times to the default, which runs just before and just after: the median of {rounds}
-rounds in which all settings take turns, with the range in brackets. Bold settings are on the front: none is both faster and more accurate;
-the pictures use the numbers of the tables.
+rounds in which all settings take turns, with the range in brackets. Bold settings are on the front: none is both faster and
+more accurate; the pictures use the numbers of the tables.
 
 ## Tracking and fit
 

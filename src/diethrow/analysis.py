@@ -1,4 +1,4 @@
-"""analysis."""
+"""Values of an analysis: what tracking and fitting found, and what a run reports on the way."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from .tracking.surface_marks import FaceNumbers
 from .tracking.track import Track
 
 Progress = Callable[[str, int, int], None]
-"""Told the name of the stage, what is done and what there is to do; a total of 0 where that is not known."""
+"""Called with the name of the stage, the amount done and the total; a total of 0 is unknown."""
 
 
 class RunError(ValueError):
-    """A run whose input is well formed and still gives no result; the text says why."""
+    """A run with well-formed input and no result; the text states the reason."""
 
 
 @dataclass(frozen=True)
 class Shown:
-    """What is drawn of a throw besides the recording and the plain report."""
+    """What is written besides the recording and the plain report."""
 
     embed_replay: bool = False
-    """The viewer and the recording within the report: some 20 MB more."""
+    """Embed the viewer and the recording in the report: some 20 MB more."""
     figures: bool = False
-    """Every figure of the report as a file of its own, PNG and SVG."""
+    """Also write every figure of the report as PNG and SVG."""
 
 
 PLAIN = Shown()
@@ -41,36 +41,36 @@ PLAIN = Shown()
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """What the footage says, before any model of an impact."""
+    """Result of tracking, which needs no impact law."""
 
     clips: tuple[Clip, ...]
-    """One a camera, as they were looked through."""
+    """One per camera, as used."""
     cameras: tuple[Camera, ...]
     die: Die
-    """The scene's, with its faces in the order of the numbers on them where those could be read."""
+    """The scene's die, with its faces in the order of their numbers if those could be read."""
     faces: FaceNumbers
-    """What could be read on the faces."""
+    """Numbers read from the faces."""
     frames: Track
     """The pose of each frame alone."""
-    straight: Track
-    """The same with the error that all frames share taken out, and covariances for a fit that takes them for independent."""
+    unbiased: Track
+    """The same without the bias common to all frames, with covariances for a fit that assumes independent errors."""
     measured: Throw
     smoothed: Track
-    """The same frames, with the exact motion of the flights where it holds."""
+    """The same frames, with the exact motion of the flights in flight."""
     offsets: Offsets
-    """Of the clocks of several cameras."""
+    """Clock offsets of several cameras."""
     corners: Corners | None
-    """How rounded the die looks; None where the scene says it, or the corners look sharp. `die` has that radius."""
+    """Estimated corner radius, which `die` has; None if the scene states it or the corners look sharp."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
-        """The number on each face of `die`; None where it could not be read."""
+        """The number on each face of `die`; None if it could not be read."""
         count = len(self.faces.numbers)
         return tuple(range(1, count + 1)) if self.faces.complete else self.faces.numbers
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a careful reader should know of the footage and of the motion in it, one sentence each."""
+        """Reservations about the footage and the motion in it, one sentence each."""
         return (
             *(n for clip in self.clips for n in clip.notices),
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
@@ -89,16 +89,16 @@ class Analysis:
     measured: Throw
     fit: Fit
     notices: tuple[str, ...]
-    """What a careful reader should know of the footage, one sentence each."""
+    """Reservations about the footage, one sentence each."""
     seconds: dict[str, float]
-    """Time that each stage took."""
+    """Time of each stage [s]."""
 
 
 def silent(stage: str, done: int, total: int) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 def rate_hz(track: Track) -> float:
-    """Frames a second of the clock of the track, whatever it came from."""
+    """Frames per second of the track's clock."""
     steps = np.diff(track.time_s) / np.maximum(np.diff(track.frame), 1)
     return 1.0 / float(np.median(steps))

@@ -1,6 +1,6 @@
-"""Where work is done: processes of this machine that may be killed one by one, or a Dask cluster.
+"""Executors: local processes, each of which may die alone, and Dask clusters; and limits on threads.
 
-Nothing that computes is imported here, because a worker must set its limits before the libraries read them.
+This module imports no numerical library, because a worker must set its limits before the libraries read them.
 """
 
 from __future__ import annotations
@@ -21,34 +21,34 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 THREAD_LIMITS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-"""What the libraries under numpy, scipy and numba read when they are loaded."""
+"""Environment variables that the libraries below numpy, scipy and numba read when they are loaded."""
 ANSWER_S = 10.0
-"""For a scheduler to answer."""
+"""Time [s] for a scheduler to answer."""
 SECONDS_TO_STOP = 5.0
-"""For a worker to sweep up after itself before it is killed."""
+"""Time [s] for a worker to clean up before it is killed."""
 
 
 class WorkerLostError(RuntimeError):
-    """The process that worked on a call died, by a signal or for want of memory."""
+    """The process that executed a call died, by a signal or for lack of memory."""
 
 
 class Processes(Executor):
     """Single processes of this machine, one core each.
 
-    Unlike in a `ProcessPoolExecutor`, the death of a worker costs the call that it had in hand and no other: that call
-    raises WorkerLostError, and a new process takes the place. Workers die with their parent, however it ends, and ignore
-    Ctrl-C, which is their parent's affair.
+    Unlike in a `ProcessPoolExecutor`, the death of a worker affects only its current call: that call raises WorkerLostError,
+    and a new process replaces the worker. Workers end with their parent, however it ends, and ignore Ctrl-C, which their
+    parent handles.
     """
 
     def __init__(self, workers: int) -> None:
-        """`workers` processes, started when they are first needed. Raises ValueError below 1."""
+        """`workers` processes, started when first needed. Raises ValueError below 1."""
         if workers < 1:
             raise ValueError(f"{workers} workers: wanted 1 or more")
         self.workers = workers
         self._own = threading.local()
         self._all: set[_Worker] = set()
         self._stopped = False
-        # One thread waits for each process; what is submitted queues up in front of them.
+        # One thread waits for each process; submitted calls queue before the threads.
         self._threads = ThreadPoolExecutor(workers)
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
@@ -81,7 +81,7 @@ class Processes(Executor):
         self.shutdown(wait=True)
 
     def _ask(self, fn: Callable[..., T], args: Any, kwargs: Any) -> T:
-        """Run one call in the process of this thread, and replace the process where it dies."""
+        """Run one call in the process of this thread, and replace the process if it died."""
         worker: _Worker | None = getattr(self._own, "worker", None)
         if worker is None or not worker.process.is_alive():
             if self._stopped:
@@ -114,13 +114,13 @@ class _Worker:
         far_end.close()
 
     def ask(self, call: tuple[Any, ...]) -> tuple[bool, Any]:
-        """Whether the call came to its end, and its result or its exception. Raises EOFError or OSError where it died."""
+        """Whether the call returned, and its result or exception. Raises EOFError or OSError if the process died."""
         self._pipe.send(call)
         done, value = self._pipe.recv()
         return bool(done), value
 
     def end(self) -> str:
-        """Close the pipe, wait for the process, and tell how it ended."""
+        """Close the pipe, wait for the process, and return how it ended."""
         self._pipe.close()
         self.process.join(SECONDS_TO_STOP)
         if self.process.is_alive():
@@ -129,7 +129,7 @@ class _Worker:
         code = self.process.exitcode or 0
         if code >= 0:
             return f"exit status {code}"
-        hint = ", perhaps for want of memory" if -code == 9 else ""
+        hint = ", perhaps for lack of memory" if -code == 9 else ""
         return f"{signal.Signals(-code).name}{hint}"
 
 
@@ -139,7 +139,7 @@ def _kill(workers: Iterable[_Worker]) -> None:
 
 
 def _serve(pipe: Connection) -> None:
-    """The life of a worker: take a call, do it, give the result back, until the pipe is closed."""
+    """The loop of a worker: receive a call, execute it, return the result, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_die_with_parent, daemon=True).start()
     while True:
@@ -151,13 +151,13 @@ def _serve(pipe: Connection) -> None:
             answer: tuple[bool, Any] = True, fn(*args, **kwargs)
         except KeyboardInterrupt:  # what SIGTERM is turned into while an output is written
             return
-        except Exception as error:  # handed on to whoever asked
+        except Exception as error:  # raised again in the parent
             answer = False, error
         pipe.send(answer)
 
 
 def _die_with_parent() -> None:
-    """A killed parent cannot tell its workers to stop; at once, so that the next run finds no lock of theirs."""
+    """End with the parent, which cannot stop its workers when it is killed; at once, so that no lock remains."""
     parent = parent_process()
     if parent is not None:
         wait([parent.sentinel])
@@ -166,7 +166,7 @@ def _die_with_parent() -> None:
 
 @contextmanager
 def _limits_in_environment() -> Iterator[None]:
-    """One thread for each library, in the processes that are started within the block."""
+    """One thread per library in the processes started within the block."""
     before = {name: os.environ.get(name) for name in THREAD_LIMITS}
     os.environ.update(dict.fromkeys(THREAD_LIMITS, "1"))
     try:
@@ -180,7 +180,7 @@ def _limits_in_environment() -> Iterator[None]:
 
 
 class _OneThread:
-    """How many blocks want one thread at the moment, and what was there before the first."""
+    """The number of active `one_thread` blocks, and how to restore the limits before the first."""
 
     lock = threading.Lock()
     blocks = 0
@@ -189,9 +189,9 @@ class _OneThread:
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Linear algebra and OpenCV on one thread within the block, whatever the process was started with.
+    """Linear algebra and OpenCV on one thread within the block.
 
-    Sums over several threads are rounded in another order: results must not depend on the machine they were made on.
+    Sums over several threads are rounded in another order, and results must not depend on the number of cores.
     """
     with _OneThread.lock:
         if _OneThread.blocks == 0:
@@ -207,7 +207,7 @@ def one_thread() -> Iterator[None]:
 
 
 def _limit_to_one_thread() -> Callable[[], None]:
-    """Set the limits of this process; returns what takes them back."""
+    """Set the limits of this process and return the function that restores them."""
     import cv2
     from threadpoolctl import threadpool_limits
 
@@ -224,10 +224,10 @@ def _limit_to_one_thread() -> Callable[[], None]:
 
 @contextmanager
 def cluster_at(address: str) -> Iterator[Executor]:
-    """A Dask cluster, by the address of its scheduler (tcp://host:port), as an executor.
+    """An executor on the Dask cluster whose scheduler is at `address` (tcp://host:port).
 
-    Every worker must see the same files under the same paths, and have this version installed. Raises ValueError where
-    Dask is not installed, ConnectionError where nobody answers.
+    Every worker must see the same files under the same paths, and have this version installed. Raises ValueError if Dask is not
+    installed or the versions differ, ConnectionError if no scheduler answers.
     """
     try:
         from distributed import Client, KilledWorker
@@ -237,20 +237,22 @@ def cluster_at(address: str) -> Iterator[Executor]:
         client = Client(address, timeout=ANSWER_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         reason = " ".join(str(error).split())
-        raise ConnectionError(f"no Dask scheduler answers at {address} ({reason}); try dask scheduler there") from error
+        raise ConnectionError(
+            f"no Dask scheduler answers at {address} ({reason}); start one there with dask scheduler"
+        ) from error
     try:
         _demand_same_version(client, address)
         yield client.get_executor(pure=False)
     except KilledWorker as error:
         raise ConnectionError(
-            f"workers of the cluster at {address} died of their work ({error}); see their logs"
+            f"workers of the cluster at {address} died during their work ({error}); see their logs"
         ) from error
     finally:
         client.close()
 
 
 def _demand_same_version(client: Any, address: str) -> None:
-    """Raises ValueError for a cluster without workers, or with other versions than this one's."""
+    """Raises ValueError for a cluster without workers, or with workers of another version."""
     from . import __version__
 
     versions = client.run(_version)
@@ -268,7 +270,7 @@ def _version() -> str:
 
 
 def width(executor: Executor) -> int:
-    """Calls that an executor can work on at the same time; the cores of this machine where it does not say."""
+    """Number of calls that an executor runs at the same time; this machine's cores if it does not state one."""
     client = getattr(executor, "_client", None)
     if client is not None and hasattr(client, "nthreads"):
         return max(1, sum(client.nthreads().values()))
@@ -280,5 +282,5 @@ def width(executor: Executor) -> int:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1

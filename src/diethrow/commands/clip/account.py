@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 def account_of(scene: Scene, tracking: Tracking, origin: Mapping[str, Any]) -> ReportDetails:
     """The account of an analysis whose provenance is `origin`."""
-    return ReportDetails(frames=tracking.straight, findings=findings_of(scene, tracking), origin=origin)
+    return ReportDetails(frames=tracking.unbiased, findings=findings_of(scene, tracking), origin=origin)
 
 
 def findings_of(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:

@@ -1,7 +1,7 @@
-"""From a clip to a replay: follow the die, find its bounces, fit the model, and write everything down.
+"""`diethrow analyze`: track the die, find its bounces, fit the model, and write the results.
 
-Each step is one public function of its stage; this module only carries values from one to the next, keeps the time,
-and puts the records into a folder that appears whole or not at all.
+Each step is one public function of its stage. This module passes values from one to the next, measures the time, and writes the
+records into a folder that appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def analyze(
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
-        fit = run_fit(tracking.straight, tracking.measured, tracking.die, progress, watch, intervals)
+        fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
         simulated = write_model(folder, fit, tracking.frames)
@@ -61,7 +61,7 @@ def analyze(
             camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=growing(tracking.straight, tracking.measured, tracking.die, fit, progress, watch),
+            estimates=growing(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)

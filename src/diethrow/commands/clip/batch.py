@@ -1,9 +1,9 @@
-"""Many scenes: each one analysed into a folder of its own, in whatever order and on whatever machine.
+"""`diethrow batch`: many scenes, each analysed into its own folder, in any order and on any machine.
 
-A clip is finished when its folder is there: folders appear whole (`outputs`), and `provenance.json` in them says which
-version made them from which bytes. So nothing else has to be remembered: a batch that was stopped or killed is begun
-again and does what is missing. `results.csv` and `failures.csv` are written anew after every clip, in the order of the
-scenes, and hold the same numbers wherever the work was done.
+A clip is finished when its folder exists: folders appear whole (`files.outputs`), and their `provenance.json` states which
+version made them from which bytes. No other state is kept, so the same command continues a batch that was stopped or killed.
+`results.csv` and `failures.csv` are rewritten as clips are finished, in the order of the scenes, and hold the same numbers
+wherever the work is done.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from ...files.scene import Scene, read_scene
 from ...files.settings import SceneError
 
 ATTEMPTS = 3
-"""A clip whose worker dies so often is given up: it may be what kills them."""
+"""A clip fails after its worker has died this often: the clip may be the cause."""
 TRACK_FILES = ("provenance.json", "track.csv", "bounces.csv")
-"""What a finished folder holds in any case."""
+"""Files that every finished folder holds."""
 TABLES_EVERY_S = 2.0
-"""Between two writings of the tables while clips come in; the last is always written."""
+"""Shortest time [s] between two updates of the tables; the final tables are always written."""
 
 Stage = Literal["analyze", "track"]
 Kind = Literal["scene", "clip", "output", "worker", "error"]
@@ -38,25 +38,25 @@ Kind = Literal["scene", "clip", "output", "worker", "error"]
 
 @dataclass(frozen=True)
 class Task:
-    """One scene, and the folder that its results become."""
+    """One scene, and the folder of its results."""
 
     scene: Path
     folder: Path
     stage: Stage
     quality: str
     allow_outside: bool = False
-    """Whether the scene may name files outside its folder."""
+    """Whether files outside the scene's folder are allowed."""
 
     @property
     def command(self) -> tuple[str, ...]:
-        """What would do the same alone."""
+        """The command that does the same for this scene alone."""
         outside = ("--allow-outside",) if self.allow_outside else ()
         return ("diethrow", self.stage, str(self.scene), "--out", str(self.folder), *outside, "--quality", self.quality)
 
 
 @dataclass(frozen=True)
 class Result:
-    """A row of results.csv; None where the stage does not tell, or nothing could be determined."""
+    """A row of results.csv; None for what the stage does not compute or could not determine."""
 
     scene: str
     folder: str
@@ -71,9 +71,9 @@ class Result:
     residual_rms: float | None
     landed_face: int | None
     verdict: str
-    """`fitted`, `fitted, no interval`, `chi not determined`, or `tracked` where no fit was asked for."""
+    """`fitted`, `fitted, no interval`, `chi not determined`, or `tracked` without a fit."""
     seconds: float
-    """Of work, when it was done."""
+    """Working time [s]."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class Failure:
 
     scene: str
     kind: Kind
-    """Where to look: in the scene file, in the clip, at the place of the output, at the workers, or in this program."""
+    """Where the cause lies: the scene file, the clip, the output folder, the workers, or this program."""
     reason: str
     """One sentence."""
     attempts: int = 1
@@ -90,16 +90,16 @@ class Failure:
 
 @dataclass(frozen=True)
 class Standing:
-    """How far a batch is."""
+    """Progress of a batch."""
 
     done: int
-    """Clips that need no more work, failed ones among them."""
+    """Clips that need no more work, including failed ones."""
     failed: int
     total: int
     left_s: float | None
-    """Estimate of the time that the rest takes, from the clips done so far; None before the first."""
+    """Estimated time left [s], from the clips done so far; None before the first."""
     last: str
-    """The scene that was done last."""
+    """The scene finished last."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class Batch:
     results: tuple[Result, ...]
     failures: tuple[Failure, ...]
     kept: int
-    """Clips that were finished before and not done again."""
+    """Clips finished earlier and not analysed again."""
 
 
 def run_batch(
@@ -124,14 +124,14 @@ def run_batch(
     allow_outside: bool = False,
     progress: Callable[[Standing], None] = lambda standing: None,
 ) -> Batch:
-    """Analyse every scene into a folder of its own in `out`, and write one table of results and one of failures.
+    """Analyse every scene into its own folder in `out`, and write one table of results and one of failures.
 
-    The work is done by `executor`, any of `concurrent.futures`, whose workers must see the same files; left out, by
-    `workers` processes of this machine (one for each core). Begun again, it does what is missing, what failed, and what
-    was made by another version, at another quality or from other bytes. A clip whose worker dies is tried elsewhere.
+    `executor` does the work: any of `concurrent.futures` whose workers see the same files; by default `workers` local processes
+    (one per core). A repeated call analyses what is missing, what failed, and what another version, another quality or other
+    bytes made. A clip whose worker dies is tried by another worker.
 
-    Raises ValueError for no scene, OutputBusyError where another batch writes to `out`, OutputExistsError where `out` is
-    a file, and OutputPlaceError where nothing can be written there.
+    Raises ValueError without a scene, OutputBusyError if another batch writes to `out`, OutputExistsError if `out` is a file, and
+    OutputPlaceError if it cannot be written.
     """
     if not scenes:
         raise ValueError("no scenes: wanted one scene file or more")
@@ -156,8 +156,8 @@ def run_batch(
 def tasks_of(
     scenes: Sequence[Path], out: Path, stage: Stage = "analyze", quality: str = "standard", allow_outside: bool = False
 ) -> list[Task]:
-    """The work on each scene, once. A folder is named after that of its scene, or after the file unless that is
-    `scene.toml`; where names are the same, the folders above are put in front."""
+    """One task per scene. A folder is named after that of its scene, or after the file if that is not `scene.toml`; equal names
+    are preceded by the names of the folders above."""
     paths = list(dict.fromkeys(Path(scene).absolute() for scene in scenes))
     parts = [(*path.parent.parts[1:], *(() if path.name == "scene.toml" else (path.stem,))) for path in paths]
     depth = dict.fromkeys(parts, 1)
@@ -175,7 +175,7 @@ def tasks_of(
 
 
 def is_finished(task: Task) -> bool:
-    """Whether the folder of a task is there and was made by this version, in this way, from the bytes that are there now."""
+    """Whether the folder of a task exists and was made by this version, stage and quality from the present bytes."""
     wanted = (*TRACK_FILES, *(("fit.json",) if task.stage == "analyze" else ()))
     if not all((task.folder / name).is_file() for name in wanted):
         return False
@@ -187,13 +187,13 @@ def is_finished(task: Task) -> bool:
     try:
         now = files_read(input_paths(read_scene(task.scene, allow_outside=task.allow_outside)))
     except (SceneError, OSError):
-        return False  # doing it again tells what is wrong
+        return False  # analysing it again reports what is wrong
     return tuple(file.sha256 for file in now) == origin.digests
 
 
 @dataclass(frozen=True)
 class _Origin:
-    """What the provenance of a folder says of how it was made."""
+    """How a folder was made, by its provenance."""
 
     version: str
     stage: str
@@ -203,7 +203,7 @@ class _Origin:
 
     @classmethod
     def of(cls, folder: Path) -> _Origin | None:
-        """None where the file does not say."""
+        """None if the file does not state it."""
         try:
             origin = read_json(folder / "provenance.json")
             command = [str(word) for word in origin["command"]]
@@ -215,7 +215,7 @@ class _Origin:
 
 
 def work(task: Task) -> Failure | None:
-    """Do one clip, in a worker; what went wrong comes back as a value, since a batch goes on."""
+    """Analyse one clip in a worker; a failure is returned as a value, so that the batch continues."""
     from ...analysis import RunError
     from ...tracking.quality import QUALITIES
     from .analyze import analyze
@@ -233,16 +233,18 @@ def work(task: Task) -> Failure | None:
         return _failure(task, "scene", error)
     except (RunError, InputChangedError, OSError, ValueError) as error:
         return _failure(task, "clip", error)
-    except Exception as error:  # a mistake of this program on one clip must not cost the others
+    except Exception as error:  # a fault of this program on one clip must not stop the others
         error.add_note(type(error).__name__)
         return _failure(task, "error", error)
     return None
 
 
 def refuse_existing_of_others(folder: Path) -> None:
-    """Raises OutputExistsError for a folder that no run of this program made: a batch replaces its own only."""
+    """Raises OutputExistsError for a folder that this program did not make; a batch replaces only its own."""
     if folder.exists() and not (folder / "provenance.json").is_file():
-        raise OutputExistsError(f"{folder} exists and holds no results; move it away, or try another --out")
+        raise OutputExistsError(
+            f"{folder} exists and holds no results of diethrow; move it away, or choose another --out"
+        )
 
 
 def result_of(task: Task) -> Result:
@@ -274,7 +276,7 @@ def result_of(task: Task) -> Result:
 
 
 def write_table(path: Path, kind: type[Any], rows: Sequence[Any]) -> None:
-    """A CSV table of frozen values, one a row; the file is replaced in one step."""
+    """A CSV table with one frozen value per row; the file is replaced in one step."""
     names = [part.name for part in fields(kind)]
     with whole_file(path, force=True) as aside, aside.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -283,7 +285,7 @@ def write_table(path: Path, kind: type[Any], rows: Sequence[Any]) -> None:
 
 
 class _Ledger:
-    """What is known of every clip of a batch, and the tables of it."""
+    """State and tables of a batch."""
 
     def __init__(self, out: Path, tasks: Sequence[Task], progress: Callable[[Standing], None]) -> None:
         self._out, self._tasks, self._progress = out, tasks, progress
@@ -294,23 +296,23 @@ class _Ledger:
         self._written = -TABLES_EVERY_S
 
     def found(self, task: Task) -> bool:
-        """Enter a clip that is finished already."""
+        """Whether a clip is finished already; then it is entered."""
         if not is_finished(task):
             return False
         self._known[task] = result_of(task)
         self._kept += 1
-        self._tell(task)
+        self._report(task)
         return True
 
     def take(self, outcomes: Iterator[tuple[Task, Failure | None]]) -> None:
-        """Enter what comes in, and keep the tables up to date."""
+        """Enter outcomes as they arrive, and update the tables."""
         self._begin = time.monotonic()
         for task, failure in outcomes:
             self._known[task] = failure or result_of(task)
             self._fresh += 1
             if time.monotonic() - self._written > TABLES_EVERY_S:
                 self.write()
-            self._tell(task)
+            self._report(task)
 
     def write(self) -> None:
         """Both tables."""
@@ -320,12 +322,12 @@ class _Ledger:
         self._written = time.monotonic()
 
     def batch(self) -> Batch:
-        """What is known, in the order of the scenes."""
+        """Results and failures so far, in the order of the scenes."""
         known = [self._known[task] for task in self._tasks if task in self._known]
         results = tuple(each for each in known if isinstance(each, Result))
         return Batch(self._out, results, tuple(each for each in known if isinstance(each, Failure)), self._kept)
 
-    def _tell(self, task: Task) -> None:
+    def _report(self, task: Task) -> None:
         done, total = len(self._known), len(self._tasks)
         took = time.monotonic() - self._begin
         left_s = took / self._fresh * (total - done) if self._fresh else None
@@ -334,7 +336,7 @@ class _Ledger:
 
 
 def _worked(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, Failure | None]]:
-    """Each task with what went wrong, as they come in; a task whose worker died is handed out again."""
+    """Each task with its failure or None, in order of completion; a task whose worker died is submitted again."""
     running: dict[Future[Failure | None], Task] = {}
     losses: Counter[Task] = Counter()
 
@@ -346,13 +348,13 @@ def _worked(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, F
         return None
 
     def outcome(future: Future[Failure | None], task: Task) -> tuple[bool, Failure | None]:
-        """Whether the task is settled, and how."""
+        """Whether the task is finished, and its failure or None."""
         try:
             return True, future.result()
         except (WorkerLostError, BrokenExecutor, CancelledError) as error:
             lost: Exception = error
         except Exception as error:
-            # Dask's own error for a task whose workers die; by name, because Dask may not be installed.
+            # Dask's error for a task whose workers die; compared by name, because Dask may not be installed.
             if type(error).__name__ != "KilledWorker":
                 raise
             lost = error
@@ -370,8 +372,8 @@ def _worked(tasks: Sequence[Task], executor: Executor) -> Iterator[tuple[Task, F
             done, _ = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 task = running.pop(future)
-                settled, failed = outcome(future, task)
-                if settled:
+                finished, failed = outcome(future, task)
+                if finished:
                     yield task, failed
     finally:
         for future in running:

@@ -1,4 +1,4 @@
-"""`diethrow calibrate`: from pictures of a board to the [camera] table of a scene, with its errors and a page."""
+"""`diethrow calibrate`: the [camera] table of a scene from pictures of a board, with standard errors and a page."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from ...tracking.footage import Frame, is_cine, is_photron, open_clip, read_pict
 
 @dataclass(frozen=True, eq=False)
 class CameraFound:
-    """What `calibrate_camera` wrote to `folder`."""
+    """Result of `calibrate_camera`, as written to `folder`."""
 
     folder: Path
     calibration: Calibration
     table: TablePose | None
     notices: tuple[str, ...]
-    """What a careful user should know, one sentence each."""
+    """One sentence each."""
 
 
 def calibrate_camera(
@@ -49,10 +49,10 @@ def calibrate_camera(
     force: bool = False,
     command: tuple[str, ...] = (),
 ) -> CameraFound:
-    """Camera, and with a picture of the board on the table its place, written to the folder `out`.
+    """Calibrate the camera and, with a picture of the board on the table, its pose; write both to the folder `out`.
 
-    A picture may also be a .cine or a Photron film, of which the first frame counts. Raises ValueError or
-    FileNotFoundError, in one sentence, for pictures that cannot be used, and OutputExistsError for a folder that exists.
+    A picture may also be a .cine or a Photron film, of which the first frame is used. Raises ValueError or FileNotFoundError for
+    pictures that cannot be used, and OutputExistsError for a folder that exists.
     """
     watch = Stopwatch()
     paths = tuple(dict.fromkeys([*pictures, *([table] if table is not None else [])]))
@@ -100,9 +100,7 @@ def camera_toml(calibration: Calibration, table: TablePose | None) -> str:
 
 def _picture(path: Path) -> Frame:
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: there is no such picture; give pictures of the board, or films that begin with it"
-        )
+        raise FileNotFoundError(f"{path}: no such file; wanted pictures of the board, or films that begin with it")
     if is_cine(path) or is_photron(path):
         return open_clip(path).frame(0)
     return read_picture(path)
@@ -115,7 +113,7 @@ def _common_size(greys: list[tuple[str, Frame]]) -> tuple[int, int]:
         if grey.shape != shape:
             raise ValueError(
                 f"{name}: the picture is {grey.shape[1]} × {grey.shape[0]} px and {greys[0][0]} {shape[1]} × {shape[0]}; "
-                "take all pictures with one setting of the camera, that of the clips"
+                "take all pictures with the camera settings of the clips"
             )
     return int(shape[0]), int(shape[1])
 
@@ -127,7 +125,7 @@ def _seen(views: list[BoardView | None]) -> list[BoardView]:
 def _demand_table(table: Path | None, missing: tuple[Path, ...]) -> None:
     if table is not None and table in missing:
         raise ValueError(
-            f"{table}: no board is found on the picture of the table; look at --board, --squares and --dictionary, "
+            f"{table}: no board is found on the picture of the table; check --board, --squares and --dictionary, "
             "or take it again, sharp and without glare"
         )
 
@@ -140,7 +138,7 @@ def _not_found(missing: tuple[Path, ...]) -> tuple[str, ...]:
 
 
 def _listed(values: NDArray[np.float64]) -> str:
-    """A TOML array in the shortest digits that mean the same doubles."""
+    """A TOML array in the shortest digits that round-trip."""
     return str(values.tolist())
 
 

@@ -1,4 +1,4 @@
-"""`diethrow check`: what a clip offers, before it is tracked: every respect with a verdict and what to change."""
+"""`diethrow check`: the quality of a clip before tracking; every finding with a verdict and advice."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from .track import check_scene, input_paths, open_background, open_footage
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """What `check_clip` found."""
+    """Result of `check_clip`."""
 
     findings: tuple[Finding, ...]
-    """Of several cameras each finding names its own: `pixels, camera 2`."""
+    """With several cameras each finding names its camera: `pixels, camera 2`."""
     measured: tuple[Preflight, ...]
-    """One a camera."""
+    """One per camera."""
 
     @property
     def bad(self) -> bool:
-        """Whether something should be put right first."""
+        """Whether a finding must be corrected before tracking."""
         return any(finding.verdict is Verdict.BAD for finding in self.findings)
 
 
 def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, command: tuple[str, ...] = ()) -> Check:
-    """Look at the clips of a scene, one a camera; with `out`, check.json and check.html are written to that folder.
+    """Examine the clips of a scene, one per camera; with `out`, write check.json and check.html to that folder.
 
     Raises SceneError for footage that does not fit the scene, and OutputExistsError for a folder that exists.
     """
@@ -68,15 +68,15 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
         with watch.stage("open"):
             clips.append(open_footage(scene, view))
         with watch.stage("check"):
-            # A start by hand was clicked in the first camera's picture.
+            # An initial pose by hand was clicked in the first camera's picture.
             measured.append(_measured(scene, view, clips[-1], scene.start if k == 0 else None))
-        told = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding)
-        findings += told if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in told]
+        found = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding)
+        findings += found if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in found]
     return Check(tuple(findings), tuple(measured)), clips
 
 
 def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> Preflight:
-    """What the clip of one camera offers."""
+    """Measurements on the clip of one camera."""
     background = open_background(scene, view, clip)
 
     def open_part(first: int, stop: int) -> Clip:

@@ -1,4 +1,4 @@
-"""commands.clip.track."""
+"""`diethrow track`: from the footage of a scene to poses, bounces and the files of the tracking stage."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def track_only(
 
 
 def smoothed_notices(track_path: Path) -> tuple[str, ...]:
-    """A sentence where the track is a smoothed one, and one of independent frames lies beside it."""
+    """A notice if the track is smoothed and one of independent frames lies beside it."""
     independent = track_path.with_name("track_frames.csv")
     if track_path.name != "track.csv" or not independent.exists():
         return ()
     return (
-        f"{track_path} is smoothed, so its errors go together and the intervals come out too narrow; "
-        f"fit {independent.name} beside it.",
+        f"{track_path} is smoothed, so its errors are correlated and the intervals will be too narrow; "
+        f"fit {independent.name} instead.",
     )
 
 
@@ -76,10 +76,10 @@ def track_scene(
     clips: Sequence[Clip] | None = None,
     decimation: Decimation = WHOLE_CLIP,
 ) -> Tracking:
-    """Follow the die through the footage of a scene, find its bounces, and smooth its flights.
+    """Track the die through the footage of a scene, find its bounces, and smooth its flights.
 
-    `clips`, one a camera, stand for the footage that the scene names. Raises SceneError for footage that does not fit the
-    scene, RunError where no die is found.
+    `clips`, one per camera, replace the footage that the scene names. Raises SceneError for footage that does not fit the
+    scene, RunError if no die is found.
     """
     watch = watch or Stopwatch()
     views = scene.views()
@@ -91,24 +91,24 @@ def track_scene(
         scene, clips, backgrounds, cameras = _decimated(scene, clips, backgrounds, decimation)
     try:
         with watch.stage("track"):
-            progress("Following the die", 0, len(clips[0]))
+            progress("Tracking the die", 0, len(clips[0]))
             followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
-        straight, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
+        unbiased, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
-        # A clip that is cut off may be why nothing is found in it.
+        # A truncated clip may be the reason why no die is found.
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
     return Tracking(
-        tuple(clips), cameras, die, faces, frames, straight, measured, smoothed, followed.offsets, followed.corners
+        tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners
     )
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
-    """The clip of a view. Raises SceneError where it cannot be read, or its frames are not the camera's."""
+    """The clip of a view. Raises SceneError if it is unreadable or its frames do not have the camera's size."""
     source: ClipSource = scene.clip
     assert view.path is not None, "views() demands paths"
     try:
@@ -133,7 +133,7 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     """The files of the tracking stage."""
     write_vertices(folder / "vertices.csv", scene.die.solid)
     write_track(folder / "track.csv", tracking.smoothed)
-    write_track(folder / "track_frames.csv", tracking.straight)
+    write_track(folder / "track_frames.csv", tracking.unbiased)
     write_bounces(folder / "bounces.csv", tracking.measured.impacts)
     write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
 
@@ -156,7 +156,7 @@ def _decimated(
 ) -> tuple[Scene, list[Clip], list[NDArray[np.float32] | None], tuple[Camera, ...]]:
     """Everything that a scene says of its footage, for the part of it that is used."""
     if scene.start is not None:
-        wanted = "a first pose by hand goes with the whole clip: leave out [start], or use every frame at its own size"
+        wanted = "an initial pose by hand needs the whole clip: leave out [start], --every and --shrink"
         raise refuse(scene.path, "start.frame", scene.start.frame, wanted)
     first = clips[0].first_frame
     source = replace(scene.clip, excluded=decimation.frame_ranges(first, scene.clip.excluded))
@@ -189,7 +189,7 @@ def _follow(
             excluded=scene.clip.excluded,
             rounding=scene.rounding,
             quality=quality,
-            progress=lambda done, total: progress("Following the die", done, total),
+            progress=lambda done, total: progress("Tracking the die", done, total),
         )
     except (ValueError, OSError) as error:
         raise RunError(f"{scene.path}: {error}") from error
@@ -210,17 +210,17 @@ def find_impacts(
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
-    """Raises RunError where there is no pose at all, with the likely reason."""
+    """Raises RunError, with the likely reason, if no frame has a pose."""
     absent, lost = int((frames.status == ABSENT).sum()), int((frames.status == LOST).sum())
     if absent == len(frames):
         raise RunError(
             f"{source}: no die was found in any frame (absent in all {absent}); "
-            "look whether the clip shows a throw, and whether the background is the scene without the die"
+            "check that the clip shows a throw, and that the background shows the scene without the die"
         )
     if absent + lost == len(frames):
         raise RunError(
             f"{source}: something moves, but no frame shows a {die.solid.name} of this size "
-            f"(lost in {lost} frames, absent in {absent}); look whether [die] and [camera] belong to this clip"
+            f"(lost in {lost} frames, absent in {absent}); check that [die] and [camera] belong to this clip"
         )
 
 
@@ -232,7 +232,7 @@ def same_command(
     decimation: Decimation,
     intervals: IntervalMethod = "profile",
 ) -> tuple[str, ...]:
-    """The command line that does the same; empty for a quality that has no name there."""
+    """The command line that does the same; empty for a quality without a name."""
     if quality not in QUALITIES.values():
         return ()
     less = ("--every", str(decimation.every), "--shrink", str(decimation.shrink)) if not decimation.is_whole else ()

@@ -1,21 +1,21 @@
-"""`diethrow trade`: speed against accuracy on one's own scene, measured.
+"""`diethrow trade`: speed against accuracy, measured on one scene.
 
 Four trades:
 
-- **Tracking**: the clip is followed at every quality, with all or every n-th frame, at its own or a smaller size; each
-  track is fitted. Told are frames of the clip a second, how far poses and χ are from the finest run (or from the truth,
-  where a `truth.toml` stands beside the scene), and the width of the χ interval.
-- **Work**: the standard quality with one of its numbers changed: pixel lines walked, pixels that judge a pose, first poses
-  and rivals that race, steps a frame. Told is the same.
-- **Fit**: on the finest track, χ from the bounces one by one, and from the whole throw with each kind of interval. Told
-  are seconds, width, and coverage: the share of tracks, simulated from the fit with the frames' own covariances, whose
-  interval holds the χ that made them.
-- **Model**: throws from the fitted release, spread as its covariance and a little orientation says, simulated by events
-  at several tolerances and in fixed steps in double and single precision. Told are throws a second and the share that
-  lands on another face than by exact events.
+- **Tracking**: the clip is tracked at every quality, with all or every n-th frame, at full or smaller size; each track is fitted.
+  Reported are frames per second, the distance of poses and χ from the finest run (or from the truth, if a `truth.toml` lies
+  beside the scene), and the width of the χ interval.
+- **Work**: the standard quality with one of its numbers changed: pixel lines, pixels that score a pose, initial poses,
+  hypotheses, steps per frame. The same is reported.
+- **Fit**: on the finest track, χ from single bounces, and from the whole throw with each kind of interval. Reported are seconds,
+  width, and coverage: the share of tracks, simulated from the fit with the frames' covariances, whose interval contains the
+  true χ.
+- **Model**: throws from the fitted release, spread by its covariance and a small rotation, simulated by events at several
+  tolerances and in fixed steps in double and single precision. Reported are throws per second and the share that lands on
+  another face than with exact events.
 
-A setting is on the front when none is both faster and better. The one to use for a wanted ±χ is the fastest tracking whose
-interval, and whose distance from the reference, are within it.
+A setting is on the front if none is both faster and more accurate. The recommended setting for a wanted ±χ is the fastest
+tracking whose interval, and whose distance from the reference, are within it.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ from .track import check_scene, input_paths, track_scene
 Array = NDArray[np.float64]
 
 WITHIN = 0.01
-"""The ±χ asked for where nobody says."""
+"""Wanted half-width of the interval of χ by default."""
 
 LADDER: tuple[tuple[str, int, int], ...] = (
     ("fast", 4, 2),
@@ -74,35 +74,35 @@ LADDER: tuple[tuple[str, int, int], ...] = (
     ("standard", 1, 1),
     ("fine", 1, 1),
 )
-"""Quality, every n-th frame, pixels each way that make one; the last is the finest."""
+"""Quality, every n-th frame, factor on the pixel size; the last is the finest."""
 
 FIRST_OF_LADDER = ("standard", 1, 1)
-"""Run once without a clock: what is compiled or read from the cache is no part of a speed."""
+"""Run once untimed, so that no speed includes compilation or loading of kernels."""
 
 WORK: tuple[tuple[str, Quality], ...] = (
-    ("every pixel line while the die is followed, not every second", replace(STANDARD, tracking_stride=1)),
+    ("every pixel line in the first pass, not every second", replace(STANDARD, tracking_stride=1)),
     ("every fourth pixel line", replace(STANDARD, tracking_stride=4)),
     ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
-    ("200 pixels judge a pose, not 800", replace(STANDARD, judging_pixels=200)),
+    ("200 pixels score a pose, not 800", replace(STANDARD, judging_pixels=200)),
     ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
-    ("1 first pose, not up to 24", replace(STANDARD, starts=1)),
-    ("6 first poses", replace(STANDARD, starts=6)),
-    ("no rival where the motion breaks off, not all", replace(STANDARD, rivals=0)),
-    ("6 rivals", replace(STANDARD, rivals=6)),
-    ("2 steps a frame, not 4", replace(STANDARD, fine_steps=2)),
+    ("1 initial pose, not up to 24", replace(STANDARD, starts=1)),
+    ("6 initial poses", replace(STANDARD, starts=6)),
+    ("no further hypothesis at a break of the motion, not all", replace(STANDARD, rivals=0)),
+    ("6 hypotheses", replace(STANDARD, rivals=6)),
+    ("2 steps per frame, not 4", replace(STANDARD, fine_steps=2)),
     ("8 steps", replace(STANDARD, fine_steps=8, enough=1e-3)),
 )
-"""The standard quality but for one number."""
+"""The standard quality with one number changed."""
 
 STEPS_S = (1e-3, 1e-4, 1e-5)
-"""Fixed steps; the longest is what general engines take."""
+"""Fixed time steps; general engines use the longest."""
 TOLERANCES_M = (1e-12, 1e-9, 1e-6)
-"""Roots of the next touch."""
+"""Tolerances of the root of the next touch."""
 THROWS = 400
 TURNED_RAD = 0.05
-"""Spread of the releases whose faces are compared: a hand that throws alike."""
+"""Spread of the releases whose faces are compared: the repeatability of a hand."""
 DRAWS = 20
-"""Tracks simulated for each coverage: an interval of 95 % then misses one of them."""
+"""Tracks simulated per coverage rate: a 95 % interval misses one of them on average."""
 
 
 def trade(
@@ -117,12 +117,12 @@ def trade(
 ) -> Trade:
     """Measure every setting on a scene, and write trade.json, trade.csv, trade.png, trade.svg and trade.html to `out`.
 
-    `within` is the wanted ±χ, `draws` the simulated tracks for each coverage; 0 leaves coverage out. Raises SceneError for
-    a scene that cannot be analysed, RunError where not even the finest setting finds the die, ValueError for a `within`
-    that is no width.
+    `within` is the wanted half-width of χ's interval, `draws` the simulated tracks per coverage rate; 0 omits coverage. Raises
+    SceneError for a scene that cannot be analysed, RunError if not even the finest setting finds the die, and ValueError for a
+    `within` outside (0, 1).
     """
     if not 0.0 < within < 1.0:
-        raise ValueError(f"within = {within}: wanted a half width of χ between 0 and 1, as 0.01")
+        raise ValueError(f"within = {within}: wanted a half-width of χ between 0 and 1, such as 0.01")
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
@@ -137,7 +137,7 @@ def trade(
 
 
 def read_trade(path: Path) -> tuple[Setting, ...]:
-    """The settings of a trade.json. Raises ValueError for a file that is none."""
+    """The settings of a trade.json. Raises ValueError for any other file."""
     try:
         data = json.loads(Path(path).read_text(encoding="utf-8"))
         return tuple(Setting(**{**row, "options": tuple(row["options"])}) for row in data["settings"])
@@ -176,9 +176,9 @@ def setting_for(
         if width is not None and width <= 0.5 * within:
             return quality, Decimation(every, shrink)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
-    told = "leaves χ open" if narrowest is None else f"gives ±{narrowest:.2g}"
+    best = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
     raise ValueError(
-        f"{scene.path}: no setting gives χ to ±{within:g} with certainty, the best {told}; film more bounces, or ask for less"
+        f"{scene.path}: no setting determines χ to ±{within:g}, the best {best}; film more bounces, or widen --chi-within"
     )
 
 
@@ -222,26 +222,26 @@ def _measured(scene: Scene, within: float, draws: int, progress: Progress) -> Tr
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """One tracking of the clip with its fit."""
+    """One tracking of the clip, with its fit."""
 
     tracking: Tracking
     fit: Fit
     frames: int
-    """Of the clip, whether they were used or not."""
+    """Frames of the clip, used or not."""
     seconds: float
-    """Of the processor."""
+    """Processor time."""
 
     @property
     def in_flight(self) -> Track:
-        """The frames that a model may be fitted to."""
-        return frames_in_flight(self.tracking.straight, self.tracking.measured)
+        """The frames in flight, to which a model can be fitted."""
+        return frames_in_flight(self.tracking.unbiased, self.tracking.measured)
 
 
 def track_and_fit(scene: Scene, quality: Quality, decimation: Decimation = WHOLE_CLIP) -> Run:
-    """Follow the die and fit the throw, against the clock of the processor. Raises RunError where no die is found."""
+    """Track the die and fit the throw, measured in processor time. Raises RunError if no die is found."""
     began = time.process_time()
     tracking = track_scene(scene, quality=quality, decimation=decimation)
-    fit = fit_throw(frames_in_flight(tracking.straight, tracking.measured), tracking.measured, tracking.die)
+    fit = fit_throw(frames_in_flight(tracking.unbiased, tracking.measured), tracking.measured, tracking.die)
     seconds = time.process_time() - began
     return Run(tracking, fit, decimation.every * len(tracking.frames), seconds)
 
@@ -254,7 +254,7 @@ def _run_or_reason(scene: Scene, quality: Quality, decimation: Decimation) -> Ru
 
 
 def named(choice: tuple[str, int, int]) -> tuple[str, tuple[str, ...]]:
-    """The name of a rung of the ladder, and the options of `diethrow analyze` that choose it."""
+    """The name of a setting, and the options of `diethrow analyze` that select it."""
     quality, every, shrink = choice
     name = f"{quality}, {_ordinal(every)} frame, {'full size' if shrink == 1 else f'1/{shrink} of the size'}"
     less = [("--every", every), ("--shrink", shrink)]
@@ -270,7 +270,7 @@ def setting_of(
     *,
     kind: str = "tracking",
 ) -> Setting:
-    """What a run gave, beside the finest one and the χ of reference; or, in words, why it gave nothing."""
+    """A run compared with the finest run and the reference χ, or the reason why it gave no result."""
     if isinstance(run, str):
         return Setting(kind, name, 0.0, 0.0, None, options=options, why_not=run)
     found = run.fit.parameters["chi"]
@@ -290,7 +290,7 @@ def setting_of(
 
 
 def _corners_apart_mm(run: Run, finest: Run) -> float | None:
-    """Median distance [mm] of the die's corners from those of the finest run, on the frames that both have."""
+    """Median distance [mm] of the die's vertices from those of the finest run, on common frames."""
     one, other = run.tracking.smoothed, finest.tracking.smoothed
     _, a, b = np.intersect1d(one.frame[one.tracked], other.frame[other.tracked], return_indices=True)
     if not len(a):
@@ -316,7 +316,7 @@ def _corners(die: Die, track: Track, rows: NDArray[np.int64], turn: Array | None
 
 
 def _true_chi(scene: Scene) -> float | None:
-    """χ of a `truth.toml` beside the scene, as rendered clips have it."""
+    """χ of the `truth.toml` beside a rendered scene; None without one."""
     path = scene.path.with_name("truth.toml")
     if not path.is_file():
         return None
@@ -330,7 +330,7 @@ def _true_chi(scene: Scene) -> float | None:
 
 
 def _fits(finest: Run, chi: float | None, draws: int, progress: Progress) -> Iterator[Setting]:
-    """χ by each method on the finest track, and its coverage on tracks made from the fit."""
+    """χ by each method on the finest track, with its coverage on tracks simulated from the fit."""
     tracks = list(_again(finest, draws)) if finest.fit.bounces_fitted else []
     made_with = finest.fit.parameters["chi"].value
     methods: list[tuple[str, tuple[str, ...], Callable[[Track, Throw, Die], Parameter | None]]] = [
@@ -371,7 +371,7 @@ def _by_throw(method: IntervalMethod) -> Callable[[Track, Throw, Die], Parameter
 
 
 def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
-    """χ from the normal velocities at the bounces, one by one, with no law of impact."""
+    """χ from the normal velocities at each bounce, without an impact law."""
     free = fit_flights(sight(track, measured), measured)
     common = common_restitution(measure_bounces(die, free, measured.impacts), level=LEVEL_OF_INTERVALS)
     if common is None:
@@ -381,7 +381,7 @@ def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
 
 
 def _again(finest: Run, draws: int) -> Iterator[Track]:
-    """The track, as the fitted throw would have been tracked: errors drawn from the frames' own covariances."""
+    """A simulated track of the fitted throw, with errors sampled from the frames' covariances."""
     throw, track = finest.fit.throw, finest.in_flight
     assert throw is not None
     rows = np.flatnonzero(track.tracked & (track.time_s <= throw.flights[-1].end_s))
@@ -402,7 +402,7 @@ def _again(finest: Run, draws: int) -> Iterator[Track]:
 
 
 def _models(finest: Run, progress: Progress) -> Iterator[Setting]:
-    """Throws like the fitted one, by events and in steps."""
+    """Throws near the fitted one, by events and in fixed steps."""
     fit, die = finest.fit, finest.tracking.die
     chi = fit.parameters["chi"].value
     if fit.initial is None or chi is None:
@@ -433,7 +433,7 @@ def _landed(stage: ThrowSetup, starts: Array) -> NDArray[np.int64]:
 
 
 def _starts(die: Die, initial: State) -> Array:
-    """Releases (n, 13) like the fitted one, each turned a little, at time 0."""
+    """Releases (n, 13) near the fitted one, each rotated slightly, at time 0."""
     random = np.random.default_rng(0)
     rows: list[Array] = []
     while len(rows) < THROWS:
@@ -450,8 +450,8 @@ def _starts(die: Die, initial: State) -> Array:
 
 
 def with_front(settings: Sequence[Setting], badness: Callable[[Setting], float | None]) -> list[Setting]:
-    """The settings, with those marked that no other beats in both speed and what is told by `badness`."""
-    told = [(s, badness(s)) for s in settings]
+    """The settings, with `on_front` set for those that no other beats in both speed and `badness`."""
+    scored = [(s, badness(s)) for s in settings]
 
     def beaten(setting: Setting, value: float) -> bool:
         return any(
@@ -460,10 +460,10 @@ def with_front(settings: Sequence[Setting], badness: Callable[[Setting], float |
             and other.rate >= setting.rate
             and bad <= value
             and (other.rate > setting.rate or bad < value)
-            for other, bad in told
+            for other, bad in scored
         )
 
-    return [replace(s, on_front=value is not None and not beaten(s, value)) for s, value in told]
+    return [replace(s, on_front=value is not None and not beaten(s, value)) for s, value in scored]
 
 
 def _write(folder: Path, title: str, measured: Trade) -> None:
