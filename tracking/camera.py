@@ -7,10 +7,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
+
+RAY_TOLERANCE = 1e-9
+"""Largest error, as a slope, of a ray after the distortion is inverted: a millionth of a pixel at a focal length of
+1000 px."""
+MOST_ITERATIONS = 100
+"""Of the inversion. The distortion of a usable lens is a contraction, and each iteration gains one to two digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,3 +52,23 @@ class Camera:
         yd = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
         K = self.matrix
         return np.stack([K[0, 0] * xd + K[0, 1] * yd + K[0, 2], K[1, 1] * yd + K[1, 2]], axis=-1)
+
+    def rays(self, pixels_px: ArrayLike) -> Array:
+        """Undistorted rays x/z, y/z (..., 2) of pixels (..., 2), to RAY_TOLERANCE; the inverse of the distortion in
+        `project`."""
+        pixels, K = np.asarray(pixels_px, float), self.matrix
+        y = (pixels[..., 1] - K[1, 2]) / K[1, 1]
+        distorted = np.stack([(pixels[..., 0] - K[0, 2] - K[0, 1] * y) / K[0, 0], y], axis=-1)
+        if not self.distortion.any():
+            return distorted
+        # OpenCV 4 has a function of its own for a given criterion.
+        undistort = getattr(cv2, "undistortPointsIter", None)
+        points, stop = (
+            distorted.reshape(-1, 1, 2),
+            (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, MOST_ITERATIONS, RAY_TOLERANCE),
+        )
+        if undistort is None:
+            rays = cv2.undistortPoints(points, np.eye(3), self.distortion, criteria=stop)
+        else:
+            rays = undistort(points, np.eye(3), self.distortion, None, None, stop)
+        return np.asarray(rays.reshape(distorted.shape))

@@ -14,7 +14,7 @@ from throws import true_throw
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.surface_marks.learning import frames_to_learn_from, learn_marks
-from diethrow.tracking.surface_marks.textures import Marks
+from diethrow.tracking.surface_marks.textures import SurfaceMarks
 from diethrow.tracking.throw.flight_chain import VertexImpact
 from diethrow.tracking.track import TRACKED, Track
 
@@ -75,13 +75,13 @@ def moved_flight(flight: Flight, common: Array) -> Flight:
     return Flight(Flight(start, flight.end_s).at(flight.start.time_s), flight.end_s)
 
 
-def learned(film: dict[int, Image], common: Array) -> tuple[Marks | None, Track, Throw]:
+def learned(film: dict[int, Image], common: Array) -> tuple[SurfaceMarks | None, Track, Throw]:
     track = edges_track(tossed(), common)
     throw = Throw((moved_flight(tossed(), common),), ())
     return learned_from(film, track, throw), track, throw
 
 
-def learned_from(film: dict[int, Image], track: Track, throw: Throw) -> Marks | None:
+def learned_from(film: dict[int, Image], track: Track, throw: Throw) -> SurfaceMarks | None:
     rows = frames_to_learn_from(track, throw)
     return learn_marks(
         VIEW, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, (), saturation_grey=255.0
@@ -102,7 +102,7 @@ def struck_film() -> list[Image]:
     return [np.rint(photograph(ROOM, CUBE, state, rng, pips(CUBE))) for state in states]
 
 
-def learned_along(throw: Throw, strikes: Sequence[VertexImpact | None]) -> Marks:
+def learned_along(throw: Throw, strikes: Sequence[VertexImpact | None]) -> SurfaceMarks:
     """Of the filmed impact, with what it is known to be, from edges with the common error; the throw may end before the film."""
     film = struck_film()
     track = edges_track(throw, COMMON, int(throw.flights[-1].end_s * FPS) + 1)
@@ -114,7 +114,7 @@ def learned_along(throw: Throw, strikes: Sequence[VertexImpact | None]) -> Marks
 
 
 @cache
-def learned_marks() -> tuple[Marks, Track]:
+def learned_marks() -> tuple[SurfaceMarks, Track]:
     marks, track, _ = learned(marked_film(), COMMON)
     assert marks is not None
     return marks, track

@@ -19,7 +19,7 @@ from ...model.throw import Flight, Throw
 from ..footage import Frames, FrameSource, Rows
 from ..picture import View
 from ..pose import ClipPoses, as_track, contour_bias_jacobians, shown_whole
-from ..surface_marks import CHI2_MEDIAN, FramePoses, Marks, Refining, frames_to_learn_from, learn_marks
+from ..surface_marks import CHI2_MEDIAN, FramePoses, FrameRefinement, SurfaceMarks, frames_to_learn_from, learn_marks
 from ..throw import (
     MeasuredThrow,
     NoFlightError,
@@ -50,7 +50,7 @@ class MarkRefinement:
     """What a third pass gives."""
 
     seen: ClipPoses
-    marks: Marks | None
+    marks: SurfaceMarks | None
     """What the faces show; None where that places nothing."""
     shared: Array | None
     """(n, 6, 6) covariance that poses on marks share, NaN where a frame has none; None where marks were not used."""
@@ -83,13 +83,13 @@ def third_pass(second: EdgeRefinement, seen: ClipPoses, every: int, reached: Cal
     # to where they were learned, on the flights.
     flying = _in_flight(edges, found.throw).tracked
     rows, carried = np.flatnonzero(flying), np.flatnonzero(edges.tracked & ~flying)
-    refining = Refining(view, marks, _poses_of(view, edges, seen, rows), flights, source.times_s[rows])
+    refinement = FrameRefinement(view, marks, _poses_of(view, edges, seen, rows), flights, source.times_s[rows])
     # Frames whose edges are seen now count half, and half when their marks are.
-    _see_some(source, rows, refining, reached if every == 1 else lambda done: reached((len(source) + done) // 2))
+    _see_some(source, rows, refinement, reached if every == 1 else lambda done: reached((len(source) + done) // 2))
     out, shared = ClipPoses.empty(len(source)), np.full((len(source), 6, 6), np.nan)
     out.take(np.arange(len(source)), seen)
-    shared[rows] = refining.shared
-    for put, poses in ((rows, refining.poses()), (carried, _poses_of(view, edges, seen, carried))):
+    shared[rows] = refinement.shared_covariance
+    for put, poses in ((rows, refinement.poses()), (carried, _poses_of(view, edges, seen, carried))):
         out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
         out.lean[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
     return MarkRefinement(out, marks, shared)
@@ -104,7 +104,7 @@ def _completed(second: EdgeRefinement, seen: ClipPoses, left: Mask, reached: Cal
     return out
 
 
-def _learned(source: FrameSource, view: View, found: MeasuredThrow, scatter: float) -> Marks | None:
+def _learned(source: FrameSource, view: View, found: MeasuredThrow, scatter: float) -> SurfaceMarks | None:
     """The marks, from frames in flight."""
     edges, throw = _in_flight(found.frames, found.throw), flights_only(found.throw)
     edges = replace(edges, covariance=scatter * edges.covariance)
@@ -140,21 +140,21 @@ def _poses_of(view: View, edges: Track, seen: ClipPoses, rows: Rows) -> FramePos
     )  # fmt: skip
 
 
-def _see_some(source: FrameSource, rows: Rows, refining: Refining, reached: Callable[[int], None]) -> None:
-    """Refine the frames `rows` of a clip, which are those of `refining`."""
+def _see_some(source: FrameSource, rows: Rows, refinement: FrameRefinement, reached: Callable[[int], None]) -> None:
+    """Refine the frames `rows` of a clip, which are those of `refinement`."""
     boxes = np.zeros((len(source), 1, 4), np.int64)
-    boxes[rows, 0] = refining.boxes
+    boxes[rows, 0] = refinement.boxes
 
     def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
         mine, which = among(rows, shown)
-        return refining.see(frames, which, mine, pool)
+        return refinement.refine(frames, which, mine, pool)
 
     see_all(source, boxes, begun, reached)
 
 
-def _are_worth_it(marks: Marks, found: MeasuredThrow, every: int) -> bool:
+def _are_worth_it(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
     """Whether marks tell of the same motion as edges, and tell more. One frame in `every` had edges."""
-    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared])
+    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
     both = [(found.throw.flights[k], marks.flights[k]) for k in learned]
     own = [found.own.flights[k] for k in learned]
     return _contradiction(both) <= CONTRADICTED and _gain(both, own, every) >= WORTHWHILE

@@ -38,7 +38,7 @@ from ..footage import Clip, FrameSource, estimate_background
 from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, shown_whole
 from ..quality import STANDARD, Quality
-from ..surface_marks import Marks
+from ..surface_marks import SurfaceMarks
 from ..throw import NoFlightError, decimation_factor, measure, measure_throw, with_calibrated_covariance
 from ..track import ABSENT, LOST, Track
 from .depth_reversal import correct_depth_reversals
@@ -71,7 +71,7 @@ class TrackedClip:
     """What following a die through a clip gives."""
 
     track: Track
-    marks: Marks | None
+    marks: SurfaceMarks | None
     """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
     offsets: Offsets
     """Of the cameras' clocks; looked for with a second pass alone."""

@@ -1,11 +1,11 @@
-"""Bundle adjustment: flights and the places of textures on a die's faces, fitted together (see `marks`).
+"""Bundle adjustment: flights and the placement of textures on a die's faces, fitted together (Gauss-Newton).
 
-Unknowns are twelve numbers a flight, WARPS for each marked face, the lens blur, the height of the table, and the instant of
-each bounce. The normal equations of single frames come from the pixels; a texture's warps stand for all that learning it
-again from other poses could do to it, so that a step goes to where poses and textures agree, and not only to where the poses
-agree with textures that they have placed themselves. Flights meet at their bounces, and where a bounce is an impact at one
-vertex, they obey there what impacts obey (`joined`): how far away the die is, marks tell by its turns and its fall, and
-less well than the table does, which its corner touches.
+Unknowns are the initial state of each flight (12 numbers), WARPS for each marked face, the lens blur, the height of
+the table, and the time of each impact. The pixels give the normal equations of single frames. A texture's warps
+represent what learning it again from other poses would change, so that a step goes to where poses and textures agree,
+and not only to where the poses agree with textures that they have placed themselves. Flights meet at their impacts,
+and at an impact on one vertex they obey the law of impacts (`joint_flights`). Marks determine the distance of the die
+by its rotation and its fall, but less accurately than the table does, which its corner touches.
 """
 
 from __future__ import annotations
@@ -30,156 +30,234 @@ from ..throw import (
     transition_matrix,
     vertex_impact_equations,
 )
-from .kernel_types import BUFFER, SHARED, WARPS, Faces, Optics, new_bench
-from .mark_equations import mark_equations
-from .textures import Look, Marks, Poses, faces_of, optics_of, poses_of
+from .kernel_types import MOST_PIXELS, SHARED_PARAMETERS, WARPS, new_workspace
+from .mark_equations import Equations, mark_equations
+from .textures import FlightPoses, FrameWindow, SurfaceMarks, faces_of, flight_poses, optics_of
 
 Array = NDArray[np.float64]
 
 PRIOR_WARP = 0.02
-"""Standard deviation of a texture's warps, where the die's edge is the unit of length: several times what the worst edges
-misplace it."""
-PRIOR_BLUR, PRIOR_LENS_PX = 1.0, 0.3
-"""Standard deviations of a texture's blur [texel², as variance] and of the lens blur [px]."""
-BLUR_RANGE_PX = (0.3, 4.0)
-"""A pixel alone has 0.29; beyond the other there would be no marks."""
-LINK_M, LINK_RAD = 1e-5, 5e-4
-"""How well flights meet at a bounce: a contact lasts some 0.05 ms, in which a die leaves the corner between its two motions by a
-quarter of that time its speed."""
-PRIOR_INSTANT_S, SURE_INSTANT_S = 2e-3, 1e-6
-"""What marks may move the instant of a bounce by; and how unsure one is at the least that stays as edges have it: a die comes
-down by a micrometre meanwhile."""
-CONTOUR_SHARES = (1e-4, 0.3)
-"""Between which the common error of edges is looked for, over the die's edge."""
-TOGETHER_RAD = 0.4
-"""Turn of a die over which its edges are taken to err alike. Asked of single frames, whose bevels err by tenths of a degree each,
-their common error came out at a third of what means over such a turn have, and edges of rounded dice drew flights along."""
+"""Standard deviation of a texture's warps, in units of the die's edge: several times what the worst edges misplace it
+by."""
+PRIOR_BLUR_TEXEL2 = 1.0
+"""Standard deviation of a texture's blur, a variance."""
+PRIOR_LENS_BLUR_PX = 0.3
+"""Standard deviation of the lens blur."""
+LEAST_BLUR_PX = 0.3
+"""Least lens blur: a pixel by itself has 0.29."""
+MOST_BLUR_PX = 4.0
+"""Largest lens blur: beyond it marks are invisible."""
+LEAST_BLUR_RATIO = 0.7
+"""Least ratio of the lens blurs after and before one step."""
+MOST_BLUR_RATIO = 1.4
+"""Largest ratio of the lens blurs after and before one step."""
+JUNCTION_SIGMA_M = 1e-5
+"""How well the positions of two flights meet at an impact: a contact lasts some 0.05 ms, in which a die departs from
+the corner between its two motions by a quarter of that time times its speed."""
+JUNCTION_SIGMA_RAD = 5e-4
+"""The same for the orientations."""
+PRIOR_TIME_S = 2e-3
+"""Standard deviation of the time of an impact between two flights that are adjusted."""
+LEAST_TIME_SIGMA_S = 1e-6
+"""Least standard deviation of the time of an impact that edges alone determine: a die falls by a micrometre
+meanwhile."""
+LEAST_CONTOUR_SHARE = 1e-4
+"""Least common error of edges that is considered, over the die's edge."""
+MOST_CONTOUR_SHARE = 0.3
+"""Largest common error of edges that is considered, over the die's edge."""
+LOG_LENGTH_TOLERANCE = 0.01
+"""Relative accuracy of that error."""
+CORRELATION_ANGLE_RAD = 0.4
+"""Rotation of a die over which the errors of its edges are correlated. Single frames, whose bevels have errors of
+tenths of a degree each, gave a third of the common error that means over such a rotation have, and edges of rounded
+dice biased flights."""
 CHI2_MEDIAN = 5.348
 """Median of chi-square with six degrees of freedom."""
+DAMPING = 1e-12
+"""Added to the diagonal of a scaled normal matrix: far below any direction that was observed, and enough for one that
+only rounding distinguishes from singular."""
+LEAST_EIGENVALUE_RATIO = 1e-6
+"""Ratio of the extreme eigenvalues of a frame's scaled normal equations below which it leaves a direction
+undetermined."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bounce:
-    """What flights that are looked at have to do with an impact."""
+class ImpactConstraint:
+    """What one impact says about the flights beside it that are adjusted."""
 
     flights: tuple[int, ...]
-    """Those beside it that are looked at: both, or one."""
+    """Both flights beside it, or the one that is adjusted."""
     time_s: float
     sigma_s: float
-    """How well that instant is known before the marks tell it."""
-    strike: VertexImpact | None
+    """Prior standard deviation of that time."""
+    vertex_impact: VertexImpact | None
     """None where the contact was not at one vertex: the flights meet there and obey nothing else."""
 
 
-def bounces_between(looks: list[Look], throw: Throw, strikes: Sequence[VertexImpact | None]) -> list[Bounce]:
-    """The bounces of a throw, whose impacts were those strikes (impacts,), that tell of flights which are looked at: of both
-    beside it, or of one where the other is too short to be."""
-    used, out = {look.flight for look in looks}, []
-    for k, (impact, strike) in enumerate(zip(throw.impacts, strikes, strict=True)):
-        beside = tuple(i for i in (k, k + 1) if i in used and impact.contact != "unresolved")
-        if len(beside) == 2:
-            out.append(Bounce(beside, impact.time_s, PRIOR_INSTANT_S, strike))
-        elif len(beside) == 1 and strike is not None and np.isfinite(impact.sigma_time_s):
-            out.append(Bounce(beside, impact.time_s, max(impact.sigma_time_s, SURE_INSTANT_S), strike))
+def impact_constraints(
+    windows: list[FrameWindow], throw: Throw, vertex_impacts: Sequence[VertexImpact | None]
+) -> list[ImpactConstraint]:
+    """The constraints from the impacts of a throw, of laws `vertex_impacts` (impacts,), on the flights that have windows.
+
+    An impact constrains both flights beside it, or one if the other is too short to have windows.
+    """
+    adjusted, out = {window.flight for window in windows}, []
+    for k, (impact, vertex_impact) in enumerate(zip(throw.impacts, vertex_impacts, strict=True)):
+        flights = tuple(i for i in (k, k + 1) if i in adjusted and impact.contact != "unresolved")
+        if len(flights) == 2:
+            out.append(ImpactConstraint(flights, impact.time_s, PRIOR_TIME_S, vertex_impact))
+        elif len(flights) == 1 and vertex_impact is not None and np.isfinite(impact.sigma_time_s):
+            sigma_s = max(impact.sigma_time_s, LEAST_TIME_SIGMA_S)
+            out.append(ImpactConstraint(flights, impact.time_s, sigma_s, vertex_impact))
     return out
 
 
-def adjusted(view: View, looks: list[Look], bounces: list[Bounce], marks: Marks, cut: float) -> tuple[Marks, Array]:
-    """Flights moved to where marks that sit anywhere on their faces, and weakly the edges, want them; and how far each
-    flight was moved, (flights,) in sigmas of what moved most, 0 for one without a look.
+@dataclass(frozen=True)
+class _Layout:
+    """Columns of the unknowns: flights, warps of faces, lens blur, height of the table, times of impacts."""
 
-    Unknowns are twelve numbers a flight, the warps of each marked face's texture, the lens blur, the height of the table, and
-    the instant of each bounce, at which position and orientation go on without a jump.
+    flights: dict[int, slice]
+    """By number, those that have windows: 12 columns each."""
+    warps: dict[int, int]
+    """First column of each marked face's warps."""
+    lens_blur: int
+    table: int
+    impacts: int
+    """How many there are; their times follow the table."""
+
+    @staticmethod
+    def of(windows: list[FrameWindow], marks: SurfaceMarks, impacts: int) -> _Layout:
+        used = np.unique([window.flight for window in windows])
+        flights = {int(k): slice(12 * i, 12 * i + 12) for i, k in enumerate(used)}
+        first = 12 * len(used)
+        warps = {int(f): first + WARPS * i for i, f in enumerate(marks.marked_faces)}
+        lens_blur = first + WARPS * len(warps)
+        return _Layout(flights, warps, lens_blur, lens_blur + SHARED_PARAMETERS, impacts)
+
+    def of_impact(self, i: int, impact: ImpactConstraint) -> NDArray[np.int64]:
+        """Columns of an impact's flights, its time, and the table."""
+        flights = [np.r_[self.flights[k]] for k in impact.flights]
+        return np.concatenate([*flights, [self.table + 1 + i, self.table]])
+
+    @property
+    def certain_placement(self) -> NDArray[np.int64]:
+        """Columns of what remains unknown if the placement of the textures and the height of the table are known."""
+        return np.r_[0 : 12 * len(self.flights), self.table + 1 : self.table + 1 + self.impacts]
+
+
+def adjust_flights(
+    view: View, windows: list[FrameWindow], impacts: list[ImpactConstraint], marks: SurfaceMarks, cut: float
+) -> tuple[SurfaceMarks, Array]:
+    """One adjustment step of the flights, on marks that may be misplaced on their faces, and weakly on edges.
+
+    Returns the marks with the adjusted flights, and how far each flight moved: (flights,) in sigmas of its parameter
+    that moved most, 0 for a flight without windows. At an impact, position and orientation are continuous.
     """
-    used = np.unique([look.flight for look in looks])
-    column = {int(k): 12 * i for i, k in enumerate(used)}
-    place_of = {int(f): 12 * len(used) + WARPS * i for i, f in enumerate(marks.marked_faces)}
-    blur_at = 12 * len(used) + WARPS * len(place_of)
-    table_at = blur_at + SHARED
-    in_flight = np.bincount([look.flight for look in looks])
-    poses = poses_of(looks, marks.flights)
-    equations = _equations(optics_of(view, marks), faces_of(view, marks, cut), looks, poses)
-    edges = _edges_minus_flights(looks, poses)
-    squared = _whitened_squares(np.array([H for H, *_ in equations]), np.array([g for _, g, *_ in equations]))
-    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if len(squared) else marks.factor
-    # Times the looks of the flight, so that what the edges get wrong alike does not shrink with their number.
-    shared = in_flight[[look.flight for look in looks]][:, None, None] * _contours(view, looks, marks.contour_m)
-    informations = np.linalg.inv(np.array([look.edge_covariance for look in looks]) + shared)
-    A = np.diag(_priors(view, len(used), len(place_of), bounces))
-    y = np.zeros(len(A))
-    terms = zip(looks, equations, informations, poses.by_start, edges, strict=True)
-    for look, (H, g, place, _), E, M, away in terms:
-        c = slice(column[look.flight], column[look.flight] + 12)
-        A[c, c] += M.T @ (H / factor + E) @ M
-        y[c] += M.T @ (g / factor + E @ away)
-        for f, at in place_of.items():
-            if not place[f].any():
-                continue
-            s = np.r_[at : at + WARPS, blur_at]
-            cross = M.T @ place[f][:, :6].T / factor
-            A[c, s] += cross
-            A[s, c] += cross.T
-            A[np.ix_(s, s)] += place[f][:, 6:-1] / factor
-            y[s] += place[f][:, -1] / factor
-    for i, bounce in enumerate(bounces):
-        J, gap = _bounce_equations(marks.flights, bounce)
-        s = np.concatenate(
-            [*(np.arange(column[k], column[k] + 12) for k in bounce.flights), [table_at + 1 + i, table_at]]
-        )
-        A[np.ix_(s, s)] += J.T @ J
-        y[s] += J.T @ gap
+    poses = flight_poses(windows, marks.flights)
+    equations = _equations_of_windows(view, marks, windows, poses, cut)
+    squared = _whitened_squares(np.array([e.H for e in equations]), np.array([e.g for e in equations]))
+    factor = max(1.0, float(np.median(squared)) / CHI2_MEDIAN) if len(squared) else marks.variance_factor
+    layout = _Layout.of(windows, marks, len(impacts))
+    A, y = _normal_equations(view, windows, poses, equations, impacts, replace(marks, variance_factor=factor), layout)
     C = _inverse(A)
     step = C @ y
-    # What would be left if the textures' places and the table's height were known: the rest of C is common to all frames.
-    sure = np.r_[0 : 12 * len(used), table_at + 1 : len(A)]
+    # The covariance for known placement and table: the rest of C is common to all frames.
+    sure = layout.certain_placement
     own = _inverse(A[np.ix_(sure, sure)])
-    flights, common = list(marks.flights), list(marks.shared)
-    for k, at in column.items():
-        c = slice(at, at + 12)
+    flights, shared, moves = list(marks.flights), list(marks.shared_covariance), np.zeros(len(marks.flights))
+    for k, c in layout.flights.items():
         flights[k] = replace(flights[k], start=perturbed(flights[k].start, step[c]), covariance=C[c, c])
-        common[k] = C[c, c] - own[c, c]
-    moves = np.zeros(len(flights))
-    for k, at in column.items():
-        moves[k] = float(np.max(np.abs(step[at : at + 12]) / np.sqrt(np.diag(C)[at : at + 12])))
-    blur = marks.blur_px * float(np.clip(1.0 + step[blur_at] / marks.blur_px, 0.7, 1.4))
-    noise = np.array([np.where(stats[:, 1] > 0, stats[:, 2], np.nan) for _, _, _, stats in equations])
-    usual = np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0)
-    new = replace(
-        marks, flights=tuple(flights), shared=tuple(common), factor=factor,
-        blur_px=float(np.clip(blur, *BLUR_RANGE_PX)), noise_grey=np.where(marks.noise_grey > 0, usual, 0.0),
-    )  # fmt: skip
-    return replace(new, contour_m=_contour_error(view, looks, new)), moves
+        shared[k] = C[c, c] - own[c, c]
+        moves[k] = float(np.max(np.abs(step[c]) / np.sqrt(np.diag(C)[c])))
+    ratio = float(np.clip(1.0 + step[layout.lens_blur] / marks.blur_px, LEAST_BLUR_RATIO, MOST_BLUR_RATIO))
+    adjusted = replace(
+        marks,
+        flights=tuple(flights),
+        shared_covariance=tuple(shared),
+        variance_factor=factor,
+        blur_px=float(np.clip(marks.blur_px * ratio, LEAST_BLUR_PX, MOST_BLUR_PX)),
+        noise_grey=np.where(marks.noise_grey > 0, _usual_noise(equations), 0.0),
+    )
+    return replace(adjusted, contour_m=_contour_error(view, windows, adjusted)), moves
 
 
-def _priors(view: View, flights: int, faces: int, bounces: Sequence[Bounce]) -> Array:
+def _normal_equations(
+    view: View, windows: list[FrameWindow], poses: FlightPoses, equations: list[Equations],
+    impacts: list[ImpactConstraint], marks: SurfaceMarks, layout: _Layout,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Normal matrix and right side of all unknowns: priors, marks, edges and impacts."""
+    factor = marks.variance_factor
+    flight_of = [window.flight for window in windows]
+    # Multiplied by the number of windows in the flight, so that the edges' common error does not shrink with it.
+    common = np.bincount(flight_of)[flight_of][:, None, None] * _contours(view, windows, marks.contour_m)
+    edge_informations = np.linalg.inv(np.array([window.edge_covariance for window in windows]) + common)
+    edges = _edges_minus_flights(windows, poses)
+    A = np.diag(_priors(view, layout, impacts))
+    y = np.zeros(len(A))
+    terms = zip(windows, equations, edge_informations, poses.by_initial_state, edges, strict=True)
+    for window, of_marks, edge_information, M, difference in terms:
+        c = layout.flights[window.flight]
+        A[c, c] += M.T @ (of_marks.H / factor + edge_information) @ M
+        y[c] += M.T @ (of_marks.g / factor + edge_information @ difference)
+        for f, at in layout.warps.items():
+            rows = of_marks.warps[f]
+            if not rows.any():
+                continue
+            s = np.r_[at : at + WARPS, layout.lens_blur]
+            cross = M.T @ rows[:, :6].T / factor
+            A[c, s] += cross
+            A[s, c] += cross.T
+            A[np.ix_(s, s)] += rows[:, 6:-1] / factor
+            y[s] += rows[:, -1] / factor
+    for i, impact in enumerate(impacts):
+        J, gap = _impact_equations(marks.flights, impact)
+        s = layout.of_impact(i, impact)
+        A[np.ix_(s, s)] += J.T @ J
+        y[s] += J.T @ gap
+    return A, y
+
+
+def _usual_noise(equations: list[Equations]) -> Array:
+    """(faces,) median noise over the frames that show a face; 0 for faces that none shows."""
+    noise = np.array([np.where(e.stats[:, 1] > 0, e.stats[:, 2], np.nan) for e in equations])
+    return np.asarray(np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0))
+
+
+def _priors(view: View, layout: _Layout, impacts: Sequence[ImpactConstraint]) -> Array:
     """Diagonal of the prior's information, in the order of the unknowns."""
     edge = view.die.solid.edge_m
     warp = PRIOR_WARP * np.array([edge, edge, 1.0, 1.0, 1.0, 1.0, 1.0 / edge, 1.0 / edge])
-    places = np.tile(1.0 / np.append(warp, PRIOR_BLUR) ** 2, faces)
-    shared = 1.0 / np.array([PRIOR_LENS_PX, TABLE_SIGMA_M]) ** 2
-    instants = [1.0 / bounce.sigma_s**2 for bounce in bounces]
-    return np.concatenate([np.zeros(12 * flights), places, shared, instants])
+    warps = np.tile(1.0 / np.append(warp, PRIOR_BLUR_TEXEL2) ** 2, len(layout.warps))
+    shared = 1.0 / np.array([PRIOR_LENS_BLUR_PX, TABLE_SIGMA_M]) ** 2
+    times = [1.0 / impact.sigma_s**2 for impact in impacts]
+    return np.concatenate([np.zeros(12 * len(layout.flights)), warps, shared, times])
 
 
-def _bounce_equations(flights: Sequence[Flight], bounce: Bounce) -> tuple[Array, Array]:
-    """Rows and right side, in sigmas, by the starts of the bounce's flights (12 each), by its instant, and by the height of the
-    table: flights on both sides meet (6 rows), and where it is a strike, they obey it (4). Of one flight alone its corner
-    touches the table (1)."""
-    t, motions = bounce.time_s, [flights[k] for k in bounce.flights]
-    states, onward = [motion.at(t) for motion in motions], [transition_matrix(motion, t) for motion in motions]
+def _impact_equations(flights: Sequence[Flight], impact: ImpactConstraint) -> tuple[Array, Array]:
+    """Rows and right side, in sigmas, by the initial states of the impact's flights (12 each), its time, and the
+    table's height.
+
+    Two flights meet (6 rows), and obey the vertex_impact if there is one (4 rows). The corner of one flight alone touches
+    the table (1 row).
+    """
+    t, beside = impact.time_s, [flights[k] for k in impact.flights]
+    states, transitions = [flight.at(t) for flight in beside], [transition_matrix(flight, t) for flight in beside]
     rows, right = np.zeros((0, 26)), np.zeros(0)
-    if bounce.strike is not None:
-        obeyed, miss = vertex_impact_equations(states[0], states[-1], bounce.strike, 0.0)
+    if impact.vertex_impact is not None:
+        law, violation = vertex_impact_equations(states[0], states[-1], impact.vertex_impact, 0.0)
         by_table = np.array([[-1.0 / CONTACT_SIGMA_M], [0.0], [0.0], [0.0]])
-        by_starts = [obeyed[:, :12] @ onward[0], obeyed[:, 12:24] @ onward[-1]]
-        rows, right = np.hstack([*by_starts, obeyed[:, 24:], by_table]), -miss
-    if len(motions) == 1:
+        by_states = [law[:, :12] @ transitions[0], law[:, 12:24] @ transitions[-1]]
+        rows, right = np.hstack([*by_states, law[:, 24:], by_table]), -violation
+    if len(beside) == 1:
         return np.delete(rows[:1], np.s_[12:24], axis=1), right[:1]
     a, b = states
     gap = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
-    drift = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
-    sigma = np.array([LINK_M] * 3 + [LINK_RAD] * 3)
-    meet = np.hstack([onward[0][:6], -onward[1][:6], -drift[:, None], np.zeros((6, 1))]) / sigma[:, None]
+    velocity_change = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
+    sigma = np.array([JUNCTION_SIGMA_M] * 3 + [JUNCTION_SIGMA_RAD] * 3)
+    meet = (
+        np.hstack([transitions[0][:6], -transitions[1][:6], -velocity_change[:, None], np.zeros((6, 1))])
+        / sigma[:, None]
+    )
     return np.vstack([meet, rows]), np.concatenate([gap / sigma, right])
 
 
@@ -187,14 +265,14 @@ def _inverse(A: Array) -> Array:
     """Inverse of a normal matrix whose unknowns have different units."""
     unit = 1.0 / np.sqrt(np.diag(A))
     scaled = A * np.outer(unit, unit)
-    # Far below any direction that was observed, and enough for one that only rounding tells from none.
-    scaled[np.diag_indices_from(scaled)] += 1e-12
+    scaled[np.diag_indices_from(scaled)] += DAMPING
     return np.asarray(np.linalg.inv(scaled) * np.outer(unit, unit))
 
 
 def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array:
-    """(..., 6, 6) of poses (..., 3) from edges that all lie `contour_m` off, in world axes: sideways by as much, in distance
-    by the share of the die's size that it is, and turned by it over half the die's size."""
+    """(..., 6, 6) common covariance, world axes, of poses by edges at positions (..., 3) if all edges are displaced
+    by `contour_m`: sideways by as much, in distance by the same share as of the die's size, and in rotation by it
+    over half that size."""
     toward = position_m - view.camera.centre_m
     distance = np.linalg.norm(toward, axis=-1)[..., None, None]
     ray = toward[..., :, None] / distance
@@ -207,79 +285,82 @@ def contour_covariance(view: View, position_m: Array, contour_m: float) -> Array
     return out
 
 
-def _contours(view: View, looks: list[Look], contour_m: float) -> Array:
-    """(looks, 6, 6) `contour_covariance` of the edges' poses."""
-    return contour_covariance(view, np.array([look.edge_position_m for look in looks]), contour_m)
+def _contours(view: View, windows: list[FrameWindow], contour_m: float) -> Array:
+    """(windows, 6, 6) `contour_covariance` of the edges' poses."""
+    return contour_covariance(view, np.array([window.edge_position_m for window in windows]), contour_m)
 
 
-def _contour_error(view: View, looks: list[Look], marks: Marks) -> float:
-    """The length [m] that makes the edges' distance from the flights what their own covariances and `contour_covariance`
-    together expect, in means over looks of one flight that follow each other: in a single one it may be hidden by what the
-    frame errs for itself. No less than what the edges of a rounded die are known to be off aside (`lean`): what they err alike
-    through all flights moves the marks with it, and is not seen here."""
-    away = _edges_minus_flights(looks, poses_of(looks, marks.flights))
-    own = np.linalg.inv(np.array([look.edge_covariance for look in looks]))
-    groups = _alike(looks, marks.flights)
-    spreads = np.array([np.linalg.inv(own[rows].sum(0)) for rows in groups])
-    sums = np.array([np.einsum("nij,nj->i", own[rows], away[rows]) for rows in groups])
-    means = np.einsum("gij,gj->gi", spreads, sums)
-    every = _contours(view, looks, 1.0)
-    unit = np.array([every[rows].mean(0) for rows in groups])
+def _contour_error(view: View, windows: list[FrameWindow], marks: SurfaceMarks) -> float:
+    """The length [m] for which the edges' deviations from the flights have their expected size, given their own
+    covariances and `contour_covariance`.
 
-    def beyond(log_length: float) -> float:
-        spread = spreads + np.exp(2.0 * log_length) * unit
-        squared = np.einsum("gi,gi->g", means, np.linalg.solve(spread, means[..., None])[..., 0])
+    Means over consecutive windows of one flight are compared: the errors of single frames may hide the common one.
+    The result is at least the known sideways displacement of a rounded die's edges (`shared_bias`): what edges have
+    in common through all flights shifts the marks as well and is invisible here.
+    """
+    differences = _edges_minus_flights(windows, flight_poses(windows, marks.flights))
+    informations = np.linalg.inv(np.array([window.edge_covariance for window in windows]))
+    groups = _correlated_groups(windows, marks.flights)
+    covariances = np.array([np.linalg.inv(informations[rows].sum(0)) for rows in groups])
+    sums = np.array([np.einsum("nij,nj->i", informations[rows], differences[rows]) for rows in groups])
+    means = np.einsum("gij,gj->gi", covariances, sums)
+    unit_contours = _contours(view, windows, 1.0)
+    unit = np.array([unit_contours[rows].mean(0) for rows in groups])
+
+    def excess(log_length: float) -> float:
+        total = covariances + np.exp(2.0 * log_length) * unit
+        squared = np.einsum("gi,gi->g", means, np.linalg.solve(total, means[..., None])[..., 0])
         return float(np.median(squared)) - CHI2_MEDIAN
 
-    least, most = np.log(np.array(CONTOUR_SHARES) * view.die.solid.edge_m)
+    least, most = np.log(np.array([LEAST_CONTOUR_SHARE, MOST_CONTOUR_SHARE]) * view.die.solid.edge_m)
     known = LATERAL_SHARE * view.die.corner_radius_m
-    if beyond(least) <= 0.0:
+    if excess(least) <= 0.0:
         return max(float(np.exp(least)), known)
-    return max(float(np.exp(most if beyond(most) >= 0.0 else brentq(beyond, least, most, xtol=0.01))), known)
+    log_length = most if excess(most) >= 0.0 else brentq(excess, least, most, xtol=LOG_LENGTH_TOLERANCE)
+    return max(float(np.exp(log_length)), known)
 
 
-def _alike(looks: list[Look], flights: Sequence[Flight]) -> list[NDArray[np.int64]]:
-    """Rows of looks in groups that follow each other in one flight, while the die turns by TOGETHER_RAD at the most."""
+def _correlated_groups(windows: list[FrameWindow], flights: Sequence[Flight]) -> list[NDArray[np.int64]]:
+    """Rows of windows in groups that follow each other in one flight, while the die rotates by
+    CORRELATION_ANGLE_RAD."""
     group_of = []
-    for look in looks:
-        start = flights[look.flight].start
-        turned = float(np.linalg.norm(start.omega_rad_s)) * (look.time_s - start.time_s)
-        group_of.append((look.flight, int(turned / TOGETHER_RAD)))
+    for window in windows:
+        start = flights[window.flight].start
+        rotation_rad = float(np.linalg.norm(start.omega_rad_s)) * (window.time_s - start.time_s)
+        group_of.append((window.flight, int(rotation_rad / CORRELATION_ANGLE_RAD)))
     _, which = np.unique(np.array(group_of), axis=0, return_inverse=True)
     return [np.flatnonzero(which.ravel() == k) for k in range(int(which.max()) + 1)]
 
 
-def _equations(
-    optics: Optics, faces: Faces, looks: list[Look], poses: Poses
-) -> list[tuple[Array, Array, Array, Array]]:
-    """Normal equations of every look at the pose of its flight."""
-    count = len(faces.counts)
+def _equations_of_windows(
+    view: View, marks: SurfaceMarks, windows: list[FrameWindow], poses: FlightPoses, cut: float
+) -> list[Equations]:
+    """Normal equations of every window at the pose of its flight."""
+    optics, faces = optics_of(view, marks), faces_of(view, marks, cut)
+    count, parameters = len(faces.counts), WARPS + SHARED_PARAMETERS
 
-    def of_some(some: NDArray[np.int64]) -> list[tuple[Array, Array, Array, Array]]:
-        bench, out = new_bench(BUFFER, faces.coefficients.shape[1]), []
+    def of_some(some: NDArray[np.int64]) -> list[Equations]:
+        workspace, out = new_workspace(MOST_PIXELS, faces.coefficients.shape[1]), []
         for i in some:
-            look, H, g = looks[i], np.zeros((6, 6)), np.zeros(6)
-            place, stats = np.zeros((count, WARPS + SHARED, 7 + WARPS + SHARED)), np.zeros((count, 3))
-            mark_equations(
-                look.image, look.x0, look.y0, optics, faces, poses.position_m[i], poses.rotation[i],
-                poses.velocity_m_s[i], poses.omega_rad_s[i], True, bench, H, g, place, stats,
-            )  # fmt: skip
-            out.append((H, g, place, stats))
+            warps, stats = np.zeros((count, parameters, 7 + parameters)), np.zeros((count, 3))
+            equations = Equations(np.zeros((6, 6)), np.zeros(6), warps, stats)
+            mark_equations(poses.frame(i, windows[i]), optics, faces, True, workspace, equations)
+            out.append(equations)
         return out
 
     with ThreadPoolExecutor(THREADS) as pool:
-        return [one for part in pool.map(of_some, np.array_split(np.arange(len(looks)), THREADS)) for one in part]
+        return [one for part in pool.map(of_some, np.array_split(np.arange(len(windows)), THREADS)) for one in part]
 
 
-def _edges_minus_flights(looks: list[Look], poses: Poses) -> Array:
-    """(looks, 6) from the flights' poses to those of the edges."""
-    moved_m = np.array([look.edge_position_m for look in looks]) - poses.position_m
-    edges = matrix_from_quat(np.array([look.edge_quaternion for look in looks]))
-    return np.concatenate([moved_m, turn_between(poses.rotation, edges)], axis=1)
+def _edges_minus_flights(windows: list[FrameWindow], poses: FlightPoses) -> Array:
+    """(windows, 6) pose increments from the flights to the edges."""
+    moved_m = np.array([window.edge_position_m for window in windows]) - poses.position_m
+    edges = matrix_from_quat(np.array([window.edge_quaternion for window in windows]))
+    return np.concatenate([moved_m, rotation_vectors(poses.rotation, edges)], axis=1)
 
 
-def turn_between(start: Array, end: Array) -> Array:
-    """Rotation vectors (..., 3), world axes, that take orientations (..., 3, 3) to others less than half a turn away."""
+def rotation_vectors(start: Array, end: Array) -> Array:
+    """Rotation vectors (..., 3), world axes, from orientations (..., 3, 3) to others less than half a turn away."""
     D = end @ np.swapaxes(start, -1, -2)
     axis = 0.5 * np.stack([D[..., 2, 1] - D[..., 1, 2], D[..., 0, 2] - D[..., 2, 0], D[..., 1, 0] - D[..., 0, 1]], -1)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)
@@ -288,12 +369,12 @@ def turn_between(start: Array, end: Array) -> Array:
 
 
 def _whitened_squares(H: Array, g: Array) -> Array:
-    """gᵀ H⁻¹ g of normal equations (n, 6, 6) and (n, 6): how far, in squared sigmas, the marks of each frame alone want to move
-    its pose. Without those that leave a direction open."""
+    """gᵀ H⁻¹ g of normal equations (n, 6, 6) and (n, 6): the squared distance, in sigmas, of each frame's pose from
+    the solution by its marks alone. Frames that leave a direction undetermined are left out."""
     unit = np.sqrt(np.diagonal(H, axis1=1, axis2=2))
-    shown = np.asarray((unit > 0).all(1))
-    H, g, unit = H[shown], g[shown], unit[shown]
+    informed = np.asarray((unit > 0).all(1))
+    H, g, unit = H[informed], g[informed], unit[informed]
     values, vectors = np.linalg.eigh(H / (unit[:, :, None] * unit[:, None, :]))
-    closed = values[:, 0] >= 1e-6 * values[:, -1]
-    along = np.einsum("ni,nij->nj", g / unit, vectors)[closed]
-    return np.asarray((along**2 / values[closed]).sum(1))
+    determined = values[:, 0] >= LEAST_EIGENVALUE_RATIO * values[:, -1]
+    along = np.einsum("ni,nij->nj", g / unit, vectors)[determined]
+    return np.asarray((along**2 / values[determined]).sum(1))

@@ -1,4 +1,8 @@
-"""tracking.surface_marks.face_geometry."""
+"""Where a die's faces lie in a picture, and where the pixels of a picture lie on a face.
+
+A pixel meets the plane of a face by one division, because its camera ray is known in advance with the lens distortion
+undone; no picture is resampled when a pose is evaluated. Quantities are in camera axes unless stated otherwise.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +13,20 @@ import numpy as np
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
 from ..picture import pixel_of_ray
+from .kernel_types import Optics
+
+LEAST_DEPTH_M = 1e-6
+"""A corner nearer to the camera's plane than this has no pixel."""
+SHORTEST_SIDE_PX = 1e-9
+"""A side of a face shorter than this in the picture has no direction."""
+SMALL_ANGLE_RAD = 1e-8
+"""Below it the first-order rotation is exact to rounding."""
 
 
 @inner_no_memory
 def face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: float, E: Any, origin: Any) -> float:
-    """Axes E (3, 3, rows a, b, normal) and origin (3,) of a face in the camera; returns the cosine of the view."""
+    """Fill axes E (3, 3; rows a, b, normal) and origin (3,) of a face in camera axes; return the cosine between its
+    normal and the direction to the camera."""
     for k in range(3):
         for i in range(3):
             s = 0.0
@@ -29,10 +42,11 @@ def face_in_camera(Rcw: Any, tcw: Any, pos: Any, R: Any, axes: Any, offset: floa
 
 @inner_nogil
 def exposure_shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
-    """S (3, 3), camera axes, with c + S r the mean place over the exposure of a point r of a die about its centre c.
+    """Fill S (3, 3), camera axes: c + S r is the mean position over the exposure T of a point r of a die about its
+    centre c.
 
-    A turning point runs along an arc, whose middle lies nearer to the axis than the arc does: S = 1 - (ω² 1 - ω ωᵀ) T²/24. At
-    150 rad/s and half a millisecond the die seems smaller by 2e-4, and as much further off.
+    A point of a rotating die moves on an arc, whose mean lies nearer to the axis: S = 1 - (ω² 1 - ω ωᵀ) T²/24. At 150
+    rad/s and half a millisecond the die looks smaller by 2e-4, and farther away by the same share.
     """
     w = np.zeros(3)
     for i in range(3):
@@ -46,37 +60,37 @@ def exposure_shrink(Rcw: Any, omega: Any, exposure: float, S: Any) -> None:
 
 
 @inner_nogil
-def smear(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
-    """The axes and the origin of a face as they seem on a picture with S."""
-    still = E.copy()
+def shrink_face(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None:
+    """Apply S of `exposure_shrink` to the axes and the origin of a face of a die about `centre`."""
+    exact = E.copy()
     for k in range(3):
         for i in range(3):
-            E[k, i] = S[i, 0] * still[k, 0] + S[i, 1] * still[k, 1] + S[i, 2] * still[k, 2]
+            E[k, i] = S[i, 0] * exact[k, 0] + S[i, 1] * exact[k, 1] + S[i, 2] * exact[k, 2]
     for i in range(3):
         origin[i] = centre[i] + offset * E[2, i]
 
 
 @inner_no_memory
-def outline(
-    K: Any, dist: Any, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
+def face_outline(
+    optics: Optics, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
-    """Corners px (count, 2) of the flat part of a face and half-planes (count, 3), positive inside by `margin` [px] and
-    more; False where a corner lies behind the camera."""
+    """Fill the corners px (count, 2) of the flat part of a face and its half-planes (count, 3), positive inside by
+    `margin` [px] and more; False if a corner lies behind the camera."""
     mx, my = 0.0, 0.0
     for i in range(count):
         x = origin[0] + corners[i, 0] * E[0, 0] + corners[i, 1] * E[1, 0]
         y = origin[1] + corners[i, 0] * E[0, 1] + corners[i, 1] * E[1, 1]
         z = origin[2] + corners[i, 0] * E[0, 2] + corners[i, 1] * E[1, 2]
-        if z <= 1e-6:
+        if z <= LEAST_DEPTH_M:
             return False
-        px[i, 0], px[i, 1] = pixel_of_ray(K, dist, x / z, y / z)
+        px[i, 0], px[i, 1] = pixel_of_ray(optics.matrix, optics.distortion, x / z, y / z)
         mx += px[i, 0] / count
         my += px[i, 1] / count
     for i in range(count):
         j = (i + 1) % count
         nx, ny = -(px[j, 1] - px[i, 1]), px[j, 0] - px[i, 0]
         size = hypot(nx, ny)
-        if size < 1e-9:
+        if size < SHORTEST_SIDE_PX:
             return False
         nx, ny = nx / size, ny / size
         if nx * (mx - px[i, 0]) + ny * (my - px[i, 1]) < 0.0:
@@ -87,37 +101,40 @@ def outline(
 
 
 @inner_no_memory
-def reach_px(K: Any, depth: float, motion: Any) -> float:
-    """Pixels by which motion during the exposure carries a face's border to either side."""
+def motion_reach_px(K: Any, depth: float, motion: Any) -> float:
+    """Largest displacement [px] of a face's border to either side by its motion during the exposure, of variances
+    `motion`."""
     return 0.5 * sqrt(12.0 * (motion[0] + motion[2])) * sqrt(K[0, 0] * K[1, 1]) / depth
 
 
 @inner_fast_sums_no_memory
-def line_on_face(
-    rays: Any, first: int, count: int, wide: Any, E: Any, origin: Any, gap: float, texel: float, half: float, xs: Any,
-    ys: Any,
-) -> None:  # fmt: skip
-    """Where the pixels of one line, from the `first` on, lie on a face [texel]. With λ D = c + S r on the ray D through a pixel
-    (see `exposure_shrink`), r = λ D/S - c/S; `wide` is 1/S, `origin` that of the face after it, and `gap` its distance."""
-    w00, w01, w02 = wide[0, 0], wide[0, 1], wide[0, 2]
-    w10, w11, w12 = wide[1, 0], wide[1, 1], wide[1, 2]
-    w20, w21, w22 = wide[2, 0], wide[2, 1], wide[2, 2]
+def row_on_face(
+    rays: Any, inverse_shrink: Any, E: Any, origin: Any, gap: float, texel: float, half: float, line: Any
+) -> None:
+    """Fill `line` with the face coordinates [texel] of the pixels of one image row, of given `rays` (count, 2).
+
+    A pixel with the ray D shows the point r of the die for which λ D = c + S r (see `exposure_shrink`): r = λ S⁻¹ D -
+    S⁻¹ c. `inverse_shrink` is S⁻¹, `origin` the face's after it, and `gap` the distance of its plane.
+    """
+    w00, w01, w02 = inverse_shrink[0, 0], inverse_shrink[0, 1], inverse_shrink[0, 2]
+    w10, w11, w12 = inverse_shrink[1, 0], inverse_shrink[1, 1], inverse_shrink[1, 2]
+    w20, w21, w22 = inverse_shrink[2, 0], inverse_shrink[2, 1], inverse_shrink[2, 2]
     ax, ay, az = E[0, 0] / texel, E[0, 1] / texel, E[0, 2] / texel
     bx, by, bz = E[1, 0] / texel, E[1, 1] / texel, E[1, 2] / texel
     nx, ny, nz = E[2, 0], E[2, 1], E[2, 2]
     x0 = half - ax * origin[0] - ay * origin[1] - az * origin[2]
     y0 = half - bx * origin[0] - by * origin[1] - bz * origin[2]
-    for i in range(count):
-        dx, dy = float(rays[first + i, 0]), float(rays[first + i, 1])
+    for i in range(rays.shape[0]):
+        dx, dy = float(rays[i, 0]), float(rays[i, 1])
         X, Y, Z = w00 * dx + w01 * dy + w02, w10 * dx + w11 * dy + w12, w20 * dx + w21 * dy + w22
         depth = gap / (nx * X + ny * Y + nz * Z)
-        xs[i] = depth * (ax * X + ay * Y + az * Z) + x0
-        ys[i] = depth * (bx * X + by * Y + bz * Z) + y0
+        line[0, i] = depth * (ax * X + ay * Y + az * Z) + x0
+        line[1, i] = depth * (bx * X + by * Y + bz * Z) + y0
 
 
 @inner_nogil
 def turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
-    """Turn the first six rows and columns (two vectors) from camera to world axes."""
+    """Rotate the first six parameters (two vectors) of normal equations H, g from camera to world axes."""
     N = len(g)
     T = np.zeros((N, N))
     for k in range(3):
@@ -148,10 +165,10 @@ def turn_to_world(Rcw: Any, H: Any, g: Any) -> None:
 
 @inner_nogil
 def turned_by(R: Any, w: Any) -> Any:
-    """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
+    """exp(w) R, by Rodrigues' formula."""
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
-    a = sin(angle) / angle if angle > 1e-8 else 1.0
-    b = (1.0 - cos(angle)) / (angle * angle) if angle > 1e-8 else 0.5
+    a = sin(angle) / angle if angle > SMALL_ANGLE_RAD else 1.0
+    b = (1.0 - cos(angle)) / (angle * angle) if angle > SMALL_ANGLE_RAD else 0.5
     out = np.empty((3, 3))
     for k in range(3):
         x, y, z = R[0, k], R[1, k], R[2, k]
@@ -163,13 +180,14 @@ def turned_by(R: Any, w: Any) -> Any:
 
 
 @inner_no_memory
-def moved_px(K: Any, Rcw: Any, tcw: Any, pos: Any, step: Any, reach: float) -> float:
-    """How far in the picture a step (6,) of a die that reaches so far [m] moves its farthest points at the most."""
-    x, y, z, depth = 0.0, 0.0, 0.0, tcw[2]
+def largest_move_px(optics: Optics, position: Any, step: Any, reach: float) -> float:
+    """Upper bound [px] of the displacement of any point, at most `reach` [m] from the centre, by a pose step (6,)."""
+    Rcw = optics.rotation
+    x, y, z, depth = 0.0, 0.0, 0.0, optics.translation[2]
     for j in range(3):
         x += Rcw[0, j] * step[j]
         y += Rcw[1, j] * step[j]
         z += Rcw[2, j] * step[j]
-        depth += Rcw[2, j] * pos[j]
+        depth += Rcw[2, j] * position[j]
     turned = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-    return float(K[0, 0] / depth * (hypot(x, y) + reach * (turned + abs(z) / depth)))
+    return float(optics.matrix[0, 0] / depth * (hypot(x, y) + reach * (turned + abs(z) / depth)))

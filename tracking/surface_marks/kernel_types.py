@@ -1,4 +1,14 @@
-"""tracking.surface_marks.kernel_types."""
+"""Constants and records of the kernels that measure a pose on surface marks.
+
+Face coordinates (a, b) [m] are counted from the foot of the perpendicular from the die's centre onto the face, along
+two axes of the body frame; the third axis is the outward normal. The grey level of a pixel on a face is modelled as
+
+    I = c₀ T + c₁ + c₂ a + c₃ b + c₄ a T + c₅ b T,
+
+with T(a, b) the face's texture, about one on bare paint, and six light coefficients c for each face and frame. Light
+that the paint scatters is proportional to T, light that it mirrors lies over it; either changes linearly over the
+face.
+"""
 
 from __future__ import annotations
 
@@ -8,66 +18,83 @@ import numpy as np
 
 from ...model.compiled import compiled, int64, truth
 
-GAINS = 6
-"""Light on one face of one frame: T, 1, a, b, aT, bT. What the paint scatters follows the texture T, what it mirrors lies over
-it; either changes linearly over the face."""
-PLAIN = 4
-"""Those of them that a face of unknown texture has, T being 1."""
-GRADIENT = 0.3
-"""Standard deviation of the prior on how much the scattered light changes from the middle of a face to its border, as a share: a
-small mark seen through much noise does not show it."""
+LIGHT_COEFFICIENTS = 6
+"""Of T, 1, a, b, aT, bT."""
+FIRST_GRADIENT = 4
+"""Index of the first of the two gradients of the scattered light, which have a prior. A face of unknown texture has the
+coefficients of 1, a and b alone: its T is 1 everywhere."""
+LIGHT_GRADIENT_SIGMA = 0.3
+"""Prior standard deviation of the change of the scattered light from the middle of a face to its border, as a share:
+a small mark in much noise does not determine it."""
 WARPS = 9
-"""Ways in which a texture may lie wrongly on its face: shift (2), linear map (4), and the two terms by which a plane seen from
-another side differs from that. Poses that are wrong alike on all frames warp what is learned from them in just these. The last
-one is blur."""
-SHARED = 1
-"""Numbers shared by all faces and frames: the lens blur."""
-STEEP = 0.3
+"""Parameters of a texture's misplacement on its face: shift (2), linear map (4), the two perspective terms of a
+plane, and blur. Pose errors common to all frames warp the learned texture in the first eight ways."""
+SHARED_PARAMETERS = 1
+"""Parameters common to all faces and frames: the lens blur."""
+STEEP_SHARE = 0.3
 """Share of the steepest slope on a face from which a pixel counts as steep."""
-THINNED = 3
-"""Of the pixels on flat ground beside marks every third is enough for the six numbers of light."""
-NO_BLUR = 0.02
-"""Variance [texel²] below which more or less blur is left out: a texture's own is about one."""
-BLUR_STEP = 1.15
-"""Factor on the lens blur for its difference quotient. Its derivative proper would rest on the texture's curvature at one place,
-and so on its noise, which every look that it was learned from shares: blurs came out a quarter too large."""
-STENCIL_BLUR = 2.0
-"""Variance [texel²] up to which a texture is blurred by three values in a row, a texel apart, some times over. More is blurred by
-values twice as far apart, from four times as much on four times, and so on, each after one turn of those nearer to each other:
-values far apart leave what lies between them as it is. Three values √3 standard deviations apart, weighted 1/6, 2/3 and 1/6,
-blur a quintic as a normal distribution does; the turns here are about as wide, and right for cubics."""
-EVERY_THIRD, MANY = 3, 600
-"""On the way one pixel in three tells the scale of the residuals well enough, where a face has so many."""
-BUFFER = 60_000
-"""Pixels of one face at the most; larger faces are walked on every second, third, ... row."""
-TUKEY = 4.685
-"""Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
-GRAZING = 0.2
-"""Cosine of the view below which a face is left out: it is squeezed five times, and its blur is that of other faces."""
+FLAT_DECIMATION = 3
+"""One in so many pixels is used on flat ground beside marks: enough for the light coefficients."""
+NEGLIGIBLE_BLUR_TEXEL2 = 0.02
+"""Variance [texel²] of a frame's blur relative to its texture below which it is neglected: a texture's own is about
+one."""
+LENS_BLUR_RATIO = 1.15
+"""Ratio of the lens blurs in the difference quotient by lens blur. The analytic derivative rests on the texture's
+curvature at one place and thus on its noise, which all frames that it was learned from share: it overestimated blurs
+by a quarter."""
+STENCIL_BLUR_TEXEL2 = 2.0
+"""Largest variance [texel²] that a stencil of three adjacent values blurs by, in several passes. Larger variances use
+values twice as far apart from four times as much on, four times as far apart from sixteen times, and so on, each
+after one pass of the finer ones, because values far apart leave those between them unchanged. The stencil (1/6, 2/3,
+1/6) with values √3 standard deviations apart blurs a quintic exactly as a normal distribution does; passes here are
+about as wide, and exact for cubics."""
+SCALE_DECIMATION = 3
+"""One in so many residuals determines the noise scale before the last iteration."""
+DECIMATED_FROM = 600
+"""Number of pixels on a face from which SCALE_DECIMATION is applied."""
+MOST_PIXELS = 60_000
+"""Most pixels of one face; larger faces are sampled on every second, third, ... row."""
+FEWEST_PIXELS = 40
+"""Pixels of a face below which the frame says nothing about it."""
+LEAST_VIEW_COSINE = 0.2
+"""Least cosine between a face's normal and the direction to the camera. Below it the image of the face is compressed
+more than five times, and blurred by more than its marks are apart."""
 MARGIN_BLURS = 2.5
-"""Blurs, and half a pixel, by which pixels of a face stay away from where its flat part ends: 0.6 % of the step beyond
-the edge are left there."""
-SETTLED_PX = 0.1
-"""A step of the refinement that moves no point by more is the last one: marks are blurred over five times as much at least, and
-what the next step would move is of second order in that share."""
-OVERSTEP = 1.2
-"""Factor on the steps of the refinement. With the weights of the last residuals kept, as here, the normal equations are steeper
-than the robust cost: by the ratio of the means of the biweight and of its influence function's slope, 0.915 to 0.758 for
-Gaussian residuals. One plain step left a sixth of the way."""
-MOST_HIDDEN = 0.5
-"""Share of a face's pixels, or texels, that may be unlike its texture before the face is left out of a frame."""
+"""Distance, in lens blurs and beside half a pixel, of the used pixels from the border of a face's flat part: 0.6 % of
+the step beyond the border remain there."""
+CONVERGED_PX = 0.1
+"""A refinement step that moves every point of the die by less ends the iteration: marks are blurred over five times
+as much at least, and the next step is of second order in that share."""
+CONVERGED_GAIN = 0.1
+"""A refinement step that gains less [squared sigmas] ends the iteration: it moves by a third of a sigma, the next one
+by a tenth of that."""
+OVERRELAXATION = 1.2
+"""Factor on the refinement steps. With the robust weights held fixed the normal equations are steeper than the robust
+cost, by the ratio of the means of the biweight and of the slope of its influence function: 0.915 to 0.758 for
+Gaussian residuals. A plain step left a sixth of the distance."""
+MOST_OCCLUDED = 0.5
+"""Share of a face's pixels, or texels, that may disagree with its texture before the face is left out of a frame."""
 
-
-FIRST, ALL, POSE, LOOKING, FITTING = int64(0), int64(GAINS), int64(6), int64(4), int64(3)
-NO_PLACES, KNOWN, MOST = truth(False), truth(True), int64(BUFFER)
-"""Numbers that are handed on: as literals each would be compiled apart, with all that it is handed to."""
+ZERO = int64(0)
+"""Start of a counter. Like the constants below, it is typed so that kernels are not compiled again for a literal."""
+ALL_LIGHT = int64(LIGHT_COEFFICIENTS)
+"""Size of the light's normal equations."""
+POSE_PARAMETERS = int64(6)
+"""Size of the pose's normal equations."""
+LEARNING_ITERATIONS = int64(4)
+"""Reweighted least-squares iterations of the light where textures are learned."""
+REFINING_ITERATIONS = int64(3)
+"""The same where poses are refined."""
+WITHOUT_WARPS = truth(False)
+TEXTURE_KNOWN = truth(True)
+WORKSPACE_PIXELS = int64(MOST_PIXELS)
 
 
 class Optics(NamedTuple):
-    """The camera, and what blurs its pictures."""
+    """The camera, and what blurs its images."""
 
     rays: Any
-    """(height, width, 2) camera rays x/z, y/z of the pixels of the whole picture, lens distortion undone."""
+    """(height, width, 2) undistorted camera rays x/z, y/z of all pixels."""
     matrix: Any
     """(3, 3) [px]"""
     distortion: Any
@@ -79,74 +106,98 @@ class Optics(NamedTuple):
     exposure: float
     """[s]"""
     blur: float
-    """[px] of the lens."""
+    """Standard deviation of the lens blur [px]."""
 
 
 class Faces(NamedTuple):
-    """The die's faces with what they show, and how pixels are compared with it."""
+    """The die's faces with their textures, and how pixels are compared with them."""
 
     axes: Any
     """(faces, 3, 3) rows a, b and the outward normal, body axes."""
     offsets: Any
-    """(faces,) [m]"""
+    """(faces,) distances of the face planes from the centre [m]."""
     corners: Any
-    """(faces, most, 2) [m] of the flat part in (a, b), padded."""
+    """(faces, most, 2) corners of the flat part in (a, b) [m], padded."""
     counts: Any
-    """(faces,) corners of each."""
-    base: Any
+    """(faces,) corners of each face."""
+    learned: Any
+    """(faces,) whether the texture is known."""
+    texture_blur: Any
     """(faces, 2, 3) [m²] blur of the textures, see `blur_on_face`."""
     coefficients: Any
-    """(faces, n, n) of the splines."""
+    """(faces, n, n) of the cubic B-splines."""
     use: Any
-    """(faces, n, n) 0 where no pixel looks, 1 where few do because the texture is flat, 2 where all do."""
+    """(faces, n, n) 0 where no pixel is used, 1 where one in FLAT_DECIMATION is because the texture is flat, 2 where
+    all are."""
     usual_grey: Any
-    """(faces,) usual residual of a pixel; 0 for a face that shows nothing."""
+    """(faces,) usual residual of a pixel; 0 for a face without marks."""
     margin: float
-    """[px] by which pixels stay away from where the flat part ends."""
+    """Distance of the used pixels from the border of the flat part [px]."""
     texel: float
-    """[m]"""
+    """Side of a texel [m]."""
     saturation: float
-    """[grey] from which pixels tell nothing."""
+    """Grey level from which pixels are left out."""
     floor_grey: float
-    """Least noise."""
+    """Least noise scale."""
     cut: float
-    """Of the robust weights [sigmas]."""
+    """Cut of the robust weights [sigmas]."""
 
 
-class Bench(NamedTuple):
-    """Room for the pixels of one face, taken once for many frames."""
+class Frame(NamedTuple):
+    """A window of one frame round the die, and the die's pose and velocity then."""
+
+    image: Any
+    """(height, width) grey levels, float32."""
+    x0: int
+    """Column of the whole picture at which the window begins."""
+    y0: int
+    """Row of the whole picture at which the window begins."""
+    position: Any
+    """(3,) [m]"""
+    rotation: Any
+    """(3, 3) body to world."""
+    velocity: Any
+    """(3,) [m/s]"""
+    omega: Any
+    """(3,) angular velocity [rad/s], world axes."""
+
+
+class Workspace(NamedTuple):
+    """Scratch arrays for the pixels of one face, allocated once for many frames."""
 
     grey: Any
     texture: Any
     a: Any
+    """Face coordinate over half the grid's width: -1 to 1."""
     b: Any
-    """Light changes with these: face coordinates, one at the grid's border."""
     steep: Any
+    """Slope of the texture over the steepest one."""
     weight: Any
-    left: Any
+    residual: Any
     size: Any
-    where: Any
+    """Absolute residuals of steep pixels."""
+    texel_index: Any
     slope: Any
     """(2, most) of the texture by a and b [1/m]."""
     ray: Any
     """(2, most)"""
-    softer: Any
+    by_blur: Any
     """(2, most) derivatives of the texture by its own variance [1/texel²] and by the lens blur [1/px]."""
-    by: Any
-    """(6 + WARPS + SHARED, most) derivatives of the grey levels by all that they may depend on."""
-    heavy: Any
+    derivatives: Any
+    """(6 + WARPS + SHARED_PARAMETERS, most) of the grey levels by all parameters."""
+    weighted: Any
     """(most,) one of them, times its weight."""
-    soft: Any
+    blurred: Any
     """(4, n, n) textures that are being blurred."""
     line: Any
-    """(2, most) where the pixels of one line lie on the face [texel]."""
+    """(2, most) face coordinates of the pixels of one image row [texel]."""
 
 
 @compiled(nogil=True)
-def new_bench(most: int, side: int) -> Bench:
-    """A bench for `most` pixels of a face, and textures of `side` texels a side."""
-    return Bench(
+def new_workspace(most: int, side: int) -> Workspace:
+    """Scratch arrays for `most` pixels of a face, and textures of `side` texels a side."""
+    return Workspace(
         np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
         np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty((2, most)),
-        np.empty((6 + WARPS + SHARED, most)), np.empty(most), np.empty((4, side, side)), np.empty((2, most)),
+        np.empty((6 + WARPS + SHARED_PARAMETERS, most)), np.empty(most), np.empty((4, side, side)), np.empty((2, most)),
     )  # fmt: skip

@@ -1,68 +1,122 @@
-"""What the pixels inside a die's faces say about its pose: compiled loops over texels and pixels (see `marks`).
+"""Normal equations of a pose from the pixels inside a die's faces, and the Gauss-Newton refinement on them.
 
-Face coordinates (a, b) [m] are counted from the foot of the perpendicular from the die's centre, along two axes of the
-body frame; the third axis is the outward normal. A texture is a cubic B-spline surface on a square grid of such
-coordinates, one for each face, equal to about one on the bare paint. The ray of every pixel is known beforehand, lens
-distortion undone, so that a pixel meets a face by one division and no picture is ever resampled when a pose is asked.
+With D the ray of a pixel in world axes, n the normal of a face, e an axis of the face, and r the point of the die
+that the pixel shows, counted from the die's centre: a pose increment (δp, δθ) moves that point by q = δp + δθ × r,
+and the face coordinate under the pixel by δa = s·q with s = (e·D)/(n·D) n - e. The derivative of the texture under
+the pixel is therefore t = T_a s_a + T_b s_b by position, and r × t by rotation.
 
-With D the ray in world axes, n the normal, e an axis of the face and r the point of the die that the pixel shows, counted
-from the die's centre, a pose increment (δp, δθ) moves that point by q = δp + δθ × r, and the face coordinate under the pixel
-by δa = s·q with s = (e·D)/(n·D) n - e. The derivative of the texture under the pixel is therefore t = T_a s_a + T_b s_b by
-position, and r × t by rotation.
+The light of each face is eliminated by a Schur complement (variable projection). Pixels are compared where they are,
+never resampled, so their noise stays independent.
 """
 
 from __future__ import annotations
 
 from math import ceil, floor, hypot
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...model.compiled import compiled, inner_fast_sums
 from ..picture import solve_factored, solve_positive
-from .face_geometry import exposure_shrink, face_in_camera, line_on_face, outline, reach_px, turn_to_world
-from .kernel_types import (
-    ALL,
-    BLUR_STEP,
-    FIRST,
-    FITTING,
-    GAINS,
-    GRADIENT,
-    GRAZING,
-    KNOWN,
-    MOST_HIDDEN,
-    NO_BLUR,
-    PLAIN,
-    SHARED,
-    THINNED,
-    WARPS,
-    Bench,
-    Faces,
-    Optics,
+from .face_geometry import (
+    exposure_shrink,
+    face_in_camera,
+    face_outline,
+    largest_move_px,
+    motion_reach_px,
+    row_on_face,
+    turn_to_world,
+    turned_by,
 )
-from .texture_blur import blur_on_face, extra_blur, soften, spline_bend, spline_value, spline_with_slopes
-from .texture_gains import light_sums, relative_slopes, robust_gains
+from .face_light import fit_light, light_sums, relative_slopes
+from .kernel_types import (
+    ALL_LIGHT,
+    CONVERGED_GAIN,
+    CONVERGED_PX,
+    FEWEST_PIXELS,
+    FIRST_GRADIENT,
+    FLAT_DECIMATION,
+    LEAST_VIEW_COSINE,
+    LENS_BLUR_RATIO,
+    LIGHT_COEFFICIENTS,
+    LIGHT_GRADIENT_SIGMA,
+    MOST_OCCLUDED,
+    NEGLIGIBLE_BLUR_TEXEL2,
+    OVERRELAXATION,
+    POSE_PARAMETERS,
+    REFINING_ITERATIONS,
+    SHARED_PARAMETERS,
+    TEXTURE_KNOWN,
+    WARPS,
+    WITHOUT_WARPS,
+    WORKSPACE_PIXELS,
+    ZERO,
+    Faces,
+    Frame,
+    Optics,
+    Workspace,
+    new_workspace,
+)
+from .texture_blur import blur_on_face, blur_texture, relative_blur, spline_laplacian, spline_value, spline_with_slopes
+
+GAUSS_NEWTON_STEPS = 4
+"""Most steps of a refinement; from a flight the first one comes within a hundredth of a pixel of the solution."""
+SCALE_CEILING = 2.0
+"""Ceiling of a frame's noise scale over the face's usual one."""
+RELATIVE_DAMPING = 1e-12
+"""Added to the diagonal of a pose's normal equations as a share of it: their columns are in metres and in radians."""
+
+
+class Equations(NamedTuple):
+    """Normal equations of one frame."""
+
+    H: Any
+    """(6, 6) information of the pose increment."""
+    g: Any
+    """(6,) right side."""
+    warps: Any
+    """(faces, WARPS + SHARED_PARAMETERS, 6 + WARPS + SHARED_PARAMETERS + 1) for the warps of each face's texture and
+    the lens blur [px], the rows of their normal matrix: by pose (6), by themselves, and the right side."""
+    stats: Any
+    """(faces, 3) pixels seen, pixels used, and noise [grey]."""
+
+
+class PoseRows(NamedTuple):
+    """Frames that are refined on marks and edges together, one row each."""
+
+    position: Any
+    """(m, 3) [m], start and result."""
+    rotation: Any
+    """(m, 3, 3) body to world, start and result."""
+    velocity: Any
+    """(m, 3) [m/s]"""
+    omega: Any
+    """(m, 3) [rad/s], world axes."""
+    edge_information: Any
+    """(m, 6, 6) of the edges."""
+    edge_gradient: Any
+    """(m, 6) that information times the edges' pose minus the start."""
+    mark_information: Any
+    """(m, 6, 6) result: of the marks alone; zero where no marked face is in view, whose pose stays."""
 
 
 @compiled(nogil=True)
 def mark_equations(
-    image: Any, x0: int, y0: int, optics: Optics, faces: Faces, pos: Any, R: Any, vel: Any, omega: Any, places: bool,
-    bench: Bench, H: Any, g: Any, place: Any, stats: Any,
-) -> None:  # fmt: skip
-    """Fill H (6, 6) and g (6,) of the pose increment from the marks of every face in view.
+    frame: Frame, optics: Optics, faces: Faces, with_warps: bool, workspace: Workspace, equations: Equations
+) -> None:
+    """Fill the normal equations of the pose increment from the marks of every face in view.
 
-    `image` is a float32 window whose pixel [0, 0] lies at (x0, y0). `place` (faces, WARPS + SHARED, 6 + WARPS + SHARED + 1)
-    becomes, for the warps of each face's texture and the lens blur [px], the rows of their normal matrix: by pose (6), by
-    themselves, and the right side; with `places` False it is left alone, and the time for it saved. `stats` (faces, 3) become
-    pixels seen, pixels used and noise [grey].
+    Without `with_warps`, `equations.warps` is left alone and its time saved.
     """
+    image, x0, y0 = frame.image, frame.x0, frame.y0
+    H, g, warps, stats = equations.H, equations.g, equations.warps, equations.stats
     H[:] = 0.0
     g[:] = 0.0
-    if places:
-        place[:] = 0.0
-    N = 6 + WARPS + SHARED if places else 6
+    if with_warps:
+        warps[:] = 0.0
+    N = 6 + WARPS + SHARED_PARAMETERS if with_warps else 6
     stats[:] = 0.0
-    K, dist, Rcw, tcw, texel = optics.matrix, optics.distortion, optics.rotation, optics.translation, faces.texel
+    K, Rcw, tcw, texel, pos = optics.matrix, optics.rotation, optics.translation, faces.texel, frame.position
     offsets, corners, counts = faces.offsets, faces.corners, faces.counts
     height, width = image.shape
     n = faces.coefficients.shape[1]
@@ -70,30 +124,32 @@ def mark_equations(
     E, origin = np.zeros((3, 3)), np.zeros(3)
     most = corners.shape[1]
     px, planes = np.zeros((most, 2)), np.zeros((most, 3))
-    more, further, own = np.zeros(3), np.zeros(3), np.zeros((2, 3))
-    grey, texture, steep = bench.grey, bench.texture, bench.steep
-    slope, ray, softer, line = bench.slope, bench.ray, bench.softer, bench.line
-    c, A = np.zeros(GAINS), np.zeros((GAINS, GAINS))
-    HH, gg, C = np.zeros((N, N)), np.zeros(N), np.zeros((N, GAINS))
-    elim = np.zeros(GAINS)
-    shrink, wide, centre, middle = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    exposure_shrink(Rcw, omega, optics.exposure, shrink)
+    relative, added, lens_blur, motion = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    grey, texture, steep = workspace.grey, workspace.texture, workspace.steep
+    slope, ray, by_blur, line = workspace.slope, workspace.ray, workspace.by_blur, workspace.line
+    c, A = np.zeros(LIGHT_COEFFICIENTS), np.zeros((LIGHT_COEFFICIENTS, LIGHT_COEFFICIENTS))
+    face_H, face_g, light_cross = np.zeros((N, N)), np.zeros(N), np.zeros((N, LIGHT_COEFFICIENTS))
+    eliminated = np.zeros(LIGHT_COEFFICIENTS)
+    shrink, inverse_shrink, centre, scaled_centre = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    exposure_shrink(Rcw, frame.omega, optics.exposure, shrink)
     for i in range(3):
         centre[i] = tcw[i] + Rcw[i, 0] * pos[0] + Rcw[i, 1] * pos[1] + Rcw[i, 2] * pos[2]
         for j in range(3):
-            # 1/S to first order: its square is 1e-7.
-            wide[i, j] = (2.0 if i == j else 0.0) - shrink[i, j]
+            # S⁻¹ to first order: the second is 1e-7.
+            inverse_shrink[i, j] = (2.0 if i == j else 0.0) - shrink[i, j]
     for i in range(3):
-        middle[i] = wide[i, 0] * centre[0] + wide[i, 1] * centre[1] + wide[i, 2] * centre[2]
+        scaled_centre[i] = (
+            inverse_shrink[i, 0] * centre[0] + inverse_shrink[i, 1] * centre[1] + inverse_shrink[i, 2] * centre[2]
+        )
     for f in range(faces.axes.shape[0]):
         if faces.usual_grey[f] <= 0.0:
             continue
-        coef, use, base = faces.coefficients[f], faces.use[f], faces.base[f]
-        if face_in_camera(Rcw, tcw, pos, R, faces.axes[f], offsets[f], E, origin) < GRAZING:
+        coefficients, use, texture_blur = faces.coefficients[f], faces.use[f], faces.texture_blur[f]
+        if face_in_camera(Rcw, tcw, pos, frame.rotation, faces.axes[f], offsets[f], E, origin) < LEAST_VIEW_COSINE:
             continue
-        blur_on_face(K, Rcw, E, origin, offsets[f], vel, omega, optics.exposure, own[0], own[1])
-        border = faces.margin + reach_px(K, origin[2], own[1])
-        if not outline(K, dist, E, origin, corners[f], counts[f], border, px, planes):
+        blur_on_face(optics, E, origin, offsets[f], frame.velocity, frame.omega, lens_blur, motion)
+        border = faces.margin + motion_reach_px(K, origin[2], motion)
+        if not face_outline(optics, E, origin, corners[f], counts[f], border, px, planes):
             continue
         top, bottom = px[0, 1], px[0, 1]
         for i in range(counts[f]):
@@ -102,19 +158,19 @@ def mark_equations(
         left, right = px[0, 0], px[0, 0]
         for i in range(counts[f]):
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
-        if extra_blur(own[0], own[1], optics.blur, base, texel, more) >= NO_BLUR:
-            coef = bench.soft[soften(coef, more, bench.soft)]
-        if places:
-            extra_blur(own[0], own[1], BLUR_STEP * optics.blur, base, texel, further)
+        if relative_blur(lens_blur, motion, optics.blur, texture_blur, texel, relative) >= NEGLIGIBLE_BLUR_TEXEL2:
+            coefficients = workspace.blurred[blur_texture(coefficients, relative, workspace.blurred)]
+        if with_warps:
+            relative_blur(lens_blur, motion, LENS_BLUR_RATIO * optics.blur, texture_blur, texel, added)
             for k in range(3):
-                further[k] -= more[k]
-            blurrier = bench.soft[2 + soften(coef, further, bench.soft[2:])]
+                added[k] -= relative[k]
+            blurrier = workspace.blurred[2 + blur_texture(coefficients, added, workspace.blurred[2:])]
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
-        # Rays and centre are bent rather than the die, see `line_on_face`.
+        # S⁻¹ is applied to rays and centre rather than S to the die, see `row_on_face`.
         for i in range(3):
-            origin[i] = middle[i] + offsets[f] * E[2, i]
+            origin[i] = scaled_centre[i] + offsets[f] * E[2, i]
         gap = E[2, 0] * origin[0] + E[2, 1] * origin[1] + E[2, 2] * origin[2]
-        m = FIRST
+        m = ZERO
         for v in range(first, last + 1, stride):
             low, high = float(x0), float(x0 + width - 1)
             for k in range(counts[f]):
@@ -125,8 +181,9 @@ def mark_equations(
                     high = min(high, -rest / planes[k, 0])
                 elif rest < 0.0:
                     high = low - 1.0
-            begin, end = ceil(low), floor(high) + 1
-            line_on_face(optics.rays[v], begin, end - begin, wide, E, origin, gap, texel, half, line[0], line[1])
+            begin = ceil(low)
+            end = max(floor(high) + 1, begin)
+            row_on_face(optics.rays[v, begin:end], inverse_shrink, E, origin, gap, texel, half, line)
             for u in range(begin, end):
                 value, x, y = image[v - y0, u - x0], line[0, u - begin], line[1, u - begin]
                 if value >= faces.saturation:
@@ -134,75 +191,76 @@ def mark_equations(
                 if not (1.0 <= x < n - 2.0 and 1.0 <= y < n - 2.0):
                     continue
                 kind = use[int(y + 0.5), int(x + 0.5)]
-                if kind == 0 or (kind == 1 and (u + v) % THINNED != 0):
+                if kind == 0 or (kind == 1 and (u + v) % FLAT_DECIMATION != 0):
                     continue
-                level, gx, gy = spline_with_slopes(coef, x, y)
+                level, gx, gy = spline_with_slopes(coefficients, x, y)
                 grey[m], texture[m] = value, level
-                bench.a[m], bench.b[m] = (x - half) / half, (y - half) / half
+                workspace.a[m], workspace.b[m] = (x - half) / half, (y - half) / half
                 slope[0, m], slope[1, m] = gx / texel, gy / texel
                 steep[m] = hypot(gx, gy)
-                if places:
-                    softer[0, m] = 0.5 * spline_bend(coef, x, y)
-                    softer[1, m] = (spline_value(blurrier, x, y) - level) / ((BLUR_STEP - 1.0) * optics.blur)
+                if with_warps:
+                    by_blur[0, m] = 0.5 * spline_laplacian(coefficients, x, y)
+                    by_blur[1, m] = (spline_value(blurrier, x, y) - level) / ((LENS_BLUR_RATIO - 1.0) * optics.blur)
                 ray[0, m], ray[1, m] = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 m += 1
         stats[f, 0] = m
-        if m < 40:
+        if m < FEWEST_PIXELS:
             continue
         relative_slopes(steep, m)
         c[:] = 0.0
-        scale = robust_gains(m, KNOWN, faces.floor_grey, 2.0 * faces.usual_grey[f], faces.cut, FITTING, bench, A, c)
+        ceiling_grey = SCALE_CEILING * faces.usual_grey[f]
+        scale = fit_light(m, TEXTURE_KNOWN, faces, ceiling_grey, REFINING_ITERATIONS, workspace, A, c)
         if scale < 0.0 or c[0] <= 0.0:
             continue
         used = 0.0
         for i in range(m):
-            used += bench.weight[i]
+            used += workspace.weight[i]
         stats[f, 1], stats[f, 2] = used, scale
-        if used < (1.0 - MOST_HIDDEN) * m:
+        if used < (1.0 - MOST_OCCLUDED) * m:
             continue
-        # Everything in camera axes; turned to world axes once, after the sum.
-        _fill_by_pose(m, c, E, offsets[f], half * texel, bench)
-        if places:
-            _fill_by_places(m, c, half * texel, bench)
+        # All in camera axes; rotated to world axes once, after the sum.
+        _fill_by_pose(m, c, E, offsets[f], half * texel, workspace)
+        if with_warps:
+            _fill_by_warps(m, c, half * texel, workspace)
         for k in range(N):
-            _add_products(m, k, bench, HH, gg, C)
-        light_sums(m, grey, texture, bench.a, bench.b, bench.weight, A, elim)
-        iv = 1.0 / (scale * scale)
-        for k in range(PLAIN, GAINS):
-            A[k, k] += 1.0 / (GRADIENT * c[0]) ** 2 / iv
-        if not solve_positive(A, ALL, C[0], elim):
+            _fill_products(m, k, workspace, face_H, face_g, light_cross)
+        light_sums(m, grey, texture, workspace.a, workspace.b, workspace.weight, A, eliminated)
+        inverse_variance = 1.0 / (scale * scale)
+        for k in range(FIRST_GRADIENT, LIGHT_COEFFICIENTS):
+            A[k, k] += 1.0 / (LIGHT_GRADIENT_SIGMA * c[0]) ** 2 / inverse_variance
+        if not solve_positive(A, ALL_LIGHT, light_cross[0], eliminated):
             continue
         for k in range(N):
-            solve_factored(A, ALL, C[k], elim)
+            solve_factored(A, ALL_LIGHT, light_cross[k], eliminated)
             for h in range(k, N):
                 s = 0.0
-                for q in range(GAINS):
-                    s += C[h, q] * elim[q]
-                HH[h, k] -= s
+                for q in range(LIGHT_COEFFICIENTS):
+                    s += light_cross[h, q] * eliminated[q]
+                face_H[h, k] -= s
         for k in range(N):
-            gg[k] *= iv
-            HH[k, k] *= iv
+            face_g[k] *= inverse_variance
+            face_H[k, k] *= inverse_variance
             for h in range(k):
-                HH[k, h] *= iv
-                HH[h, k] = HH[k, h]
-        turn_to_world(Rcw, HH, gg)
+                face_H[k, h] *= inverse_variance
+                face_H[h, k] = face_H[k, h]
+        turn_to_world(Rcw, face_H, face_g)
         for k in range(6):
-            g[k] += gg[k]
+            g[k] += face_g[k]
             for h in range(6):
-                H[k, h] += HH[k, h]
-        if places:
-            for k in range(WARPS + SHARED):
+                H[k, h] += face_H[k, h]
+        if with_warps:
+            for k in range(WARPS + SHARED_PARAMETERS):
                 for h in range(N):
-                    place[f, k, h] = HH[6 + k, h]
-                place[f, k, N] = gg[6 + k]
+                    warps[f, k, h] = face_H[6 + k, h]
+                warps[f, k, N] = face_g[6 + k]
 
 
 @inner_fast_sums
 def _by_pose(
     ga: float, gb: float, dx: float, dy: float, a: float, b: float, E: Any, offset: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Derivative of a pixel's grey level by the pose, in camera axes, from its slopes by face coordinates, its ray and the
-    place (a, b) that it shows."""
+    """Derivatives of a pixel's grey level by the pose, in camera axes, from its slopes by face coordinates, its ray,
+    and the point (a, b) that it shows."""
     nd = E[2, 0] * dx + E[2, 1] * dy + E[2, 2]
     slip = (ga * (E[0, 0] * dx + E[0, 1] * dy + E[0, 2]) + gb * (E[1, 0] * dx + E[1, 1] * dy + E[1, 2])) / nd
     tx = slip * E[2, 0] - ga * E[0, 0] - gb * E[1, 0]
@@ -215,54 +273,121 @@ def _by_pose(
 
 
 @inner_fast_sums
-def _fill_by_pose(m: int, c: Any, E: Any, offset: float, unit: float, bench: Bench) -> None:
-    """Derivatives of m grey levels by the pose."""
-    by = bench.by
+def _fill_by_pose(m: int, c: Any, E: Any, offset: float, unit: float, workspace: Workspace) -> None:
+    """Derivatives of m grey levels by the pose; `unit` is half the grid's width [m]."""
+    by, slope, ray = workspace.derivatives, workspace.slope, workspace.ray
     for i in range(m):
-        x, y = bench.a[i], bench.b[i]
+        x, y = workspace.a[i], workspace.b[i]
         contrast = c[0] + c[4] * x + c[5] * y
         by[0, i], by[1, i], by[2, i], by[3, i], by[4, i], by[5, i] = _by_pose(
-            contrast * bench.slope[0, i], contrast * bench.slope[1, i], bench.ray[0, i], bench.ray[1, i], unit * x, unit * y,
-            E, offset,
+            contrast * slope[0, i], contrast * slope[1, i], ray[0, i], ray[1, i], unit * x, unit * y, E, offset,
         )  # fmt: skip
 
 
 @inner_fast_sums
-def _fill_by_places(m: int, c: Any, unit: float, bench: Bench) -> None:
-    """The same by the warps of the texture and the lens blur."""
-    by = bench.by
+def _fill_by_warps(m: int, c: Any, unit: float, workspace: Workspace) -> None:
+    """Derivatives of m grey levels by the warps of the texture and the lens blur."""
+    by = workspace.derivatives
     for i in range(m):
-        x, y = bench.a[i], bench.b[i]
+        x, y = workspace.a[i], workspace.b[i]
         contrast = c[0] + c[4] * x + c[5] * y
-        a, b, ga, gb = unit * x, unit * y, contrast * bench.slope[0, i], contrast * bench.slope[1, i]
+        a, b, ga, gb = unit * x, unit * y, contrast * workspace.slope[0, i], contrast * workspace.slope[1, i]
         radial = ga * a + gb * b
         by[6, i], by[7, i] = -ga, -gb
         by[8, i], by[9, i], by[10, i], by[11, i] = -ga * a, -ga * b, -gb * a, -gb * b
         by[12, i], by[13, i] = -radial * a, -radial * b
-        by[14, i], by[15, i] = contrast * bench.softer[0, i], contrast * bench.softer[1, i]
+        by[14, i], by[15, i] = contrast * workspace.by_blur[0, i], contrast * workspace.by_blur[1, i]
 
 
 @inner_fast_sums
-def _add_products(m: int, k: int, bench: Bench, HH: Any, gg: Any, C: Any) -> None:
-    """Row k of HH (lower half), gg and C, the products with the light, all at unit noise, of m pixels: one sum after the other
-    over all pixels, which the processor does several at a time."""
-    mine, weight, left, heavy = bench.by[k], bench.weight, bench.left, bench.heavy
-    texture, xs, ys = bench.texture, bench.a, bench.b
-    pull, ct, c1, cx, cy, cxt, cyt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+def _fill_products(m: int, k: int, workspace: Workspace, H: Any, g: Any, light_cross: Any) -> None:
+    """Row k of H (lower half), of g, and of `light_cross`, the products with the light, at unit noise.
+
+    Each sum runs over all m pixels before the next one, so that the processor adds several pixels at a time.
+    """
+    mine, weight, residual = workspace.derivatives[k], workspace.weight, workspace.residual
+    weighted, texture, xs, ys = workspace.weighted, workspace.texture, workspace.a, workspace.b
+    gradient, ct, c1, cx, cy, cxt, cyt = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(m):
         w, t, x, y = weight[i] * mine[i], texture[i], xs[i], ys[i]
-        heavy[i] = w
-        pull += w * left[i]
+        weighted[i] = w
+        gradient += w * residual[i]
         ct += w * t
         c1 += w
         cx += w * x
         cy += w * y
         cxt += w * x * t
         cyt += w * y * t
-    gg[k] = pull
-    C[k, 0], C[k, 1], C[k, 2], C[k, 3], C[k, 4], C[k, 5] = ct, c1, cx, cy, cxt, cyt
+    g[k] = gradient
+    row = light_cross[k]
+    row[0], row[1], row[2], row[3], row[4], row[5] = ct, c1, cx, cy, cxt, cyt
     for h in range(k + 1):
-        other, total = bench.by[h], 0.0
+        other, total = workspace.derivatives[h], 0.0
         for i in range(m):
-            total += heavy[i] * other[i]
-        HH[k, h] = total
+            total += weighted[i] * other[i]
+        H[k, h] = total
+
+
+@compiled(nogil=True)
+def refine_rows(
+    frames: Any, which: Any, boxes: Any, optics: Optics, faces: Faces, variance_factor: float, rows: PoseRows
+) -> None:
+    """Gauss-Newton on the marks together with the edges' poses, in place in `rows`.
+
+    Row k uses the first camera of frame `which[k]` of `frames` (n, cameras, height, width), in the window `boxes[k]`
+    (x0, y0, x1, y1); rows with an empty window are left alone. `variance_factor` divides the information of the
+    marks.
+    """
+    reach = hypot(faces.offsets[0], hypot(faces.corners[0, 0, 0], faces.corners[0, 0, 1]))
+    Hk, g = np.zeros((6, 6)), np.zeros(6)
+    equations = Equations(Hk, g, np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3)))
+    A, y, step, moved = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
+    workspace = new_workspace(WORKSPACE_PIXELS, faces.coefficients.shape[1])
+    for k in range(which.shape[0]):
+        x0, y0 = boxes[k, 0], boxes[k, 1]
+        if boxes[k, 2] <= x0 or boxes[k, 3] <= y0:
+            continue
+        image = np.empty((boxes[k, 3] - y0, boxes[k, 2] - x0), np.float32)
+        for i in range(image.shape[0]):
+            here, there = image[i], frames[which[k], 0, y0 + i, x0:]
+            for j in range(image.shape[1]):
+                here[j] = there[j]
+        p, R, velocity, omega = rows.position[k].copy(), rows.rotation[k].copy(), rows.velocity[k], rows.omega[k]
+        edge_information, edge_gradient = rows.edge_information[k], rows.edge_gradient[k]
+        seen = False
+        moved[:] = 0.0
+        for _ in range(GAUSS_NEWTON_STEPS):
+            frame = Frame(image, x0, y0, p, R, velocity, omega)
+            mark_equations(frame, optics, faces, WITHOUT_WARPS, workspace, equations)
+            seen = Hk[0, 0] > 0.0
+            if not seen:
+                break
+            for i in range(6):
+                y[i] = g[i] / variance_factor + edge_gradient[i]
+                for j in range(6):
+                    Hk[i, j] /= variance_factor
+                    A[i, j] = Hk[i, j] + edge_information[i, j]
+                    y[i] -= edge_information[i, j] * moved[j]
+            for i in range(6):
+                A[i, i] *= 1.0 + RELATIVE_DAMPING
+            seen = solve_positive(A, POSE_PARAMETERS, y, step)
+            if not seen:
+                break
+            gained = 0.0
+            for i in range(6):
+                gained += step[i] * y[i]
+                step[i] *= OVERRELAXATION
+                moved[i] += step[i]
+            for i in range(3):
+                p[i] += step[i]
+            R = turned_by(R, step[3:])
+            if gained < CONVERGED_GAIN or largest_move_px(optics, p, step, reach) < CONVERGED_PX:
+                break
+        for i in range(6):
+            for j in range(6):
+                rows.mark_information[k, i, j] = Hk[i, j] if seen else 0.0
+        if seen:
+            for i in range(3):
+                rows.position[k, i] = p[i]
+                for j in range(3):
+                    rows.rotation[k, i, j] = R[i, j]

@@ -1,4 +1,10 @@
-"""tracking.surface_marks.texture_blur."""
+"""Textures as cubic B-spline surfaces: their values, slopes and curvature, and their blur.
+
+A texture is as blurred as the mean of the frames that it was learned from. A frame is compared with the texture at
+the frame's own blur: the difference of the two, a 2 × 2 covariance on the face, is added by passes of a 3 × 3
+stencil. A face seen aslant is blurred more along its short side, which makes a round mark look longer there; at a
+lens blur of half a pixel this alone turned dice by 0.2 degrees.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
-from .kernel_types import FIRST, STENCIL_BLUR
+from .kernel_types import STENCIL_BLUR_TEXEL2, ZERO, Optics
 
 
 @inner_no_memory
 def _weights_along(s: float) -> tuple[float, float, float, float]:
-    """Of the four coefficients about a place, which lies `s` behind the second of them."""
+    """Weights of the four coefficients about a point that lies `s` (0 to 1) beyond the second of them."""
     b0, b1, b3 = (1.0 - s) ** 3 / 6.0, 2.0 / 3.0 - s * s * (1.0 - 0.5 * s), s * s * s / 6.0
     return b0, b1, 1.0 - b0 - b1 - b3, b3
 
@@ -43,7 +49,7 @@ def spline_with_slopes(coef: Any, x: float, y: float) -> tuple[float, float, flo
 
 @inner_no_memory
 def spline_value(coef: Any, x: float, y: float) -> float:
-    """Its value alone."""
+    """Value of a cubic B-spline surface; x runs along columns [texel]."""
     j, i = floor(x), floor(y)
     bx, by = _weights_along(x - j), _weights_along(y - i)
     v = 0.0
@@ -54,31 +60,33 @@ def spline_value(coef: Any, x: float, y: float) -> float:
 
 
 @inner_no_memory
-def spline_bend(coef: Any, x: float, y: float) -> float:
-    """Sum of its second derivatives by x and by y [1/texel²]."""
+def spline_laplacian(coef: Any, x: float, y: float) -> float:
+    """Sum of the second derivatives by x and by y [1/texel²] of a cubic B-spline surface."""
     j, i = floor(x), floor(y)
     s, t = x - j, y - i
     bx, by = _weights_along(s), _weights_along(t)
-    bends = (1.0 - t, 3.0 * t - 2.0, 1.0 - 3.0 * t, t)
+    curvature = (1.0 - t, 3.0 * t - 2.0, 1.0 - 3.0 * t, t)
     v = 0.0
     for k in range(4):
         row = coef[i - 1 + k]
         c0, c1, c2, c3 = row[j - 1], row[j], row[j + 1], row[j + 2]
         v += by[k] * ((1.0 - s) * (c0 - 2.0 * c1 + c2) + s * (c1 - 2.0 * c2 + c3))
-        v += bends[k] * (c0 * bx[0] + c1 * bx[1] + c2 * bx[2] + c3 * bx[3])
+        v += curvature[k] * (c0 * bx[0] + c1 * bx[1] + c2 * bx[2] + c3 * bx[3])
     return v
 
 
 @inner_nogil
 def blur_on_face(
-    K: Any, Rcw: Any, E: Any, origin: Any, offset: float, vel: Any, omega: Any, exposure: float, lens: Any, motion: Any
+    optics: Optics, E: Any, origin: Any, offset: float, velocity: Any, omega: Any, lens: Any, motion: Any
 ) -> None:
-    """Blur of a face in face coordinates, as variances aa, ab, bb: `lens` (3,) [m²] for a lens blur of one pixel, and
-    `motion` (3,) [m²].
+    """Fill the blur of a face in face coordinates, as variances aa, ab, bb: `lens` (3,) [m²] for a lens blur of one
+    pixel, and `motion` (3,) [m²].
 
-    The lens blurs alike in all directions of the picture, so on the face it blurs most where the view squeezes it; motion
-    during the exposure is a box with the variance of its length squared over twelve.
+    The lens blurs equally in all directions of the picture, so on the face it blurs most along the foreshortened
+    direction. Motion during the exposure is a uniform distribution: its variance is the squared length of the path
+    over twelve.
     """
+    K, Rcw, exposure = optics.matrix, optics.rotation, optics.exposure
     iz = 1.0 / origin[2]
     x, y = origin[0] * iz, origin[1] * iz
     jaa, jab = K[0, 0] * (E[0, 0] - x * E[0, 2]) * iz, K[0, 0] * (E[1, 0] - x * E[1, 2]) * iz
@@ -90,7 +98,7 @@ def blur_on_face(
         q, w = np.zeros(3), np.zeros(3)
         for i in range(3):
             for j in range(3):
-                q[i] += Rcw[i, j] * vel[j]
+                q[i] += Rcw[i, j] * velocity[j]
                 w[i] += Rcw[i, j] * omega[j]
         q[0] += offset * (w[1] * E[2, 2] - w[2] * E[2, 1])
         q[1] += offset * (w[2] * E[2, 0] - w[0] * E[2, 2])
@@ -102,67 +110,72 @@ def blur_on_face(
 
 
 @inner_no_memory
-def _largest(more: Any) -> float:
-    """Size of the largest of variances xx, xy, yy."""
-    return abs(0.5 * (more[0] + more[2])) + sqrt(0.25 * (more[0] - more[2]) ** 2 + more[1] * more[1])
+def _largest_eigenvalue(blur: Any) -> float:
+    """Magnitude of the largest eigenvalue of the covariance xx, xy, yy."""
+    return abs(0.5 * (blur[0] + blur[2])) + sqrt(0.25 * (blur[0] - blur[2]) ** 2 + blur[1] * blur[1])
 
 
 @inner_no_memory
-def extra_blur(lens: Any, motion: Any, blur_px: float, base: Any, texel: float, more: Any) -> float:
-    """By how much more a face is blurred on a frame than its texture, as variances xx, xy, yy in `more` (3,) [texel²]; returns
-    the size of the largest. `base` (2, 3) is the blur of the texture, of the lens for one pixel and of motion."""
+def relative_blur(lens: Any, motion: Any, blur_px: float, texture_blur: Any, texel: float, relative: Any) -> float:
+    """Fill `relative` (3,), the covariance xx, xy, yy [texel²] of a frame's blur minus that of the texture; return
+    the magnitude of its largest eigenvalue. `texture_blur` (2, 3) is the texture's, of the lens at one pixel and of
+    motion."""
     iv = 1.0 / (texel * texel)
     s = blur_px * blur_px
     for k in range(3):
-        more[k] = (s * (lens[k] - base[0, k]) + motion[k] - base[1, k]) * iv
-    return _largest(more)
+        relative[k] = (s * (lens[k] - texture_blur[0, k]) + motion[k] - texture_blur[1, k]) * iv
+    return _largest_eigenvalue(relative)
 
 
 @inner_no_memory
-def soften(texture: Any, more: Any, room: Any) -> int:
-    """Blur a surface (n, n), its values on a grid or the coefficients of its spline, by variances `more` (3,) xx, xy, yy
-    [texel²]; which of the two in `room` (2, n, n) it then is. Less blur than a texture has is the same difference taken away,
-    once: more turns would sharpen its noise."""
-    apart, left, k = 1, _largest(more), FIRST
-    whole, blurrier = left, more[0] + more[2] > 0.0
-    while blurrier and left > STENCIL_BLUR * apart * apart:
-        _blur_again(texture, k, more, 1.0 / (3.0 * whole), apart, room)
-        left -= apart * apart / 3.0
-        apart *= 2
+def blur_texture(texture: Any, blur: Any, scratch: Any) -> int:
+    """Blur a surface (n, n), values on a grid or coefficients of its spline, by the covariance `blur` (3,) xx, xy, yy
+    [texel²].
+
+    Returns the index of the result in `scratch` (2, n, n). A negative blur is the same stencil subtracted, in one
+    pass: more passes would amplify the texture's noise.
+    """
+    spacing, remaining, k = 1, _largest_eigenvalue(blur), ZERO
+    whole, positive = remaining, blur[0] + blur[2] > 0.0
+    while positive and remaining > STENCIL_BLUR_TEXEL2 * spacing * spacing:
+        _blur_again(texture, k, blur, 1.0 / (3.0 * whole), spacing, scratch)
+        remaining -= spacing * spacing / 3.0
+        spacing *= 2
         k += 1
-    turns = max(int(3.0 * left / (apart * apart) + 0.5), 1) if blurrier else 1
-    for _ in range(turns):
-        _blur_again(texture, k, more, left / (whole * turns * apart * apart), apart, room)
+    passes = max(int(3.0 * remaining / (spacing * spacing) + 0.5), 1) if positive else 1
+    for _ in range(passes):
+        _blur_again(texture, k, blur, remaining / (whole * passes * spacing * spacing), spacing, scratch)
         k += 1
     return (k - 1) % 2
 
 
 @inner_no_memory
-def _blur_again(texture: Any, turn_number: int, more: Any, unit: float, apart: int, room: Any) -> None:
-    """The surface after so many turns, blurred once more: from one place in `room` (2, n, n) to the other."""
-    if turn_number == 0:
-        _blur_once(texture, more, unit, apart, room[0])
+def _blur_again(texture: Any, passes: int, blur: Any, unit: float, spacing: int, scratch: Any) -> None:
+    """One more pass after `passes` of them, from one array of `scratch` (2, n, n) to the other."""
+    if passes == 0:
+        _blur_once(texture, blur, unit, spacing, scratch[0])
     else:
-        _blur_once(room[(turn_number - 1) % 2], more, unit, apart, room[turn_number % 2])
+        _blur_once(scratch[(passes - 1) % 2], blur, unit, spacing, scratch[passes % 2])
 
 
 @inner_fast_sums_no_memory
-def _blur_once(texture: Any, more: Any, unit: float, apart: int, out: Any) -> None:
-    """Add half of `unit` times the variances [1] times the second differences between values so far apart; the border stays."""
+def _blur_once(texture: Any, blur: Any, unit: float, spacing: int, out: Any) -> None:
+    """Add half of `unit` times the covariance times the second differences over `spacing` texels; the border stays."""
     n = texture.shape[0]
-    xx, xy, yy = 0.5 * unit * more[0], 0.25 * unit * more[1], 0.5 * unit * more[2]
-    middle, inside, far = 1.0 - 2.0 * (xx + yy), n - 2 * apart, 2 * apart
+    xx, xy, yy = 0.5 * unit * blur[0], 0.25 * unit * blur[1], 0.5 * unit * blur[2]
+    middle, inside, far = 1.0 - 2.0 * (xx + yy), n - 2 * spacing, 2 * spacing
     for i in range(n):
         here, blurred = texture[i], out[i]
         for j in range(n):
             blurred[j] = here[j]
-        if i < apart or i >= n - apart:
+        if i < spacing or i >= n - spacing:
             continue
-        # Views that begin where they are read: an index that might be negative keeps the loop from being done in steps of eight.
-        left, centre, right = here[:inside], here[apart : n - apart], here[far:]
-        a, b, c = texture[i - apart, :inside], texture[i - apart, apart : n - apart], texture[i - apart, far:]
-        d, e, f = texture[i + apart, :inside], texture[i + apart, apart : n - apart], texture[i + apart, far:]
-        new = blurred[apart : n - apart]
+        # Slices instead of offsets: an index that might be negative prevents the compiler from vectorising the loop.
+        left, centre, right = here[:inside], here[spacing : n - spacing], here[far:]
+        above, below = texture[i - spacing], texture[i + spacing]
+        a, b, c = above[:inside], above[spacing : n - spacing], above[far:]
+        d, e, f = below[:inside], below[spacing : n - spacing], below[far:]
+        new = blurred[spacing : n - spacing]
         for j in range(inside):
             across, along = left[j] + right[j], b[j] + e[j]
             new[j] = middle * centre[j] + xx * across + yy * along + xy * (a[j] - c[j] - d[j] + f[j])

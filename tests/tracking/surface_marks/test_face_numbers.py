@@ -16,7 +16,7 @@ from diethrow.model.die.die import Die
 from diethrow.model.die.solid import Solid, lowest_face, numbered_solid
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.tracking.surface_marks.face_numbers import FaceNumbers, count_pips, read_faces, with_numbers
-from diethrow.tracking.surface_marks.textures import FaceGrid, Marks, face_axes
+from diethrow.tracking.surface_marks.textures import FaceGrid, SurfaceMarks, face_axes
 
 Array = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ SIZE = 81
 """Texels of a drawn face along a side: as large as a die of 60 px shows its faces."""
 
 
-def blank_marks(die: Die) -> Marks:
+def blank_marks(die: Die) -> SurfaceMarks:
     """Textures of bare paint with faint noise, all of them seen."""
     solid = die.solid
     count, edge = len(solid.faces), solid.edge_m
@@ -39,13 +39,13 @@ def blank_marks(die: Die) -> Marks:
     grid = FaceGrid(axes, solid.offsets, corners, np.array([len(face) for face in solid.faces]), SIZE, float(texel))
     texture = 1.0 + 0.01 * np.random.default_rng(2).standard_normal((count, SIZE, SIZE))
     assert edge > 10 * texel
-    return Marks(
+    return SurfaceMarks(
         grid, texture, texture, np.ones(texture.shape, np.uint8), np.full(count, 3.0), np.full(count, 50),
         np.zeros((1, 1, 2), np.float32), 255.0, 0.7, np.zeros((count, 2, 3)), 1.0, 1e-5, (), (),
     )  # fmt: skip
 
 
-def with_pips(marks: Marks, die: Die, numbers: list[int]) -> Marks:
+def with_pips(marks: SurfaceMarks, die: Die, numbers: list[int]) -> SurfaceMarks:
     texture = marks.texture.copy()
     half, edge_px = 0.5 * (SIZE - 1), die.solid.edge_m / marks.grid.texel_m
     v, u = np.mgrid[0:SIZE, 0:SIZE]
@@ -58,7 +58,7 @@ def with_pips(marks: Marks, die: Die, numbers: list[int]) -> Marks:
     return replace(marks, texture=texture)
 
 
-def with_figures(marks: Marks, words: list[str]) -> Marks:
+def with_figures(marks: SurfaceMarks, words: list[str]) -> SurfaceMarks:
     """Numbers drawn in a font that is none of those they are compared with, at any angle."""
     texture = marks.texture.copy()
     rng = np.random.default_rng(5)
@@ -75,7 +75,7 @@ def with_figures(marks: Marks, words: list[str]) -> Marks:
 
 
 @cache
-def blank_cube() -> Marks:
+def blank_cube() -> SurfaceMarks:
     return blank_marks(CUBE)
 
 
@@ -115,7 +115,7 @@ def test_a_left_handed_die_is_told() -> None:
         (replace(blank_cube(), noise_grey=np.zeros(6)), "no marks"),
     ],
 )
-def test_what_is_unreadable_stays_symmetric_and_is_said(marks: Marks | None, said: str) -> None:
+def test_what_is_unreadable_stays_symmetric_and_is_said(marks: SurfaceMarks | None, said: str) -> None:
     faces = read_faces(CUBE, marks)
     assert faces.numbers == (None,) * 6
     assert faces.probability == 0.0

@@ -30,9 +30,10 @@ from throws import strike_at
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Impact, Throw
-from diethrow.tracking.surface_marks.learning import FramePoses, Refining, frames_to_learn_from
-from diethrow.tracking.surface_marks.texture_blur import soften
-from diethrow.tracking.surface_marks.textures import Marks, undistorted_rays
+from diethrow.tracking.surface_marks.learning import frames_to_learn_from
+from diethrow.tracking.surface_marks.pose_refinement import FramePoses, FrameRefinement
+from diethrow.tracking.surface_marks.texture_blur import blur_texture
+from diethrow.tracking.surface_marks.textures import SurfaceMarks, pixel_rays
 
 Array = NDArray[np.float64]
 
@@ -40,10 +41,10 @@ Array = NDArray[np.float64]
 @compiled
 def blurred(surface: Array, more: Array, room: Array) -> int:
     """Kernels that only others call are no functions of Python."""
-    return int(soften(surface, more, room))
+    return int(blur_texture(surface, more, room))
 
 
-def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePoses, FramePoses, Array]:
+def refined(marks: SurfaceMarks, film: dict[int, Image], which: range) -> tuple[FramePoses, FramePoses, Array]:
     """Poses (n) of some frames by edges, by marks and edges, and what they share (n, 6, 6)."""
     track, rows = learned_marks()[1], np.array(which)
     edges = FramePoses(
@@ -51,11 +52,11 @@ def refined(marks: Marks, film: dict[int, Image], which: range) -> tuple[FramePo
         np.zeros((len(rows), 6)),
     )  # fmt: skip
     frames = np.array([film[k] for k in which])[:, None]
-    refining = Refining(VIEW, marks, edges, Throw(marks.flights, ()), rows / FPS)
+    refinement = FrameRefinement(VIEW, marks, edges, Throw(marks.flights, ()), rows / FPS)
     with ThreadPoolExecutor(2) as pool:
-        for job in refining.see(frames, np.arange(len(rows)), slice(0, len(rows)), pool):
+        for job in refinement.refine(frames, np.arange(len(rows)), slice(0, len(rows)), pool):
             job.result()
-    return edges, refining.poses(), refining.shared
+    return edges, refinement.poses(), refinement.shared_covariance
 
 
 def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
@@ -69,7 +70,7 @@ def single_frames(film: dict[int, Image], which: range) -> tuple[Array, Array]:
 
 
 def test_rays_go_back_through_the_lens_to_their_pixels() -> None:
-    rays = undistorted_rays(ROOM.camera).astype(float)
+    rays = pixel_rays(ROOM.camera).astype(float)
     points = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
     world = (0.3 * points - ROOM.camera.translation_m) @ ROOM.camera.rotation
     v, u = np.mgrid[0 : rays.shape[0], 0 : rays.shape[1]]
@@ -103,8 +104,8 @@ def test_the_flight_knows_how_uncertain_the_places_of_its_marks_leave_it() -> No
     # One draw of chi-square with six degrees of freedom: 22.5 is exceeded once in a thousand.
     assert miss @ np.linalg.solve(C[:6, :6], miss) < 22.5
     # What all frames share cannot be more than the whole.
-    assert np.linalg.eigvalsh(C - marks.shared[0]).min() > -1e-9 * np.linalg.eigvalsh(C).max()
-    assert np.trace(marks.shared[0][:3, :3]) > 0.05 * np.trace(C[:3, :3])
+    assert np.linalg.eigvalsh(C - marks.shared_covariance[0]).min() > -1e-9 * np.linalg.eigvalsh(C).max()
+    assert np.trace(marks.shared_covariance[0][:3, :3]) > 0.05 * np.trace(C[:3, :3])
 
 
 @pytest.mark.parametrize("frames_after", [5, 2], ids=["both flights seen", "one flight seen"])
