@@ -14,6 +14,7 @@ import textwrap
 import tomllib
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -128,10 +129,21 @@ def _imports(module: str, files: dict[str, Path]) -> Iterable[Import]:
             parts = module.split(".") if path.name == "__init__.py" else module.split(".")[:-1]
             base = ".".join([*parts[: len(parts) - node.level + 1], *([node.module] if node.module else [])])
             for alias in node.names:
-                imported = f"{base}.{alias.name}" if f"{base}.{alias.name}" in files else base
+                file = f"{base}.{alias.name}"
+                is_module = file in files and (files[base] == path or alias.name not in _names_of(files[base]))
+                imported = file if is_module else base
                 if imported not in files:
                     raise ValueError(f"{path}, line {node.lineno}: there is no module {imported}")
                 yield Import(module, imported, alias.name, node.lineno)
+
+
+@cache
+def _names_of(path: Path) -> frozenset[str]:
+    """The names that an `__init__` imports for others; a file of the same name is then imported through it."""
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return frozenset(
+        each.asname or each.name for node in nodes if isinstance(node, ast.ImportFrom) for each in node.names
+    )
 
 
 # --- the picture: a column for each stage, with its folders above those that they import from ---

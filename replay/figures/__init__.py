@@ -1,5 +1,6 @@
 """replay.figures."""
 
+from . import throw_plots as throw_plots
 from .clip_frames import COLUMNS as COLUMNS
 from .clip_frames import bounce_strip as bounce_strip
 from .clip_frames import rows_of_strip as rows_of_strip
