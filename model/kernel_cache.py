@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba.core.caching import CompileResultCacheImpl, FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 _IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE)
 """A relative import at the left margin: only those run when a module is imported, whatever a function or a type imports."""
@@ -105,7 +105,30 @@ class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
     )
 
 
+class _Index(IndexDataCacheFile):  # type: ignore[misc]
+    """The list of compiled versions of one kernel, by argument types.
+
+    numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type that no
+    longer exists; it is outdated, so it counts as empty.
+    """
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            overloads: dict[Any, str] = super()._load_index()
+        except (AttributeError, ImportError):
+            return {}
+        return overloads
+
+
 class KernelCache(FunctionCache):  # type: ignore[misc]
     """The cache of one kernel."""
 
     _impl_class: Any = _KernelCacheImpl
+
+    def __init__(self, kernel: Callable[..., Any]) -> None:
+        super().__init__(kernel)
+        self._cache_file = _Index(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )

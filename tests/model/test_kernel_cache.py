@@ -89,6 +89,21 @@ def test_a_kernel_sees_the_edit_of_a_callee_in_another_file(copy: Path) -> None:
     assert (float(first), float(second)) == (3.0, 6.0)
 
 
+def test_an_index_that_names_a_vanished_argument_type_is_outdated(copy: Path) -> None:
+    """Once the first run after an update stopped with an AttributeError from numba's unpickling."""
+    package = copy / "diethrow" / "model"
+    kernel = package / "engine" / "doubling.py"
+    text = (
+        "from typing import NamedTuple\nfrom ..compiled import compiled\n\n\nclass Old(NamedTuple):\n    x: float\n\n\n"
+        "@compiled\ndef doubled(value):\n    return 2.0 * value.x\n\n\nprint(doubled(Old(1.5)))\n"
+    )
+    for name in ("Old", "New"):
+        kernel.write_text(text.replace("Old", name))
+        run = [sys.executable, "-c", "import diethrow.model.engine.doubling"]
+        environment = {**os.environ, "PYTHONPATH": str(copy)}
+        assert float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout) == 3.0
+
+
 def test_the_digest_is_of_contents_and_not_of_places_or_times(copy: Path) -> None:
     for name in ("engine/event_loop.py", "ensembles/landings.py", "throw/simulate.py"):
         assert source_digest(MODEL / name) == source_digest(copy / "diethrow" / "model" / name)
