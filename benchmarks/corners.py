@@ -30,7 +30,7 @@ from tracker import errors, print_rows
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.clip_parameters import corner_radius
-from diethrow.tracking.clip_parameters.corner_radius import PLAIN_PX, Rounding
+from diethrow.tracking.clip_parameters.corner_radius import ROUND_TESTED_PX, CornerRounding
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import SampledFrames
 from diethrow.tracking.quality import FAST, STANDARD, Quality
@@ -69,7 +69,7 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
     asked: dict[str, Any] = {}
     with patch.object(corner_radius, "gain_of_rounding", noting(asked)):
         # Of a sharp die only the first pass tells anything here: the others go as if nobody had asked.
-        found = tracked_as(replace(sharp, rounding=Rounding.LOOKED_AT), STANDARD if true_m else FAST)
+        found = tracked_as(replace(sharp, rounding=CornerRounding.TESTED), STANDARD if true_m else FAST)
     gain, sigma = asked["gain"]
     told = (
         "sharp" if found.corners is None else f"{1e3 * found.corners.radius_m:.3f} ± {1e3 * found.corners.sigma_m:.3f}"
@@ -79,9 +79,9 @@ def measured(folder: Path) -> tuple[list[str], list[list[str]]]:
     if not true_m:
         return row, []
     ways = {
-        "given": tracked_as(replace(scene, rounding=Rounding.GIVEN), STANDARD),
+        "given": tracked_as(replace(scene, rounding=CornerRounding.GIVEN), STANDARD),
         "found": found,
-        "sharp": tracked_as(replace(sharp, rounding=Rounding.GIVEN), STANDARD),
+        "sharp": tracked_as(replace(sharp, rounding=CornerRounding.GIVEN), STANDARD),
     }
     return row, [[name, way, *accuracy(errors(scene, truth, ways[way]))] for way in ways]
 
@@ -92,14 +92,14 @@ def tracked_as(scene: Scene, quality: Quality) -> Any:
 
 
 def noting(asked: dict[str, Any]) -> Any:
-    """`gain_of_rounding` that notes its last answer about the radius that is just noticed, and how long all of them took."""
-    original = corner_radius.gain_of_rounding
+    """`rounding_gain` that notes its last answer about the radius that is just noticed, and how long all of them took."""
+    original = corner_radius.rounding_gain
 
     def noted(view: View, looks: SampledFrames, radius_px: float) -> tuple[float, float]:
         began = time.perf_counter()
         answer = original(view, looks, radius_px)
         asked["ms"] = asked.get("ms", 0.0) + 1e3 * (time.perf_counter() - began)
-        if radius_px < PLAIN_PX or "gain" not in asked:
+        if radius_px < ROUND_TESTED_PX or "gain" not in asked:
             asked["gain"] = answer
         asked.setdefault("px_per_m", corner_radius.scale_px_per_m(view, looks))
         return answer

@@ -13,7 +13,7 @@ from .model.die import Die
 from .model.throw import Throw
 from .tracking.camera import Camera
 from .tracking.check import fall_notices, measure_fall
-from .tracking.clip_parameters import Corners, Offsets
+from .tracking.clip_parameters import ClockOffsets, CornerRadius
 from .tracking.footage import Clip
 from .tracking.surface_marks import FaceNumbers
 from .tracking.track import Track
@@ -57,9 +57,9 @@ class Tracking:
     measured: Throw
     smoothed: Track
     """The same frames, with the exact motion of the flights in flight."""
-    offsets: Offsets
+    offsets: ClockOffsets
     """Clock offsets of several cameras."""
-    corners: Corners | None
+    corners: CornerRadius | None
     """Estimated corner radius, which `die` has; None if the scene states it or the corners look sharp."""
 
     @property

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from diethrow.cli.app import app
 from diethrow.files.scene import SceneError, read_scene
-from diethrow.tracking.clip_parameters.corner_radius import Rounding
+from diethrow.tracking.clip_parameters.corner_radius import CornerRounding
 
 SCENE = """\
 [clip]
@@ -160,17 +160,17 @@ def scene_file(folder: Path, text: str = SCENE) -> Path:
 @pytest.mark.parametrize(
     ("line", "radius_m", "rounding"),
     [
-        ("", 0.0, Rounding.LOOKED_AT),
-        ("corner_radius_m = 0", 0.0, Rounding.GIVEN),
-        ("corner_radius_m = 0.0005", 0.0005, Rounding.GIVEN),
-        ('corner_radius_m = "estimate"', 0.0, Rounding.ESTIMATED),
+        ("", 0.0, CornerRounding.TESTED),
+        ("corner_radius_m = 0", 0.0, CornerRounding.GIVEN),
+        ("corner_radius_m = 0.0005", 0.0005, CornerRounding.GIVEN),
+        ('corner_radius_m = "estimate"', 0.0, CornerRounding.ESTIMATED),
     ],
 )
-def test_a_radius_is_given_or_looked_for(folder: Path, line: str, radius_m: float, rounding: Rounding) -> None:
+def test_a_radius_is_given_or_looked_for(folder: Path, line: str, radius_m: float, rounding: CornerRounding) -> None:
     scene = read_scene(scene_file(folder, SCENE + line + "\n"))
     assert scene.die.corner_radius_m == radius_m
     assert scene.rounding is rounding
-    if rounding is Rounding.ESTIMATED:
+    if rounding is CornerRounding.ESTIMATED:
         with pytest.raises(SceneError, match="a track does not show the corners"):
             scene.given_die()
     else:

@@ -25,7 +25,7 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, State, Throw
 from ..camera import Camera
-from ..clip_parameters import Corners, Rounding
+from ..clip_parameters import CornerRadius, CornerRounding
 from ..footage import Clip, Frame, estimate_background
 from ..picture import (
     View,
@@ -118,7 +118,7 @@ class Sight:
     """(k,) heights of the contacts at resolved bounces."""
     contact_sigma_m: Array
     """(k,)"""
-    corners: Corners | None = None
+    corners: CornerRadius | None = None
     """How rounded the die looks; None where the scene says it, or the corners look sharp."""
 
 
@@ -144,7 +144,7 @@ def preflight(
     exposure_s: float | None = None,
     start: ManualInitialisation | None = None,
     excluded: Sequence[tuple[int, int]] = (),
-    rounding: Rounding = Rounding.GIVEN,
+    rounding: CornerRounding = CornerRounding.GIVEN,
 ) -> Preflight:
     """Measure what the clip offers. `open_part` opens frames first to stop (numbers in the file) of the same clip.
 
@@ -237,7 +237,7 @@ def _first_sight(clip: Clip, view: View, start: ManualInitialisation | None) -> 
     return None if seen is None else max(seen - step - LEAD_FRAMES, 0)
 
 
-def _sight(clip: Clip, track: Track, view: View, corners: Corners | None) -> Sight | None:
+def _sight(clip: Clip, track: Track, view: View, corners: CornerRadius | None) -> Sight | None:
     rows = np.flatnonzero(track.tracked)
     throw: Throw | None = None
     with suppress(NoFlightError):  # a few poses still tell the size of the die and the blur

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
-from ..clip_parameters import Rounding
+from ..clip_parameters import CornerRounding
 from .clip_quality import Backdrop, Preflight, Sight, Timing
 from .gravity import Fall, fall_notices
 
@@ -78,7 +78,7 @@ UNEVEN_STEPS = 0.02
 
 
 def judge(
-    seen: Preflight, die: Die, exposure_s: float | None, rounding: Rounding = Rounding.GIVEN
+    seen: Preflight, die: Die, exposure_s: float | None, rounding: CornerRounding = CornerRounding.GIVEN
 ) -> tuple[Finding, ...]:
     """Every finding about a clip; `exposure_s` is the scene's, and `rounding` whether it gives the corners' radius."""
     findings = [_timing(seen.timing, exposure_s), _background(seen.backdrop), _light(seen.backdrop, seen.sight)]
@@ -87,7 +87,7 @@ def judge(
         advice = "look at the clip, the background and [die]; a [start] by hand may help"
         return (*findings, Finding("die", Verdict.BAD, f"No die could be followed: {seen.trouble}.", advice))
     findings += [_followed(sight), _size(sight), _motion_blur(sight), _lens_blur(sight)]
-    if rounding is not Rounding.GIVEN:
+    if rounding is not CornerRounding.GIVEN:
         findings.append(_corners(sight))
     findings += [_scale(sight.fall, die), _vertical(sight.fall), _table(sight.contact_m, sight.contact_sigma_m)]
     return tuple(findings)

@@ -1,16 +1,16 @@
 """tracking.clip_parameters."""
 
-from .clock_offsets import Offsets as Offsets
-from .clock_offsets import find_offsets as find_offsets
+from .clock_offsets import ClockOffsets as ClockOffsets
+from .clock_offsets import estimate_clock_offsets as estimate_clock_offsets
 from .clock_offsets import rig_at as rig_at
-from .corner_radius import FRAMES as FRAMES
-from .corner_radius import Corners as Corners
-from .corner_radius import Rounding as Rounding
-from .corner_radius import by_flights as by_flights
-from .corner_radius import by_free_poses as by_free_poses
+from .corner_radius import RADIUS_FRAMES as RADIUS_FRAMES
+from .corner_radius import CornerRadius as CornerRadius
+from .corner_radius import CornerRounding as CornerRounding
 from .corner_radius import contour_sigma_px as contour_sigma_px
-from .corner_radius import look_rounded as look_rounded
-from .corner_radius import looks_in_flight as looks_in_flight
+from .corner_radius import is_rounded as is_rounded
+from .corner_radius import radius_by_free_poses as radius_by_free_poses
+from .corner_radius import radius_on_flights as radius_on_flights
+from .corner_radius import sample_in_flight as sample_in_flight
 from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
-from .lens_blur import lens_blur_px as lens_blur_px
-from .light import lit as lit
+from .lens_blur import estimate_lens_blur as estimate_lens_blur
+from .light import with_light as with_light

@@ -52,7 +52,7 @@ ROUNDS = 8
 
 
 @dataclass(frozen=True, eq=False)
-class Offsets:
+class ClockOffsets:
     """By how much each camera exposes later than the first."""
 
     seconds: Array
@@ -61,9 +61,9 @@ class Offsets:
     """(cameras,) standard error; NaN for the first, and where nothing could be told."""
 
     @staticmethod
-    def none(cameras: int) -> Offsets:
+    def none(cameras: int) -> ClockOffsets:
         """All cameras synchronised, as far as is known."""
-        return Offsets(np.zeros(cameras), np.full(cameras, np.nan))
+        return ClockOffsets(np.zeros(cameras), np.full(cameras, np.nan))
 
     @property
     def any(self) -> bool:
@@ -80,14 +80,16 @@ class Offsets:
         )
 
 
-def find_offsets(view: View, frame: Callable[[int], NDArray[np.generic]], times_s: Array, throw: Throw) -> Offsets:
+def estimate_clock_offsets(
+    view: View, frame: Callable[[int], NDArray[np.generic]], times_s: Array, throw: Throw
+) -> ClockOffsets:
     """The offsets of the cameras of a view, from the flights of a throw.
 
     `frame(k)` gives the pictures (cameras, height, width) of the frame at `times_s[k]`. One camera, or a throw without
     frames enough that several of them show whole, has none.
     """
     n = len(view.cameras)
-    offsets = Offsets.none(n)
+    offsets = ClockOffsets.none(n)
     if n == 1:
         return offsets
     alone = [_alone(view, c) for c in range(n)]

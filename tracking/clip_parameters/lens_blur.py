@@ -15,7 +15,7 @@ BLUR_FRAMES = 16
 """Frames over which it is estimated."""
 
 
-def lens_blur_px(view: View, looks: SampledFrames) -> float:
+def estimate_lens_blur(view: View, looks: SampledFrames) -> float:
     """The lens blur [px] that fits some frames best: Newton steps on their common blur, each frame weighted by what it says of
     it, frames far from the others left out. That of the view where they say nothing."""
     for _ in range(4):

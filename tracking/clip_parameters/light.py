@@ -27,7 +27,7 @@ from ..pose import ClipPoses, Picture, shown_whole
 
 Array = NDArray[np.float64]
 
-FRAMES = 96
+LIGHT_FRAMES = 96
 """Frames whose faces are asked."""
 GLANCE = 0.1
 """Least cosine at which a face is seen: its grey then is that of a few pixels, amid the blur of its edges."""
@@ -51,7 +51,7 @@ DARK = 0.5
 """Least brightness that is believed, in that of the darkest faces."""
 
 
-def lit(view: View, picture: Picture, seen: ClipPoses) -> View:
+def with_light(view: View, picture: Picture, seen: ClipPoses) -> View:
     """The view with what some frames that show the whole die tell of the light; the same for a sharp die, and where the
     brightness of its faces is no function of their normals. Views in a mirror are lit otherwise, and show no faces from above:
     nothing is known there."""
@@ -59,7 +59,7 @@ def lit(view: View, picture: Picture, seen: ClipPoses) -> View:
         return view
     light = np.zeros_like(view.light)
     rows = np.flatnonzero(shown_whole(view, seen))
-    rows = np.unique(rows[np.linspace(0, len(rows) - 1, min(FRAMES, len(rows))).astype(int)])
+    rows = np.unique(rows[np.linspace(0, len(rows) - 1, min(LIGHT_FRAMES, len(rows))).astype(int)])
     greys = [_greys(view, picture(int(k)), seen.position_m[k], seen.rotation[k]) for k in rows]
     for k, camera in enumerate(view.cameras):
         of_frame = [found[k] for found in greys]

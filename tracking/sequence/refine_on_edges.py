@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
-from ..clip_parameters import Offsets, rig_at
+from ..clip_parameters import ClockOffsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
 from ..picture import THREADS, CameraRig, RefinementSettings, View, refinement_boxes, shares_in_view
 from ..pose import ClipPoses, covariances, refine_frames, weak_prior
@@ -51,7 +51,7 @@ class EdgeRefinement:
     """The flights that it shows."""
     usable: Mask
     """(n,) frames that may be looked at."""
-    offsets: Offsets
+    offsets: ClockOffsets
     settled_px: float = 0.0
     """A step that moves no point of the die by more than this is the last one: see `along`."""
 
@@ -145,7 +145,7 @@ class _Settling:
     pictures is worked out for all of them at once."""
 
     def __init__(
-        self, view: View, settings: RefinementSettings, start: ClipPoses, use: Mask, offsets: Offsets, judged: Mask
+        self, view: View, settings: RefinementSettings, start: ClipPoses, use: Mask, offsets: ClockOffsets, judged: Mask
     ) -> None:
         """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
         where there is another start to compare with."""

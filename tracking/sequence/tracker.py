@@ -21,18 +21,18 @@ from ...model.throw import Throw
 from ..camera import Camera
 from ..clip_parameters import (
     BLUR_FRAMES,
-    FRAMES,
-    Corners,
-    Offsets,
-    Rounding,
-    by_flights,
-    by_free_poses,
+    RADIUS_FRAMES,
+    ClockOffsets,
+    CornerRadius,
+    CornerRounding,
     contour_sigma_px,
-    find_offsets,
-    lens_blur_px,
-    lit,
-    look_rounded,
-    looks_in_flight,
+    estimate_clock_offsets,
+    estimate_lens_blur,
+    is_rounded,
+    radius_by_free_poses,
+    radius_on_flights,
+    sample_in_flight,
+    with_light,
 )
 from ..footage import Clip, FrameSource, estimate_background
 from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
@@ -73,11 +73,11 @@ class TrackedClip:
     track: Track
     marks: SurfaceMarks | None
     """What the die's faces show; None where that was not asked for, or they show nothing that places them."""
-    offsets: Offsets
+    offsets: ClockOffsets
     """Of the cameras' clocks; looked for with a second pass alone."""
     die: Die
     """With the radius of its corners as it was found, where that was looked for."""
-    corners: Corners | None
+    corners: CornerRadius | None
     """That radius with its standard error; None where it was given, or the corners look sharp."""
 
 
@@ -111,7 +111,7 @@ def track_clip(
     mirror: bool = False,
     start: ManualInitialisation | None = None,
     excluded: Sequence[tuple[int, int]] = (),
-    rounding: Rounding = Rounding.GIVEN,
+    rounding: CornerRounding = CornerRounding.GIVEN,
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> TrackedClip:
@@ -136,14 +136,14 @@ def track_clip(
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         seen = with_consistent_labels(view, seen, throw, source.times_s)
         throw = _measured(view, source, seen)
-    offsets = Offsets.none(len(clips))
+    offsets = ClockOffsets.none(len(clips))
     marked = MarkRefinement(seen, None, None)
     if quality.second_pass:
-        view = lit(with_reflections(view), source.frame, seen)
-        view = replace(view, blur_px=lens_blur_px(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
+        view = with_light(with_reflections(view), source.frame, seen)
+        view = replace(view, blur_px=estimate_lens_blur(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
         report.at_least(len(source))
         if throw is not None:
-            offsets = find_offsets(view, source.frame, source.times_s, throw)
+            offsets = estimate_clock_offsets(view, source.frame, source.times_s, throw)
         second = EdgeRefinement(view, source, seen.filled(), throw, ~unused, offsets)
         every = _every_in_second_pass(view, source, seen) if quality.marks and throw is not None else 1
         seen = second.see(np.arange(len(source)) % every == 0, lambda done: report.at_least(len(source) + done))
@@ -216,7 +216,7 @@ def _first_pass(
             f"no die was found in {len(source)} frames: look at the clip, the background and the [die] shape and edge"
         )
     chase, seen = beginning
-    view = replace(view, blur_px=lens_blur_px(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
+    view = replace(view, blur_px=estimate_lens_blur(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back()
@@ -236,11 +236,11 @@ def _first_pass_rounded(
     report: _Reporter,
     by_hand: ManualInitialisation | None,
     unused: Mask,
-    rounding: Rounding,
-) -> tuple[View, ClipPoses, Corners | None]:
+    rounding: CornerRounding,
+) -> tuple[View, ClipPoses, CornerRadius | None]:
     """The first pass, done again with rounded corners where the die is to be looked at and shows them, until its flights
     show the radius that it was done with."""
-    if rounding is Rounding.GIVEN:
+    if rounding is CornerRounding.GIVEN:
         return *_first_pass(view, source, report, by_hand, unused), None
     try:
         first, seen = _first_pass(view, source, report, by_hand, unused)
@@ -252,7 +252,7 @@ def _first_pass_rounded(
             raise
     corners = _corners_at_sight(first, source, seen, rounding)
     if corners is None or corners.radius_m == 0.0:
-        return first, seen, corners if rounding is Rounding.ESTIMATED else None
+        return first, seen, corners if rounding is CornerRounding.ESTIMATED else None
     radius_m, tried = corners.radius_m, []
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
@@ -268,7 +268,7 @@ def _first_pass_rounded(
         if borne_out and abs(radius_m - before) < SAME_RADIUS * before:
             break
     was_sharp = first.die.corner_radius_m == 0.0
-    if rounding is Rounding.LOOKED_AT and was_sharp and not _better_than_sharp(tried, seen.frames):
+    if rounding is CornerRounding.TESTED and was_sharp and not _better_than_sharp(tried, seen.frames):
         return first, seen, None
     if tried:
         most = max(each.seen.frames for each in tried)
@@ -288,7 +288,7 @@ class _Trial:
     view: View
     seen: ClipPoses
     borne_out: bool
-    corners: Corners
+    corners: CornerRadius
     """What is known of the radius then."""
 
 
@@ -298,15 +298,19 @@ def _better_than_sharp(tried: list[_Trial], frames: int) -> bool:
     return any(each.seen.frames >= (KEPT if each.borne_out else 1.0) * frames for each in tried)
 
 
-def _corners_at_sight(view: View, source: FrameSource, seen: ClipPoses, rounding: Rounding) -> Corners | None:
+def _corners_at_sight(
+    view: View, source: FrameSource, seen: ClipPoses, rounding: CornerRounding
+) -> CornerRadius | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
     looks = partial(seen.looks, source.frame, shown_whole(view, seen))
-    if rounding is Rounding.LOOKED_AT and not look_rounded(view, looks):
+    if rounding is CornerRounding.TESTED and not is_rounded(view, looks):
         return None
-    return by_free_poses(view, looks(FRAMES))
+    return radius_by_free_poses(view, looks(RADIUS_FRAMES))
 
 
-def _corners_in_flight(view: View, source: FrameSource, track: Track, corners: Corners) -> tuple[Corners, float]:
+def _corners_in_flight(
+    view: View, source: FrameSource, track: Track, corners: CornerRadius
+) -> tuple[CornerRadius, float]:
     """The same as the flights of a track show it, and the contour error [px] that their sigmas are to know of then; what it
     was, and none, where the flights do not show it any better.
 
@@ -322,8 +326,8 @@ def _corners_in_flight(view: View, source: FrameSource, track: Track, corners: C
         )
     except NoFlightError:
         return corners, 0.0
-    looks = looks_in_flight(view, source.frame, track, found.throw)
-    again = by_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
+    looks = sample_in_flight(view, source.frame, track, found.throw)
+    again = radius_on_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
         return corners, 0.0
     return again, contour_sigma_px(view, again.sigma_m, p, R)

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field
 from ..model.die import MAX_CORNER_RADIUS_FRACTION, SHAPES, Die, make_die
 from ..model.laws import Table as ModelTable
 from ..tracking.camera import Camera
-from ..tracking.clip_parameters import Rounding
+from ..tracking.clip_parameters import CornerRounding
 from ..tracking.footage import MAX_PIXELS
 from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
@@ -107,7 +107,7 @@ class Scene:
     table: Table
     start: ManualInitialisation | None = None
     """The first pose by hand; None where it is found."""
-    rounding: Rounding = Rounding.GIVEN
+    rounding: CornerRounding = CornerRounding.GIVEN
     """Whether the file gives the radius of the die's corners, which is 0 in `die` where it does not."""
 
     def views(self) -> tuple[View, ...]:
@@ -123,7 +123,7 @@ class Scene:
 
     def given_die(self) -> Die:
         """The die, for what knows no pictures. Raises SceneError where they are to tell the radius of its corners."""
-        if self.rounding is Rounding.ESTIMATED:
+        if self.rounding is CornerRounding.ESTIMATED:
             wanted = (
                 "a track does not show the corners, wanted their radius in metres, as the tracking told it or measured"
             )
@@ -492,11 +492,11 @@ def die_from(table: DieTable, path: Path) -> Die:
     )
 
 
-def _rounding(table: DieTable) -> Rounding:
+def _rounding(table: DieTable) -> CornerRounding:
     """What a `[die]` table wants done about the radius of the corners."""
     if table.corner_radius_m is None:
-        return Rounding.LOOKED_AT
-    return Rounding.ESTIMATED if table.corner_radius_m == ESTIMATE else Rounding.GIVEN
+        return CornerRounding.TESTED
+    return CornerRounding.ESTIMATED if table.corner_radius_m == ESTIMATE else CornerRounding.GIVEN
 
 
 def table_from(table: TableTable) -> Table:

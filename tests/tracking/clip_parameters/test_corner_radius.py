@@ -19,15 +19,15 @@ from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.clip_parameters.corner_radius import (
-    Corners,
-    Rounding,
+    CornerRadius,
+    CornerRounding,
     SampledFrames,
-    by_flights,
-    by_free_poses,
     contour_sigma_px,
-    gain_of_rounding,
-    look_rounded,
-    noticed_px,
+    is_rounded,
+    radius_by_free_poses,
+    radius_on_flights,
+    rounding_gain,
+    tested_radius_px,
 )
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
@@ -77,10 +77,10 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
     die = DICE[shape]
     view = ROOM.view(die)
     seen = looks(lambda state, rng: photograph(ROOM, die, state, rng), MANY, off=1.0)
-    gain, sigma = gain_of_rounding(view, seen, noticed_px(view))
+    gain, sigma = rounding_gain(view, seen, tested_radius_px(view))
     assert gain < -3.0 * sigma  # what the two more intensities of a rounded edge cost, and a little more
-    assert not look_rounded(view, seen.some)
-    free = by_free_poses(view, seen)
+    assert not is_rounded(view, seen.some)
+    free = radius_by_free_poses(view, seen)
     assert free is not None
     assert free.radius_m == 0.0
 
@@ -90,10 +90,10 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
 def test_a_sharp_die_out_of_focus_is_not_a_rounded_one(shape: str, blur_px: float) -> None:
     """And a rounded one is one as long as its radius exceeds the blur."""
     room, die = replace(ROOM, blur_px=blur_px), DICE[shape]
-    assert not look_rounded(room.view(die), looks(lambda at, rng: photograph(room, die, at, rng), MANY, off=1.0).some)
+    assert not is_rounded(room.view(die), looks(lambda at, rng: photograph(room, die, at, rng), MANY, off=1.0).some)
     ball = replace(CUBE, corner_radius_m=1.5 * blur_px / PX_PER_M)
     seen = looks(lambda at, rng: photograph_rounded(room, ball, at, rng), FEW)
-    assert look_rounded(room.view(CUBE), seen.some)
+    assert is_rounded(room.view(CUBE), seen.some)
 
 
 # From half a pixel, a little less than the lens's blur, to a die that is round all over: 0.6 to 9 pixels.
@@ -101,11 +101,11 @@ def test_a_sharp_die_out_of_focus_is_not_a_rounded_one(shape: str, blur_px: floa
 def test_a_rounded_die_is_seen_to_be_one_and_its_radius_is_found_within_its_error(radius_m: float) -> None:
     seen, view = round_looks(radius_m), ROOM.view(CUBE)
     # Half a pixel is told from none by more frames than these.
-    assert look_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
-    free = by_free_poses(view, seen)
+    assert is_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
+    free = radius_by_free_poses(view, seen)
     assert free is not None
     assert abs(free.radius_m - radius_m) < 2.0 * free.sigma_m
-    found = by_flights(view, seen, free.radius_m)
+    found = radius_on_flights(view, seen, free.radius_m)
     assert found is not None
     assert abs(found.radius_m - radius_m) < 2.0 * found.sigma_m
     assert found.sigma_m < free.sigma_m  # known poses say more than free ones
@@ -129,13 +129,13 @@ def test_the_light_on_its_bevels_moves_a_rounded_die_by_little_more_than_its_sig
 def test_flights_that_the_pictures_contradict_say_nothing() -> None:
     seen = round_looks(0.6e-3)
     astray = replace(seen, position_m=seen.position_m + np.array([1e-3, 0.0, 0.0]))
-    assert by_flights(ROOM.view(CUBE), astray, 0.6e-3) is None
+    assert radius_on_flights(ROOM.view(CUBE), astray, 0.6e-3) is None
     none = replace(
         seen, pictures=(), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)), motion=np.zeros((0, 6))
     )
-    assert by_flights(ROOM.view(CUBE), none, 0.6e-3) is None
-    assert by_free_poses(ROOM.view(CUBE), none) is None
-    assert gain_of_rounding(ROOM.view(CUBE), none, 1.0) == (0.0, np.inf)
+    assert radius_on_flights(ROOM.view(CUBE), none, 0.6e-3) is None
+    assert radius_by_free_poses(ROOM.view(CUBE), none) is None
+    assert rounding_gain(ROOM.view(CUBE), none, 1.0) == (0.0, np.inf)
 
 
 def test_the_contour_error_is_that_of_the_outline() -> None:
@@ -173,7 +173,7 @@ def clip() -> tuple[ArrayClip, Throw]:
 
 
 @cache
-def followed(rounding: Rounding, radius_m: float) -> TrackedClip:
+def followed(rounding: CornerRounding, radius_m: float) -> TrackedClip:
     """The clip, tracked with a radius that is given, or in the place of one."""
     die = replace(CUBE, corner_radius_m=radius_m)
     return track_clip(clip()[0], ROOM.camera, die, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
@@ -187,10 +187,10 @@ def depth_errors_m(result: TrackedClip) -> np.ndarray:
     return np.asarray(off @ ROOM.camera.rotation[2])
 
 
-@pytest.mark.parametrize("rounding", [Rounding.LOOKED_AT, Rounding.ESTIMATED])
-def test_a_die_is_tracked_with_the_radius_that_it_shows(rounding: Rounding) -> None:
+@pytest.mark.parametrize("rounding", [CornerRounding.TESTED, CornerRounding.ESTIMATED])
+def test_a_die_is_tracked_with_the_radius_that_it_shows(rounding: CornerRounding) -> None:
     result = followed(rounding, 0.0)
-    assert isinstance(result.corners, Corners)
+    assert isinstance(result.corners, CornerRadius)
     assert abs(result.corners.radius_m - RADIUS_M) < 2.0 * result.corners.sigma_m
     assert result.die.corner_radius_m == result.corners.radius_m
     assert "look rounded" in result.corners.notice
@@ -201,9 +201,9 @@ def test_a_rounded_die_taken_for_a_sharp_one_is_seen_too_far_away() -> None:
     sharp, found, given = (
         float(np.median(depth_errors_m(each)))
         for each in (
-            followed(Rounding.GIVEN, 0.0),
-            followed(Rounding.LOOKED_AT, 0.0),
-            followed(Rounding.GIVEN, RADIUS_M),
+            followed(CornerRounding.GIVEN, 0.0),
+            followed(CornerRounding.TESTED, 0.0),
+            followed(CornerRounding.GIVEN, RADIUS_M),
         )
     )
     # Single frames, to which no flight has told their distance yet: what the model of a bevel leaves is a third of it.
@@ -212,7 +212,7 @@ def test_a_rounded_die_taken_for_a_sharp_one_is_seen_too_far_away() -> None:
 
 
 def test_a_radius_that_is_given_is_believed() -> None:
-    result = followed(Rounding.GIVEN, RADIUS_M)
+    result = followed(CornerRounding.GIVEN, RADIUS_M)
     assert result.corners is None
     assert result.die.corner_radius_m == RADIUS_M
     assert result.track.contour_sigma_px == 0.0
@@ -228,13 +228,13 @@ def sharp_clip() -> ArrayClip:
     return ArrayClip(frames.astype(np.uint8), times, 8)
 
 
-def sharp_followed(rounding: Rounding) -> TrackedClip:
+def sharp_followed(rounding: CornerRounding) -> TrackedClip:
     return track_clip(sharp_clip(), ROOM.camera, CUBE, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
 
 
 def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:
     """Not one bit of the poses differs."""
-    asked, given = sharp_followed(Rounding.LOOKED_AT), sharp_followed(Rounding.GIVEN)
+    asked, given = sharp_followed(CornerRounding.TESTED), sharp_followed(CornerRounding.GIVEN)
     assert asked.corners is None
     assert asked.die is CUBE
     assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
@@ -243,8 +243,8 @@ def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:
 
 def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a first sight gets wrong is made good by what follows."""
-    monkeypatch.setattr(following, "_corners_at_sight", lambda *_: Corners(5e-3, 0.5e-3))
-    asked, given = sharp_followed(Rounding.LOOKED_AT), sharp_followed(Rounding.GIVEN)
+    monkeypatch.setattr(following, "_corners_at_sight", lambda *_: CornerRadius(5e-3, 0.5e-3))
+    asked, given = sharp_followed(CornerRounding.TESTED), sharp_followed(CornerRounding.GIVEN)
     assert asked.corners is None
     assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
 
@@ -253,7 +253,7 @@ def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPa
     ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
 )
 def test_a_radius_that_loses_the_die_is_none(frames: int, borne_out: bool, better: bool) -> None:
-    seen, corners = ClipPoses.empty(120), Corners(1e-3, 1e-4)
+    seen, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
     seen.known[:frames] = True
     trial = following._Trial(1e-3, ROOM.view(CUBE), seen, borne_out, corners)
     assert following._better_than_sharp([trial], 100) is better

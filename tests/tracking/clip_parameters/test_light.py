@@ -14,7 +14,7 @@ from rounded_dice import photograph_rounded
 
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
-from diethrow.tracking.clip_parameters.light import basis, lit
+from diethrow.tracking.clip_parameters.light import basis, with_light
 from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
@@ -57,7 +57,7 @@ def pictures(gloss_grey: float, count: int, seed: int) -> tuple[Image, ...]:
 def lit_view(gloss_grey: float) -> View:
     """The view with the light learned from frames that nothing else is asked of."""
     shown = pictures(gloss_grey, LEARNED, 1)
-    return lit(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(states(LEARNED, 1)))
+    return with_light(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(states(LEARNED, 1)))
 
 
 def test_the_faces_foretell_how_bright_any_surface_looks() -> None:
@@ -117,7 +117,7 @@ def told(some: list[State], paint: Array | None = None) -> Array:
         photograph_rounded(ROOM, ROUND, state, np.random.default_rng([5, k]), paint=paint)
         for k, state in enumerate(some)
     ]
-    return np.asarray(lit(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(some)).light[0])
+    return np.asarray(with_light(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(some)).light[0])
 
 
 def turning(turn_rad: float) -> list[State]:
@@ -151,4 +151,4 @@ def test_too_few_faces_tell_nothing_of_the_light() -> None:
 
 def test_a_sharp_die_has_no_bevels_to_be_lit() -> None:
     view = ROOM.view(DICE["cube"])
-    assert lit(view, lambda _: pytest.fail("no picture is asked for"), at_poses(states(LEARNED, 1))) is view
+    assert with_light(view, lambda _: pytest.fail("no picture is asked for"), at_poses(states(LEARNED, 1))) is view

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Flight, State
-from diethrow.tracking.clip_parameters.clock_offsets import Offsets
+from diethrow.tracking.clip_parameters.clock_offsets import ClockOffsets
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import covariances
@@ -49,7 +49,7 @@ def test_a_tetrahedron_with_a_face_edge_on_is_not_lost(slope: float) -> None:
             state.velocity_m_s,
         )
     first.known[:] = True
-    second = EdgeRefinement(view, FrameSource([clip]), first, None, np.ones(FRAMES, bool), Offsets.none(1))
+    second = EdgeRefinement(view, FrameSource([clip]), first, None, np.ones(FRAMES, bool), ClockOffsets.none(1))
     seen = second.see(np.ones(FRAMES, bool), lambda _: None)
     assert seen.known.all()
     found = covariances(seen.H[:, :6, :6])

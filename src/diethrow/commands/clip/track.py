@@ -20,7 +20,7 @@ from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
-from ...tracking.clip_parameters import Corners
+from ...tracking.clip_parameters import CornerRadius
 from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_background, open_clip
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import TrackedClip, track_clip
@@ -247,7 +247,7 @@ def write_origin(
     command: tuple[str, ...],
     inputs: Inputs,
     watch: Stopwatch,
-    corners: Corners | None = None,
+    corners: CornerRadius | None = None,
 ) -> None:
     found = {} if corners is None else {"corner_radius_m": corners.radius_m, "sigma_corner_radius_m": corners.sigma_m}
     write_provenance(
