@@ -21,7 +21,7 @@ from diethrow.model import engine
 state = np.zeros(13)
 state[3] = 1.0
 state[12] = 3.0
-engine.advance(state, engine.spin_of(state), 1.0, engine.LEVEL)
+engine.advance(state, engine.spin_rate(state), 1.0, engine.LEVEL)
 print(state[2], state[6], len(engine.advance._cache_hits), sum(engine.advance.stats.cache_misses.values()))
 """
 """Height [m] after a second of fall, sine of half the turn, and how often `advance` was compiled."""
