@@ -1,4 +1,4 @@
-"""What the first run of an installation says and does besides its work."""
+"""The first run announces the compilation of kernels and shares it with a second process."""
 
 from __future__ import annotations
 
@@ -49,23 +49,23 @@ def fresh() -> Callable[[float], float]:
     return kernel  # type: ignore[no-any-return]
 
 
-def test_compilation_is_announced_once_and_only_of_what_is_kept(fresh: Callable[[float], float]) -> None:
+def test_compilation_is_announced_once_and_only_for_cached_kernels(fresh: Callable[[float], float]) -> None:
     def thrice(x: float) -> float:
         return 3.0 * x
 
     thrice.__module__ = "diethrow.model.engine.flight"
-    said: list[str] = []
-    with announced(said.append):
+    messages: list[str] = []
+    with announced(messages.append):
         assert njit(thrice)(1.0) == 3.0  # compiled in every run: no word of it
-        assert said == []
+        assert messages == []
         assert fresh(1.0) == 2.0
         assert fresh(1) == 2
-    assert said == [SENTENCE]
+    assert messages == [SENTENCE]
 
 
-@pytest.mark.parametrize("haste", [False, True])
+@pytest.mark.parametrize("exception", [False, True])
 def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_block(
-    fresh: Callable[[float], float], haste: bool, monkeypatch: pytest.MonkeyPatch
+    fresh: Callable[[float], float], exception: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(compiling, "compile_model", partial(time.sleep, 60))
     monkeypatch.setattr(compiling, "cores", lambda: 2)
@@ -78,10 +78,10 @@ def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_
             while not during:  # a thread starts it
                 during.update(set(active_children()) - before)
                 time.sleep(0.01)
-            if haste:
+            if exception:
                 raise KeyboardInterrupt
 
-    if haste:
+    if exception:
         with pytest.raises(KeyboardInterrupt):
             first_run()
     else:
@@ -91,14 +91,16 @@ def test_the_second_process_begins_with_the_first_compilation_and_ends_with_the_
     assert time.monotonic() - begun < 20
 
 
-def test_on_one_core_nobody_else_compiles(fresh: Callable[[float], float], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_one_core_no_second_process_compiles(
+    fresh: Callable[[float], float], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(compiling, "cores", lambda: 1)
     monkeypatch.setattr(compiling, "Processes", None)  # would raise if called
     with model_ahead():
         fresh(1.0)
 
 
-def test_the_model_is_compiled_in_the_ways_that_a_fit_asks_for() -> None:
+def test_the_model_is_compiled_in_every_way_that_a_fit_needs() -> None:
     """Smooth, with friction, and through the air: what `selection` tries."""
     compile_model()
     kinds = {(each[1].instance_class, each[3].instance_class) for each in derivatives.run_tangent.signatures}
@@ -107,16 +109,16 @@ def test_the_model_is_compiled_in_the_ways_that_a_fit_asks_for() -> None:
     assert any(each[1].instance_class is smooth for each in engine.run_throw.signatures)
 
 
-def test_an_empty_cache_is_told_from_a_full_one(tmp_path: Path) -> None:
-    asked = "from diethrow.cli.compiling import is_compiled; print(is_compiled())"
+def test_an_empty_cache_is_detected(tmp_path: Path) -> None:
+    program = "from diethrow.cli.compiling import is_compiled; print(is_compiled())"
     empty = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    told = subprocess.run([sys.executable, "-c", asked], env=empty, capture_output=True, text=True, check=True)
-    assert told.stdout.strip() == "False"
+    printed = subprocess.run([sys.executable, "-c", program], env=empty, capture_output=True, text=True, check=True)
+    assert printed.stdout.strip() == "False"
 
 
 @pytest.mark.parametrize("cold", [True, False])
-def test_a_batch_says_once_that_its_workers_compile(cold: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_announces_compilation_once(cold: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiling, "is_compiled", lambda: not cold)
     monkeypatch.setattr("diethrow.commands.clip.batch.run_batch", lambda *_, **__: Batch((), (), 0))
-    said = CliRunner().invoke(app, ["batch", "a.toml", "b.toml", "--out", "out"]).stderr
-    assert said.count(SENTENCE) == cold
+    message = CliRunner().invoke(app, ["batch", "a.toml", "b.toml", "--out", "out"]).stderr
+    assert message.count(SENTENCE) == cold

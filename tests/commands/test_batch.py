@@ -1,4 +1,4 @@
-"""A batch does every clip once, gives the same numbers wherever it runs, and survives what kills its workers or itself."""
+"""A batch analyses every clip once, gives the same numbers on every executor, and survives kills of itself or its workers."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def test_the_numbers_are_the_same_in_any_order_and_in_other_processes(
     assert backwards == forwards
 
 
-def test_a_finished_clip_is_done_again_only_where_something_changed(
+def test_a_finished_clip_is_analysed_again_only_after_a_change(
     scenes: list[Path], done: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
@@ -140,7 +140,7 @@ def test_a_finished_clip_is_done_again_only_where_something_changed(
     assert not is_finished(whole)
 
 
-def test_a_clip_whose_worker_dies_is_tried_elsewhere_and_given_up_in_the_end(
+def test_a_clip_whose_worker_dies_is_tried_again_and_fails_after_the_last_attempt(
     scenes: list[Path], tmp_path: Path
 ) -> None:
     dying_twice = InLine(lambda number: number <= 2)
@@ -152,14 +152,14 @@ def test_a_clip_whose_worker_dies_is_tried_elsewhere_and_given_up_in_the_end(
     assert "SIGKILL" in failure.reason
 
 
-def test_the_time_left_is_told(scenes: list[Path], tmp_path: Path) -> None:
-    told: list[Standing] = []
-    track(scenes, tmp_path / "out", progress=told.append)
-    assert [(standing.done, standing.total) for standing in told] == [(1, 3), (2, 3), (3, 3)]
-    assert told[-1].failed == 1
-    assert told[0].left_s is not None
-    assert told[0].left_s > 0
-    assert told[-1].left_s == 0
+def test_the_time_left_is_reported(scenes: list[Path], tmp_path: Path) -> None:
+    reports: list[Standing] = []
+    track(scenes, tmp_path / "out", progress=reports.append)
+    assert [(standing.done, standing.total) for standing in reports] == [(1, 3), (2, 3), (3, 3)]
+    assert reports[-1].failed == 1
+    assert reports[0].left_s is not None
+    assert reports[0].left_s > 0
+    assert reports[-1].left_s == 0
 
 
 def test_folders_are_named_after_scenes_and_never_the_same(tmp_path: Path) -> None:
@@ -196,23 +196,23 @@ def test_two_batches_on_one_folder_exclude_each_other(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_command_tells_failures_and_ends_with_status_1(scenes: list[Path], done: Path, tmp_path: Path) -> None:
+def test_the_command_lists_failures_and_ends_with_status_1(scenes: list[Path], done: Path, tmp_path: Path) -> None:
     shutil.copytree(done, tmp_path / "out")
     words = ["batch", *map(str, scenes), "--out", str(tmp_path / "out"), "--only-track", "--quality", "fast"]
     result = CliRunner().invoke(app, [*words, "--workers", "1"])
     assert result.exit_code == 1
-    assert "2 of 3 clips finished, 2 of them before" in result.stdout
+    assert "2 of 3 clips finished" in result.stdout
     assert f"failed: {scenes[1]}: clip.path = clip.cihx: clip.mraw: 100 bytes" in result.stderr
     words.remove(str(scenes[1]))
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
-    assert "2 of 2 clips finished, 2 of them before" in result.stdout
+    assert "2 of 2 clips finished, 2 of them earlier" in result.stdout
 
 
 # --- processes ---
 
 
-def test_the_death_of_a_process_costs_its_own_call_only() -> None:
+def test_the_death_of_a_process_fails_only_its_own_call() -> None:
     with Processes(2) as processes:
         slow, pid = processes.submit(time.sleep, 0.5), processes.submit(os.getpid).result()
         hit = processes.submit(time.sleep, 60)
@@ -224,7 +224,7 @@ def test_the_death_of_a_process_costs_its_own_call_only() -> None:
         assert processes.submit(os.getpid).result(timeout=20) != pid
 
 
-def test_a_call_that_fails_hands_its_error_on_and_the_process_lives() -> None:
+def test_a_failing_call_raises_its_error_and_the_process_survives() -> None:
     with Processes(1) as processes:
         pid = processes.submit(os.getpid).result()
         with pytest.raises(ZeroDivisionError):
@@ -240,7 +240,7 @@ def stopped_at_work(pids: list[int]) -> None:
         raise KeyboardInterrupt
 
 
-def test_leaving_in_haste_ends_what_is_at_work() -> None:
+def test_an_exception_in_the_block_ends_running_workers() -> None:
     begun, pids = time.monotonic(), []  # type: ignore[var-annotated]
     with pytest.raises(KeyboardInterrupt):
         stopped_at_work(pids)
@@ -277,7 +277,7 @@ def test_workers_die_with_a_parent_that_is_killed(tmp_path: Path) -> None:
 # --- kill -9 ---
 
 
-def test_kills_cost_no_more_than_the_clips_in_hand(scenes: list[Path], done: Path, tmp_path: Path) -> None:
+def test_kills_affect_only_the_clips_being_analysed(scenes: list[Path], done: Path, tmp_path: Path) -> None:
     """Two of the kills that `benchmarks/kills.py` makes two hundred of."""
     out = tmp_path / "out"
     good = [scenes[0], scenes[2]]

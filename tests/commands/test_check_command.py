@@ -1,4 +1,4 @@
-"""`diethrow check` prints every verdict, ends with status 1 where something is bad, and writes a page."""
+"""`diethrow check` prints every verdict, ends with status 1 if one is bad, and writes a page."""
 
 from __future__ import annotations
 
@@ -49,15 +49,15 @@ def invoke(*words: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_a_sound_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_path: Path) -> None:
+def test_a_good_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "check"
-    status, said, _ = invoke(scene, "--out", out)
+    status, output, _ = invoke(scene, "--out", out)
     assert status == 0
     names = (
         *("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "corners"),
         *("scale", "vertical", "table"),
     )
-    assert all(name in said for name in names)
+    assert all(name in output for name in names)
     assert {file.name for file in out.iterdir()} == {"check.json", "check.html", "provenance.json"}
     record = json.loads((out / "check.json").read_text())
     assert [each["name"] for each in record["findings"]] == list(names)
@@ -80,31 +80,31 @@ def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
     other.write_text(text.replace(table, twice + twice.replace('background.png"', 'nothing.png"')))
     cv2.imwrite(str(scene.parent / "nothing.png"), np.rint(ROOM.table + 60).astype(np.uint8))
     out = tmp_path / "check"
-    status, said, _ = invoke(other, "--allow-outside", "--out", out)
+    status, output, _ = invoke(other, "--allow-outside", "--out", out)
     assert status == 1
     record = json.loads((out / "check.json").read_text())
     verdicts = {each["name"]: each["verdict"] for each in record["findings"]}
     assert verdicts["background, camera 1"] == "good"
     assert verdicts["background, camera 2"] == "bad"
-    assert "camera 2" in said
+    assert "camera 2" in output
     assert len(record["frames_tried"]) == 2
     assert "with camera 1" in (out / "check.html").read_text()
 
 
-def test_something_bad_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
+def test_a_bad_verdict_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
     text = scene.read_text().replace('"clip.tif"', f'"{scene.parent / "clip.tif"}"')
     bright = tmp_path / "bright.png"
     cv2.imwrite(str(bright), np.rint(ROOM.table + 60).astype(np.uint8))
     other = tmp_path / "scene.toml"
     other.write_text(text.replace('"background.png"', f'"{bright}"'))
-    status, said, _ = invoke(other, "--allow-outside")
+    status, output, _ = invoke(other, "--allow-outside")
     assert status == 1
-    assert "bad" in said
+    assert "bad" in output
 
 
 def test_a_missing_clip_is_one_sentence(scene: Path, tmp_path: Path) -> None:
     other = tmp_path / "scene.toml"
     other.write_text(scene.read_text())
-    status, _, said = invoke(other)
+    status, _, output = invoke(other)
     assert status == 2
-    assert len(said.strip().splitlines()) == 1
+    assert len(output.strip().splitlines()) == 1

@@ -1,4 +1,4 @@
-"""A Dask cluster gives what this machine gives: the same clips, the same counts, the same maps."""
+"""A Dask cluster gives the same results as local processes: clips, counts, maps."""
 
 from __future__ import annotations
 
@@ -68,15 +68,15 @@ def invoke(*words: object) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def test_odds_maps_and_clips_of_a_cluster_are_those_of_this_machine(cluster: str, tmp_path: Path) -> None:
+def test_odds_maps_and_clips_are_the_same_on_a_cluster(cluster: str, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     odds = ("odds", "--throws", "9000", "--chi", "0.3", "--after", "1", "--threads", "1")
     basins = ("basins", "--pixels", "40", "30", "--threads", "1")
     for words in (odds, basins):
         name = words[0]
         assert invoke(*words, "--out", here / name)[0] == 0
-        status, said = invoke(*words, "--out", there / name, "--scheduler", cluster)
-        assert status == 0, said
+        status, output = invoke(*words, "--out", there / name, "--scheduler", cluster)
+        assert status == 0, output
     assert (here / "odds" / "odds.csv").read_bytes() == (there / "odds" / "odds.csv").read_bytes()
     maps = [np.load(folder / "basins" / "basins.npz") for folder in (here, there)]
     for name in ("face", "impacts", "ending"):
@@ -87,13 +87,13 @@ def test_odds_maps_and_clips_of_a_cluster_are_those_of_this_machine(cluster: str
     scene = shutil.copytree(SAMPLE, tmp_path / "clip") / "scene.toml"
     track = ("--only-track", "--quality", "fast")
     assert invoke("track", scene, "--quality", "fast", "--out", here / "clip")[0] == 0
-    status, said = invoke("batch", scene, *track, "--out", there / "clips", "--scheduler", cluster)
-    assert status == 0, said
+    status, output = invoke("batch", scene, *track, "--out", there / "clips", "--scheduler", cluster)
+    assert status == 0, output
     for name in ("track.csv", "track_covariance.npy", "bounces.csv"):
         assert (here / "clip" / name).read_bytes() == (there / "clips" / "clip" / name).read_bytes()
 
 
-def test_a_joint_fit_on_a_cluster_is_that_of_this_machine(cluster: str, tmp_path: Path) -> None:
+def test_a_joint_fit_is_the_same_on_a_cluster(cluster: str, tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     die, random = make_die("cube", 0.016, 0.0048), np.random.default_rng(2)
     tracks = [tmp_path / f"throw_{k}.csv" for k in range(2)]
@@ -102,14 +102,14 @@ def test_a_joint_fit_on_a_cluster_is_that_of_this_machine(cluster: str, tmp_path
         write_track(path, seen(throw, random, noise=0.05))
     words = ("fit", *tracks, "--scene", tmp_path / "scene.toml", "--threads", "1")
     for out, more in (("here", ()), ("there", ("--scheduler", cluster))):
-        status, said = invoke(*words, "--out", tmp_path / out, *more)
-        assert status == 0, said
+        status, output = invoke(*words, "--out", tmp_path / out, *more)
+        assert status == 0, output
     assert (tmp_path / "here" / "fit.json").read_bytes() == (tmp_path / "there" / "fit.json").read_bytes()
 
 
-def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_scheduler_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.executors.ANSWER_S", 0.5)
-    status, said = invoke("odds", "--out", tmp_path / "out", "--throws", "10", "--scheduler", "tcp://127.0.0.1:9")
+    status, output = invoke("odds", "--out", tmp_path / "out", "--throws", "10", "--scheduler", "tcp://127.0.0.1:9")
     assert status == 1
-    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in said
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in output
     assert os.listdir(tmp_path) == []

@@ -1,4 +1,4 @@
-"""Speed against accuracy: what is told of a setting is what it gave, and what is recommended is fast and good enough."""
+"""Speed against accuracy: reported figures are the measured ones; the recommended setting is fast and accurate enough."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ def setting(name: str, rate: float, half_width: float | None, off: float = 0.0) 
     )
 
 
-def test_the_fastest_that_is_good_enough_is_recommended() -> None:
+def test_the_fastest_sufficient_setting_is_recommended() -> None:
     tried = [setting("fast", 9.0, 0.02), setting("standard", 5.0, 0.008), setting("fine", 1.0, 0.001)]
     assert fastest_within(tried, 0.01) is tried[1]
     assert fastest_within(tried, 0.05) is tried[0]
     assert fastest_within(tried, 1e-4) is None
 
 
-def test_a_narrow_interval_far_from_the_reference_is_not_good() -> None:
+def test_a_narrow_interval_far_from_the_reference_is_insufficient() -> None:
     wrong, right = setting("fast", 9.0, 0.001, off=0.05), setting("fine", 1.0, 0.002)
     assert fastest_within([wrong, right], 0.01) is right
 
 
-def test_nothing_on_the_front_is_beaten() -> None:
+def test_no_setting_on_the_front_is_dominated() -> None:
     random = np.random.default_rng(1)
     tried = [setting(str(k), random.uniform(1, 9), random.uniform(1e-3, 1e-1)) for k in range(30)]
     tried += [setting("open", 20.0, None)]
@@ -55,13 +55,13 @@ def test_nothing_on_the_front_is_beaten() -> None:
         assert one.on_front == (one.chi_uncertainty is not None and not beaten)
 
 
-def test_the_advice_names_options_or_says_that_there_are_none() -> None:
+def test_the_advice_names_options_or_states_that_none_suffices() -> None:
     tried = (setting("fast", 9.0, 0.02), setting("standard", 5.0, 0.008))
     assert "--quality standard" in Trade(tried, "the finest run", 0.01).advice
     assert Trade(tried, "the finest run", 0.001).advice.startswith("No setting gives χ to ±0.001")
 
 
-def test_a_page_escapes_what_it_is_told() -> None:
+def test_a_page_escapes_text() -> None:
     hostile = replace(setting("fast", 9.0, 0.02), name="<script>alert(1)</script>", on_front=True)
     page = trade_page("<b>", Trade((hostile,), "the finest run", 0.01))
     assert "<script>" not in page
@@ -92,7 +92,7 @@ def test_every_trade_is_measured(measured: tuple[Trade, Path]) -> None:
     assert {s.coverage for s in found.of("fit")} <= {0.0, 1.0}
 
 
-def test_what_was_measured_is_written_and_read_back(measured: tuple[Trade, Path]) -> None:
+def test_measurements_are_written_and_read_back(measured: tuple[Trade, Path]) -> None:
     found, out = measured
     assert read_trade(out / "trade.json") == found.settings
     assert json.loads((out / "trade.json").read_text("utf-8"))["advice"] == found.advice
@@ -100,7 +100,7 @@ def test_what_was_measured_is_written_and_read_back(measured: tuple[Trade, Path]
     assert {"trade.csv", "trade.html", "tracking.png", "tracking.svg", "model.png", "provenance.json"} <= names
 
 
-def test_a_setting_is_taken_from_what_was_measured(measured: tuple[Trade, Path]) -> None:
+def test_a_setting_is_chosen_from_measurements(measured: tuple[Trade, Path]) -> None:
     found, out = measured
     best = fastest_within(found.of("tracking"), 0.3)
     assert best is not None
@@ -110,13 +110,13 @@ def test_a_setting_is_taken_from_what_was_measured(measured: tuple[Trade, Path])
         setting_for(read_scene(SAMPLE), 1e-9, out / "trade.json")
 
 
-def test_a_file_that_is_no_trade_is_refused(tmp_path: Path) -> None:
+def test_another_json_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "trade.json"
     path.write_text('{"settings": [{"kind": "tracking"}]}', encoding="utf-8")
     with pytest.raises(ValueError, match="not a trade file"):
         read_trade(path)
 
 
-def test_a_width_that_is_none_is_refused(tmp_path: Path) -> None:
+def test_an_impossible_width_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="within = 0"):
         trade(read_scene(SAMPLE), tmp_path / "out", within=0.0)

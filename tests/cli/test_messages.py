@@ -1,4 +1,4 @@
-"""What a run says when its footage or its output folder is at fault."""
+"""Messages on faulty footage and faulty output folders."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def cut_scene(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_cut_off_clip_without_a_die_says_that_it_is_cut_off(cut_scene: Path, tmp_path: Path) -> None:
-    """Once the sentence about the missing die was all that was told, and a copy that broke off went unnoticed."""
+def test_a_truncated_clip_without_a_die_is_reported_as_truncated(cut_scene: Path, tmp_path: Path) -> None:
+    """Once the message named only the missing die, and a truncated copy went unnoticed."""
     result = CliRunner().invoke(app, ["track", str(cut_scene), "--out", str(tmp_path / "out")])
     assert result.exit_code == 1
     note, sentence = result.stderr.strip().splitlines()
@@ -60,18 +60,18 @@ def test_a_cut_off_clip_without_a_die_says_that_it_is_cut_off(cut_scene: Path, t
     assert not (tmp_path / "out").exists()
 
 
-def test_a_folder_that_cannot_be_made_is_one_sentence_with_what_to_try(tmp_path: Path) -> None:
-    """Once it was told as `[Errno 17] File exists`, which named neither the option nor the cause."""
+def test_an_impossible_output_folder_is_one_sentence_with_advice(tmp_path: Path) -> None:
+    """Once the message was `[Errno 17] File exists`, which named neither the option nor the cause."""
     (tmp_path / "notes.txt").write_text("kept")
-    told = r"cannot be made \(.+\); wanted a place .+ another --out"
-    with pytest.raises(OutputPlaceError, match=told), whole_folder(tmp_path / "notes.txt" / "out"):
+    message = r"cannot be made \(.+\); wanted a place .+ another --out"
+    with pytest.raises(OutputPlaceError, match=message), whole_folder(tmp_path / "notes.txt" / "out"):
         pass
     with pytest.raises(OutputPlaceError, match="name too long"), whole_folder(tmp_path / ("a" * 300)):
         pass
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
 
 
-def test_an_output_place_that_is_a_file_ends_with_status_2(cut_scene: Path, tmp_path: Path) -> None:
+def test_an_output_path_inside_a_file_ends_with_status_2(cut_scene: Path, tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["track", str(cut_scene), "--out", str(cut_scene / "out")])
     assert result.exit_code == 2
     assert result.stderr.startswith("diethrow: ")

@@ -1,4 +1,4 @@
-"""From a clip to a replay: a rendered clip whose truth is known goes in, and the truth comes out."""
+"""From a clip to a replay: the analysis of a rendered clip recovers its truth."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ def cube_rotations() -> list[Array]:
     return turned
 
 
-def test_every_file_is_there_and_none_is_empty(folder: Path) -> None:
+def test_every_file_exists_and_none_is_empty(folder: Path) -> None:
     assert {file.name for file in folder.iterdir()} >= CONTRACT_FILES
     assert all(file.stat().st_size > 0 for file in folder.iterdir())
     assert [path.name for path in folder.parent.iterdir()] == ["out"]
 
 
-def test_the_figures_are_there_when_they_are_asked_for(folder: Path) -> None:
+def test_figures_are_written_on_request(folder: Path) -> None:
     names = {file.stem for file in (folder / "figures").iterdir()}
     assert names >= {
         "stroboscope",
@@ -92,7 +92,7 @@ def test_the_figures_are_there_when_they_are_asked_for(folder: Path) -> None:
     }
 
 
-def test_the_report_tells_its_own_provenance_and_checks(folder: Path) -> None:
+def test_the_report_states_provenance_and_checks(folder: Path) -> None:
     text = (folder / "report.html").read_text(encoding="utf-8")
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     assert all(file["sha256"] in text for file in origin["inputs"])
