@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import replay_records as made
 
-from diethrow.files.records import simulated_track
+from diethrow.files.throw_records import simulated_track
 from diethrow.fitting.results import Fit
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize
 
-from diethrow.files.records import read_track
 from diethrow.files.scene import read_scene
+from diethrow.files.throw_records import read_track
 from diethrow.fitting.dataset.data_set import Entry, entry_of
 from diethrow.fitting.dataset.joint_effects import EFFECTS, load_before_bounces
 from diethrow.fitting.dataset.joint_fit import fit_jointly

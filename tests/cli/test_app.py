@@ -18,8 +18,8 @@ import diethrow
 import diethrow.commands.clip.analyze
 from diethrow.cli.app import app
 from diethrow.files.plan import read_plan
-from diethrow.files.records import read_bounces, read_simulated, simulated_track, write_track
 from diethrow.files.scene import read_scene
+from diethrow.files.throw_records import read_bounces, read_simulated, simulated_track, write_track
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import TRACKED, Track

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.files.records import read_bounces, read_fit, read_simulated, read_track, read_vertices
+from diethrow.files.fit_records import read_fit
 from diethrow.files.scene import read_scene
+from diethrow.files.throw_records import read_bounces, read_simulated, read_track, read_vertices
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.tracking.track import ABSENT, LOST, TRACKED
 

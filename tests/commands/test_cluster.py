@@ -17,7 +17,7 @@ from throws import random_release, seen
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.files.records import write_track
+from diethrow.files.throw_records import write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL

@@ -11,7 +11,7 @@ from throws import random_release, seen
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.files.records import read_simulated, write_track
+from diethrow.files.throw_records import read_simulated, write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL

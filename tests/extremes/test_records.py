@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import replay_records as made
 
-from diethrow.files.records import read_track, write_track
+from diethrow.files.throw_records import read_track, write_track
 from diethrow.replay.pages.report import write_report
 from diethrow.replay.recording.throw_recording import write_recording
 from diethrow.tracking.track import LOST, TRACKED, Track

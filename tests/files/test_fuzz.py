@@ -53,7 +53,7 @@ def test_files_of_any_parts_are_read_or_refused(by_name: dict[str, tuple[Path, T
 
 
 def test_a_header_that_asks_for_a_terabyte_is_refused(by_name: dict[str, tuple[Path, Target]], tmp_path: Path) -> None:
-    from diethrow.files.records import read_track
+    from diethrow.files.throw_records import read_track
     from diethrow.tracking.footage.clip import open_clip
 
     _, target = by_name["cih"]

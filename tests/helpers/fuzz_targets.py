@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 from footage_files import noisy_frames, write_cine, write_photron, write_tiff
 
+from diethrow.files.fit_records import read_parameters
 from diethrow.files.plan import read_plan
-from diethrow.files.records import read_bounces, read_parameters, read_track, write_track
 from diethrow.files.scene import read_scene
+from diethrow.files.throw_records import read_bounces, read_track, write_track
 from diethrow.model.throw.motion import State
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.track import TRACKED, Track

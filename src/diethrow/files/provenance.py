@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from .records import read_json, write_json
+from .tables import read_json, write_json
 
 PACKAGES = (
     "av",
@@ -24,10 +24,8 @@ PACKAGES = (
     "numba",
     "numpy",
     "opencv-python-headless",
-    "pandas",
     "pydantic",
     "rerun-sdk",
-    "scikit-image",
     "scipy",
     "tifffile",
 )

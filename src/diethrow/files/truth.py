@@ -1,12 +1,11 @@
-"""The truth beside a rendered clip: what a tracker is to find, in the columns that `benchmarks/accuracy.py` reads.
+"""The ground truth of a rendered clip, in the columns that `benchmarks/accuracy.py` reads.
 
-SI units, world axes. `truth.csv` has a row for every frame, at mid-exposure; `bounces.csv` one for every impact, with the
-motion just before and just after; `truth.toml` the law and the release; `vertices.csv` and `faces.csv` the body frame.
+SI units, world axes. `truth.csv` has a row for every frame, at mid-exposure. `bounces.csv` has a row for every impact, with the
+motion just before and just after it. `truth.toml` has the law and the release, `vertices.csv` and `faces.csv` the body frame.
 """
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ from ..model.laws import CoulombImpact, SmoothImpact
 from ..model.rotations import continuous_sign
 from ..model.throw import Impact, State, Throw
 from ..tracking.camera import Camera
+from .tables import write_table
 
 Array = NDArray[np.float64]
 
@@ -34,29 +34,31 @@ BOUNCE = (
 def write_truth(
     folder: Path, throw: Throw, die: Die, camera: Camera, law: SmoothImpact | CoulombImpact, fps: float, frames: int
 ) -> None:
-    """All files of the truth, for frames 0 to `frames` - 1 at k / fps."""
+    """Write all files of the truth, for frames 0 to `frames` - 1 at k / fps."""
     times = np.arange(frames) / fps
-    _write(folder / "truth.csv", POSE, _poses(throw, die, camera, times))
-    seen = [impact for impact in throw.bounces if impact.time_s <= times[-1]]
-    _write(folder / "bounces.csv", BOUNCE, (_bounce(throw, impact, law) for impact in seen))
+    write_table(folder / "truth.csv", POSE, _poses(throw, die, camera, times))
+    shown = [impact for impact in throw.bounces if impact.time_s <= times[-1]]
+    write_table(folder / "bounces.csv", BOUNCE, (_bounce(throw, impact, law) for impact in shown))
     corners = die.solid.vertices
-    _write(folder / "vertices.csv", ("vertex", "x", "y", "z"), ((k, *row) for k, row in enumerate(corners.tolist())))
+    write_table(
+        folder / "vertices.csv", ("vertex", "x", "y", "z"), ((k, *row) for k, row in enumerate(corners.tolist()))
+    )
     faces = zip(die.solid.normals.tolist(), die.solid.faces, strict=True)
     rows = ((k + 1, *normal, " ".join(map(str, face))) for k, (normal, face) in enumerate(faces))
-    _write(folder / "faces.csv", ("number", "nx", "ny", "nz", "vertices_ccw_outside"), rows)
-    (folder / "truth.toml").write_text(_law_text(throw, die, camera, law, fps, len(seen)), encoding="utf-8")
+    write_table(folder / "faces.csv", ("number", "nx", "ny", "nz", "vertices_ccw_outside"), rows)
+    (folder / "truth.toml").write_text(_law_text(throw, die, camera, law, fps, len(shown)), encoding="utf-8")
 
 
 def visibility(die: Die, camera: Camera, positions_m: Array, rotations: Array) -> tuple[NDArray[np.bool_], ...]:
-    """(n,) whether the whole die is within the picture, and whether any of it is; what hides it does not count."""
+    """(n,) whether the whole die lies within the picture, and whether any of it does; occluders do not count."""
     corners = np.einsum("nij,vj->nvi", rotations, die.solid.vertices) + positions_m[:, None]
-    seen = camera.project(corners)
+    corners_px = camera.project(corners)
     with np.errstate(invalid="ignore"):
-        low, high = seen.min(1), seen.max(1)
+        low, high = corners_px.min(1), corners_px.max(1)
         size = np.array([camera.width_px, camera.height_px])
-        wholly = (low >= 0).all(1) & (high <= size - 1).all(1)
-        partly = (high >= -0.5).all(1) & (low <= size - 0.5).all(1)
-    return wholly, partly
+        whole = (low >= 0).all(1) & (high <= size - 1).all(1)
+        part = (high >= -0.5).all(1) & (low <= size - 0.5).all(1)
+    return whole, part
 
 
 def _poses(throw: Throw, die: Die, camera: Camera, times_s: Array) -> Iterable[Sequence[Any]]:
@@ -64,10 +66,10 @@ def _poses(throw: Throw, die: Die, camera: Camera, times_s: Array) -> Iterable[S
     quaternions = continuous_sign(np.array([state.quaternion for state in states]))
     positions = np.array([state.position_m for state in states])
     rotations = np.array([state.rotation for state in states])
-    wholly, partly = visibility(die, camera, positions, rotations)
+    whole, part = visibility(die, camera, positions, rotations)
     for k, state in enumerate(states):
         numbers = (*positions[k].tolist(), *quaternions[k].tolist(), *_motion(state))
-        yield (k, float(times_s[k]), *numbers, int(wholly[k]), int(partly[k]))
+        yield (k, float(times_s[k]), *numbers, int(whole[k]), int(part[k]))
 
 
 def _bounce(throw: Throw, impact: Impact, law: SmoothImpact | CoulombImpact) -> Sequence[Any]:
@@ -115,10 +117,3 @@ q0_wxyz_body_to_world = {release.quaternion.tolist()}
 omega0_world = {release.omega_rad_s.tolist()}
 bounces = {bounces}
 """
-
-
-def _write(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows([repr(cell) if isinstance(cell, float) else cell for cell in row] for row in rows)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from .. import __version__
 from .outputs import OutputPlaceError
 from .provenance import as_tables
-from .records import plain
+from .tables import plain
 
 Kept = dict[str, NDArray[Any]]
 

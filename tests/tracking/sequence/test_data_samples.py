@@ -7,9 +7,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pandas as pd
 import pytest
 
+from diethrow.files.tables import read_table
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.background import load_background
@@ -36,11 +36,11 @@ def test_the_die_of_each_sample_is_where_the_truth_projects_it(name: str, count:
     clip, camera, background = _scene(name)
     assert (len(clip), clip.bit_depth, clip.notices) == (count, bits, ())
     assert (camera.width_px, camera.height_px) == (clip.width_px, clip.height_px)
-    truth, body = pd.read_csv(TRUTH / "truth.csv"), pd.read_csv(TRUTH / "vertices.csv")[["x", "y", "z"]].to_numpy()
+    truth = read_table(TRUTH / "truth.csv", ("frame",)).numbers(("qw", "qx", "qy", "qz", "x", "y", "z"))
+    body = read_table(TRUTH / "vertices.csv", ("vertex",)).numbers(("x", "y", "z"))
     for k in (95 - first, 110 - first, 125 - first):
-        row = truth.iloc[k + first]
-        vertices = body @ matrix_from_quat(row[["qw", "qx", "qy", "qz"]].to_numpy(float)).T
-        vertices_px = camera.project(vertices + row[["x", "y", "z"]].to_numpy(float))
+        quaternion, position = truth[k + first, :4], truth[k + first, 4:]
+        vertices_px = camera.project(body @ matrix_from_quat(quaternion).T + position)
         contour_px = cv2.convexHull(vertices_px.astype(np.float32))[:, 0]
         change = np.abs(clip.frame(k) - background) / 2 ** (bits - 8)
         there, *beside = (_mean_slope_along(contour_px + s, change) for s in ((0, 0), (6, 0), (-6, 0), (0, 6), (0, -6)))

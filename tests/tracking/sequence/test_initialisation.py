@@ -6,12 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
 from footage_of_throws import DICE, FPS, Studio, film, studio
 from random_throws import random_quaternion
 
 from diethrow.files.scene import read_scene
+from diethrow.files.tables import read_table
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat
@@ -39,10 +39,10 @@ def test_one_face_of_a_plain_tetrahedron_is_followed_in_its_true_pose() -> None:
     clip = open_clip(view.path, fps=scene.clip.fps, frame_range=(0, 50))
     background = load_background(view.background_path, clip)
     track = follow(clip, view.camera, scene.die, background=background, exposure_s=scene.clip.exposure_s, quality=FAST)
-    truth = pd.read_csv(ROOT / "tests" / "data" / "tetrahedron_wood" / "truth.csv")
+    truth = read_table(ROOT / "tests" / "data" / "tetrahedron_wood" / "truth.csv", ("frame",))
     rows = np.flatnonzero(track.tracked)
     assert len(rows) > 40
-    true = matrix_from_quat(truth[["qw", "qx", "qy", "qz"]].to_numpy()[rows])
+    true = matrix_from_quat(truth.numbers(("qw", "qx", "qy", "qz"))[rows])
     off = np.einsum("nji,njk->nik", matrix_from_quat(track.quaternion[rows]), true)
     # One labelling for all frames: the die has no marks.
     traces = [np.einsum("ji,nij->n", turn, off) for turn in symmetry_rotations(scene.die.solid)]

@@ -12,8 +12,8 @@ from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, steady
-from ...files.records import read_json
 from ...files.scene import Scene
+from ...files.tables import read_json
 from ...fitting.throw import IntervalMethod
 from ...replay.elements import Record
 from ...tracking.footage import WHOLE_CLIP, Decimation

@@ -21,9 +21,9 @@ from ... import __version__
 from ...executors import Processes, WorkerLostError, cores
 from ...files.outputs import OutputExistsError, OutputPlaceError, locked, refuse_existing, whole_file
 from ...files.provenance import InputChangedError, files_read
-from ...files.records import read_json
 from ...files.scene import Scene, read_scene
 from ...files.settings import SceneError
+from ...files.tables import read_json
 
 ATTEMPTS = 3
 """A clip fails after its worker has died this often: the clip may be the cause."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.records import write_json
+from ...files.tables import write_json
 from ...replay.pages import calibration_page
 from ...tracking.calibration import (
     INTRINSICS,

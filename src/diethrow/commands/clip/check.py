@@ -7,9 +7,9 @@ from pathlib import Path
 
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.records import write_json
 from ...files.scene import Scene, View
 from ...files.settings import SceneError
+from ...files.tables import write_json
 from ...replay.pages import check_page
 from ...tracking.check import Finding, Preflight, Sight, Verdict, judge, preflight
 from ...tracking.footage import Clip, open_clip

@@ -8,19 +8,19 @@ import numpy as np
 
 from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
+from ...files.fit_records import write_fit
 from ...files.outputs import ROOM_BYTES, demand_room, whole_folder
 from ...files.provenance import Stopwatch, add_timings, steady
-from ...files.records import (
+from ...files.scene import Scene
+from ...files.tables import read_json
+from ...files.throw_records import (
     covariance_path,
-    read_json,
     read_track,
     simulated_track,
     write_bounces,
-    write_fit,
     write_simulated,
     write_vertices,
 )
-from ...files.scene import Scene
 from ...fitting.predict import Estimate, estimates
 from ...fitting.results import Fit
 from ...fitting.throw import IntervalMethod, fit_throw

@@ -12,18 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ...analysis import Progress, RunError, silent
+from ...files.fit_records import effects_table, law_table, parameters_table
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.records import (
-    covariance_path,
-    effects_table,
-    law_table,
-    parameters_table,
-    read_track,
-    write_json,
-    write_vertices,
-)
 from ...files.scene import Scene
+from ...files.tables import write_json
+from ...files.throw_records import covariance_path, read_track, write_vertices
 from ...fitting.dataset import Entry, Foretold, JointFit, entry_of, fit_jointly
 from ...model.die import Die
 

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from ...analysis import Progress, RunError, silent
+from ...files.fit_records import read_parameters, state_table
 from ...files.outputs import whole_file, whole_folder
-from ...files.records import covariance_path, read_parameters, read_track, state_table, write_json, write_simulated
 from ...files.scene import Scene
+from ...files.tables import write_json
+from ...files.throw_records import covariance_path, read_track, write_simulated
 from ...fitting.predict import Decision, Odds, Outset, decided_at, first_bounce_row, foretell, outset_before
 from ...fitting.results import Parameter
 from ...fitting.throw import Physics

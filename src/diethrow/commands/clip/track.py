@@ -13,9 +13,9 @@ from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Inputs, Stopwatch, steady, write_provenance
-from ...files.records import write_bounces, write_faces, write_track, write_vertices
 from ...files.scene import ClipSource, Scene, View
 from ...files.settings import SceneError, refuse
+from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
 from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw

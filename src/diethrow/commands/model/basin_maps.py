@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...executors import width
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.records import write_json
+from ...files.tables import write_json
 from ...files.work_file import WorkFile
 from ...model.die import make_die
 from ...model.ensembles import (

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.records import write_json
+from ...files.tables import write_json
 from ...model.die import Die, make_die
 from ...model.ensembles import ErrorGrowth, LyapunovExponents, error_growth, largest_lyapunov_exponent
 from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table

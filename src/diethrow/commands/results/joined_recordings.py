@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ...files.outputs import whole_file, whole_folder
-from ...files.records import read_json
+from ...files.tables import read_json
 from ...replay.recording import Source, join_recordings, properties_of
 
 RECORDING = "replay.rrd"

@@ -24,7 +24,7 @@ import numpy as np
 
 from ... import __version__
 from ...files.provenance import sha256
-from ...files.records import read_json
+from ...files.tables import read_json
 
 UNCOMPARED = {"provenance.json": "holds times", "replay.rrd": "a recording", "report.html": "a page"}
 """Files without numbers of their own; what they show is in the tables."""
@@ -171,10 +171,10 @@ def _notices(origin: Any) -> Iterator[str]:
 
     if origin["diethrow"] != __version__:
         yield f"The results were made by version {origin['diethrow']}, and this is {__version__}."
-    now = package_versions()
-    for name, version in origin["packages"].items():
-        if now.get(name) != version:
-            yield f"{name} was {version} and is {now.get(name)}."
+    for name, version in package_versions().items():
+        then = origin["packages"].get(name, "not recorded")
+        if then != version:
+            yield f"{name} was {then} and is {version}."
 
 
 def _columns_of(path: Path) -> dict[str, list[Any]]:
