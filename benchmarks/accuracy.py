@@ -1,9 +1,9 @@
-"""How near the truth an analysis comes: `python benchmarks/accuracy.py [CLIP_FOLDER...] [--truth FOLDER]`.
+"""Errors of an analysis against the truth: `python benchmarks/accuracy.py [CLIP_FOLDER...] [--truth FOLDER]`.
 
 A clip folder holds `scene.toml` and what it names. Its truth lies in the same folder, in `--truth`, or in `tests/data/`
 under the clip's name: `truth.csv` (the true pose on every frame), `bounces.csv`, `vertices.csv` (the true body frame)
 and `truth.toml` (χ). Without an argument: the sample `data_samples/cube_wood`. Each clip is analysed from the film to
-the report; the first one of a fresh installation also pays for compiling. The exit status is 1 where a clip failed.
+the report; the first one of a fresh installation includes compilation. The exit status is 1 if a clip failed.
 
 A die without marks has no preferred labelling of its corners, so one symmetry rotation, the same for all frames of a
 clip, is chosen to bring the tracked body frame onto the true one; a labelling that changes within the clip is an error.
@@ -15,7 +15,7 @@ The rows of the table:
   depth         along it
   wrong         frames off by more than 5 degrees or 1 mm across
   claimed       frames with a pose although no part of the die is in the picture
-  NEES          normalised estimation error squared, median; 5.35 where the six-fold covariances are honest
+  NEES          normalised estimation error squared, median; 5.35 for consistent 6 × 6 covariances
   bounces       found, of those that can be found: in view, and with no other bounce within two frames
   spurious      bounces farther than 1.5 frames from any true one
   bounce time   error [frames], median and largest

@@ -1,9 +1,9 @@
-"""How much faster two workers are than one, over clips that are analysed whole.
+"""Speed of two workers over one, for whole analyses of clips.
 
     python benchmarks/batch.py --clips 12 --repeats 2
 
-Analyses copies of the short sample with one worker and with two, by turns, and prints the ratio of the times. The machine
-should have nothing else to do; the load that was there before is printed beside the figures.
+Analyses copies of the short sample with one worker and with two in turn, and prints the ratio of the times. The machine
+should be idle; the load before the run is printed beside the figures.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python benchmarks/cluster.py --throws 10000000
 
-Both throw the same releases, by turns; prints the speeds, their ratio, and whether the counts are the same. Rates are those
-of the whole run, the loading of kernels by the workers among them. The machine should have nothing else to do.
+Both simulate the same releases in turn; prints the speeds, their ratio, and whether the counts agree. Rates include the whole
+run, with the loading of kernels by the workers. The machine should be idle.
 """
 
 from __future__ import annotations

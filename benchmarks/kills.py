@@ -1,11 +1,10 @@
-"""`kill -9` of a batch and of its workers, at random moments: what is lost?
+"""`kill -9` of a batch and of its workers at random moments.
 
     python benchmarks/kills.py --kills 200 --clips 6
 
-Runs `diethrow batch` over copies of the short sample, kills the batch or one of its workers at a random moment, looks at the
-folder, and begins again, until so many kills are made; a batch that comes to its end is begun anew in another folder.
-Nothing half-written may look finished, no finished clip may be done again, and every number must be that of a batch which
-nobody killed.
+Runs `diethrow batch` over copies of the short sample, kills the batch or one of its workers at a random moment, examines the
+folder, and continues, until the wanted number of kills; a finished batch is repeated in another folder. Nothing incomplete may
+look finished, no finished clip may be analysed again, and every number must equal that of an undisturbed batch.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How long a user waits before anything happens: help, import, and the compilation of the first run.
+"""Waiting time of a user: help, import, and the compilation of the first run.
 
     python benchmarks/startup.py                # help and import, the best of seven
     python benchmarks/startup.py --compile      # and which kernels the first analysis compiles, in an empty cache
     python benchmarks/startup.py --compile --alone    # the same without a second process
 
-Times of compilation are those of the processor: they do not mind what else runs.
+Times of compilation are processor times, which other load hardly changes.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def best_s(program: str) -> float:
 
 
 def _first_run(alone: bool) -> None:
-    """Analyse the sample where nothing is compiled yet, and tell what was compiled and for how long."""
+    """Analyse the sample with an empty cache, and report what was compiled and the time it took."""
     from numba.core import event
 
     clock = _CompileClock()

@@ -74,13 +74,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="folder of the page (%(default)s)")
     chosen = parser.parse_args(arguments)
     chosen.out.mkdir(parents=True, exist_ok=True)
-    told = {
+    options = {
         name: vars(chosen)[name]
         for name in ("clips", "rounds", "throws")
         if vars(chosen)[name] != parser.get_default(name)
     }
     command = " ".join(
-        ["python benchmarks/trades.py", *(f"--{name} {as_words(value)}" for name, value in told.items())]
+        ["python benchmarks/trades.py", *(f"--{name} {as_words(value)}" for name, value in options.items())]
     )
     matplotlib.use("Agg")
     with one_thread():
@@ -296,8 +296,8 @@ def clip_cells(rows: Sequence[Row]) -> list[list[str]]:
         if s.why_not is not None or s.chi is None:
             cells.append(["", s.name, ratio(row), "open", "", "", "" if s.error is None else f"{s.error:.2g}"])
             continue
-        told = [f"{s.chi:.4f}", f"{s.half_width or 0.0:.1g}", f"{s.chi_error or 0.0:.1g}"]
-        cells.append(bold([str(number), s.name, ratio(row), *told, "" if s.error is None else f"{s.error:.2g}"], row))
+        values = [f"{s.chi:.4f}", f"{s.half_width or 0.0:.1g}", f"{s.chi_error or 0.0:.1g}"]
+        cells.append(bold([str(number), s.name, ratio(row), *values, "" if s.error is None else f"{s.error:.2g}"], row))
     return cells
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
+from ...analysis import PLAIN, Analysis, Progress, Shown, Tracking, rate_hz, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, steady
@@ -16,9 +16,10 @@ from ...files.scene import Scene
 from ...files.tables import read_json
 from ...fitting.throw import IntervalMethod
 from ...replay.elements import Record
+from ...replay.pages import ReportDetails
+from ...tracking.check import Finding, contacts_of, fall_of, judge_throw, timing_of
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
-from .account import account_of
 from .fit import growing, record_replay, run_fit, write_model, write_pages
 from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
 
@@ -67,6 +68,18 @@ def analyze(
         record_replay(folder, record, progress, watch)
         command = command or same_command("analyze", scene, out, quality, decimation, intervals)
         write_origin(folder, scene, command, inputs, watch, tracking.corners)
-        account = account_of(scene, tracking, read_json(folder / "provenance.json"))
-        write_pages(folder, record, account, shown, progress, watch)
+        details = ReportDetails(tracking.unbiased, _findings(scene, tracking), read_json(folder / "provenance.json"))
+        write_pages(folder, record, details, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
+
+
+def _findings(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:
+    """Timing of the first camera's clip; scale, vertical and table height from the flights and bounces of the whole throw."""
+    clip = tracking.clips[0]
+    return judge_throw(
+        timing_of(clip, clip.notices),
+        fall_of(tracking.frames, tracking.measured),
+        contacts_of(tracking.measured, tracking.die),
+        tracking.die,
+        scene.clip.exposure_s,
+    )
