@@ -171,13 +171,13 @@ def touch(impact: FirstImpact, physics: Physics) -> tuple[State, Array, float]:
     for _ in range(30):
         state = flight.at(time)
         turned = body.vertices @ state.rotation.T
-        heights = np.sort(turned[:, 2]) + state.position_m[2] - body.rounding
+        heights = np.sort(turned[:, 2]) + state.position_m[2] - body.corner_radius
         arm = turned[int(np.argmin(turned[:, 2]))]
         speed = state.velocity_m_s[2] + state.omega_rad_s[0] * arm[1] - state.omega_rad_s[1] * arm[0]
         if abs(heights[0]) < 1e-9 or speed >= 0.0:
             break
         time -= float(np.clip(heights[0] / speed, -0.004, 0.004))
-    return state, arm - np.array([0.0, 0.0, body.rounding]), float(heights[1])
+    return state, arm - np.array([0.0, 0.0, body.corner_radius]), float(heights[1])
 
 
 def cross_validated(impacts: Sequence[FirstImpact], start: Physics, folds: int) -> Array:

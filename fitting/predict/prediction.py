@@ -245,6 +245,9 @@ def _landing(physics: Physics, state: State) -> int:
     """The face on which one throw lands; 0 for none."""
     start = lifted(physics, in_true_units(physics, state))
     stage = ThrowSetup(
-        physics.body, physics.law, physics.plane, Precision(slowest_bounce=QUICK.switch, step_turn_rad=QUICK.turn)
+        physics.body,
+        physics.law,
+        physics.plane,
+        Precision(slowest_bounce=QUICK.slowest_bounce, step_turn_rad=QUICK.step_turn),
     )
     return int(stage.throw(packed_state(start)[None]).face[0])

@@ -1,34 +1,34 @@
-"""Compiled kernels of the event loop: touch, impact, flight, held contact, and derivatives, on plain numbers and arrays.
+"""Compiled kernels of the motion of a die: flight, impact, held contact, the event loop, and derivatives of them.
 
-They stand in one file because they call each other (the cache of a kernel sees edits of its own file only). The
-methods are explained where the friendly functions are: `touch` (the first root), `impacts` (the laws), `tables`,
-`contact` (chatter and held contact), `simulate` (the loop and its ends), `tangent` (derivatives).
-
-A state is an array (13,): position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s], all in the axes of
-the table: z along its normal.
+Kernels work on plain numbers and arrays; the friendly functions of `laws`, `throw` and `ensembles` call them, and explain the
+methods: `throw.touch` (the first touch), `laws` (impacts), `throw.held_contact`, `throw.simulate` (the ends of a throw) and
+`throw.tangent` (derivatives). States, codes and constants: `types`. A die with one moment of inertia is followed by the files
+of this folder, any other by `asymmetric`; derivatives of both are in `derivatives`.
 """
 
 from .air import Air as Air
 from .air import Vacuum as Vacuum
 from .air import drag_trajectory as drag_trajectory
-from .event_loop import carry_on_face as carry_on_face
 from .event_loop import land_many as land_many
 from .event_loop import poses_of_throws as poses_of_throws
 from .event_loop import run_throw as run_throw
 from .flight import advance as advance
+from .flight import clearance as clearance
 from .flight import first_touch as first_touch
 from .flight import height_terms as height_terms
 from .flight import lever_arm as lever_arm
 from .flight import spin_rate as spin_rate
 from .flight import table_height as table_height
 from .flight import table_velocity as table_velocity
-from .held_contact import clearance as clearance
+from .held_contact import carry_on_face as carry_on_face
 from .held_contact import held_step as held_step
+from .held_contact import step_workspace as step_workspace
 from .impact import ParameterDerivatives as ParameterDerivatives
 from .impact import impulse as impulse
 from .impact import impulse_gradient as impulse_gradient
-from .log import decided_face as decided_face
-from .log import lowest_face_row as lowest_face_row
+from .rest import TIMEOUT as TIMEOUT
+from .rest import decided_face as decided_face
+from .rest import lowest_face_row as lowest_face_row
 from .sliding_contact import friction_step as friction_step
 from .sliding_contact import inelastic_impulse as inelastic_impulse
 from .sliding_contact import move_freely as move_freely
@@ -56,8 +56,8 @@ from .types import SPINNING as SPINNING
 from .types import STRONGE as STRONGE
 from .types import TIME_REACHED as TIME_REACHED
 from .types import TIMED_OUT as TIMED_OUT
-from .types import TIMEOUT as TIMEOUT
 from .types import TRUE as TRUE
+from .types import AsymmetricBody as AsymmetricBody
 from .types import Body as Body
 from .types import Law as Law
 from .types import Plane as Plane

@@ -1,4 +1,9 @@
-"""model.engine.event_loop."""
+"""The event loop: fly or stay in contact until the next event, apply it, and go on until something ends the throw.
+
+An event is an impact, or a change of what is held. Bounces slower than `Precision.slowest_bounce` are not simulated: the
+vertices on the table are stopped and those are held on which the die presses (`throw.held_contact`). The rules that end a
+throw are in `rest`.
+"""
 
 from __future__ import annotations
 
@@ -8,63 +13,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
-from .flight import (
-    advance,
-    first_touch,
-    height_terms,
-    lever_arm,
-    spin_rate,
-    table_acceleration,
-    table_height,
-    table_velocity,
-)
+from .flight import advance, first_touch, height_terms, lever_arm, spin_rate, table_velocity, vertex_velocity
 from .held_contact import (
-    clearance,
-    contact_forces,
-    event_instant,
+    carry_on_face,
+    follow_held_contact,
     held_step,
     lay_on_face,
     pressed_set,
     project_on_contact,
     remove_normal_velocity,
     simultaneous_inelastic_impact,
-    spins_forever,
+    step_workspace,
     touching_set,
 )
 from .impact import apply_impact
-from .log import (
-    copy_to,
+from .log import bits_of, copy_to, state_after, with_room, write_event, write_knot
+from .rest import (
+    MAX_ZERO_STEPS,
+    chatter_speed,
     decided_face,
-    doubled_rows,
-    energy_per_mass,
-    has_friction,
+    face_contact_duration,
+    is_energetic,
     lowest_face_row,
-    state_after,
-    write_event,
-    write_knot,
+    nudge_s,
+    spins_forever,
+    timeout_s,
 )
-from .sliding_contact import follow_sliding_contact, move_freely
+from .sliding_contact import FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART, follow_sliding_contact, move_freely
 from .types import (
-    BALANCED,
     FALSE,
-    FORCE_I,
-    FORCE_J,
-    FRICTION_STANDING_HEIGHT,
-    FRICTION_STEP_PART,
     IMPACT_CAP,
     IMPACTS_REACHED,
+    KNOT_COLUMNS,
     LOG_COLUMNS,
-    NO_EVENT,
     NO_LIMIT,
     NONE,
     NOT_ENDED,
     RESTED,
-    ROUNDING_BOUND,
     SPINNING,
     STANDING_HEIGHT,
     TIME_REACHED,
     TIMED_OUT,
-    TIMEOUT,
     TRUE,
     ZERO,
     Array,
@@ -73,206 +62,11 @@ from .types import (
     Law,
     Plane,
     Precision,
+    has_friction,
 )
 
-
-@inner
-def chatter_speed(law: Law, plane: Plane, precision: Precision, radius: float) -> float:
-    """Speed [m/s] below which a vertex that accelerates into the table bounces on without end; see `contact`."""
-    # With χ = 1 the bounces do not shrink, so nothing collapses.
-    return 0.0 if law.parameters[0] >= 1.0 else precision.switch * sqrt(plane.g * radius)
-
-
-@inner
-def face_contact_duration(plane: Plane, time: float, limit: float) -> float:
-    """How long [s] a face stays pressed on the table, no longer than `limit`."""
-    strongest = plane.amplitude * plane.rate * plane.rate
-    if strongest <= plane.g:
-        return limit
-    full = 2.0 * np.pi
-    ahead = (np.arcsin(plane.g / strongest) - plane.rate * time - plane.phase) % full
-    # At the very instant, rounding must not make a whole period of nothing.
-    return min(limit, ahead / plane.rate) if ahead < full * (1.0 - 1e-12) else 0.0
-
-
-@inner
-def follow_held_contact(
-    body: Body,
-    plane: Plane,
-    precision: Precision,
-    state: Array,
-    time: float,
-    limit: float,
-    i: int,
-    j: int,
-    for_ever: bool,
-    segment: int,
-    knots: Array,
-    known: int,
-    keep: bool,
-    rates: Array,
-    after: Array,
-) -> tuple[int, float, int, Array, int]:
-    """Carry the state in place through held contact of vertex i alone (j = -1), or i and j, to its end.
-
-    Returns FLIES or another ending, the duration [s], the vertex that touches (-1: a held one is let go, or the limit
-    came), and the knots with their number. `for_ever` asks whether the motion has no end, which costs a little.
-    """
-    begin = time
-    fixed = plane.amplitude == 0.0
-    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
-    while True:
-        if keep:
-            if known == knots.shape[0]:
-                knots = doubled_rows(knots)
-            write_knot(knots[known], segment, time, state)
-            known += 1
-        pull = plane.g + table_acceleration(plane, time)
-        if for_ever and fixed and is_balanced(body, state, i, j, pull):
-            return BALANCED, time - begin, -1, knots, known
-        dt = precision.turn / (
-            spin_rate(state)
-            + sqrt((plane.g + peak_table_acceleration) * body.radius * body.mass / body.inertia)
-            + (0.0 if fixed else plane.rate)
-        )
-        dt = min(dt, begin + limit - time)
-        held_step(body, plane, state, time, dt, i, j, rates, after)
-        first, event = dt, NO_EVENT
-        pull = plane.g + table_acceleration(plane, time + dt)
-        n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
-        if n_i <= 0.0:
-            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_I, first, event, rates)
-        if j >= 0 and n_j <= 0.0:
-            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_J, first, event, rates)
-        z_table = table_height(plane, time + dt)
-        for k in range(body.vertices.shape[0]):
-            if k != i and k != j:
-                within = dt
-                if clearance(body.vertices[k], after, z_table) > 0.0:
-                    within = instant_below_table(body, plane, state, after, time, dt, i, j, k, rates)
-                if within > 0.0:
-                    first, event = earlier_event(body, plane, state, time, within, i, j, k, first, event, rates)
-        if event != NO_EVENT:
-            if first > 0.0:
-                held_step(body, plane, state, time, first, i, j, rates, after)
-                copy_to(state, after)
-            return NOT_ENDED, time + first - begin, max(event, -1), knots, known
-        copy_to(state, after)
-        time += dt
-        if time >= begin + limit:
-            return TIME_REACHED, limit, -1, knots, known
-
-
-@inner
-def is_balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
-    """Whether a held die neither leans over nor begins to, but for rounding: it stands on its vertex or edge for ever."""
-    rate = sqrt(pull / body.radius)
-    if max(abs(state[10]), abs(state[11])) > ROUNDING_BOUND * rate:
-        return False
-    _, _, wx, wy = contact_forces(body, state, i, j, pull)
-    if j < 0:
-        return bool(max(abs(wx), abs(wy)) <= ROUNDING_BOUND * rate * rate)
-    # An edge can only turn about itself.
-    a, b = lever_arm(body.vertices[i], state), lever_arm(body.vertices[j], state)
-    ex, ey = b[0] - a[0], b[1] - a[1]
-    return bool(abs(wx * ex + wy * ey) <= ROUNDING_BOUND * rate * rate * sqrt(ex * ex + ey * ey))
-
-
-@inner
-def instant_below_table(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    after: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    k: int,
-    rates: Array,
-) -> float:
-    """An instant [s] within a step from `state` to `after` at which vertex k, up at its end, is below the table; 0
-    where there is none. It is the lowest of a vertex that sinks and rises again."""
-    h0, h1 = (
-        clearance(body.vertices[k], state, table_height(plane, time)),
-        clearance(body.vertices[k], after, table_height(plane, time + dt)),
-    )
-    v0, v1 = vertex_velocity(body, plane, state, time, k), vertex_velocity(body, plane, after, time + dt, k)
-    if v1 <= 0.0:
-        return 0.0
-    trial = np.empty(13)
-    if h0 <= STANDING_HEIGHT * body.radius:
-        # It stands on the table and is not held: whatever its velocity says, look.
-        for part in (0.125, 0.25, 0.5):
-            held_step(body, plane, state, time, part * dt, i, j, rates, trial)
-            if (
-                clearance(body.vertices[k], trial, table_height(plane, time + part * dt))
-                < -ROUNDING_BOUND * body.radius
-            ):
-                return part * dt
-        return 0.0
-    # A cubic through both ends misses the lowest height by far less than a twentieth of what it spans.
-    t, lowest = cubic_minimum(h0, v0 * dt, h1, v1 * dt)
-    if lowest > 0.05 * max(h0, h1):
-        return 0.0
-    t *= dt
-    low, high, v_low, v_high = 0.0, dt, v0, v1
-    for step in range(50):
-        if step > 0:
-            if v_low >= 0.0:
-                return 0.0
-            t = (low * v_high - high * v_low) / (v_high - v_low)
-            t = min(max(t, low + 0.05 * (high - low)), high - 0.05 * (high - low))
-        held_step(body, plane, state, time, t, i, j, rates, trial)
-        if clearance(body.vertices[k], trial, table_height(plane, time + t)) < 0.0:
-            return t
-        v = vertex_velocity(body, plane, trial, time + t, k)
-        if v < 0.0:
-            low, v_low = t, v
-        else:
-            high, v_high = t, v
-        if high - low <= 1e-7 * dt:
-            break
-    return 0.0
-
-
-@inner
-def vertex_velocity(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
-    """Vertical velocity [m/s] of vertex k relative to the table."""
-    x, y, _ = lever_arm(body.vertices[k], state)
-    return float(state[9] + state[10] * y - state[11] * x - table_velocity(plane, time))
-
-
-@inner
-def cubic_minimum(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
-    """Where the least of seven values of the cubic with these ends and slopes on [0, 1] lies, and what it is."""
-    lowest, where = inf, 0.5
-    for m in range(1, 8):
-        t = m / 8.0
-        u = 1.0 - t
-        h = u * u * ((1.0 + 2.0 * t) * h0 + t * d0) + t * t * ((1.0 + 2.0 * u) * h1 - u * d1)
-        if h < lowest:
-            lowest, where = h, t
-    return where, lowest
-
-
-@inner
-def earlier_event(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    event: int,
-    first: float,
-    best: int,
-    rates: Array,
-) -> tuple[float, int]:
-    """The earlier of an event and the first one known so far."""
-    t = event_instant(body, plane, state, time, dt, i, j, event, rates, np.empty(13))
-    return (t, event) if t < first or best == NO_EVENT else (first, best)
+FIRST_ROWS = 64
+"""Rows of the log, and of the knots, that are allocated first; doubled where they are used up."""
 
 
 @compiled(nogil=True)
@@ -289,42 +83,39 @@ def run_throw(
     impact_cap: int,
     keep: bool,
 ) -> tuple[int, int, int, float, Array, Array, Array]:
-    """The event loop. Nothing is changed in its arguments.
+    """Follow a throw from `start` (13,) at `start_time` [s] to its end. No argument is changed.
 
-    Returns the code of the ending, the number of impacts, the row of the face decided on (-1: none), the time [s] at
-    which it ends, the state (13,) after the last event, the log (events, ROW), and the knots of held contact (k, 15):
-    event that began it, time, state. Both stay empty unless `keep`.
+    The limits are `duration` [s], `impact_limit`, and `impact_cap`, which is reported as an end of its own;
+    `stop_when_decided` ends the throw once its face is decided. Returns the code of the ending, the number of impacts, the
+    row of the decided face (-1: none), the time [s] of the end, the state (13,) after the last event, the log
+    (events, LOG_COLUMNS), and the knots of held contact (k, KNOT_COLUMNS). Log and knots stay empty unless `keep`.
     """
-    state, before, after, rates = start.copy(), np.empty(13), np.empty(13), np.empty((12, 6))
+    state, before, after, step_room = start.copy(), np.empty(13), np.empty(13), step_workspace()
     terms, room = np.empty((body.vertices.shape[0], 4)), np.empty((3, max(3, body.vertices.shape[0])))
-    touching = np.empty(body.vertices.shape[0], np.int64)
-    log, knots = np.empty((64 if keep else 1, LOG_COLUMNS)), np.empty((64 if keep else 1, 15))
+    touching, rows = np.empty(body.vertices.shape[0], np.int64), FIRST_ROWS if keep else 1
+    log, knots = np.empty((rows, LOG_COLUMNS)), np.empty((rows, KNOT_COLUMNS))
     slow = chatter_speed(law, plane, precision, body.radius)
     fixed, rough = plane.amplitude == 0.0, has_friction(law)
     active = np.zeros(body.vertices.shape[0], np.bool_)
     time, end, impacts, events, known = start_time, start_time + duration, 0, 0, ZERO
     i, j, zero_step_count = NONE, NONE, 0
     open_end = duration == inf
-    timeout = inf
-    if open_end and not fixed:
-        timeout = TIMEOUT * sqrt(body.radius / plane.g)
-    elif open_end and law.parameters[0] < 1.0:
-        timeout = TIMEOUT * max(1.0, 0.1 / (1.0 - law.parameters[0])) * sqrt(body.radius / plane.g)
+    timeout = timeout_s(law, plane, body.radius, open_end)
     # When the die last had the energy to stand up and more; on a table that moves, when it last bounced.
     last_energetic_time = start_time
     while True:
         face = decided_face(body, law, plane, state) if fixed else -1
-        if fixed and energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius:
+        if fixed and is_energetic(body, plane, state):
             last_energetic_time = time
         ending, hit, dt = NOT_ENDED, NONE, 0.0
-        reorder = False  # whether the contact is to be found anew
+        reorder = False  # whether what is held is to be found anew
         if i < 0:
             if face >= 0 and stop_when_decided and not keep:
                 return RESTED, impacts, face, time, state, log[:0], knots[:0]
             spin = spin_rate(state)
             height_terms(body.vertices, state, spin, terms)
             dt, hit, velocity, acceleration = first_touch(
-                terms, state[2], state[9], spin, body.radius, plane, time, precision.root, end - time
+                terms, state[2], state[9], spin, body.radius, plane, time, precision.contact_tolerance, end - time
             )
             if face >= 0 and stop_when_decided:
                 ending = RESTED
@@ -362,8 +153,7 @@ def run_throw(
                     after,
                 )
                 if keep:
-                    if known == knots.shape[0]:
-                        knots = doubled_rows(knots)
+                    knots = with_room(knots, known)
                     write_knot(knots[known], events - 1, time + dt, state)
                     known += 1
                 if ending == RESTED:
@@ -390,7 +180,7 @@ def run_throw(
                     knots,
                     known,
                     keep,
-                    rates,
+                    step_room,
                     after,
                 )
             time += dt
@@ -398,21 +188,20 @@ def run_throw(
                 ending = TIMED_OUT
             if ending != NOT_ENDED:
                 return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
-            # A face that the table has thrown off, and a die that no longer rubs, fly.
+            # A face that the table has thrown off, and a die that has left its sliding contact, fly.
             reorder = hit >= 0 or not (rough or j == -2)
             if not reorder:
                 i, j = NONE, NONE
             if hit >= 0:
-                arm = lever_arm(body.vertices[hit], state)
-                reorder = state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time) >= -slow
+                reorder = vertex_velocity(body, plane, state, time, hit) >= -slow
                 if not reorder and impacts >= impact_limit:
                     return IMPACTS_REACHED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
         zero_step_count = zero_step_count + 1 if dt == 0.0 else 0
         if stop_when_decided and fixed and not rough and hit >= 0 and spins_forever(body, plane, state, hit):
             ending = SPINNING
         elif time > last_energetic_time + timeout:
-            strikes = hit >= 0 and not reorder
-            if energy_per_mass(body, plane, state) > 3.0 * plane.g * body.radius or (strikes and not fixed):
+            bounces = hit >= 0 and not reorder
+            if is_energetic(body, plane, state) or (bounces and not fixed):
                 last_energetic_time = time
             else:
                 ending = TIMED_OUT
@@ -422,10 +211,10 @@ def run_throw(
         if reorder:
             near, leaving = STANDING_HEIGHT * body.radius, slow
             if rough:
-                # The last step of contact with friction leaves the normal velocities right to the first order only.
+                # The steps of sliding contact leave the normal velocities right to first order only.
                 near = FRICTION_STANDING_HEIGHT * body.radius
                 rate = spin_rate(state) + sqrt(plane.g / body.radius)
-                leaving = max(slow, FRICTION_STEP_PART * precision.turn * rate * body.radius)
+                leaving = max(slow, FRICTION_STEP_PART * precision.step_turn * rate * body.radius)
             n = touching_set(body, plane, state, time, near, leaving, hit, touching)
             hit = -1
             if rough:
@@ -442,54 +231,42 @@ def run_throw(
             elif i >= 0 and not rough:
                 remove_normal_velocity(body, plane, state, time, i, j)
                 project_on_contact(body, plane, state, time, i, j)
-            if zero_step_count > 3 and j != -2 and not rough:
-                # Rounding cannot tell whether the die still presses: carry it on a little, and it will be clear.
-                nudge = 1e-9 * zero_step_count * sqrt(body.radius / plane.g)
+            if zero_step_count > MAX_ZERO_STEPS and j != -2 and not rough:
+                # Rounding leaves open whether the die still presses. A little later it does not.
+                nudge = nudge_s(zero_step_count, plane, body.radius)
                 if i < 0:
                     advance(state, spin_rate(state), nudge, plane)
                 else:
-                    held_step(body, plane, state, time, nudge, i, j, rates, after)
+                    held_step(body, plane, state, time, nudge, i, j, step_room, after)
                     copy_to(state, after)
                 time += nudge
         elif hit >= 0:
             if impacts >= impact_cap:
                 return IMPACT_CAP, impacts, face, time, state, log[: events if keep else 0], knots[:known]
             x, y, z = lever_arm(body.vertices[hit], state)
-            arm = (x, y, z - body.rounding)
+            arm = (x, y, z - body.corner_radius)
             apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
             i, j = NONE, NONE
             impacts += 1
             last_energetic_time = last_energetic_time if fixed else time
         if keep:
-            # The pose is continuous but for what holding a vertex takes away, within which it touched.
+            # The pose is continuous, except for the height within which the vertex touched and is now held.
             for k in range(7):
                 before[k] = state[k]
-            if events == log.shape[0]:
-                log = doubled_rows(log)
-            held = float(i)
-            if j == -3:
-                held = 0.0
-                for k in range(active.shape[0]):
-                    held += 2.0**k if active[k] else 0.0
+            log = with_room(log, events)
+            held = bits_of(active) if j == -3 else float(i)
             write_event(log[events], time, hit, before, state, held, j)
         events += 1
-
-
-@compiled
-def carry_on_face(state: Array, plane: Plane, time: float, dt: float) -> None:
-    """Carry a die that lies on a face of the table through dt [s], in place: it drifts and turns about the vertical."""
-    spin = abs(state[12])
-    advance(state, spin, dt, Plane(plane.gx, plane.gy, 0.0, 0.0, 0.0, 0.0))
-    state[2] += table_height(plane, time + dt) - table_height(plane, time) - state[9] * dt
-    state[9] = table_velocity(plane, time + dt)
 
 
 @compiled(nogil=True)
 def land_many(
     body: Body, law: Law, plane: Plane, precision: Precision, starts: Array, impact_cap: int, landed: NDArray[np.int64]
 ) -> None:
-    """Throw from every row of `starts` (n, 13) until its face is decided; fills `landed` (n, 3): face row or -1,
-    impacts, ending."""
+    """Throw from every row of `starts` (n, 13) until its face is decided.
+
+    Fills `landed` (n, 3): row of the face or -1, impacts, code of the ending.
+    """
     for k in range(starts.shape[0]):
         ending, impacts, face, _, _, _, _ = run_throw(
             body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, TRUE, impact_cap, FALSE
@@ -509,16 +286,16 @@ def poses_of_throw(
     impact_cap: int,
     poses: Array,
 ) -> tuple[int, int]:
-    """Position and quaternion of a throw at `times` (n,) [s], in order and none before the start, into `poses` (n, 7).
+    """Position and quaternion of a throw at `times` (n,) [s], ascending and none before the start, into `poses` (n, 7).
 
-    As `run_throw` and `history` would have them, without the objects in between: heights are those of the centre. NaN
-    from the instant at which the impacts are too many. Returns how the throw ended and the number of its impacts.
+    Heights are those of the centre of mass. Poses after the impact that exceeds `impact_cap` are NaN. Returns the code of
+    the ending and the number of impacts.
     """
     last = times[times.shape[0] - 1]
     ending, impacts, _, end, _, log, knots = run_throw(
         body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, FALSE, impact_cap, TRUE
     )
-    rates, state, after = np.empty((12, 6)), np.empty(13), np.empty(13)
+    step_room, state, after = step_workspace(), np.empty(13), np.empty(13)
     event, knot = -1, 0
     for k in range(times.shape[0]):
         time = times[k]
@@ -542,7 +319,7 @@ def poses_of_throw(
         if j == -1 and i < 0:
             advance(state, spin_rate(state), time - begin, plane)
         elif j == -3:
-            # Half of each step goes with the old velocities, half with the new ones; after the last nothing is known.
+            # The first half of a step goes with the old velocities, the second half with the new ones.
             ends = knot + 1 >= knots.shape[0] or knots[knot + 1, 0] != event
             if not ends and time - begin > 0.5 * (knots[knot + 1, 1] - begin):
                 begin = knots[knot + 1, 1]
@@ -551,11 +328,11 @@ def poses_of_throw(
         elif j == -2:
             carry_on_face(state, plane, begin, time - begin)
         elif time > begin:
-            held_step(body, plane, state, begin, time - begin, i, j, rates, after)
+            held_step(body, plane, state, begin, time - begin, i, j, step_room, after)
             copy_to(state, after)
         for m in range(7):
             poses[k, m] = state[m]
-        poses[k, 2] += body.rounding
+        poses[k, 2] += body.corner_radius
     return ending, impacts
 
 

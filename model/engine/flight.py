@@ -1,11 +1,28 @@
-"""model.engine.flight."""
+"""Free flight of a die with one moment of inertia, in closed form, and its first touch.
+
+The centre moves on a parabola and the angular velocity ω stays constant, so that vertex i has the height
+
+    h(t) = z + v t - g t²/2 + A cos ωt + B sin ωt + C
+
+above the height zero; the height of a table that moves is subtracted. `throw.touch` explains why stepping by the root of a
+bounding parabola misses no touch.
+"""
 
 from __future__ import annotations
 
 from math import cos, inf, sin, sqrt
 
 from ..compiled import compiled, inner
-from .types import ROUNDING_BOUND, Array, Plane
+from .types import ROUNDING_BOUND, Array, Body, Plane
+
+LEAST_BOUND = 1e-3
+"""Bound of an upward acceleration, in units of g, where it would be zero or less: kept above 0 for the division."""
+
+BELOW_TABLE = -1e-12
+"""Height in units of the circumradius from which a vertex counts as below the table: more than rounding."""
+
+
+# --- The table ---
 
 
 @compiled
@@ -26,9 +43,12 @@ def table_acceleration(plane: Plane, time: float) -> float:
     return -plane.rate * plane.rate * table_height(plane, time)
 
 
+# --- A state ---
+
+
 @compiled
 def spin_rate(state: Array) -> float:
-    """|ω| [rad/s]; scaled, so that 1e-200 is not lost in its square."""
+    """|ω| [rad/s]. The components are scaled, because the square of 1e-200 underflows."""
     largest = max(abs(state[10]), abs(state[11]), abs(state[12]))
     if largest == 0.0:
         return 0.0
@@ -38,7 +58,7 @@ def spin_rate(state: Array) -> float:
 
 @inner
 def spin_axis(state: Array, spin: float) -> tuple[float, float, float]:
-    """Unit axis of the spin; any axis serves where there is none."""
+    """Unit axis of the spin; an arbitrary one where there is none."""
     if spin == 0.0:
         return 0.0, 0.0, 1.0
     return state[10] / spin, state[11] / spin, state[12] / spin
@@ -46,7 +66,7 @@ def spin_axis(state: Array, spin: float) -> tuple[float, float, float]:
 
 @compiled
 def lever_arm(vertex: Array, state: Array) -> tuple[float, float, float]:
-    """The vertex (3,) of the body frame, seen from the centre, in world axes."""
+    """The arm r [m] of a vertex (3,) of the body: from the centre of mass, in table axes."""
     w, x, y, z = state[3], state[4], state[5], state[6]
     bx, by, bz = vertex[0], vertex[1], vertex[2]
     # v + 2 w (q × v) + 2 q × (q × v)
@@ -56,7 +76,7 @@ def lever_arm(vertex: Array, state: Array) -> tuple[float, float, float]:
 
 @compiled
 def height_terms(vertices: Array, state: Array, spin: float, terms: Array) -> None:
-    """Fill `terms` (n, 4) with A, B, C and √(A² + B²): a vertex stands A cos ωt + B sin ωt + C above the centre."""
+    """Fill `terms` (n, 4) with A, B, C and √(A² + B²) [m] of each vertex; `spin` is |ω| [rad/s]."""
     ux, uy, uz = spin_axis(state, spin)
     for i in range(vertices.shape[0]):
         x, y, z = lever_arm(vertices[i], state)
@@ -79,15 +99,15 @@ def first_touch(
 ) -> tuple[float, int, float, float]:
     """The first instant at which a vertex of `terms` meets the table from above, no later than `limit` [s].
 
-    `clock` [s] is the time of the start of the flight, for a table that moves. Returns the time [s] from the start of
-    the flight, the row of the vertex (-1: the limit came first), and its vertical velocity (0 where it is only
-    rounding) and acceleration there, relative to the table. Of vertices that touch together the fastest is returned,
-    the first of equals. See `touch` for why no touch can be missed.
+    `height` [m] and `velocity` [m/s] are those of the centre at the start of the flight, `clock` [s] the time there, for a
+    table that moves; a vertex no higher than `tolerance` [m] touches. Returns the time [s] from the start of the flight,
+    the row of the vertex (-1: the limit came first), and its vertical velocity (0 where it is only rounding) and
+    acceleration there, relative to the table. Of vertices that touch together the fastest is returned, the first of equals.
     """
     t = 0.0
     g = plane.g
     moving = plane.amplitude != 0.0
-    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate  # the table's largest acceleration
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     z_table, v_table, a_table, j_table = 0.0, 0.0, 0.0, 0.0
     v_table_tol, a_table_tol = 0.0, 0.0
     while True:
@@ -112,10 +132,10 @@ def first_touch(
             bound = g + spin * spin * amplitude + peak_table_acceleration
             if h > h_tol:
                 root = sqrt(v * v + 2.0 * bound * h)
-                # Two forms of one root: each free of cancellation for its sign of v.
+                # Two forms of one root, each free of cancellation for its sign of v.
                 ahead = (v + root) / bound if v > 0.0 else 2.0 * h / (root - v)
                 if moving and h + z_table > plane.amplitude:
-                    # Nor before the highest that the table reaches; longer far up, where `peak_table_acceleration` is large.
+                    # No touch before the table's highest position. This step is longer far up, where the table shakes hard.
                     bound, v, h = bound - peak_table_acceleration, v + v_table, h + z_table - plane.amplitude
                     root = sqrt(v * v + 2.0 * bound * h)
                     ahead = max(ahead, (v + root) / bound if v > 0.0 else 2.0 * h / (root - v))
@@ -153,11 +173,11 @@ def touch_of_vertex(
 ) -> tuple[float, bool, float, float]:
     """The next touch of the one vertex in `terms` (1, 4), whatever the others do: time, found, velocity, acceleration.
 
-    A vertex that is already below the table and sinking touched a little before the flight began, and the time is
-    negative: so the time stays a smooth function of the state when two touches change their order. It may lie as far
-    back as the die takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
+    A vertex that is already below the table and sinking touched a little before the flight began, and its time is negative.
+    So the time stays a smooth function of the state where two touches change their order. It may lie as far back as the die
+    takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
     """
-    below = -1e-12 * radius
+    below = BELOW_TABLE * radius
     h = height + terms[0, 0] + terms[0, 2] - table_height(plane, clock)
     v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
     if h < below and v < 0.0:
@@ -177,12 +197,10 @@ def _height(terms: Array, height: float, velocity: float, spin: float, plane: Pl
 def _touch_before(
     terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
 ) -> tuple[float, bool, float, float]:
-    """Backwards from a vertex below the table to the instant at which it crossed; as `touch_of_vertex`."""
+    """The instant before the flight at which a vertex that is below the table crossed it; as `touch_of_vertex`."""
     t, g = 0.0, plane.g
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
-    bound = max(
-        spin * spin * terms[0, 3] + peak_table_acceleration - g, 1e-3 * g
-    )  # h'' is no larger; kept above 0 for the division
+    bound = max(spin * spin * terms[0, 3] + peak_table_acceleration - g, LEAST_BOUND * g)  # h'' is no larger
     while t > -sqrt(2.0 * radius / g):
         swung, swept = cos(spin * t), sin(spin * t)
         h = _height(terms, height, velocity, spin, plane, clock, t)
@@ -217,3 +235,24 @@ def advance(state: Array, spin: float, dt: float, plane: Plane) -> None:
     z1 = c * qz + x * qy - y * qx + z * qw
     norm = sqrt(w1 * w1 + x1 * x1 + y1 * y1 + z1 * z1)
     state[3], state[4], state[5], state[6] = w1 / norm, x1 / norm, y1 / norm, z1 / norm
+
+
+@compiled
+def clearance(vertex: Array, state: Array, z_table: float) -> float:
+    """Height [m] of a vertex above the table."""
+    return float(state[2] + lever_arm(vertex, state)[2] - z_table)
+
+
+@inner
+def vertex_velocity(body: Body, plane: Plane, state: Array, time: float, k: int) -> float:
+    """Vertical velocity [m/s] of vertex k relative to the table."""
+    x, y, _ = lever_arm(body.vertices[k], state)
+    return float(state[9] + state[10] * y - state[11] * x - table_velocity(plane, time))
+
+
+@inner
+def centripetal_acceleration(state: Array, arm: tuple[float, float, float]) -> float:
+    """The vertical part [m/s²] of ω × (ω × r) of a vertex at `arm`."""
+    along = state[10] * arm[0] + state[11] * arm[1] + state[12] * arm[2]
+    square = state[10] * state[10] + state[11] * state[11] + state[12] * state[12]
+    return state[12] * along - arm[2] * square

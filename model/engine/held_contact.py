@@ -1,46 +1,103 @@
-"""model.engine.held_contact."""
+"""Held contact without friction: what is held, how it moves, and what ends it.
+
+A die on one vertex is Lagrange's top on a smooth table; on an edge it is a rod that falls over while it turns about the
+vertical; on a face it lies. The horizontal velocity of the centre and ω_z stay constant. Orientation, ω_x and ω_y are
+integrated by the method of order 8 of `runge_kutta`, in steps of a given turn, and the height follows from the contact. A step
+ends where a force falls through zero or another vertex touches; that instant is found by shorter steps of the same method
+from the same state, so that it is as accurate as the motion. Equations: `throw.held_contact`.
+
+Forces are per mass [m/s²]. Vertices i and j are held, j = -1 where there is only one.
+"""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import inf, sqrt
+
+import numpy as np
 
 from ..compiled import compiled, inner
-from .flight import lever_arm, table_acceleration, table_height, table_velocity
-from .log import energy_per_mass, lowest_face_row
+from .flight import (
+    advance,
+    centripetal_acceleration,
+    clearance,
+    lever_arm,
+    spin_rate,
+    table_acceleration,
+    table_height,
+    table_velocity,
+    vertex_velocity,
+)
+from .log import copy_to, with_room, write_knot
+from .rest import lowest_face_row
+from .runge_kutta import NODES, STAGES, stage_values
 from .types import (
+    BALANCED,
     FORCE_I,
+    FORCE_J,
+    NO_EVENT,
     NONE,
+    NOT_ENDED,
     ROUNDING_BOUND,
-    RUNGE_KUTTA_A,
-    RUNGE_KUTTA_B,
-    RUNGE_KUTTA_C,
     STANDING_HEIGHT,
+    TIME_REACHED,
     Array,
     Body,
     Indices,
     Plane,
+    Precision,
 )
+
+MAX_NORMAL_SWEEPS = 1000
+"""Of the Gauss-Seidel method for normal forces."""
+
+NORMAL_SWEEP_TOLERANCE = 1e-15
+"""Change of a force in one sweep, as a part of the largest, at which the sweeps end: rounding."""
+
+RESTING_ACCELERATION = 1e-9
+"""Acceleration in units of g below which a vertex rests, and part of the largest force below which another force is none. It
+lies far above what the sweeps leave and far below what lifts a vertex."""
+
+MAX_BRACKETING_STEPS = 100
+"""Of the search for the instant of an event; some ten are used."""
+
+BRACKET_GUARD = 0.001
+"""Part of the bracket that a step of that search keeps from either end."""
+
+INSTANT_TOLERANCE = 4e-16
+"""Relative width of the bracket at which the search ends: two units in the last place."""
+
+SHORTEST_RISE = 1e-12
+"""Part of a step within which a released vertex is looked for above the table."""
+
+RISES_TRIED = (0.125, 0.25, 0.5)
+"""Parts of a step at which a vertex that stands on the table, and is not held, is looked for below it."""
+
+CUBIC_ALLOWANCE = 0.05
+"""Largest height of the minimum of the cubic through both ends of a step, as a part of the heights there, for which the step
+is searched for a touch. The cubic misses the true minimum by far less."""
+
+MAX_DIP_STEPS = 50
+DIP_GUARD = 0.05
+DIP_TOLERANCE = 1e-7
+"""Steps of the search for the lowest instant of a vertex, the part of the bracket kept from either end, and the width of the
+bracket, as a part of the step, at which the search ends."""
+
+STEP_ROWS, STEP_COLUMNS = 14, 6
+"""Shape of the workspace of `held_step`: the rates of twelve stages, the start, and the values of a stage, of quaternion, ω_x
+and ω_y."""
 
 
 @compiled
-def clearance(vertex: Array, state: Array, z_table: float) -> float:
-    """Height [m] of a vertex above the table."""
-    return float(state[2] + lever_arm(vertex, state)[2] - z_table)
-
-
-@inner
-def centripetal_acceleration(state: Array, arm: tuple[float, float, float]) -> float:
-    """The vertical part [m/s²] of ω × (ω × r), which a vertex feels without any force."""
-    along = state[10] * arm[0] + state[11] * arm[1] + state[12] * arm[2]
-    square = state[10] * state[10] + state[11] * state[11] + state[12] * state[12]
-    return state[12] * along - arm[2] * square
+def step_workspace() -> Array:
+    """Room for one step of the integration."""
+    return np.empty((STEP_ROWS, STEP_COLUMNS))
 
 
 @inner
 def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> tuple[float, float, float, float]:
-    """Normal forces of one vertex (j = -1) or two that stay on the table, and the ω̇_x and ω̇_y that they cause.
+    """Normal forces on the held vertices, and the ω̇_x and ω̇_y [rad/s²] that they cause.
 
-    Forces and `weight` (g and the table's acceleration) are per mass [m/s²]. A force below 0 would have to pull.
+    `weight` [m/s²] is g and the acceleration of the table. A force below 0 would have to pull.
     """
     k = body.inertia / body.mass
     a = lever_arm(body.vertices[i], state)
@@ -61,42 +118,30 @@ def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> t
 
 @compiled
 def held_step(
-    body: Body, plane: Plane, state: Array, time: float, dt: float, i: int, j: int, rates: Array, after: Array
+    body: Body, plane: Plane, state: Array, time: float, dt: float, i: int, j: int, room: Array, after: Array
 ) -> None:
-    """Carry a state in held contact over dt [s] into `after`; `rates` (12, 6) is room for the stages.
+    """Carry a state in held contact over dt [s] into `after`; `room` is a `step_workspace`.
 
-    Only the orientation, ω_x and ω_y are integrated: ω_z and the horizontal velocity of the centre are constant (less
-    what a tilt does to it), and its height follows from the contact.
+    The horizontal velocity changes only by a tilt of the table.
     """
-    for s in range(12):
-        for m in range(3, 7):
-            after[m] = state[m]
-        after[10], after[11], after[12] = state[10], state[11], state[12]
-        for r in range(s):
-            weight = dt * RUNGE_KUTTA_A[s, r]
-            if weight != 0.0:
-                after[3] += weight * rates[r, 0]
-                after[4] += weight * rates[r, 1]
-                after[5] += weight * rates[r, 2]
-                after[6] += weight * rates[r, 3]
-                after[10] += weight * rates[r, 4]
-                after[11] += weight * rates[r, 5]
-        pull = plane.g + table_acceleration(plane, time + RUNGE_KUTTA_C[s] * dt)
-        _, _, rates[s, 4], rates[s, 5] = contact_forces(body, after, i, j, pull)
+    start, values = room[12], room[13]
+    for m in range(4):
+        start[m] = state[3 + m]
+    start[4], start[5] = state[10], state[11]
+    after[12] = state[12]
+    for stage in range(STAGES):
+        stage_values(start, room, stage, dt, values)
+        _write_values(values, after)
+        pull = plane.g + table_acceleration(plane, time + NODES[stage] * dt)
+        _, _, room[stage, 4], room[stage, 5] = contact_forces(body, after, i, j, pull)
         x, y, z = 0.5 * after[10], 0.5 * after[11], 0.5 * after[12]
         qw, qx, qy, qz = after[3], after[4], after[5], after[6]
-        rates[s, 0] = -x * qx - y * qy - z * qz
-        rates[s, 1] = x * qw + y * qz - z * qy
-        rates[s, 2] = -x * qz + y * qw + z * qx
-        rates[s, 3] = x * qy - y * qx + z * qw
-    for m in range(4):
-        after[3 + m] = state[3 + m]
-        for s in range(12):
-            after[3 + m] += dt * RUNGE_KUTTA_B[s] * rates[s, m]
-    for m in range(2):
-        after[10 + m] = state[10 + m]
-        for s in range(12):
-            after[10 + m] += dt * RUNGE_KUTTA_B[s] * rates[s, 4 + m]
+        room[stage, 0] = -x * qx - y * qy - z * qz
+        room[stage, 1] = x * qw + y * qz - z * qy
+        room[stage, 2] = -x * qz + y * qw + z * qx
+        room[stage, 3] = x * qy - y * qx + z * qw
+    stage_values(start, room, STAGES, dt, values)
+    _write_values(values, after)
     after[0] = state[0] + (state[7] + 0.5 * plane.gx * dt) * dt
     after[1] = state[1] + (state[8] + 0.5 * plane.gy * dt) * dt
     after[7], after[8] = state[7] + plane.gx * dt, state[8] + plane.gy * dt
@@ -104,9 +149,19 @@ def held_step(
 
 
 @inner
+def _write_values(values: Array, state: Array) -> None:
+    """Write the integrated quaternion, ω_x and ω_y (6,) into a state."""
+    for m in range(4):
+        state[3 + m] = values[m]
+    state[10], state[11] = values[4], values[5]
+
+
+@inner
 def project_on_contact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
-    """Put the state exactly on its contact, in place: the quaternion a unit one, the held vertices on the table and at
-    rest relative to it, an edge level. All of it only takes rounding away."""
+    """Put the state exactly on its contact, in place; this only removes rounding.
+
+    The quaternion gets length 1, the held vertices stand on the table and at rest relative to it, an edge lies level.
+    """
     norm = sqrt(state[3] * state[3] + state[4] * state[4] + state[5] * state[5] + state[6] * state[6])
     for m in range(3, 7):
         state[m] /= norm
@@ -131,10 +186,21 @@ def project_on_contact(body: Body, plane: Plane, state: Array, time: float, i: i
     state[9] = table_velocity(plane, time) - state[10] * a[1] + state[11] * a[0]
 
 
+@compiled
+def carry_on_face(state: Array, plane: Plane, time: float, dt: float) -> None:
+    """Carry a die that lies on a face through dt [s], in place: it moves horizontally and turns about the vertical."""
+    spin = abs(state[12])
+    advance(state, spin, dt, Plane(plane.gx, plane.gy, 0.0, 0.0, 0.0, 0.0))
+    state[2] += table_height(plane, time + dt) - table_height(plane, time) - state[9] * dt
+    state[9] = table_velocity(plane, time + dt)
+
+
 @inner
 def lay_on_face(body: Body, plane: Plane, state: Array, time: float, i: int) -> None:
-    """Lay the die exactly on its lowest face, to which vertex i belongs, at rest but for its turning about the
-    vertical, in place. It only takes away what is left of a tilt within which all corners count as touching."""
+    """Lay the die exactly on its lowest face, to which vertex i belongs, in place; only its turn about the vertical stays.
+
+    This removes the rest of a tilt within which all corners count as touching.
+    """
     face = lowest_face_row(body.normals, state)
     nx, ny, _ = lever_arm(body.normals[face], state)
     # The turn that brings the normal to -z, about (-n_y, n_x): its tilt is below 1e-9, so half the sine is exact.
@@ -155,8 +221,10 @@ def lay_on_face(body: Body, plane: Plane, state: Array, time: float, i: int) -> 
 def touching_set(
     body: Body, plane: Plane, state: Array, time: float, near: float, slow: float, also: int, touching: Indices
 ) -> int:
-    """Fill `touching` with the vertices on the table that do not leave it faster than `slow`, and with `also`; returns
-    their number."""
+    """Fill `touching` with the vertices no higher than `near` [m] that do not rise faster than `slow` [m/s], and with `also`.
+
+    Returns their number.
+    """
     z_table, v_table = table_height(plane, time), table_velocity(plane, time)
     n = 0
     for i in range(body.vertices.shape[0]):
@@ -170,17 +238,17 @@ def touching_set(
 
 @inner
 def solve_normal_forces(
-    body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array, sweeps: int
+    body: Body, state: Array, touching: Indices, n: int, motion: Array, drive: Array, forces: Array
 ) -> None:
-    """Solve 0 ≤ forces ⊥ (drive + what the forces do) ≥ 0 over the touching vertices by projected Gauss-Seidel.
+    """Solve 0 ≤ forces ⊥ (drive + effect of the forces) ≥ 0 over the touching vertices by projected Gauss-Seidel.
 
-    `motion` (3,) is the centre's vertical motion and ω_x, ω_y (velocities or accelerations); it takes up the forces per
-    mass (n,), which start from zero. `drive` (n,) is what each vertex has besides.
+    `motion` (3,) is the centre's vertical motion and ω_x, ω_y, velocities or accelerations; the effect of the forces (n,)
+    is added to it. `drive` (n,) is the motion that each vertex has besides.
     """
     k = body.inertia / body.mass
     for m in range(n):
         forces[m] = 0.0
-    for _ in range(sweeps):
+    for _ in range(MAX_NORMAL_SWEEPS):
         largest, change = 0.0, 0.0
         for m in range(n):
             x, y, _ = lever_arm(body.vertices[touching[m]], state)
@@ -192,7 +260,7 @@ def solve_normal_forces(
             motion[1] += step * y / k
             motion[2] -= step * x / k
             largest, change = max(largest, new), max(change, abs(step))
-        if change <= 1e-15 * largest:
+        if change <= NORMAL_SWEEP_TOLERANCE * largest:
             break
 
 
@@ -200,19 +268,21 @@ def solve_normal_forces(
 def simultaneous_inelastic_impact(
     body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
 ) -> None:
-    """Stop what slow approach the touching vertices still have, in place, as an impact with χ = 0 of all at once."""
+    """Stop the slow approach of the touching vertices, in place, as an impact with χ = 0 of all of them at once."""
     motion, drive, forces = room[0], room[1], room[2]
     motion[0], motion[1], motion[2] = state[9] - table_velocity(plane, time), state[10], state[11]
     for m in range(n):
         drive[m] = 0.0
-    solve_normal_forces(body, state, touching, n, motion, drive, forces, 1000)
+    solve_normal_forces(body, state, touching, n, motion, drive, forces)
     state[9], state[10], state[11] = motion[0] + table_velocity(plane, time), motion[1], motion[2]
 
 
 @inner
 def remove_normal_velocity(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
-    """Take from the held vertices the last of their vertical velocity, in place, along the impulses that would do it:
-    a projection in the metric of the kinetic energy, which therefore cannot rise."""
+    """Remove the vertical velocity of the held vertices, in place, by impulses on them.
+
+    This is a projection in the metric of the kinetic energy, which therefore cannot rise.
+    """
     k = body.inertia / body.mass
     v_table = table_velocity(plane, time)
     a = lever_arm(body.vertices[i], state)
@@ -239,10 +309,10 @@ def remove_normal_velocity(body: Body, plane: Plane, state: Array, time: float, 
 def pressed_set(
     body: Body, plane: Plane, state: Array, time: float, touching: Indices, n: int, room: Array
 ) -> tuple[int, int]:
-    """Which of the touching vertices at rest the die presses on: (-1, -1) none, (i, -1) one, (i, j) two, (i, -2) a face.
+    """The contact of the touching vertices at rest that the die presses on: (-1, -1), (i, -1), (i, j), or (i, -2) for a face.
 
-    One or two are decided by the signs of their forces, exactly; a face by projected Gauss-Seidel, which has no unique
-    forces there but unique accelerations.
+    One or two are decided exactly, by the signs of their forces. Three or more are decided by projected Gauss-Seidel, whose
+    accelerations are unique though its forces are not.
     """
     pull = plane.g + table_acceleration(plane, time)
     if n == 0:
@@ -255,11 +325,11 @@ def pressed_set(
         motion[0], motion[1], motion[2] = -pull, 0.0, 0.0
         for m in range(n):
             drive[m] = centripetal_acceleration(state, lever_arm(body.vertices[touching[m]], state))
-        solve_normal_forces(body, state, touching, n, motion, drive, forces, 1000)
+        solve_normal_forces(body, state, touching, n, motion, drive, forces)
         resting, first, second = 0, -1, -1
         for m in range(n):
             x, y, _ = lever_arm(body.vertices[touching[m]], state)
-            if abs(motion[0] + motion[1] * y - motion[2] * x + drive[m]) <= 1e-9 * plane.g:
+            if abs(motion[0] + motion[1] * y - motion[2] * x + drive[m]) <= RESTING_ACCELERATION * plane.g:
                 resting += 1
             if forces[m] > 0.0:
                 if first < 0 or forces[m] > forces[first]:
@@ -270,14 +340,14 @@ def pressed_set(
             return -1, -1
         if resting >= 3:
             return touching[first], -2
-        if second < 0 or forces[second] <= 1e-9 * forces[first]:
+        if second < 0 or forces[second] <= RESTING_ACCELERATION * forces[first]:
             return touching[first], -1
         return touching[first], touching[second]
     i, j = touching[0], touching[1]
     n_i, n_j, _, _ = contact_forces(body, state, i, j, pull)
     if n_i > 0.0 and n_j > 0.0:
         return i, j
-    # One leaves: it is the one that rises when only the other is held.
+    # One is released: the one that rises when only the other is held.
     for p in range(2):
         held, other = touching[p], touching[1 - p]
         force, _, wx, wy = contact_forces(body, state, held, NONE, pull)
@@ -286,6 +356,107 @@ def pressed_set(
         if force > 0.0 and rises >= 0.0:
             return held, -1
     return -1, -1
+
+
+@inner
+def follow_held_contact(
+    body: Body,
+    plane: Plane,
+    precision: Precision,
+    state: Array,
+    time: float,
+    limit: float,
+    i: int,
+    j: int,
+    check_balance: bool,
+    segment: int,
+    knots: Array,
+    known: int,
+    keep: bool,
+    room: Array,
+    after: Array,
+) -> tuple[int, float, int, Array, int]:
+    """Carry the state in place through held contact to its end, or to `limit` [s].
+
+    Returns NOT_ENDED or another ending, the duration [s], the vertex that touches (-1: a held one is released, or the limit
+    came), and the knots with their number. `check_balance` asks whether the die stands balanced.
+    """
+    begin = time
+    fixed = plane.amplitude == 0.0
+    peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
+    while True:
+        if keep:
+            knots = with_room(knots, known)
+            write_knot(knots[known], segment, time, state)
+            known += 1
+        pull = plane.g + table_acceleration(plane, time)
+        if check_balance and fixed and is_balanced(body, state, i, j, pull):
+            return BALANCED, time - begin, -1, knots, known
+        dt = precision.step_turn / (
+            spin_rate(state)
+            + sqrt((plane.g + peak_table_acceleration) * body.radius * body.mass / body.inertia)
+            + (0.0 if fixed else plane.rate)
+        )
+        dt = min(dt, begin + limit - time)
+        held_step(body, plane, state, time, dt, i, j, room, after)
+        first, event = dt, NO_EVENT
+        pull = plane.g + table_acceleration(plane, time + dt)
+        n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
+        if n_i <= 0.0:
+            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_I, first, event, room)
+        if j >= 0 and n_j <= 0.0:
+            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_J, first, event, room)
+        z_table = table_height(plane, time + dt)
+        for k in range(body.vertices.shape[0]):
+            if k != i and k != j:
+                within = dt
+                if clearance(body.vertices[k], after, z_table) > 0.0:
+                    within = instant_below_table(body, plane, state, after, time, dt, i, j, k, room)
+                if within > 0.0:
+                    first, event = earlier_event(body, plane, state, time, within, i, j, k, first, event, room)
+        if event != NO_EVENT:
+            if first > 0.0:
+                held_step(body, plane, state, time, first, i, j, room, after)
+                copy_to(state, after)
+            return NOT_ENDED, time + first - begin, max(event, -1), knots, known
+        copy_to(state, after)
+        time += dt
+        if time >= begin + limit:
+            return TIME_REACHED, limit, -1, knots, known
+
+
+@inner
+def is_balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
+    """Whether a held die neither falls over nor begins to, but for rounding: it stands on its vertex or edge for ever."""
+    rate = sqrt(pull / body.radius)
+    if max(abs(state[10]), abs(state[11])) > ROUNDING_BOUND * rate:
+        return False
+    _, _, wx, wy = contact_forces(body, state, i, j, pull)
+    if j < 0:
+        return bool(max(abs(wx), abs(wy)) <= ROUNDING_BOUND * rate * rate)
+    # An edge can only turn about itself.
+    a, b = lever_arm(body.vertices[i], state), lever_arm(body.vertices[j], state)
+    ex, ey = b[0] - a[0], b[1] - a[1]
+    return bool(abs(wx * ex + wy * ey) <= ROUNDING_BOUND * rate * rate * sqrt(ex * ex + ey * ey))
+
+
+@inner
+def earlier_event(
+    body: Body,
+    plane: Plane,
+    state: Array,
+    time: float,
+    dt: float,
+    i: int,
+    j: int,
+    event: int,
+    first: float,
+    best: int,
+    room: Array,
+) -> tuple[float, int]:
+    """The earlier of an event within dt [s] and the first one known so far, with its time [s]."""
+    t = event_instant(body, plane, state, time, dt, i, j, event, room, np.empty(13))
+    return (t, event) if t < first or best == NO_EVENT else (first, best)
 
 
 @inner
@@ -298,22 +469,23 @@ def event_instant(
     i: int,
     j: int,
     event: int,
-    rates: Array,
+    room: Array,
     after: Array,
 ) -> float:
-    """The instant [s] within dt at which an event function falls through zero, seen from `state`; see `event_function`.
+    """The instant [s] within dt after `state` at which an event function falls through zero.
 
-    A force is followed to its first value not above zero, a height to its last that is. `after` is overwritten.
+    Regula falsi on steps of the integration (Illinois: an end of the bracket that stays twice weighs half). Of a force the
+    first value not above zero counts, of a height the last above zero. `after` is overwritten.
     """
     low, high = 0.0, dt
     f_low = event_function(body, plane, state, time, i, j, event)
-    held_step(body, plane, state, time, dt, i, j, rates, after)
+    held_step(body, plane, state, time, dt, i, j, room, after)
     f_high = event_function(body, plane, after, time + dt, i, j, event)
     if event >= 0 and f_low <= STANDING_HEIGHT * body.radius:
-        # A vertex that has just been let go rises first: step back to where it is up.
+        # A vertex that has just been released rises first: step back to where it is up.
         t = 0.5 * dt
-        while t > 1e-12 * dt:
-            held_step(body, plane, state, time, t, i, j, rates, after)
+        while t > SHORTEST_RISE * dt:
+            held_step(body, plane, state, time, t, i, j, room, after)
             f_low = event_function(body, plane, after, time + t, i, j, event)
             if f_low > 0.0:
                 low = t
@@ -325,13 +497,12 @@ def event_instant(
     elif f_low <= 0.0:
         return 0.0
     side = 0
-    for _ in range(100):
-        if high - low <= 4e-16 * (abs(time) + high):
+    for _ in range(MAX_BRACKETING_STEPS):
+        if high - low <= INSTANT_TOLERANCE * (abs(time) + high):
             break
-        # Illinois: regula falsi that halves the weight of an end that stays.
         t = (low * f_high - high * f_low) / (f_high - f_low)
-        t = min(max(t, low + 0.001 * (high - low)), high - 0.001 * (high - low))
-        held_step(body, plane, state, time, t, i, j, rates, after)
+        t = min(max(t, low + BRACKET_GUARD * (high - low)), high - BRACKET_GUARD * (high - low))
+        held_step(body, plane, state, time, t, i, j, room, after)
         f = event_function(body, plane, after, time + t, i, j, event)
         if f > 0.0:
             low, f_low = t, f
@@ -361,14 +532,72 @@ def event_function(body: Body, plane: Plane, state: Array, time: float, i: int, 
 
 
 @inner
-def spins_forever(body: Body, plane: Plane, state: Array, i: int) -> bool:
-    """Whether the die is a top on vertex i that can never touch the table with another one; see `simulate`."""
-    x, y, z = lever_arm(body.vertices[i], state)
-    size = sqrt(x * x + y * y + z * z)
-    upright, limit = -z / size, body.safe_tilt_cosines[i]
-    about_z, about_axis = state[12], -(state[10] * x + state[11] * y + state[12] * z) / size
-    per_mass = body.inertia / body.mass
-    across = about_axis - about_z * limit
-    needed = plane.g * size * limit + 0.5 * per_mass * across * across / (1.0 - limit * limit)
-    # A die laid on an edge has both sides equal, and rounding must not prove it a top.
-    return bool(upright > limit + 1e-12 and needed > energy_per_mass(body, plane, state) * (1.0 + 1e-12))
+def instant_below_table(
+    body: Body,
+    plane: Plane,
+    state: Array,
+    after: Array,
+    time: float,
+    dt: float,
+    i: int,
+    j: int,
+    k: int,
+    room: Array,
+) -> float:
+    """An instant [s] within a step from `state` to `after` at which vertex k is below the table, or 0 where there is none.
+
+    At the end of the step the vertex is above the table. Where it sinks and rises again, its lowest instant is looked for.
+    """
+    h0, h1 = (
+        clearance(body.vertices[k], state, table_height(plane, time)),
+        clearance(body.vertices[k], after, table_height(plane, time + dt)),
+    )
+    v0, v1 = vertex_velocity(body, plane, state, time, k), vertex_velocity(body, plane, after, time + dt, k)
+    if v1 <= 0.0:
+        return 0.0
+    trial = np.empty(13)
+    if h0 <= STANDING_HEIGHT * body.radius:
+        # It stands on the table and is not held. Its velocity is rounding, so that only its height tells.
+        for part in RISES_TRIED:
+            held_step(body, plane, state, time, part * dt, i, j, room, trial)
+            if (
+                clearance(body.vertices[k], trial, table_height(plane, time + part * dt))
+                < -ROUNDING_BOUND * body.radius
+            ):
+                return part * dt
+        return 0.0
+    t, lowest = cubic_minimum(h0, v0 * dt, h1, v1 * dt)
+    if lowest > CUBIC_ALLOWANCE * max(h0, h1):
+        return 0.0
+    t *= dt
+    low, high, v_low, v_high = 0.0, dt, v0, v1
+    for step in range(MAX_DIP_STEPS):
+        if step > 0:
+            if v_low >= 0.0:
+                return 0.0
+            t = (low * v_high - high * v_low) / (v_high - v_low)
+            t = min(max(t, low + DIP_GUARD * (high - low)), high - DIP_GUARD * (high - low))
+        held_step(body, plane, state, time, t, i, j, room, trial)
+        if clearance(body.vertices[k], trial, table_height(plane, time + t)) < 0.0:
+            return t
+        v = vertex_velocity(body, plane, trial, time + t, k)
+        if v < 0.0:
+            low, v_low = t, v
+        else:
+            high, v_high = t, v
+        if high - low <= DIP_TOLERANCE * dt:
+            break
+    return 0.0
+
+
+@inner
+def cubic_minimum(h0: float, d0: float, h1: float, d1: float) -> tuple[float, float]:
+    """Where the least of seven values of the cubic with these ends and slopes on [0, 1] lies, and that value."""
+    lowest, where = inf, 0.5
+    for m in range(1, 8):
+        t = m / 8.0
+        u = 1.0 - t
+        h = u * u * ((1.0 + 2.0 * t) * h0 + t * d0) + t * t * ((1.0 + 2.0 * u) * h1 - u * d1)
+        if h < lowest:
+            lowest, where = h, t
+    return where, lowest

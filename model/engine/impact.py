@@ -1,4 +1,8 @@
-"""model.engine.impact."""
+"""The impulse of an impact on a die with one moment of inertia, and its derivatives.
+
+Smooth: S_z = -(1 + χ) u/(1/m + (x² + y²)/J) for an arm (x, y, z) and a normal velocity u relative to the table. With friction
+the impulse is that of `slip`. In laws by speed χ, and μ, fade with |u|. The velocities change by Δv = S/m, Δω = (r × S)/J.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +51,7 @@ def rough_impulse(
 def impulse(
     law: Law, mass: float, inertia: float, arm: tuple[float, float, float], v_table: float, state: Array
 ) -> tuple[float, float, float]:
-    """Impulse [N s] of the table on a touching point at `arm` from the centre of a spherical top."""
+    """Impulse [N s] of the table on a touching point at `arm` [m] from the centre of mass; `v_table` [m/s] is vertical."""
     if isinstance(law, RoughLaw):
         return rough_impulse(law, mass, inertia, arm, v_table, state)
     return smooth_impulse(law, mass, inertia, arm, v_table, state)
@@ -76,16 +80,20 @@ def apply_impact(
 
 
 class ParameterDerivatives(NamedTuple):
-    """What each of the m parameters of a throw changes where: derivatives of what the kernels are given."""
+    """Derivatives of what the kernels are given, by each of the m parameters of a throw."""
 
     chi: Array
-    """(m,) of the restitution (of the slowest impacts)."""
+    """(m,) of the restitution, of the slowest impacts where it fades with speed."""
     mu: Array
+    """(m,) of the coefficient of friction."""
     speed_scale: Array
+    """(m,) [m/s] of the speed scale of χ."""
     inertia: Array
-    rounding: Array
+    """(m,) [kg m²]."""
+    corner_radius: Array
+    """(m,) [m]."""
     vertices: Array
-    """(m, n, 3) of the body's vertices."""
+    """(m, n, 3) [m] of the vertices, body axes."""
     gravity: Array
     """(m, 3) [m/s²], axes of the table."""
     table: Array
@@ -94,17 +102,19 @@ class ParameterDerivatives(NamedTuple):
 
 DIFFERENCE_STEP = 1e-5
 """Step of the differences through an impact with friction, in units of radius of gyration, contact velocity, or 1. Its
-square, and rounding over it, are both 1e-10; a higher order would take twice the impacts, and longer steps, which
-more often reach across where the course of the slip changes."""
+square, and rounding over it, are both 1e-10. A higher order would take twice the impacts, and longer steps, which more often
+reach across where the course of the slip changes."""
 
-_PLACE, _VELOCITY, CHI, MU, INERTIA, SPEED_SCALE, INPUTS = 0, 3, 6, 7, 8, 9, 10
+ARM, VELOCITY, CHI, MU, INERTIA, SPEED_SCALE, INPUTS = 0, 3, 6, 7, 8, 9, 10
 """Columns of the gradient of an impulse: arm (3), contact velocity (3), and numbers of law and die."""
 
 
 @inner
 def coefficient_gradient(law: Law, at: int, u: float) -> tuple[float, float, float]:
-    """χ/χ₀ of an impact with normal velocity u, and its derivatives by u and by the speed scale; that and the exponent
-    stand in the law's parameters from `at` on."""
+    """χ/χ₀ (or μ/μ₀) of an impact with normal velocity u, and its derivatives by u and by the speed scale.
+
+    Scale and exponent are the parameters `at` and `at` + 1 of the law.
+    """
     scale, exponent = law.parameters[at], law.parameters[at + 1]
     ratio = coefficient_at_speed(1.0, max(-u, 0.0), scale, exponent)
     slope = exponent * ratio / (scale + max(-u, 0.0))
@@ -124,8 +134,8 @@ def smooth_gradient(
     softness = 1.0 / mass + (x * x + y * y) / inertia
     s = -(1.0 + chi * ratio) * u / softness
     out[:] = 0.0
-    out[2, _PLACE], out[2, _PLACE + 1] = -2.0 * s * x / (inertia * softness), -2.0 * s * y / (inertia * softness)
-    out[2, _VELOCITY + 2] = -(1.0 + chi * ratio + chi * by_u * u) / softness
+    out[2, ARM], out[2, ARM + 1] = -2.0 * s * x / (inertia * softness), -2.0 * s * y / (inertia * softness)
+    out[2, VELOCITY + 2] = -(1.0 + chi * ratio + chi * by_u * u) / softness
     out[2, CHI] = -ratio * u / softness
     out[2, INERTIA] = s * (x * x + y * y) / (inertia * inertia * softness)
     out[2, SPEED_SCALE] = -chi * by_scale * u / softness
@@ -142,18 +152,22 @@ def rough_gradient(
     """
     mu, ending = law.parameters[1], int(law.parameters[2])
     chi, ratio, by_u, by_scale = law.parameters[0], 1.0, 0.0, 0.0
-    if law.code == COULOMB_BY_SPEED:
+    mu_by_u = 0.0
+    if law.code != COULOMB:
         ratio, by_u, by_scale = coefficient_gradient(law, 3, c[2])
         chi *= ratio
+    if law.code == COULOMB_FADING:
+        mu_ratio, mu_by_u, _ = coefficient_gradient(law, 5, c[2])
+        mu, mu_by_u = mu * mu_ratio, mu * mu_by_u
     gyration, speed = sqrt(inertia / mass), sqrt(c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
     sx, sy, sz = friction_impulse(matrix, chi, mu, ending, c[0], c[1], c[2])
     out[:] = 0.0
     there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
     for k in range(8):
-        if k == _VELOCITY + 2 or (k == CHI and wanted[0] == 0.0) or (k == MU and wanted[1] == 0.0):
+        if k == VELOCITY + 2 or (k == CHI and wanted[0] == 0.0) or (k == MU and wanted[1] == 0.0):
             continue
-        step = DIFFERENCE_STEP * (gyration if k < _VELOCITY else (speed if k < CHI else 1.0))
+        step = DIFFERENCE_STEP * (gyration if k < VELOCITY else (speed if k < CHI else 1.0))
         # Neither χ nor μ can be less than 0: forward from there.
         forward = k >= CHI and input_of[k] < step
         for n in range(3):
@@ -166,7 +180,7 @@ def rough_gradient(
             for i in range(8):
                 there[i] = input_of[i]
             there[k] += at
-            if k < _VELOCITY:
+            if k < VELOCITY:
                 matrix = spherical_contact_matrix(mass, inertia, there[0], there[1], there[2])
             else:
                 matrix = spherical_contact_matrix(mass, inertia, arm[0], arm[1], arm[2])
@@ -176,11 +190,13 @@ def rough_gradient(
             out[2, k] += weight * pz
     impulse_now = (sx, sy, sz)
     for m in range(3):
-        along = c[0] * out[m, _VELOCITY] + c[1] * out[m, _VELOCITY + 1]
-        out[m, _VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * by_u
+        along = c[0] * out[m, VELOCITY] + c[1] * out[m, VELOCITY + 1]
+        out[m, VELOCITY + 2] = (impulse_now[m] - along) / c[2] + out[m, CHI] * law.parameters[0] * by_u
+        if law.code == COULOMB_FADING:
+            out[m, VELOCITY + 2] += out[m, MU] * mu_by_u
         out[m, SPEED_SCALE] = out[m, CHI] * law.parameters[0] * by_scale
         out[m, CHI] *= ratio
-        stretched = arm[0] * out[m, _PLACE] + arm[1] * out[m, _PLACE + 1] + arm[2] * out[m, _PLACE + 2]
+        stretched = arm[0] * out[m, ARM] + arm[1] * out[m, ARM + 1] + arm[2] * out[m, ARM + 2]
         out[m, INERTIA] = -0.5 * stretched / inertia
     return sx, sy, sz
 
@@ -190,8 +206,8 @@ def impulse_gradient(
 ) -> tuple[float, float, float]:
     """`impulse` on a contact with velocity `c` (3,) relative to the table, and its derivatives in `out` (3, INPUTS).
 
-    By the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` (2,) is not 0 where the column of
-    χ (needed by a law by speed as well) or μ is.
+    The derivatives are by the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` (2,) is not 0 where
+    the column of χ, or of μ, is used; see `wanted_columns`.
     """
     if isinstance(law, RoughLaw):
         return rough_gradient(law, mass, inertia, arm, c, wanted, out)
@@ -203,3 +219,11 @@ def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wa
     """The branch of `impulse_gradient` that the type of the law asks for, chosen when it is compiled."""
     chosen = rough_gradient if law.instance_class is RoughLaw else smooth_gradient
     return chosen.py_func
+
+
+@inner
+def wanted_columns(law: Law, chi: bool, mu: bool, wanted: Array) -> None:
+    """Fill `wanted` (2,) of `impulse_gradient`: whether parameters change χ or μ, or the law makes them change with speed."""
+    by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED or law.code == COULOMB_FADING
+    wanted[0] = 1.0 if by_speed or chi else 0.0
+    wanted[1] = 1.0 if law.code == COULOMB_FADING or mu else 0.0

@@ -1,4 +1,10 @@
-"""model.engine.sliding_contact."""
+"""Held contact with friction: vertices that stick or slide, each within its own Coulomb cone.
+
+The motion is followed by steps of half the old and half the new velocities, the new ones from `friction_step` (Moreau; Jean,
+Comput. Methods Appl. Mech. Eng. 177, 235, 1999; Stewart & Trinkle, Int. J. Numer. Meth. Eng. 39, 2673, 1996). Sticking is
+exact, and the impulses create no energy. The order is low, so that a step is FRICTION_STEP_PART of the turn that
+`Precision.step_turn` allows without friction. Equations and accuracy: `throw.held_contact`.
+"""
 
 from __future__ import annotations
 
@@ -10,17 +16,12 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
-from .flight import advance, lever_arm, spin_rate, table_height, table_velocity
-from .held_contact import clearance
-from .log import copy_to, decided_face, doubled_rows, write_knot
+from .flight import advance, clearance, lever_arm, spin_rate, table_height, table_velocity
+from .log import copy_to, with_room, write_knot
+from .rest import decided_face
 from .slip import slide_direction, spherical_contact_matrix
 from .types import (
     BALANCED,
-    FRICTION_STANDING_HEIGHT,
-    FRICTION_STEP_PART,
-    FULL_SWEEPS,
-    LONG_SWEEPS,
-    MAX_SWEEPS,
     NOT_ENDED,
     RESTED,
     ROUNDING_BOUND,
@@ -34,14 +35,50 @@ from .types import (
     RoughLaw,
 )
 
+MAX_SWEEPS = 1000
+"""Of the Gauss-Seidel method in `friction_step`. Four corners of a sliding die need some 30, of a rocking one 100."""
+
+UNDAMPED_SWEEPS = 100
+"""Sweeps after which each impulse goes only DAMPING of its way, because impulses that answer each other in a circle do not
+converge."""
+DAMPING = 0.7
+
+LIGHTLY_DAMPED_SWEEPS = 500
+"""Sweeps after which each impulse goes only STRONG_DAMPING of its way."""
+STRONG_DAMPING = 0.4
+
+IMPULSE_TOLERANCE = 1e-16
+"""Normal velocity after an impulse, as a part of that before it, at which the search for the impulse ends."""
+
+MAX_SECANTS = 100
+"""Steps of that search."""
+
+STICKING_SPEED = 1e-9
+"""Speed below which a corner has stopped, as a part of the velocities in the step: above the tolerance of the sweeps."""
+
+COLLINEAR = 1e-6
+"""Sine of the angle between two edges below which three corners count as lying in a line."""
+
+FRICTION_STANDING_HEIGHT = 1e-6
+"""As STANDING_HEIGHT, for contact with friction, whose steps leave errors of a low order."""
+
+FRICTION_STEP_PART = 0.1
+"""Part of `Precision.step_turn` that a step with friction takes."""
+
+MAX_TOUCH_STEPS = 90
+"""Of the search for the instant within a step at which another vertex touches."""
+
+TOUCH_TOLERANCE = 1e-12
+"""Width of the bracket of that instant, as a part of the step, at which the search ends."""
+
 
 @compiled
 def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float) -> tuple[float, float, float]:
-    """The impulse S of an inelastic contact with Coulomb's cone, exactly, where c + M S is the velocity with it.
+    """The impulse S of an inelastic contact within Coulomb's cone; c is the contact velocity without it, c + M S with it.
 
-    Either it lifts off (S = 0), or it sticks (c + M S = 0), or it slides along ŝ with S = p (-μ ŝ, 1). To find p: a
-    given p leaves the slip the least kinetic energy when (μ p T + σ) ŝ = c_t + b p, and w(p) = 0 is solved by secants
-    that keep a bracket; w(0) < 0, and w rises for large p as an impact that sticks or slides on does.
+    The contact lifts off (S = 0), sticks (c + M S = 0), or slides along ŝ with S = p (-μ ŝ, 1). A given p leaves the slip the
+    least kinetic energy where (μ p T + σ) ŝ = c_t + b p. w(p) = 0 is solved by secants that keep a bracket: w(0) < 0, and w
+    rises for large p.
     """
     xx, xy, xz, yy, yz, zz = matrix
     if cz >= 0.0:
@@ -57,14 +94,14 @@ def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: floa
     while w_high < 0.0:
         low, w_low, high = high, w_high, 2.0 * high
         sx, sy, w_high = _held_slide(matrix, mu, cx, cy, cz, high)
-    for _ in range(100):
+    for _ in range(MAX_SECANTS):
         p = (low * w_high - high * w_low) / (w_high - w_low)
         if not low < p < high:
             break
         sx, sy, w = _held_slide(matrix, mu, cx, cy, cz, p)
-        if abs(w) <= -1e-16 * cz:
+        if abs(w) <= -IMPULSE_TOLERANCE * cz:
             return sx, sy, p
-        # Illinois: an end that stays twice counts half, so that neither does.
+        # Illinois: an end that stays twice weighs half, so that neither end stays for good.
         if w < 0.0:
             low, w_low, w_high = p, w, 0.5 * w_high
         else:
@@ -75,7 +112,7 @@ def inelastic_impulse(matrix: Matrix6, mu: float, cx: float, cy: float, cz: floa
 
 @inner
 def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: float) -> tuple[float, float, float]:
-    """Tangential impulse within the disk μp that leaves the slip the least energy, and the normal velocity then."""
+    """Tangential impulse within the disk μp that leaves the slip the least energy, and the normal velocity with it."""
     xx, xy, xz, yy, yz, zz = matrix
     dx, dy, radius = cx + xz * p, cy + yz * p, mu * p
     det = xx * yy - xy * xy
@@ -96,17 +133,18 @@ def friction_step(
     push: Array,
     table_velocity: float,
     impulses: Array,
-    sweep: float = 1e-12,
+    sweep_tolerance: float = 1e-12,
 ) -> int:
-    """One time step of held contact of a spherical top: `velocity` (6,) [m/s, rad/s], centre and spin, in place.
+    """One time step of held contact: changes `velocity` (6,) [m/s, rad/s] of centre and spin in place.
 
-    Gravity acts first, as the change of velocity `push` (3,) [m/s], h g. Then the touching vertices at `arms` (n, 3)
-    [m] from the centre get the impulses with which each obeys `inelastic_impulse` in the presence of the others: velocities
-    at the end of the step, so that energy is lost, never gained, and a corner that sticks has no velocity instead of a
-    small one. `impulses` (n, 3) [N s]: a guess, zero or those of the step before; the result afterwards.
-    `table_velocity` [m/s] is the table's own, along z. No velocity of a vertex at the end is below it by more than
-    rounding. Vertices are solved in turn (Gauss-Seidel); returns the number of sweeps, `MAX_SWEEPS` where they
-    were cut off before no contact velocity changed by more than `sweep`, a part of push and velocities.
+    Gravity acts first, as the change of velocity `push` (3,) [m/s], g times the step. Then the touching vertices at `arms`
+    (n, 3) [m] from the centre get the impulses with which each obeys `inelastic_impulse` in the presence of the others, for
+    the velocities at the end of the step. So energy is lost, never gained, and a corner that sticks has no velocity at all.
+    `impulses` (n, 3) [N s] are a first guess, zero or those of the step before, and the result afterwards. `table_velocity`
+    [m/s] is vertical; no vertex is slower than it at the end, but for rounding.
+
+    Vertices are solved in turn (Gauss-Seidel) until no contact velocity changes by more than `sweep_tolerance`, a part of
+    push and velocities. Returns the number of sweeps, MAX_SWEEPS where they were cut off.
     """
     n = arms.shape[0]
     for k in range(3):
@@ -118,10 +156,9 @@ def friction_step(
     for i in range(n):
         _apply_impulse(velocity, arms[i], mass, inertia, impulses[i, 0], impulses[i, 1], impulses[i, 2])
     sweeps, changed = 0, inf
-    while changed > sweep * size and sweeps < MAX_SWEEPS:
+    while changed > sweep_tolerance * size and sweeps < MAX_SWEEPS:
         changed = 0.0
-        # Corners that answer each other in a circle stop doing so when each goes only part of its way.
-        part = 1.0 if sweeps < FULL_SWEEPS else (0.7 if sweeps < LONG_SWEEPS else 0.4)
+        part = 1.0 if sweeps < UNDAMPED_SWEEPS else (DAMPING if sweeps < LIGHTLY_DAMPED_SWEEPS else STRONG_DAMPING)
         for i in range(n):
             matrix = spherical_contact_matrix(mass, inertia, arms[i, 0], arms[i, 1], arms[i, 2])
             xx, xy, xz, yy, yz, zz = matrix
@@ -135,7 +172,7 @@ def friction_step(
             _apply_impulse(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
             changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
         sweeps += 1
-    if _sticks(velocity, arms, table_velocity, impulses, 1e-9 * size):
+    if _sticks(velocity, arms, table_velocity, impulses, STICKING_SPEED * size):
         for k in range(6):
             velocity[k] = 0.0
         velocity[2] = table_velocity
@@ -165,7 +202,7 @@ def _apply_impulse(velocity: Array, arm: Array, mass: float, inertia: float, sx:
 
 @inner
 def _sticks(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
-    """Whether three corners that press and do not lie in a line have stopped: then the die has the table's velocity."""
+    """Whether three pressing corners that do not lie in a line are slower than `slow`: then the die moves as the table does."""
     first, second = -1, -1
     for i in range(arms.shape[0]):
         cx, cy, cz = _velocity_at(velocity, arms[i])
@@ -178,14 +215,14 @@ def _sticks(velocity: Array, arms: Array, table_velocity: float, impulses: Array
         else:
             ax, ay = arms[second, 0] - arms[first, 0], arms[second, 1] - arms[first, 1]
             bx, by = arms[i, 0] - arms[first, 0], arms[i, 1] - arms[first, 1]
-            if abs(ax * by - ay * bx) > 1e-6 * hypot(ax, ay) * hypot(bx, by):
+            if abs(ax * by - ay * bx) > COLLINEAR * hypot(ax, ay) * hypot(bx, by):
                 return True
     return False
 
 
 @compiled
 def move_freely(state: Array, dt: float) -> None:
-    """Carry the pose along its velocities over dt [s], in place, as if nothing acted."""
+    """Carry the pose along its velocities over dt [s], in place, without any force."""
     height_velocity = state[9]
     advance(state, spin_rate(state), dt, Plane(0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     state[9] = height_velocity
@@ -204,12 +241,12 @@ def sliding_step(
     guess: Array,
     impulses: Array,
     after: Array,
-    sweep: float = 1e-12,
+    sweep_tolerance: float = 1e-12,
 ) -> int:
     """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
 
-    Half the way with the old velocities, the impulses there, the other half with the new ones (Moreau; see `contact`).
-    `arms` (n, 3) and `impulses` (n, 3) are room for the active ones, `guess` (n, 3) [N] forces to begin with.
+    The die goes half the way with the old velocities, gets the impulses there, and goes the other half with the new ones.
+    `arms` (n, 3) and `impulses` (n, 3) are room for the active vertices, `guess` (n, 3) [N] the first guess of the forces.
     """
     copy_to(after, state)
     move_freely(after, 0.5 * dt)
@@ -217,7 +254,7 @@ def sliding_step(
     for k in range(active.shape[0]):
         if active[k]:
             x, y, z = lever_arm(body.vertices[k], after)
-            arms[n, 0], arms[n, 1], arms[n, 2] = x, y, z - body.rounding
+            arms[n, 0], arms[n, 1], arms[n, 2] = x, y, z - body.corner_radius
             n += 1
     velocity, push = np.empty(6), np.empty(3)
     for k in range(6):
@@ -227,7 +264,7 @@ def sliding_step(
         for m in range(3):
             impulses[k, m] = guess[k, m] * dt
     v_table = table_velocity(plane, time + dt)
-    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep)
+    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep_tolerance)
     for k in range(6):
         after[7 + k] = velocity[k]
     move_freely(after, 0.5 * dt)
@@ -239,7 +276,7 @@ def sliding_step(
         if active[k]:
             lowest = min(lowest, clearance(body.vertices[k], after, z_table))
     if pressing > 0:
-        # The arms turn within the step, by which the vertices leave the table to the third order in dt.
+        # The arms turn within the step, which lifts the vertices off the table in third order of dt.
         after[2] -= lowest
     return pressing
 
@@ -253,10 +290,13 @@ def rides_forever(
     time: float,
     dt: float,
     active: NDArray[np.bool_],
-    sweep: float,
+    sweep_tolerance: float,
 ) -> bool:
-    """Whether a die that moves as its table does will always do so. It is pressed least where the table accelerates down
-    most; if it neither slips nor tips there within a step of dt [s], it does so nowhere."""
+    """Whether a die that moves as its table does will always do so.
+
+    The table presses it least where it accelerates downwards most. If the die neither slips nor tips there within a step of
+    dt [s], it does so nowhere.
+    """
     if state[9] != table_velocity(plane, time) or state[7:9].any() or state[10:13].any():
         return False
     least = plane.g - plane.amplitude * plane.rate * plane.rate
@@ -265,7 +305,9 @@ def rides_forever(
     resting, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
     resting[9] = 0.0
     at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
-    pressing = sliding_step(body, mu, at_rest, resting, time, dt, active, room[0], room[1], room[2], after, sweep)
+    pressing = sliding_step(
+        body, mu, at_rest, resting, time, dt, active, room[0], room[1], room[2], after, sweep_tolerance
+    )
     return pressing >= 3 and not after[7:13].any()
 
 
@@ -279,7 +321,7 @@ def follow_frictional_contact(
     time: float,
     limit: float,
     active: NDArray[np.bool_],
-    for_ever: bool,
+    open_end: bool,
     stop_when_decided: bool,
     segment: int,
     knots: Array,
@@ -287,15 +329,14 @@ def follow_frictional_contact(
     keep: bool,
     after: Array,
 ) -> tuple[int, float, int, Array, int]:
-    """`follow_sliding_contact` with friction."""
+    """`follow_sliding_contact` for a law with friction."""
     begin, mu = time, law.parameters[1]
     room = np.zeros((3, body.vertices.shape[0], 3))
     fixed = plane.amplitude == 0.0
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
         if keep:
-            if known == knots.shape[0]:
-                knots = doubled_rows(knots)
+            knots = with_room(knots, known)
             write_knot(knots[known], segment, time, state)
             known += 1
         if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
@@ -303,40 +344,51 @@ def follow_frictional_contact(
         rate = (
             spin_rate(state) + sqrt((plane.g + peak_table_acceleration) / body.radius) + (0.0 if fixed else plane.rate)
         )
-        dt = min(FRICTION_STEP_PART * precision.turn / rate, begin + limit - time)
+        dt = min(FRICTION_STEP_PART * precision.step_turn / rate, begin + limit - time)
         pressing = sliding_step(
-            body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep
+            body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep_tolerance
         )
         if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
             # Nothing moves, and nothing will.
-            if for_ever:
+            if open_end:
                 return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots, known
             return TIME_REACHED, limit, -1, knots, known
         if (
-            for_ever
+            open_end
             and not fixed
             and pressing >= 3
-            and rides_forever(body, mu, plane, after, time + dt, dt, active, precision.sweep)
+            and rides_forever(body, mu, plane, after, time + dt, dt, active, precision.sweep_tolerance)
         ):
             copy_to(state, after)
             return RESTED, time + dt - begin, -1, knots, known
         hit = deepest_free_vertex(body, plane, after, time + dt, active)
         if hit >= 0:
-            # False position (Illinois: an end that stays twice weighs half) takes five steps where halving takes forty,
-            # and leaves to halving what it does not know: a vertex that is another's successor, or on its way up.
+            # False position (Illinois) takes five steps where halving takes forty. Every third step halves the bracket, and so
+            # does each one after another vertex has become the deepest, whose height before is unknown.
             low, high, stayed = 0.0, dt, 0
             room[2] = room[1] / dt
             h_low = clearance(body.vertices[hit], state, table_height(plane, time))
             h_high = clearance(body.vertices[hit], after, table_height(plane, time + dt))
-            for k in range(90):
-                if high - low <= 1e-12 * dt or h_high >= -ROUNDING_BOUND * body.radius:
+            for k in range(MAX_TOUCH_STEPS):
+                if high - low <= TOUCH_TOLERANCE * dt or h_high >= -ROUNDING_BOUND * body.radius:
                     break
                 middle = 0.5 * (low + high)
                 if h_low > 0.0 and k % 3 < 2:
                     weigh_low, weigh_high = 0.5 if stayed > 1 else 1.0, 0.5 if stayed < -1 else 1.0
                     middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
                 sliding_step(
-                    body, mu, plane, state, time, middle, active, room[0], room[2], room[1], after, precision.sweep
+                    body,
+                    mu,
+                    plane,
+                    state,
+                    time,
+                    middle,
+                    active,
+                    room[0],
+                    room[2],
+                    room[1],
+                    after,
+                    precision.sweep_tolerance,
                 )
                 room[2] = room[1] / middle
                 found = deepest_free_vertex(body, plane, after, time + middle, active)
@@ -347,12 +399,14 @@ def follow_frictional_contact(
                 else:
                     h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
                     low, stayed = middle, min(stayed, 0) - 1
-            sliding_step(body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep)
+            sliding_step(
+                body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep_tolerance
+            )
             copy_to(state, after)
             return NOT_ENDED, time + high - begin, hit, knots, known
         copy_to(state, after)
         time += dt
-        # First of all: within no time nothing presses, and a die at rest would fly and touch there without end.
+        # The limit comes first: within no time nothing presses, and a die at rest would fly and touch without end.
         if time >= begin + limit:
             return TIME_REACHED, limit, -1, knots, known
         if pressing == 0:
@@ -379,7 +433,7 @@ def follow_sliding_contact(
     time: float,
     limit: float,
     active: NDArray[np.bool_],
-    for_ever: bool,
+    open_end: bool,
     stop_when_decided: bool,
     segment: int,
     knots: Array,
@@ -389,8 +443,8 @@ def follow_sliding_contact(
 ) -> tuple[int, float, int, Array, int]:
     """Carry the state in place through contact with friction of the `active` vertices, as `follow_held_contact` does without.
 
-    Returns FLIES or another ending, the duration [s], the vertex that touches anew (-1: all are off the table, or the
-    limit came), and the knots with their number.
+    Returns NOT_ENDED or another ending, the duration [s], the vertex that touches (-1: all are off the table, or the limit
+    came), and the knots with their number. `open_end` says that the throw has no limit of time.
     """
     assert isinstance(law, RoughLaw)
     return follow_frictional_contact(
@@ -402,7 +456,7 @@ def follow_sliding_contact(
         time,
         limit,
         active,
-        for_ever,
+        open_end,
         stop_when_decided,
         segment,
         knots,
@@ -422,7 +476,7 @@ def _rub(
     time: Any,
     limit: Any,
     active: Any,
-    for_ever: Any,
+    open_end: Any,
     stop_when_decided: Any,
     segment: Any,
     knots: Any,
@@ -430,7 +484,7 @@ def _rub(
     keep: Any,
     after: Any,
 ) -> Any:
-    """Nothing at all for a law without friction, which never gets here."""
+    """For a law without friction, which never gets here, a function that does nothing."""
     if law.instance_class is RoughLaw:
         return follow_frictional_contact.py_func
 
@@ -443,7 +497,7 @@ def _rub(
         time,
         limit,
         active,
-        for_ever,
+        open_end,
         stop_when_decided,
         segment,
         knots,
@@ -458,7 +512,7 @@ def _rub(
 
 @inner
 def deepest_free_vertex(body: Body, plane: Plane, state: Array, time: float, active: NDArray[np.bool_]) -> int:
-    """The deepest vertex below the table of those that are not active and come down; -1 where there is none."""
+    """The deepest vertex below the table of those that are not active and sink; -1 where there is none."""
     deepest, hit = 0.0, -1
     z_table, v_table = table_height(plane, time), table_velocity(plane, time)
     for k in range(body.vertices.shape[0]):

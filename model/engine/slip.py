@@ -42,31 +42,40 @@ from math import hypot, inf, nan, sqrt
 
 import numpy as np
 
-from ..compiled import compiled, inner
-from .types import (
-    FALSE,
-    MAX_SLIP_STEPS,
-    NEGLIGIBLE_SLIP,
-    NEWTON,
-    NORMAL,
-    POISSON,
-    RESTITUTION,
-    SPEED,
-    STOPPED,
-    STRAIGHT,
-    STRONGE,
-    TAYLOR_ORDER,
-    TURNS,
-    VX,
-    VY,
-    Array,
-    Matrix6,
-)
+from ..compiled import compiled, inner, int64
+from .types import FALSE, NEWTON, POISSON, STRONGE, Array, Matrix6
+
+TAYLOR_ORDER = 20
+"""Of the series in τ: an accuracy of e^-35 costs e^(35/N) steps of N² operations each, least at N = 17."""
+
+NEGLIGIBLE_SLIP = 1e-16
+"""Slip, or turn of it, as a part of the velocities at hand, below which it is rounding."""
+
+MAX_SLIP_STEPS = 10_000
+"""Steps of a slip that turns, after which the impulse is NaN. None of 3 · 10⁶ random impacts needed as many."""
+
+STOPPED, STRAIGHT, TURNS = 0, 1, 2
+"""What the slip does next. STOPPED: it has ended, or sets out along the one direction in which it grows. STRAIGHT: it keeps its
+direction until it stops. TURNS: neither."""
+
+VX, VY, SPEED, NORMAL, RESTITUTION = int64(0), int64(1), int64(2), int64(3), int64(4)
+"""Rows of the series: the slip, its size, the normal velocity w, and what measures restitution (∫dp, or ∫w dp)."""
+
+TURNING = 1e-3
+"""Turn of the slip, as a part of the stiffness across it, from which the slip is followed by the series. A straighter one is
+so followed only where its turn is above rounding by TURNS_ABOVE_ROUNDING."""
+TURNS_ABOVE_ROUNDING = 30.0
+
+MAX_STOP_ANGLE = 0.25
+"""[rad] between the slip and the direction in which it stops, up to which the series in the angle converges fast enough."""
+
+STOP_TERMS = 10.0
+"""Last term of that series, in units of rounding, up to which it counts as converged."""
 
 
 @compiled
 def spherical_contact_matrix(mass: float, inertia: float, x: float, y: float, z: float) -> Matrix6:
-    """Contact matrix M [1/kg] of a spherical top with the contact at (x, y, z) from its centre: xx, xy, xz, yy, yz, zz."""
+    """Contact matrix M [1/kg] of a die with one moment of inertia, for a contact at (x, y, z) [m] from its centre of mass."""
     free = 1.0 / mass
     return (
         free + (y * y + z * z) / inertia,
@@ -181,8 +190,11 @@ def _slip_regime(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) 
     across = mu * (xx * uy * uy - 2.0 * xy * ux * uy + yy * ux * ux)
     # A direction off by g/across changes f by rate g/across, and so s for a given p by as much again.
     rate = _rate(matrix, mu)
-    turns = abs(g) > 1e-3 * across or slip * abs(g) * rate > 30.0 * NEGLIGIBLE_SLIP * across * across * size
-    if turns and abs(g) > 30.0 * NEGLIGIBLE_SLIP * rate:  # a smaller g is rounding itself
+    turns = (
+        abs(g) > TURNING * across
+        or slip * abs(g) * rate > TURNS_ABOVE_ROUNDING * NEGLIGIBLE_SLIP * across * across * size
+    )
+    if turns and abs(g) > TURNS_ABOVE_ROUNDING * NEGLIGIBLE_SLIP * rate:  # a smaller g is rounding itself
         return TURNS
     f = ux * xz + uy * yz - mu * (xx * ux * ux + 2.0 * xy * ux * uy + yy * uy * uy)
     return STRAIGHT if f < 0.0 else STOPPED
@@ -293,7 +305,7 @@ def _expansion_to_stop(
         f = ux * xz + uy * yz - along
         turn = (ux * yz - uy * xz - skew) / (f + across)  # dg/dφ = -(f + across)
         # Attracting, a stop, and not far: more than a dozen degrees away the series would need too many terms.
-        if f >= 0.0 or f + across <= 0.0 or abs(turn) > 0.25:
+        if f >= 0.0 or f + across <= 0.0 or abs(turn) > MAX_STOP_ANGLE:
             return False, 0.0
         ux, uy = ux - turn * uy, uy + turn * ux
         length = hypot(ux, uy)
@@ -321,7 +333,7 @@ def _expansion_to_stop(
         total += term
         power *= slope
     series[4, 0], series[4, 1] = ahead, slope
-    return ahead * abs(term) * max(xx, yy, zz) <= 10.0 * NEGLIGIBLE_SLIP * size, ahead * total
+    return ahead * abs(term) * max(xx, yy, zz) <= STOP_TERMS * NEGLIGIBLE_SLIP * size, ahead * total
 
 
 @inner

@@ -1,12 +1,19 @@
-"""model.engine.types."""
+"""Records, codes and constants of the compiled kernels.
+
+A state is an array (13,): position [m], quaternion wxyz, velocity [m/s], angular velocity [rad/s]. All of them are in the
+axes of the table, z along its normal, and of the centre of mass. Heights count from the radius of rounded corners.
+
+A contact is a pair of numbers (i, j): (-1, -1) nothing is held, (i, -1) one vertex, (i, j) two, (i, -2) a face, and with
+friction (., -3) the set of vertices in `active`.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
-from scipy.integrate import DOP853
 
 from ..compiled import int64, truth
 from ..world import GRAVITY_M_S2
@@ -17,27 +24,60 @@ Matrix6 = tuple[float, float, float, float, float, float]
 """A symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz."""
 
 
+# --- Dice ---
+
+
 class Body(NamedTuple):
-    """A spherical top, as the kernels have it."""
+    """A die with the same moment of inertia about every axis through its centre of mass."""
 
     vertices: Array
-    """(n, 3) [m] from the centre, body axes."""
+    """(n, 3) [m] from the centre of mass, body axes; of the inner solid where corners are rounded."""
     normals: Array
     """(faces, 3) outward."""
     plumb_normals: Array
-    """(faces, 3) normals over the distances of their planes: the plumb line from the centre goes through the face for
-    which this points down most; `bodies.plumb_normals`."""
+    """(faces, 3) normals over the distances of their planes. The plumb line from the centre of mass goes through the face
+    for which this points down most."""
     barrier_heights: Array
-    """(faces,) [m]: what the centre must climb to leave each face, `bodies.edge_barriers_m`."""
+    """(faces,) [m] height of the centre of mass above which the die can leave each face."""
     mass: float
+    """[kg]."""
     inertia: float
+    """[kg m²]."""
     radius: float
-    """[m] of the circumscribed sphere."""
+    """[m] of the farthest vertex."""
     safe_tilt_cosines: Array
-    """(n,) the cosine of how far the line from each vertex to the centre may lean from the vertical, before another
-    vertex can be the lower one; `bodies.safe_tilt_cosines`."""
-    rounding: float
-    """[m] radius of the corners; heights count from it."""
+    """(n,) cosine of the largest tilt from the vertical, of the line from each vertex to the centre of mass, at which no
+    other vertex can be as low."""
+    corner_radius: float
+    """[m] of the rounded corners."""
+
+
+class AsymmetricBody(NamedTuple):
+    """A die with any inertia tensor, in its principal axes about the centre of mass."""
+
+    vertices: Array
+    """(n, 3) [m]; of the inner solid where corners are rounded."""
+    normals: Array
+    """(faces, 3) outward."""
+    offsets: Array
+    """(faces,) [m] of the planes from the centre of mass."""
+    corners: Indices
+    """(faces, most) vertices of each face, counter-clockwise from outside, -1 beyond its last."""
+    edge_faces: Indices
+    """(e, 2) the faces that meet in each edge."""
+    edge_heights: Array
+    """(e,) [m] distance of the nearest point of each edge."""
+    edge_inertias: Array
+    """(e,) [kg m²] the largest moment of inertia about a line from the centre of mass through a point of the edge."""
+    mass: float
+    """[kg]."""
+    moments: Array
+    """(3,) [kg m²], ascending."""
+    radius: float
+    """[m] of the farthest vertex."""
+
+
+# --- Impact laws ---
 
 
 class SmoothLaw(NamedTuple):
@@ -49,7 +89,7 @@ class SmoothLaw(NamedTuple):
 
 
 class RoughLaw(NamedTuple):
-    """An impact law with friction: a type of its own, so that a throw without it does not even compile it."""
+    """An impact law with friction: a type of its own, so that a throw without it does not compile it."""
 
     code: int
     parameters: Array
@@ -58,113 +98,16 @@ class RoughLaw(NamedTuple):
 
 Law = SmoothLaw | RoughLaw
 
-
-class Plane(NamedTuple):
-    """The table in its own axes: gravity is (gx, gy, -g), and its height A sin(rate t + phase)."""
-
-    gx: float
-    gy: float
-    g: float
-    amplitude: float
-    rate: float
-    phase: float
-
-
-class Precision(NamedTuple):
-    """Where speed is traded for accuracy."""
-
-    root: float
-    """[m] a vertex this near the table touches; 0 for what rounding allows."""
-    switch: float
-    """Slowest bounce that is still simulated, in units of √(g R); see `contact`."""
-    turn: float
-    """[rad] by which a die in held contact turns in one step of the integration."""
-    sweep: float = 1e-12
-    """Change of a contact velocity in a sweep over contacts with friction, as a part of the velocities at hand, after
-    which no other sweep is made."""
-
-
 SMOOTH, COULOMB, SMOOTH_BY_SPEED, COULOMB_BY_SPEED, COULOMB_FADING = 0, 1, 2, 3, 4
 """Codes of the laws. Parameters: (χ), (χ, μ, ending), (χ₀, speed scale, exponent), (χ₀, μ, ending, scale, exponent), and
 of the last (χ₀, μ₀, ending, scale and exponent of χ, scale and exponent of μ)."""
 
 NEWTON, POISSON, STRONGE = 0, 1, 2
-"""What ends an impact with friction."""
-
-RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, TIMED_OUT, BALANCED = range(9)
-"""How the kernels end; `simulate.Ending` says the same in sentences. CHATTER and NO_TOUCH are of the tangent alone."""
-
-NOT_ENDED = int64(-1)
-"""How held contact ends that goes on in flight."""
-
-LOG_COLUMNS = 23
-"""Columns of a logged event: time, vertex (-1: nothing strikes), position (3), quaternion (4), velocities before (6)
-and after (6), and what is held from then on: (-1, -1) nothing, (i, -1) a vertex, (i, j) two, (i, -2) a face, and
-(bits, -3) the vertices with those bits set, with friction."""
-
-TIMEOUT = 1000.0
-"""A throw is given up as a top after this many √(R/g), where it is not proved to be one for ever; at χ above 0.9, where
-every die takes long to calm down, 0.1/(1 - χ) times as late."""
-
-STANDING_HEIGHT = 1e-10
-"""Part of the circumradius within which a slow vertex counts as standing on the table: far above the height of the
-slowest bounces that are simulated, and no more than 1e-10 of the energy."""
-
-ROUNDING_BOUND = 16.0 * 2.220446049250313e-16
-"""A height is a sum of some ten products, each off by half a unit in the last place of its largest term."""
-
-TAYLOR_ORDER = 20
-"""Of the Taylor series: e^-35 of accuracy costs e^(35/N) steps of N² operations each, least at N = 17."""
-
-NEGLIGIBLE_SLIP = 1e-16
-"""Part of the velocities at hand below which a slip, or its turning, is rounding."""
-
-MAX_SLIP_STEPS = 10_000
-"""None of 3 · 10⁶ random impacts came to it; the answer then is NaN, rather than none."""
-
-STOPPED, STRAIGHT, TURNS = 0, 1, 2
-"""Courses of a slip: none, or along the one direction in which it grows, as if it had just set out; straight to its stop;
-neither."""
-
-VX, VY, SPEED, NORMAL, RESTITUTION = int64(0), int64(1), int64(2), int64(3), int64(4)
-"""Rows of the series: slip, its size, the normal velocity w, and what restitution is measured by (∫dp or ∫w dp)."""
-
-NONE = int64(-1)
-"""No vertex, no event."""
-
-FORCE_I, FORCE_J, NO_EVENT = int64(-1), int64(-2), int64(-3)
-"""Events of held contact besides the touch of a vertex, which goes by its number: a vertex is let go."""
-
-ZERO, ONE, TANGENT_ROWS, NO_LIMIT = int64(0), int64(1), int64(12), int64(9223372036854775807)
-TRUE, FALSE = truth(True), truth(False)
-"""Numbers that kernels hand on; see `compiled`."""
-
-MAX_SWEEPS = 1000
-"""Of the Gauss-Seidel method in `friction_step`. Four corners of a die that slides need some 30, rocking ones 100."""
-
-FULL_SWEEPS, LONG_SWEEPS = 100, 500
-"""After so many sweeps without an end, each goes 0.7, then 0.4 of its way."""
-
-FRICTION_STANDING_HEIGHT, FRICTION_STEP_PART = 1e-6, 0.1
-"""With friction, held contact is followed by a method of low order: part of the circumradius within which its vertices
-count as standing on the table, and part of `Precision.turn` that it takes as a step."""
-
-LEVEL = Plane(0.0, 0.0, GRAVITY_M_S2, 0.0, 0.0, 0.0)
-"""A level table at rest."""
-
-FINE = Precision(0.0, 1e-6, 0.3)
-"""What is used unless something else is asked for; measured in `benchmarks/throws.py`."""
-
-RUNGE_KUTTA_A, RUNGE_KUTTA_B, RUNGE_KUTTA_C = (
-    np.ascontiguousarray(DOP853.A[:12, :12]),
-    DOP853.B.copy(),
-    DOP853.C[:12].copy(),
-)
-"""Tableau of Dormand and Prince's method of order 8 (Hairer, Norsett, Wanner, Solving ODEs I, II.5), 12 stages."""
+"""What ends an impact with friction: the ratio of normal velocities, of impulses, or of works."""
 
 
 def law_of(code: int, parameters: Array) -> Law:
-    """A law by its code and parameters; friction of nothing is none, where a law by speed has none either."""
+    """A law by its code and parameters; a friction of zero gives the law without friction, by speed or not."""
     if code in (COULOMB, COULOMB_BY_SPEED, COULOMB_FADING) and parameters[1] > 0.0:
         return RoughLaw(code, parameters)
     if code == COULOMB:
@@ -172,3 +115,100 @@ def law_of(code: int, parameters: Array) -> Law:
     if code in (COULOMB_BY_SPEED, COULOMB_FADING):
         return SmoothLaw(SMOOTH_BY_SPEED, parameters[[0, 3, 4]])
     return SmoothLaw(code, parameters)
+
+
+def has_friction(law: Law) -> bool:
+    """Whether the law has friction."""
+    return isinstance(law, RoughLaw)
+
+
+@overload(has_friction, strict=False)
+def _has_friction(law: Any) -> Any:
+    """A constant of the type of the law, so that the compiler drops the branch that is not taken."""
+    rough = law.instance_class is RoughLaw
+    return lambda law: rough
+
+
+# --- The table ---
+
+
+class Plane(NamedTuple):
+    """The table in its own axes: gravity is (gx, gy, -g) [m/s²], and its height is A sin(rate t + phase)."""
+
+    gx: float
+    gy: float
+    g: float
+    amplitude: float
+    """A [m]."""
+    rate: float
+    """[rad/s]."""
+    phase: float
+    """[rad]."""
+
+
+LEVEL = Plane(0.0, 0.0, GRAVITY_M_S2, 0.0, 0.0, 0.0)
+"""A level table at rest."""
+
+
+# --- Precision ---
+
+
+class Precision(NamedTuple):
+    """Where speed is traded for accuracy."""
+
+    contact_tolerance: float
+    """[m] a vertex this near the table touches; 0 for what rounding allows."""
+    slowest_bounce: float
+    """Speed of the slowest bounce that is simulated before the vertex is held, in units of √(g R)."""
+    step_turn: float
+    """[rad] by which a die in held contact turns in one step of the integration."""
+    sweep_tolerance: float = 1e-12
+    """Change of a contact velocity in one sweep over contacts with friction, as a part of the largest contact velocity,
+    below which the sweeps end."""
+
+
+FINE = Precision(0.0, 1e-6, 0.3)
+"""The default, as exact as double precision allows; measured in `benchmarks/throws.py`."""
+
+ROUNDING_BOUND = 16.0 * 2.220446049250313e-16
+"""Rounding of a height as a part of its largest term: it is a sum of some ten products, each off by half a unit in the
+last place."""
+
+STANDING_HEIGHT = 1e-10
+"""Height of a slow vertex below which it counts as standing on the table, as a part of the circumradius: far above the
+height of the slowest bounces that are simulated, and no more than 1e-10 of the energy."""
+
+
+# --- Endings and the log ---
+
+RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, TIMED_OUT, BALANCED = range(9)
+"""How the kernels end; `throw.Ending` says the same in sentences. Only derivatives of a throw end with CHATTER (bounces
+crowd together without end) or NO_TOUCH (the prescribed vertex never comes down)."""
+
+NOT_ENDED = int64(-1)
+"""Code where nothing has ended the throw: it goes on."""
+
+LOG_COLUMNS = 23
+"""Columns of a logged event: time, vertex (-1: no impact), position (3), quaternion (4), velocities before (6) and after
+(6), and the contact (i, j) that is held from then on. With friction i has the bits of the held vertices set, and j = -3.
+A face of an asymmetric body is held as (row of the face, -2), that of another as (a vertex of it, -2)."""
+
+KNOT_COLUMNS = 15
+"""Columns of a knot, the state at the beginning of a step in held contact: event that began the contact, time, state."""
+
+
+# --- Constants that kernels hand on; see `compiled` ---
+
+NONE = int64(-1)
+"""No vertex, no event."""
+
+FORCE_I, FORCE_J, NO_EVENT = int64(-1), int64(-2), int64(-3)
+"""Events of held contact besides the touch of a vertex, which goes by its number: the force on vertex i or j vanishes."""
+
+ZERO, ONE, TANGENT_ROWS = int64(0), int64(1), int64(12)
+"""TANGENT_ROWS is the number of rows of a derivative: of position, rotation vector, velocity and angular velocity."""
+
+NO_LIMIT = int64(9223372036854775807)
+"""As a number of impacts: no limit."""
+
+TRUE, FALSE = truth(True), truth(False)

@@ -209,7 +209,7 @@ def _follow_many(
 
 @compiled(nogil=True)
 def _follow_tops(
-    top: asymmetric.AsymmetricBody,
+    top: engine.AsymmetricBody,
     law: engine.Law,
     plane: engine.Plane,
     precision: engine.Precision,

@@ -7,14 +7,16 @@ from functools import cached_property
 from math import inf
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..die import Die, inner_vertices
-from ..engine import FINE, LEVEL, SMOOTH, Law, Plane, Precision
-from ..engine.asymmetric import Array, AsymmetricBody, asymmetric_states_at, run_asymmetric_throw
+from ..engine import FINE, LEVEL, SMOOTH, AsymmetricBody, Law, Plane, Precision
+from ..engine.asymmetric import asymmetric_states_at, run_asymmetric_throw
 from ..rotations import matrix_from_quat, quat_from_matrix, quat_multiply
 from .motion import State
 from .touch import packed_state, unpacked_state
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

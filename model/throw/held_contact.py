@@ -93,11 +93,11 @@ class HeldContact(Flight):
             return state
         after = np.empty(13)
         i, j = (*self.vertices, -1)[:2]
-        engine.held_step(self.body, self.plane, state, knots[k, 0], dt, i, j, np.empty((12, 6)), after)
+        engine.held_step(self.body, self.plane, state, knots[k, 0], dt, i, j, engine.step_workspace(), after)
         return after
 
     def _world(self, packed: Array, time_s: float) -> State:
-        lifted = packed[0:3] + np.array([0.0, 0.0, self.body.rounding])
+        lifted = packed[0:3] + np.array([0.0, 0.0, self.body.corner_radius])
         turn = matrix_from_quat(self.world_from_table)
         quaternion = quat_multiply(self.world_from_table, packed[3:7])
         return State(float(time_s), turn @ lifted, quaternion, turn @ packed[7:10], turn @ packed[10:13])

@@ -132,11 +132,11 @@ class ThrowResult:
 class Precision:
     """Where speed is traded for accuracy. The defaults are as exact as doubles allow; see `contact` and `touch`."""
 
-    contact_tolerance_m: float = engine.FINE.root
+    contact_tolerance_m: float = engine.FINE.contact_tolerance
     """[m] a vertex this near the table touches; 0 for no farther than rounding."""
-    slowest_bounce: float = engine.FINE.switch
+    slowest_bounce: float = engine.FINE.slowest_bounce
     """Speed of the slowest bounce that is simulated before the vertex is held, in units of √(g R)."""
-    step_turn_rad: float = engine.FINE.turn
+    step_turn_rad: float = engine.FINE.step_turn
     """Turn of the die in one step of held contact."""
 
     def __post_init__(self) -> None:

@@ -328,7 +328,7 @@ def _sources(die: Die, law: ImpactLaw, table: Table, parameters: Sequence[str]) 
         mu=own("mu", _rubs(law)),
         speed_scale=own("speed_scale_m_s", _fades(law)),
         inertia=own("inertia_kg_m2", _is_isotropic(die)),
-        rounding=own("corner_radius_m"),
+        corner_radius=own("corner_radius_m"),
         vertices=np.zeros((m, *die.solid.vertices.shape)),
         gravity=np.zeros((m, 3)),
         table=np.column_stack(

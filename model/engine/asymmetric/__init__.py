@@ -19,7 +19,7 @@ equations, and Σ ωⱼ²ωₖ² <= ω⁴/3). Stepping by the root of the parabo
 **Impact.** Smooth (the paper's, for any inertia): the vertical velocity v of the vertex relative to the table goes to
 -χ v by the impulse S = -(1 + χ) v / (1/m + t·I⁻¹ t) with t = r × ẑ; then Δv_z = S/m and ΔL = S t.
 
-**Held contact.** Bounces that have become slower than `Precision.switch` √(g R) end on the table: the vertex is held.
+**Held contact.** Bounces that have become slower than `Precision.slowest_bounce` √(g R) end on the table: the vertex is held.
 One or two held vertices are pressed by vertical forces N with A N = -b, where Aᵢⱼ = 1/m + tᵢ·I⁻¹ tⱼ and b are the
 vertical accelerations that the vertices would have without them. Of all vertices that stand on the table those are
 held for which N >= 0 and the accelerations >= 0 are complementary, found by trying none, one and two of them; if no
@@ -38,7 +38,5 @@ too: nothing changes any more, however fast it spins.
 
 from .event_loop import asymmetric_states_at as asymmetric_states_at
 from .event_loop import run_asymmetric_throw as run_asymmetric_throw
-from .motion import Array as Array
-from .motion import AsymmetricBody as AsymmetricBody
 from .tangent import attitudes_in_flight as attitudes_in_flight
 from .tangent import run_asymmetric_tangent as run_asymmetric_tangent

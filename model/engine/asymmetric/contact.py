@@ -1,36 +1,38 @@
-"""model.engine.asymmetric.contact."""
+"""Contact of an asymmetric body: what is held where bounces have ended, and when its face is decided.
+
+The equations are those of `asymmetric`. Forces and impulses are vertical.
+"""
 
 from __future__ import annotations
 
 from math import asin, ceil, inf, pi, sqrt
 
 from ...compiled import inner
-from ..types import Plane
-from .motion import (
-    ROUNDING_BOUND,
-    STANDING_HEIGHT,
-    Array,
-    AsymmetricBody,
-    Indices,
-    body_angular_velocity,
-    clearance,
-    free_acceleration,
-    response,
-    rotational_energy,
-    table_height,
-    table_velocity,
-    to_world,
-    unit_torque,
-    vertex_velocity,
-    vertical_in_body,
-)
+from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
+from ..flight import table_height, table_velocity
+from ..rest import lowest_face_row
+from ..types import ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Indices, Plane
+from .motion import clearance, free_acceleration, response, rotational_energy, unit_torque, vertex_velocity
+
+REST_PART = 0.1
+"""Part of the speed of the slowest bounce below which a vertex is at rest."""
+
+REST_ROUNDING = 4.0
+"""Multiple of the rounding of a velocity below which a vertex is at rest, where no bounce is slow."""
+
+FORCE_TOLERANCE = 1e-12
+"""Acceleration, as a part of the largest in the motion, below which it is rounding."""
+
+RELEASE_MARGIN = 1e-7
+"""By how much the table's acceleration exceeds what presses a face, in units of the largest one, when the face is released: then
+the vertices accelerate away measurably."""
 
 
 @inner
 def apply_vertical_impulse(body: AsymmetricBody, y: Array, i: int, impulse: float) -> None:
     """A vertical impulse [N s] on a vertex, in place."""
     a, b, c = unit_torque(body, y, i)
-    x, z, _ = to_world(y, a, b, c)
+    x, z, _ = to_table_axes(y, a, b, c)
     y[9] += impulse / body.mass
     y[10] += impulse * x
     y[11] += impulse * z
@@ -53,7 +55,7 @@ def _rotate_by(y: Array, a: float, b: float, c: float) -> None:
 
 @inner
 def project_on_contact(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int) -> None:
-    """Put vertices i and j (-1: i alone) at rest on the table, by the least change in the metric of mass, in place."""
+    """Put vertices i and j (-1: i alone) at rest on the table, in place, by the least change in the metric of mass."""
     for _ in range(2):
         h = clearance(body, plane, y, time, i)
         if j < 0:
@@ -101,7 +103,7 @@ def _stop_all_but_vertical_spin(body: AsymmetricBody, plane: Plane, y: Array, ti
     x, z, v = vertical_in_body(y)
     i1, i2, i3 = body.moments[0], body.moments[1], body.moments[2]
     rate = y[12] / (i1 * x * x + i2 * z * z + i3 * v * v)
-    y[10], y[11], _ = to_world(y, i1 * rate * x, i2 * rate * z, i3 * rate * v)
+    y[10], y[11], _ = to_table_axes(y, i1 * rate * x, i2 * rate * z, i3 * rate * v)
     y[9] = table_velocity(plane, time)
 
 
@@ -109,10 +111,10 @@ def _stop_all_but_vertical_spin(body: AsymmetricBody, plane: Plane, y: Array, ti
 def solve_complementarity(
     body: AsymmetricBody, y: Array, chosen: Indices, n: int, w: Array, tolerance: float, pushes: Array
 ) -> bool:
-    """Pushes >= 0 on the vertices `chosen` (n of them) that leave each of `w` (n,) >= 0 and 0 where pushed.
+    """Pushes ≥ 0 on the vertices `chosen` (n of them) that leave each of `w` (n,) ≥ 0, and 0 where it is pushed.
 
-    At most two vertices are pushed; returns False where three are needed, so that all of `w` become 0. Fills `pushes`
-    (n,) and changes `w` to what remains.
+    At most two vertices are pushed. Returns False where three are needed, which make all of `w` zero. Fills `pushes` (n,) and
+    changes `w` to what remains.
     """
     pushes[:n] = 0.0
     least = 0.0
@@ -156,15 +158,14 @@ def spin_growth_bound(body: AsymmetricBody) -> float:
 def resolve_contacts(
     body: AsymmetricBody, plane: Plane, y: Array, time: float, slow: float, chosen: Indices, room: Array
 ) -> tuple[int, int]:
-    """End the bounces of the vertices that stand on the table, in place, and find which the die presses on.
+    """End the bounces of the vertices that stand on the table, in place; returns the contact that the die presses on.
 
-    Returns (-1, -1) for none, (i, -1), (i, j), or (face, -2).
+    It is (-1, -1) for none, (i, -1), (i, j), or (row of the face, -2). `slow` [m/s] is the speed of the slowest bounce.
     """
     w, pushes = room[0], room[1]
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
     speed = abs(y[9]) + spin * body.radius + plane.amplitude * plane.rate
-    # A tenth of the switch speed is rest; where nothing is switched, what rounding leaves.
-    rounding = max(0.1 * slow, 4.0 * ROUNDING_BOUND * (speed + sqrt(plane.g * body.radius)))
+    rounding = max(REST_PART * slow, REST_ROUNDING * ROUNDING_BOUND * (speed + sqrt(plane.g * body.radius)))
     n = 0
     for k in range(body.vertices.shape[0]):
         if clearance(body, plane, y, time, k) <= STANDING_HEIGHT * body.radius:
@@ -187,29 +188,17 @@ def resolve_contacts(
     scale = plane.g + plane.amplitude * plane.rate * plane.rate + spin * spin * body.radius
     for k in range(standing):
         w[k] = free_acceleration(body, plane, y, time, chosen[k])
-    if solve_complementarity(body, y, chosen, standing, w, 1e-12 * scale, pushes):
+    if solve_complementarity(body, y, chosen, standing, w, FORCE_TOLERANCE * scale, pushes):
         held = 0
         for k in range(standing):
-            if w[k] <= 1e-12 * scale:
+            if w[k] <= FORCE_TOLERANCE * scale:
                 chosen[held] = chosen[k]
                 held += 1
     else:
         held = standing
     if held >= 3:
-        return lowest_face_row(body, y), -2
+        return lowest_face_row(body.normals, y), -2
     return (chosen[0] if held > 0 else -1), (chosen[1] if held > 1 else -1)
-
-
-@inner
-def lowest_face_row(body: AsymmetricBody, y: Array) -> int:
-    """Row of the face normal that points down most."""
-    x, z, v = vertical_in_body(y)
-    best, lowest = 0, inf
-    for k in range(body.normals.shape[0]):
-        down = body.normals[k, 0] * x + body.normals[k, 1] * z + body.normals[k, 2] * v
-        if down < lowest:
-            best, lowest = k, down
-    return best
 
 
 @inner
@@ -232,10 +221,10 @@ def decided_face(body: AsymmetricBody, plane: Plane, y: Array) -> int:
 
 @inner
 def face_contact_duration(body: AsymmetricBody, plane: Plane, y: Array, time: float, face: int) -> float:
-    """Time [s] until a die that lies on a face is no longer pressed on all of it; inf for never.
+    """Time [s] until a die that lies on a face is no longer pressed on all of it; infinite for never.
 
     The table's force N = m (g + s'') acts where its moment about the centre is that of the spin: at the foot of the
-    centre plus e/N. It must stay inside the face, which bounds N from below and above.
+    centre plus e/N. This point must stay inside the face, which bounds N from below and above.
     """
     i1, i2, i3 = body.moments[0], body.moments[1], body.moments[2]
     p, q, r = body_angular_velocity(body, y)
@@ -261,10 +250,9 @@ def face_contact_duration(body: AsymmetricBody, plane: Plane, y: Array, time: fl
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     if peak_table_acceleration == 0.0:
         return inf
-    # g - swing sin θ leaves [least, most]/m where sin θ passes above `high` or below `low`; by a little more than that,
-    # so that the vertices then accelerate away measurably.
-    high = (plane.g - least / body.mass) / peak_table_acceleration + 1e-7
-    low = (plane.g - most / body.mass) / peak_table_acceleration - 1e-7
+    # With the peak acceleration a, g - a sin θ leaves [least, most]/m where sin θ exceeds `high` or falls below `low`.
+    high = (plane.g - least / body.mass) / peak_table_acceleration + RELEASE_MARGIN
+    low = (plane.g - most / body.mass) / peak_table_acceleration - RELEASE_MARGIN
     theta, after = plane.rate * time + plane.phase, inf
     if high < 1.0:
         crossing = asin(max(high, -1.0))

@@ -1,4 +1,8 @@
-"""model.engine.asymmetric.event_loop."""
+"""The event loop of an asymmetric body; equations in `asymmetric`.
+
+It follows the rules of `engine.event_loop`: the same codes, log, knots, speed of the slowest bounce, and nudge. It stays apart
+because a flight has no closed form: the motion goes by steps, each of which ends early where a vertex touches or is released.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +11,22 @@ from math import inf, sqrt
 import numpy as np
 
 from ...compiled import compiled, inner
+from ..attitude import to_angular_momentum, to_angular_velocity
+from ..log import with_room, write_event, write_knot
+from ..rest import MAX_ZERO_STEPS, chatter_speed, nudge_s
 from ..types import (
     BALANCED,
     IMPACT_CAP,
     IMPACTS_REACHED,
+    KNOT_COLUMNS,
     LOG_COLUMNS,
+    NOT_ENDED,
     RESTED,
+    ROUNDING_BOUND,
     SPINNING,
     TIME_REACHED,
+    Array,
+    AsymmetricBody,
     Law,
     Plane,
     Precision,
@@ -30,24 +42,46 @@ from .contact import (
 )
 from .motion import (
     MAX_TURN_RAD,
-    ROUNDING_BOUND,
-    Array,
-    AsymmetricBody,
-    body_angular_velocity,
     clearance,
     contact_forces,
     free_acceleration,
     response,
     rotational_energy,
     state_after_step,
-    to_world,
     vertex_velocity,
 )
 
 MAX_CONTACT_STEPS = 10_000
-"""Steps in contact without an impact after which a throw with no time limit is reported as spinning for ever."""
+"""Steps in contact without an impact after which a throw with no time limit is reported as spinning for ever, or as balanced.
+No proof stands behind it, unlike `rest.spins_forever`, which needs one moment of inertia."""
 
-_FLIGHT_STEP, _LET_GO = -1, -2
+BALANCED_ENERGY = 1e-9
+"""Rotational energy in units of m g R below which such a die stands balanced."""
+
+PULL_TOLERANCE = 1e-10
+"""Force, in units of the mass times the largest acceleration, by which a held vertex must be pulled to be released: rounding."""
+
+SPIN_ALLOWANCE = 1.25
+RATE_ALLOWANCE = 0.25
+"""A step in contact is bounded for a spin of SPIN_ALLOWANCE times the present one plus RATE_ALLOWANCE √((g + a)/R), and ends
+before the spin could outgrow that."""
+
+CONTACT_JERK = 10.0
+"""Bound of the jerk of a vertex in contact, as a multiple of the rates of the motion times the bound of the acceleration."""
+
+ACCELERATION_ROUNDING = 2e-14
+"""Rounding of an acceleration in contact as a part of its bound: forces are quotients of determinants."""
+
+SMALL_STEP = 0.1
+"""Part of the longest step below which the parabola that bounds a height is replaced by the cubic, which allows more."""
+
+RELEASE_BISECTIONS = 60
+"""Halvings of the search for the instant at which a vertex is released: to the last bit."""
+
+FIRST_ROWS = 64
+"""Rows of the log, and of the knots, that are allocated first; doubled where they are used up."""
+
+_FLIGHT_STEP, _RELEASED = -1, -2
 """What ends a step that no touch ends: its length, or a held vertex that is no longer pressed."""
 
 
@@ -66,7 +100,7 @@ def next_event(
 ) -> tuple[float, int, float, float]:
     """One step of the motion, or less where something ends it first; `now` (13,) becomes the state there.
 
-    Returns the time [s] from `y`, the vertex that touches (or _FLIGHT_STEP, _LET_GO), its velocity and acceleration
+    Returns the time [s] from `y`, the vertex that touches (or _FLIGHT_STEP, _RELEASED), its velocity and acceleration
     relative to the table (0 for a velocity that is only rounding).
     """
     g, mass, radius = plane.g, body.mass, body.radius
@@ -78,12 +112,12 @@ def next_event(
     else:
         # The spin changes in held contact: this step ends before it could outgrow its allowance.
         before = spin
-        spin = 1.25 * spin + 0.25 * sqrt((g + peak_table_acceleration) / radius)
+        spin = SPIN_ALLOWANCE * spin + RATE_ALLOWANCE * sqrt((g + peak_table_acceleration) / radius)
         push = g + peak_table_acceleration + radius * spin * spin * (1.0 + growth / sqrt(3.0))
         rate = push * sqrt(mass / body.moments[0]) + growth * spin * spin / sqrt(3.0)
         limit = min(limit, (spin - before) / rate)
     angular = growth * spin * spin / sqrt(3.0) + push * sqrt(mass / body.moments[0])
-    longest = min(limit, min(precision.turn, MAX_TURN_RAD) / spin) if spin > 0.0 else limit
+    longest = min(limit, min(precision.step_turn, MAX_TURN_RAD) / spin) if spin > 0.0 else limit
     if i >= 0 and plane.rate > 0.0 and plane.amplitude != 0.0:
         longest = min(longest, MAX_TURN_RAD / plane.rate)  # the table's motion enters the right side
     bound = g + peak_table_acceleration + push + radius * (spin * spin + angular)
@@ -93,8 +127,8 @@ def next_event(
             + peak_table_acceleration * plane.rate
         )
     else:
-        jerk = 10.0 * (spin + sqrt((g + peak_table_acceleration) / radius) + plane.rate) * bound
-    weightless = -1e-10 * mass * bound
+        jerk = CONTACT_JERK * (spin + sqrt((g + peak_table_acceleration) / radius) + plane.rate) * bound
+    weightless = -PULL_TOLERANCE * mass * bound
     t, last, safe = 0.0, 0.0, 0.0
     space = y[2] - radius - plane.amplitude
     if i < 0 and space > 0.0:
@@ -108,7 +142,7 @@ def next_event(
         if i >= 0:
             n, o = contact_forces(body, plane, now, time + t, i, j)
             if min(n, o) < weightless:
-                for _ in range(60):
+                for _ in range(RELEASE_BISECTIONS):
                     middle = 0.5 * (last + t)
                     if middle in (last, t):
                         break
@@ -119,13 +153,13 @@ def next_event(
                     else:
                         last = middle
                 state_after_step(body, plane, y, time, t, i, j, stages, now)
-                return t, _LET_GO, 0.0, 0.0
+                return t, _RELEASED, 0.0, 0.0
         turned = 1.0 + spin * t
         phase = 1.0 + abs(plane.rate * (time + t)) + abs(plane.phase)
         h_tol = ROUNDING_BOUND * (abs(y[2]) + (abs(y[9]) + g * t) * t + radius * turned + plane.amplitude * phase)
         v_tol = ROUNDING_BOUND * (abs(y[9]) + g * t + spin * radius * turned + plane.amplitude * plane.rate * phase)
-        h_tol = max(h_tol, precision.root)
-        a_tol = (ROUNDING_BOUND * turned if i < 0 else 2e-14) * bound
+        h_tol = max(h_tol, precision.contact_tolerance)
+        a_tol = (ROUNDING_BOUND * turned if i < 0 else ACCELERATION_ROUNDING) * bound
         hit, hit_v, hit_a, step = -1, 0.0, 0.0, inf
         for k in range(body.vertices.shape[0]):
             if k in (i, j):
@@ -136,7 +170,7 @@ def next_event(
             if h > h_tol:
                 root = sqrt(v * v + 2.0 * bound * h)
                 ahead = (v + root) / bound if v > 0.0 else 2.0 * h / (root - v)
-                if v <= 0.0 or ahead > 0.1 * longest:
+                if v <= 0.0 or ahead > SMALL_STEP * longest:
                     step = min(step, ahead)
                     continue
             acceleration = free_acceleration(body, plane, now, time + t, k)
@@ -153,8 +187,8 @@ def next_event(
                     continue
                 v = max(v, 0.0)
                 ahead = 2.0 * v / bound
-            # Nor before the root of v s + h'' s²/2 - J s³/6: a vertex that was let go, with v and h'' small but growing,
-            # so moves on by a multiple of the time since. The parabola alone took a thousand steps there.
+            # No touch before the root of v s + h'' s²/2 - J s³/6 either. After a release v and h'' are small but grow, and this
+            # step is a multiple of the time since; the parabola alone took a thousand steps there.
             half = 0.5 * acceleration
             root = sqrt(half * half + 2.0 / 3.0 * v * jerk)
             ahead = max(ahead, 3.0 * (half + root) / jerk if half > 0.0 else 2.0 * v / (root - half))
@@ -165,40 +199,6 @@ def next_event(
             return longest, _FLIGHT_STEP, 0.0, 0.0
         last = t
         t = min(t + step, longest)
-
-
-@inner
-def to_angular_velocity(body: AsymmetricBody, y: Array, out: Array) -> None:
-    """The state as others have it, with ω [rad/s, table axes] for L, into `out` (13,)."""
-    p, q, r = body_angular_velocity(body, y)
-    out[:] = y
-    out[10], out[11], out[12] = to_world(y, p, q, r)
-
-
-@inner
-def to_angular_momentum(body: AsymmetricBody, state: Array) -> Array:
-    """The inverse of `to_angular_velocity`."""
-    y = state.copy()
-    w, x, z, v = y[3], -y[4], -y[5], -y[6]
-    a, b, c = y[10], y[11], y[12]
-    tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
-    y[10], y[11], y[12] = to_world(
-        state,
-        body.moments[0] * (a + w * tx + z * tz - v * ty),
-        body.moments[1] * (b + w * ty + v * tx - x * tz),
-        body.moments[2] * (c + w * tz + x * ty - z * tx),
-    )
-    return y
-
-
-@inner
-def room_for(rows: Array, used: int) -> Array:
-    """The same rows, with room for as many again where all are used."""
-    if used < rows.shape[0]:
-        return rows
-    larger = np.empty((2 * rows.shape[0], rows.shape[1]))
-    larger[: rows.shape[0]] = rows
-    return larger
 
 
 @compiled
@@ -215,31 +215,28 @@ def run_asymmetric_throw(
     impact_cap: int,
     keep: bool,
 ) -> tuple[int, int, int, float, Array, Array, Array]:
-    """The event loop, like `kernels.run_throw`, for smooth impacts. Nothing is changed in its arguments.
+    """As `engine.run_throw`, for smooth impacts. No argument is changed.
 
-    `start` (13,) and all states have the centre of mass's position, the quaternion of the principal axes, and ω.
-    Returns the code of the ending, the number of impacts, the row of the face decided on (-1: none), the time [s] at
-    which it ends, the state there, the log (events, ROW), and the knots (k, 15): event that began the motion (-1: the
-    release), time, state at the beginning of each step. Both stay empty unless `keep`. In the log a vertex of -1 says
-    that nothing strikes; the first held vertex of a die on a face is the row of the face.
+    `start` (13,) and all states have the position of the centre of mass, the quaternion of the principal axes, and ω. There
+    is a knot at the beginning of each step, in flight as well; the event that began the motion is -1 for the release.
     """
     y = to_angular_momentum(body, start)
     now, before, shown, stages = np.empty(13), np.empty(13), np.empty(13), np.empty((14, 8))
     chosen, room = np.empty(body.vertices.shape[0], np.int64), np.empty((2, body.vertices.shape[0]))
-    log, knots = np.empty((64 if keep else 1, LOG_COLUMNS)), np.empty((64 if keep else 1, 15))
-    chi = law.parameters[0]
-    slow = 0.0 if chi >= 1.0 else precision.switch * sqrt(plane.g * body.radius)
+    rows = FIRST_ROWS if keep else 1
+    log, knots = np.empty((rows, LOG_COLUMNS)), np.empty((rows, KNOT_COLUMNS))
+    chi, slow = law.parameters[0], chatter_speed(law, plane, precision, body.radius)
     at_rest = plane.amplitude == 0.0
     time, end, impacts, events, known, steps, zero_step_count = start_time, start_time + duration, 0, 0, 0, 0, 0
-    i, j, face, ending = -1, -1, -1, -1
-    begins = True  # whether an event has just been: only then can the face become decided
+    i, j, face, ending = -1, -1, -1, NOT_ENDED
+    begins = True  # whether an event has just happened: only then can the face become decided
     while True:
         if begins and at_rest:
             face = decided_face(body, plane, y)
         if keep:
-            knots = room_for(knots, known)
-            knots[known, 0], knots[known, 1] = events - 1, time
-            to_angular_velocity(body, y, knots[known, 2:])
+            knots = with_room(knots, known)
+            to_angular_velocity(body, y, shown)
+            write_knot(knots[known], events - 1, time, shown)
             known += 1
         dt, hit, velocity, acceleration = 0.0, _FLIGHT_STEP, 0.0, 0.0
         if j == -2:
@@ -252,7 +249,7 @@ def run_asymmetric_throw(
             elif dt >= end - time:
                 ending, dt = TIME_REACHED, end - time
             state_after_step(body, plane, y, time, dt, i, j, stages, now)
-            hit = _LET_GO
+            hit = _RELEASED
         elif face >= 0 and stop_when_decided and (i >= 0 or not keep):
             ending = RESTED
             now[:] = y
@@ -265,18 +262,22 @@ def run_asymmetric_throw(
         y[:] = now
         time += dt
         zero_step_count = zero_step_count + 1 if dt == 0.0 else 0
-        reorder = hit == _LET_GO or (
+        reorder = hit == _RELEASED or (
             hit >= 0 and -velocity <= slow and (velocity == 0.0 or acceleration < 0.0 or i >= 0)
         )
-        if ending < 0 and hit >= 0 and not reorder:
+        if ending == NOT_ENDED and hit >= 0 and not reorder:
             if impacts >= impact_limit:
                 ending = IMPACTS_REACHED
             elif impacts >= impact_cap:
                 ending = IMPACT_CAP
         steps = steps + 1 if i >= 0 or reorder else 0
-        if ending < 0 and steps > MAX_CONTACT_STEPS and end == inf:
-            ending = BALANCED if rotational_energy(body, y) < 1e-9 * body.mass * plane.g * body.radius else SPINNING
-        if ending >= 0:
+        if ending == NOT_ENDED and steps > MAX_CONTACT_STEPS and end == inf:
+            ending = (
+                BALANCED
+                if rotational_energy(body, y) < BALANCED_ENERGY * body.mass * plane.g * body.radius
+                else SPINNING
+            )
+        if ending != NOT_ENDED:
             to_angular_velocity(body, y, shown)
             return ending, impacts, face, time, shown, log[: events if keep else 0], knots[: known if keep else 0]
         if i >= 0 and j != -2:
@@ -292,24 +293,21 @@ def run_asymmetric_throw(
                 lay_on_face(body, plane, y, time, i)
             elif i >= 0:
                 project_on_contact(body, plane, y, time, i, j)
-            if zero_step_count > 20:
-                # Rounding finds a touch where nothing presses, or the reverse, again and again: pass over the instant.
-                skipped = 1e-9 * sqrt(body.radius / plane.g)
-                state_after_step(body, plane, y, time, skipped, i, j, stages, now)
+            if zero_step_count > MAX_ZERO_STEPS:
+                # Rounding leaves open whether the die still presses. A little later it does not.
+                nudge = nudge_s(zero_step_count, plane, body.radius)
+                state_after_step(body, plane, y, time, nudge, i, j, stages, now)
                 y[:] = now
-                time += skipped
+                time += nudge
         else:
             approach = vertex_velocity(body, plane, y, time, hit)
             apply_vertical_impulse(body, y, hit, -(1.0 + chi) * approach / response(body, y, hit, hit))
             i, j = -1, -1
             impacts += 1
         if keep:
-            log = room_for(log, events)
-            log[events, 0], log[events, 1] = time, hit
-            log[events, 2:15] = before
+            log = with_room(log, events)
             to_angular_velocity(body, y, shown)
-            log[events, 15:21] = shown[7:13]
-            log[events, 21], log[events, 22] = i, j
+            write_event(log[events], time, hit, before, shown, i, j)
         events += 1
 
 

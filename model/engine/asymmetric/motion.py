@@ -1,92 +1,21 @@
-"""model.engine.asymmetric.motion."""
+"""Motion of an asymmetric body: energy, vertices, forces that hold them, and steps of the integration.
+
+States y (13,) have the angular momentum L in place of ω. In held contact vertices i and j are on the table, j = -1 where there
+is only one; with j = -2 the die lies on the face i.
+"""
 
 from __future__ import annotations
 
 from math import cos, sin, sqrt
-from typing import NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import DOP853
 
 from ...compiled import inner
-from ..types import Plane
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
+from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
+from ..flight import table_acceleration, table_height, table_velocity
+from ..runge_kutta import NODES, STAGES, stage_values
+from ..types import Array, AsymmetricBody, Plane
 
 MAX_TURN_RAD = 0.2
 """Largest turn in one step: the energy of a flight then stays within 1e-13 of itself, as the tests measure."""
-
-ROUNDING_BOUND = 16.0 * 2.220446049250313e-16
-"""As in `kernels`: a height is a sum of some ten products, each off by half a unit of its last place."""
-
-STANDING_HEIGHT = 1e-10
-"""Part of the circumradius within which a slow vertex counts as standing on the table, as in `kernels`."""
-
-RUNGE_KUTTA_A, RUNGE_KUTTA_B, _C = np.ascontiguousarray(DOP853.A[:12, :12]), DOP853.B.copy(), DOP853.C[:12].copy()
-
-
-class AsymmetricBody(NamedTuple):
-    """A die as the kernels have it, in principal axes about its centre of mass."""
-
-    vertices: Array
-    """(n, 3) [m], of the inner solid where corners are rounded."""
-    normals: Array
-    """(faces, 3) outward."""
-    offsets: Array
-    """(faces,) [m] from the centre of mass."""
-    corners: Indices
-    """(faces, most) vertices of each face, counter-clockwise from outside, -1 beyond its last."""
-    edge_faces: Indices
-    """(e, 2)."""
-    edge_heights: Array
-    """(e,) [m] of the nearest point of each edge."""
-    edge_inertias: Array
-    """(e,) [kg m²] the largest moment of inertia about a line from the centre through a point of the edge."""
-    mass: float
-    moments: Array
-    """(3,) [kg m²]."""
-    radius: float
-    """[m] of the farthest vertex."""
-
-
-@inner
-def table_height(plane: Plane, time: float) -> float:
-    return 0.0 if plane.amplitude == 0.0 else plane.amplitude * sin(plane.rate * time + plane.phase)
-
-
-@inner
-def table_velocity(plane: Plane, time: float) -> float:
-    return 0.0 if plane.amplitude == 0.0 else plane.amplitude * plane.rate * cos(plane.rate * time + plane.phase)
-
-
-@inner
-def vertical_in_body(y: Array) -> tuple[float, float, float]:
-    """The vertical in body axes: third row of the rotation."""
-    w, a, b, c = y[3], y[4], y[5], y[6]
-    return 2.0 * (a * c - w * b), 2.0 * (b * c + w * a), 1.0 - 2.0 * (a * a + b * b)
-
-
-@inner
-def to_world(y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
-    """A body vector in table axes."""
-    w, x, z, v = y[3], y[4], y[5], y[6]
-    tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
-    return a + w * tx + z * tz - v * ty, b + w * ty + v * tx - x * tz, c + w * tz + x * ty - z * tx
-
-
-@inner
-def body_angular_velocity(body: AsymmetricBody, y: Array) -> tuple[float, float, float]:
-    """ω in body axes: I⁻¹ Rᵀ L."""
-    w, x, z, v = y[3], -y[4], -y[5], -y[6]
-    a, b, c = y[10], y[11], y[12]
-    tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
-    return (
-        (a + w * tx + z * tz - v * ty) / body.moments[0],
-        (b + w * ty + v * tx - x * tz) / body.moments[1],
-        (c + w * tz + x * ty - z * tx) / body.moments[2],
-    )
 
 
 @inner
@@ -130,7 +59,7 @@ def vertex_velocity(body: AsymmetricBody, plane: Plane, y: Array, time: float, i
 
 @inner
 def free_acceleration(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int) -> float:
-    """b: vertical acceleration of a vertex relative to the table with no forces from the table."""
+    """b: vertical acceleration [m/s²] of a vertex relative to the table, without forces of the table."""
     x, z, v = vertical_in_body(y)
     p, q, r = body_angular_velocity(body, y)
     i1, i2, i3 = body.moments[0], body.moments[1], body.moments[2]
@@ -141,7 +70,7 @@ def free_acceleration(body: AsymmetricBody, plane: Plane, y: Array, time: float,
     centripetal = (p * a + q * b + r * c) * along - w2 * (x * a + z * b + v * c)
     d, e, f = unit_torque(body, y, i)
     euler = d * (i2 - i3) / i1 * q * r + e * (i3 - i1) / i2 * r * p + f * (i1 - i2) / i3 * p * q
-    return centripetal + euler - plane.g + plane.rate * plane.rate * table_height(plane, time)
+    return centripetal + euler - plane.g - table_acceleration(plane, time)
 
 
 @inner
@@ -174,10 +103,10 @@ def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: i
     out[4] = y[9]
     out[5] = -plane.g + (n + o) / body.mass
     d, e, f = unit_torque(body, y, i)
-    out[6], out[7], _ = to_world(y, n * d, n * e, n * f)
+    out[6], out[7], _ = to_table_axes(y, n * d, n * e, n * f)
     if j >= 0:
         d, e, f = unit_torque(body, y, j)
-        dx, dy, _ = to_world(y, o * d, o * e, o * f)
+        dx, dy, _ = to_table_axes(y, o * d, o * e, o * f)
         out[6] += dx
         out[7] += dy
 
@@ -193,9 +122,9 @@ def _write_values(y: Array, values: Array) -> None:
 def state_after_step(
     body: AsymmetricBody, plane: Plane, y: Array, time: float, dt: float, i: int, j: int, stages: Array, out: Array
 ) -> None:
-    """The state `dt` [s] after `y`, in flight or with vertices i, j held (j = -2: on a face), into `out`.
+    """The state `dt` [s] after `y`, in flight or in contact, into `out`: one step of the method, whatever `dt`.
 
-    One step of the method, whatever `dt`; `stages` (14, 8) is room to work in.
+    `stages` (14, 8) is room to work in.
     """
     out[:] = y
     out[0] = y[0] + (y[7] + 0.5 * plane.gx * dt) * dt
@@ -206,27 +135,17 @@ def state_after_step(
         _turn_on_face(body, plane, y, time, dt, out)
         return
     size = 4 if i < 0 else 8
-    start, now = stages[12], stages[13]
+    start, values = stages[12], stages[13]
     start[:4] = y[3:7]
     start[4], start[5], start[6], start[7] = y[2], y[9], y[10], y[11]
-    now[:] = start
-    for s in range(12):
-        if s > 0:
-            for k in range(size):
-                total = 0.0
-                for n in range(s):
-                    total += RUNGE_KUTTA_A[s, n] * stages[n, k]
-                now[k] = start[k] + dt * total
-            _write_values(out, now)
-        _state_rates(body, plane, out, time + _C[s] * dt, i, j, stages[s])
-    for k in range(size):
-        total = 0.0
-        for n in range(12):
-            total += RUNGE_KUTTA_B[n] * stages[n, k]
-        now[k] = start[k] + dt * total
-    norm = sqrt(now[0] * now[0] + now[1] * now[1] + now[2] * now[2] + now[3] * now[3])
-    now[:4] /= norm
-    _write_values(out, now)
+    values[:] = start
+    for stage in range(STAGES):
+        stage_values(start[:size], stages, stage, dt, values)
+        _write_values(out, values)
+        _state_rates(body, plane, out, time + NODES[stage] * dt, i, j, stages[stage])
+    stage_values(start[:size], stages, STAGES, dt, values)
+    values[:4] /= sqrt(values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3])
+    _write_values(out, values)
     if i < 0:
         out[2] = y[2] + (y[9] - 0.5 * plane.g * dt) * dt
         out[9] = y[9] - plane.g * dt

@@ -1,44 +1,48 @@
-"""model.engine.asymmetric.tangent."""
+"""A throw of an asymmetric body with its derivatives, for smooth impacts; equations in `throw.asymmetric_tangent`.
+
+Derivatives are of the centre of mass, the attitude, the velocity and the angular momentum L. With ω = W L and W = R I⁻¹ Rᵀ a
+turn δ of the attitude obeys δ' = W (δL - δ × L): linear equations that are integrated with the attitude itself. The jump across
+an impact is `derivatives.saltation`.
+"""
 
 from __future__ import annotations
 
-from math import ceil, cos, inf, nan, sin, sqrt
+from math import ceil, inf, nan, sqrt
 
 import numpy as np
 
 from ...compiled import compiled, inner
-from ..impact import ParameterDerivatives
-from ..types import CHATTER, FINE, IMPACT_CAP, LEVEL, LOG_COLUMNS, NO_TOUCH, TIME_REACHED, Law, Plane
-from .contact import spin_growth_bound
-from .event_loop import next_event, room_for, to_angular_momentum, to_angular_velocity
-from .motion import (
-    MAX_TURN_RAD,
+from ..attitude import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
+from ..derivatives import SHIFTS, Impact, ImpactKinematics, saltation, shifts_at_impact
+from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, table_velocity
+from ..impact import CHI, INERTIA, ParameterDerivatives
+from ..log import with_room, write_event
+from ..rest import chatter_speed
+from ..runge_kutta import STAGES, stage_values
+from ..types import (
+    CHATTER,
+    FINE,
+    IMPACT_CAP,
+    LEVEL,
+    LOG_COLUMNS,
+    NO_TOUCH,
     ROUNDING_BOUND,
-    RUNGE_KUTTA_A,
-    RUNGE_KUTTA_B,
+    TIME_REACHED,
     Array,
     AsymmetricBody,
     Indices,
-    body_angular_velocity,
-    clearance,
-    rotational_energy,
-    state_after_step,
-    to_world,
-    vertex_velocity,
+    Law,
+    Plane,
 )
+from .contact import spin_growth_bound
+from .event_loop import next_event
+from .motion import MAX_TURN_RAD, clearance, rotational_energy, state_after_step, vertex_velocity
 
+FIRST_ROWS = 16
+"""Rows of the log that are allocated first; doubled where they are used up."""
 
-@inner
-def angular_velocity_of(body: AsymmetricBody, y: Array, a: float, b: float, c: float) -> tuple[float, float, float]:
-    """W x = R I⁻¹ Rᵀ x of a vector in table axes: the angular velocity that an angular momentum x makes."""
-    w, x, z, v = y[3], -y[4], -y[5], -y[6]
-    tx, ty, tz = 2.0 * (z * c - v * b), 2.0 * (v * a - x * c), 2.0 * (x * b - z * a)
-    return to_world(
-        y,
-        (a + w * tx + z * tz - v * ty) / body.moments[0],
-        (b + w * ty + v * tx - x * tz) / body.moments[1],
-        (c + w * tz + x * ty - z * tx) / body.moments[2],
-    )
+_INPUTS = 13
+"""Columns of the gradient of an impulse: those of `impact.impulse_gradient`, then the rotation vector (3)."""
 
 
 @inner
@@ -71,20 +75,17 @@ def _attitude_step(body: AsymmetricBody, y: Array, dt: float, room: Array) -> No
 
     `room` (14, 22).
     """
-    start, now = room[12], room[13]
+    start, values = room[12], room[13]
     start[:] = 0.0
     start[:4] = y[3:7]
     start[4], start[8], start[12] = 1.0, 1.0, 1.0
-    for s in range(13):
-        for k in range(22):
-            total = 0.0
-            for n in range(s):
-                total += (RUNGE_KUTTA_A[s, n] if s < 12 else RUNGE_KUTTA_B[n]) * room[n, k]
-            now[k] = start[k] + dt * total
-        if s < 12:
-            _attitude_rates(body, y, now, room[s])
-    norm = sqrt(now[0] * now[0] + now[1] * now[1] + now[2] * now[2] + now[3] * now[3])
-    y[3:7] = now[:4] / norm
+    for stage in range(STAGES):
+        stage_values(start, room, stage, dt, values)
+        _attitude_rates(body, y, values, room[stage])
+    stage_values(start, room, STAGES, dt, values)
+    y[3:7] = values[:4] / sqrt(
+        values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3]
+    )
 
 
 @inner
@@ -131,80 +132,61 @@ def _fly(
 
 
 @inner
-def _impact_tangent(
+def _impact_with_tangent(
     body: AsymmetricBody,
     plane: Plane,
     chi: float,
     y: Array,
     time: float,
     i: int,
-    sources: ParameterDerivatives,
+    shifts: Array,
+    gradient: Array,
     tangent: Array,
-    pull: Array,
     dtime: Array,
 ) -> None:
-    """Carry state and derivatives through the smooth impact of vertex i, in place. `dtime` (12 + m,) receives the
-    derivative of its instant."""
-    x, z, v = body.vertices[i, 0], body.vertices[i, 1], body.vertices[i, 2]
-    rx, ry, rz = to_world(y, x, z, v)
-    lx, ly, lz = y[10], y[11], y[12]
-    ox, oy, oz = angular_velocity_of(body, y, lx, ly, lz)
-    phase = plane.rate * time + plane.phase
-    s, c = sin(phase), cos(phase)
-    u = y[9] + ox * ry - oy * rx - plane.amplitude * plane.rate * c
-    # Wt with the lever t = r × ẑ = (r_y, -r_x, 0).
-    ax, ay, az = angular_velocity_of(body, y, ry, -rx, 0.0)
-    softness = 1.0 / body.mass + ry * ax - rx * ay
-    impulse = -(1.0 + chi) * u / softness
-    closing = -plane.g + plane.rate * plane.rate * plane.amplitude * s
-    for j in range(tangent.shape[1]):
-        bx, by, bz, raised, lifted, softer = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if j >= 12:
-            p = j - 12
-            vertex = sources.vertices[p, i]
-            bx, by, bz = to_world(y, vertex[0], vertex[1], vertex[2])
-            by_amplitude, by_rate, by_phase = sources.table[p, 0], sources.table[p, 1], sources.table[p, 2]
-            turned = by_rate * time + by_phase
-            raised = by_amplitude * s + plane.amplitude * c * turned
-            lifted = plane.rate * (by_amplitude * c - plane.amplitude * s * turned) + plane.amplitude * c * by_rate
-            softer = sources.chi[p]
-        dx, dy, dz = tangent[3, j], tangent[4, j], tangent[5, j]
-        late = -(tangent[2, j] + dx * ry - dy * rx + bz - raised) / u
-        dtime[j] = late
-        dx, dy, dz = dx + ox * late, dy + oy * late, dz + oz * late
-        ex, ey = dy * rz - dz * ry + bx, dz * rx - dx * rz + by
-        kx = tangent[9, j] - (dy * lz - dz * ly) - pull[j] * ox
-        ky = tangent[10, j] - (dz * lx - dx * lz) - pull[j] * oy
-        kz = tangent[11, j] - (dx * ly - dy * lx) - pull[j] * oz
-        wx, wy, _ = angular_velocity_of(body, y, kx, ky, kz)
-        wx, wy = wx + dy * oz - dz * oy, wy + dz * ox - dx * oz
-        du = tangent[8, j] + closing * late + wx * ry - wy * rx + ox * ey - oy * ex - lifted
-        # δ × Wt, x and y.
-        gx, gy = dy * az - dz * ay, dz * ax - dx * az
-        dsoftness = 2.0 * (ey * ax - ex * ay + ry * gx - rx * gy) - pull[j] * (ax * ax + ay * ay + az * az)
-        ds = -((1.0 + chi) * du + softer * u) / softness - impulse * dsoftness / softness
-        tangent[2, j] -= impulse / body.mass * late
-        tangent[3, j] = dx - (ox + impulse * ax) * late
-        tangent[4, j] = dy - (oy + impulse * ay) * late
-        tangent[5, j] = dz - (oz + impulse * az) * late
-        tangent[8, j] += ds / body.mass
-        tangent[9, j] += ds * ry + impulse * ey
-        tangent[10, j] -= ds * rx + impulse * ex
-    y[9] += impulse / body.mass
-    y[10] += impulse * ry
-    y[11] -= impulse * rx
+    """Carry state and derivatives through the smooth impact of vertex i, in place.
+
+    `gradient` (3, _INPUTS) is room. `dtime` (12 + m,) receives the derivative of the instant.
+    """
+    x, r, z = lever_arm(body.vertices[i], y)
+    ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
+    v_table = table_velocity(plane, time)
+    u = y[9] + ox * r - oy * x - v_table
+    # W t with the torque t = r × ẑ = (r_y, -r_x, 0) of a unit impulse.
+    ax, ay, az = angular_velocity_of(body, y, r, -x, 0.0)
+    softness = 1.0 / body.mass + r * ax - x * ay
+    s = -(1.0 + chi) * u / softness
+    by_softness = -s / softness
+    gradient[:] = 0.0
+    # δ(t·W t) = 2 δt·W t + 2 t·(δ × W t) - δI |W t|².
+    gradient[2, 0], gradient[2, 1] = -2.0 * by_softness * ay, 2.0 * by_softness * ax
+    gradient[2, 5] = -(1.0 + chi) / softness
+    gradient[2, CHI] = -u / softness
+    gradient[2, INERTIA] = -by_softness * (ax * ax + ay * ay + az * az)
+    gradient[2, 10], gradient[2, 11] = 2.0 * by_softness * x * az, 2.0 * by_softness * r * az
+    gradient[2, 12] = -2.0 * by_softness * (r * ay + x * ax)
+    impact = Impact(x, r, z, z, u, 0.0, 0.0, s, ox, oy, oz, s * ax, s * ay, s * az, body.mass, 1.0, 0.0)
+    kinematics = ImpactKinematics(
+        v_table, table_acceleration(plane, time), plane.gx, plane.gy, -plane.g, 0.0, 0.0, 0.0, 0.0, 0.0
+    )
+    saltation(body, y, impact, kinematics, gradient, shifts, inf, tangent, tangent.shape[1], dtime)
+    y[9] += s / body.mass
+    y[10] += s * r
+    y[11] -= s * x
 
 
 @inner
 def _earlier_crossing(
     body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, stages: Array, now: Array
 ) -> float:
-    """How long ago [s, negative] vertex i, which is below the table and sinks, came through it; NaN for longer than
-    the die takes to fall its own radius. As `kernels.touch_of_vertex`."""
+    """How long ago [s, negative] vertex i, which is below the table and sinks, crossed it, as `flight.touch_of_vertex`.
+
+    NaN for longer than the die takes to fall its own radius.
+    """
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     bound = spin * spin * (1.0 + spin_growth_bound(body) / sqrt(3.0)) * body.radius + peak_table_acceleration - plane.g
-    bound = max(bound, 1e-3 * plane.g)  # h'' is no larger; kept above 0 for the division
+    bound = max(bound, LEAST_BOUND * plane.g)  # h'' is no larger; kept above 0 for the division
     t = 0.0
     back = y.copy()
     while t > -sqrt(2.0 * body.radius / plane.g):
@@ -226,7 +208,7 @@ def _earlier_crossing(
 
 @inner
 def _with_one_vertex(body: AsymmetricBody, i: int) -> AsymmetricBody:
-    """The same top, of whose vertices only one touches."""
+    """The same body with only one of its vertices."""
     return AsymmetricBody(
         body.vertices[i : i + 1],
         body.normals,
@@ -263,13 +245,14 @@ def run_asymmetric_tangent(
     y = to_angular_momentum(body, start)
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
-    log, dtimes = np.empty((16, LOG_COLUMNS)), np.empty((16, columns))
+    log, dtimes = np.empty((FIRST_ROWS, LOG_COLUMNS)), np.empty((FIRST_ROWS, columns))
     tangent, there, pose = seed.copy(), np.empty((12, columns)), np.empty(13)
     now, before, shown = np.empty(13), np.empty(13), np.empty(13)
     stages, room, pull = np.empty((14, 8)), np.empty((14, 22)), np.zeros(columns)
     pull[12:] = sources.inertia
     chi = law.parameters[0]
-    slow = 0.0 if chi >= 1.0 else FINE.switch * sqrt(plane.g * body.radius)
+    slow = chatter_speed(law, plane, FINE, body.radius)
+    shifts, gradient = np.empty((columns - 12, SHIFTS)), np.empty((3, _INPUTS))
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:
@@ -288,7 +271,7 @@ def run_asymmetric_tangent(
                     ends, ending = True, IMPACT_CAP
         else:
             vertex = sequence[impacts]
-            below = -1e-12 * body.radius
+            below = BELOW_TABLE * body.radius
             sunk = clearance(body, plane, y, time, vertex) < below
             if fresh and sunk and vertex_velocity(body, plane, y, time, vertex) < 0.0:
                 dt, hit = _earlier_crossing(body, plane, y, time, vertex, stages, now), vertex
@@ -315,15 +298,12 @@ def run_asymmetric_tangent(
         fresh = hit >= 0
         if hit < 0:
             continue
-        if impacts == log.shape[0]:
-            log, dtimes = room_for(log, impacts), room_for(dtimes, impacts)
+        log, dtimes = with_room(log, impacts), with_room(dtimes, impacts)
         to_angular_velocity(body, y, before)
-        _impact_tangent(body, plane, chi, y, time, hit, sources, tangent, pull, dtimes[impacts])
+        shifts_at_impact(sources, plane, time, hit, y, shifts)
+        _impact_with_tangent(body, plane, chi, y, time, hit, shifts, gradient, tangent, dtimes[impacts])
         to_angular_velocity(body, y, shown)
-        log[impacts, 0], log[impacts, 1] = time, hit
-        log[impacts, 2:15] = before
-        log[impacts, 15:21] = shown[7:13]
-        log[impacts, 21], log[impacts, 22] = -1.0, -1.0
+        write_event(log[impacts], time, hit, before, shown, -1, -1)
         impacts += 1
 
 

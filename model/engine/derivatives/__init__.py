@@ -1,9 +1,17 @@
-"""model.engine.derivatives."""
+"""Derivatives of throws: the growth of errors, what double precision decides, and a throw with derivatives for fits.
 
+`ensembles.chaos` uses `run_growth`, `run_exponents` and `decide`; `throw.tangent`, and so every fit, uses `run_tangent`.
+"""
+
+from .decidability import decide as decide
+from .decidability import decide_many as decide_many
 from .growth import displaced as displaced
 from .growth import run_exponents as run_exponents
 from .growth import run_growth as run_growth
 from .growth import scales_of as scales_of
-from .rounding import decide as decide
-from .rounding import decide_many as decide_many
+from .linearised_motion import SHIFTS as SHIFTS
+from .linearised_motion import Impact as Impact
+from .linearised_motion import ImpactKinematics as ImpactKinematics
+from .linearised_motion import saltation as saltation
+from .linearised_motion import shifts_at_impact as shifts_at_impact
 from .throw_tangent import run_tangent as run_tangent

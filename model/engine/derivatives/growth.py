@@ -1,4 +1,9 @@
-"""model.engine.derivatives.growth."""
+"""Growth of small disturbances along a logged throw: through flights, impacts and held contact.
+
+A disturbance is a column (12,) as in `linearised_motion`, and its size is measured in units of `scales_of`. Flights and
+impacts have derivatives. Held contact, with or without friction, is differenced through its own steps, which keeps the
+disturbed vertices on the table. Equations of the exponents: `ensembles.chaos`.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +16,25 @@ from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
 from ..event_loop import run_throw
-from ..flight import lever_arm, spin_rate, table_acceleration, table_height, table_velocity
-from ..held_contact import (
+from ..flight import (
     centripetal_acceleration,
     clearance,
-    contact_forces,
-    held_step,
-    project_on_contact,
-    remove_normal_velocity,
+    lever_arm,
+    spin_rate,
+    table_acceleration,
+    table_height,
+    table_velocity,
 )
-from ..impact import apply_impact
+from ..held_contact import contact_forces, held_step, project_on_contact, remove_normal_velocity, step_workspace
+from ..impact import INPUTS, apply_impact, wanted_columns
 from ..log import copy_columns, copy_to, state_after
-from ..sliding_contact import sliding_step
+from ..sliding_contact import FRICTION_STANDING_HEIGHT, sliding_step
 from ..types import (
     FALSE,
     FINE,
-    FRICTION_STANDING_HEIGHT,
     IMPACTS_REACHED,
     NO_LIMIT,
     NONE,
-    SMOOTH,
     TANGENT_ROWS,
     TRUE,
     ZERO,
@@ -41,28 +45,19 @@ from ..types import (
     Precision,
     RoughLaw,
 )
-from .impact_tangent import ImpactKinematics, bounce_tangent, flight_tangent, touch_delay
+from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_tangent
 
-MAX_COLUMNS = 40
-"""Room for columns of errors; they are brought back to twelve when it is full."""
+NEGLIGIBLE_ROW = 1e-26
+"""Square of what is left of a row, as a part of its square, below which it is rounding."""
 
-MAX_BRANCHES = 16
-"""Other orders of touches that are followed before a throw is given up as undecidable."""
+RANGE_EXPONENT = 100.0
+"""A derivative with an entry above ten to this power is divided by that; the power is returned beside it."""
 
-SAFETY_FACTOR = 3.0
-"""How many times its estimate an error may come to where the order of touches is asked for: the estimate adds up
-independent errors by their squares."""
-
-UNDECIDABLE_ERROR = 0.05
-"""Error, in units of `scales_of`, beyond which another outcome must be reckoned with. Of 3700 throws whose face changed
-with the tolerance of touches, none had reached less than 0.23."""
-
-NEGLIGIBLE_DIFFERENCE = 1e-4
-"""Difference that the order of two touches may make, in the same units, to be carried as an error; larger ones are
-followed as throws of their own."""
+ORBIT_BLOCK = 256
+"""Impacts of an orbit that are simulated, and logged, at a time."""
 
 _SMALL = 1e-5
-"""Size of the differences that stand for derivatives, in the same units: their square, and rounding over it, are both
+"""Size of the differences that stand for derivatives, in units of `scales_of`: their square, and rounding over it, are both
 1e-10."""
 
 
@@ -87,7 +82,7 @@ def scaled_length(tangent: Array, j: int, scale: Array) -> float:
 
 @compiled
 def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> None:
-    """The state moved by `step` times column j into `out`, to the second order."""
+    """The state moved by `step` times column j, into `out`, right to second order."""
     for k in range(3):
         out[k] = state[k] + step * tangent[k, j]
         out[7 + k] = state[7 + k] + step * tangent[6 + k, j]
@@ -103,7 +98,7 @@ def displaced(state: Array, tangent: Array, j: int, step: float, out: Array) -> 
 
 @inner
 def tangent_between(a: Array, b: Array, weight: float, tangent: Array, j: int) -> None:
-    """Write `weight` times the small disturbance that takes state b to state a into column j."""
+    """Write `weight` times the small disturbance from state b to state a into column j."""
     for k in range(3):
         tangent[k, j] = weight * (a[k] - b[k])
         tangent[6 + k, j] = weight * (a[7 + k] - b[7 + k])
@@ -119,12 +114,12 @@ def tangent_between(a: Array, b: Array, weight: float, tangent: Array, j: int) -
 def impact_at_vertex(body: Body, law: Law, plane: Plane, time: float, vertex: int, state: Array) -> None:
     """Apply the law to a vertex on the table, in place."""
     x, y, z = lever_arm(body.vertices[vertex], state)
-    apply_impact(law, body.mass, body.inertia, (x, y, z - body.rounding), table_velocity(plane, time), state)
+    apply_impact(law, body.mass, body.inertia, (x, y, z - body.corner_radius), table_velocity(plane, time), state)
 
 
 @inner
 def is_held(vertex: int, i: int, j: int) -> bool:
-    """Whether the columns i and j of a logged event hold a vertex; a face holds all that touch."""
+    """Whether the contact (i, j) of a logged event holds a vertex."""
     if j == -3:
         return (i >> vertex) & 1 == 1
     return i >= 0 and vertex in (i, j)
@@ -132,19 +127,19 @@ def is_held(vertex: int, i: int, j: int) -> bool:
 
 @inner
 def impact_kinematics(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> ImpactKinematics:
-    """What moves around an impact at `time`; i and j were held until then (-1: none)."""
+    """Motion around an impact at `time` [s]; (i, j) was the contact until then."""
     v_table, a_table = table_velocity(plane, time), table_acceleration(plane, time)
+    before, turn_x, turn_y = -plane.g, 0.0, 0.0
     if j == -3:
-        # Friction has carried the die; it is taken to have done so with no acceleration.
-        return ImpactKinematics(v_table, a_table, a_table, 0.0, 0.0, -plane.g)
-    if i < 0 or j == -2:
-        return ImpactKinematics(v_table, a_table, -plane.g, 0.0, 0.0, -plane.g)
-    n_i, n_j, wx, wy = contact_forces(body, state, i, j, plane.g + a_table)
-    return ImpactKinematics(v_table, a_table, n_i + n_j - plane.g, wx, wy, -plane.g)
+        before = a_table  # friction carried the die; it is taken to have done so without any acceleration
+    elif i >= 0 and j != -2:
+        n_i, n_j, turn_x, turn_y = contact_forces(body, state, i, j, plane.g + a_table)
+        before = n_i + n_j - plane.g
+    return ImpactKinematics(v_table, a_table, plane.gx, plane.gy, before, turn_x, turn_y, 0.0, 0.0, before + plane.g)
 
 
 @inner
-def impact_tangent_of_errors(
+def disturbed_impact(
     body: Body,
     law: Law,
     plane: Plane,
@@ -154,66 +149,35 @@ def impact_tangent_of_errors(
     i: int,
     j: int,
     capped: bool,
-    scale: Array,
     tangent: Array,
     columns: int,
     dtime: Array,
 ) -> None:
-    """Carry disturbances (12, columns) through the impact of a vertex, in place; i and j were held until then.
+    """Carry disturbances (12, columns) through the impact of a vertex, in place; (i, j) was the contact until then.
 
-    Smooth impacts have derivatives; of other laws differences are taken. `capped` bounds the delays, see `touch_delay`.
+    `capped` bounds the delays, see `touch_delay`.
     """
-    arm = lever_arm(body.vertices[vertex], state)
     kinematics = impact_kinematics(body, plane, state, time, i, j)
     reach = inf
     if capped:
+        arm = lever_arm(body.vertices[vertex], state)
         falling = abs(
-            kinematics.rise
+            kinematics.before_z
             + kinematics.turn_x * arm[1]
             - kinematics.turn_y * arm[0]
             + centripetal_acceleration(state, arm)
         )
         reach = 2.0 / max(abs(falling - kinematics.table_acceleration), plane.g)
-    if law.code == SMOOTH:
-        chi = law.parameters[0]
-        bounce_tangent(tangent, columns, chi, body.mass, body.inertia, arm, state, kinematics, reach, dtime)
-        return
-    normal_velocity = state[9] + state[10] * arm[1] - state[11] * arm[0] - kinematics.table_velocity
-    ahead, behind, after, there = np.empty(13), np.empty(13), state.copy(), np.empty((12, 1))
-    impact_at_vertex(body, law, plane, time, vertex, after)
-    for c in range(columns):
-        dt = touch_delay(tangent, c, arm, normal_velocity, reach)
-        dtime[c] = dt
-        for k in range(3):
-            there[k, 0] = tangent[k, c] + state[7 + k] * dt
-            there[3 + k, 0] = tangent[3 + k, c] + state[10 + k] * dt
-            there[6 + k, 0], there[9 + k, 0] = tangent[6 + k, c], tangent[9 + k, c]
-        there[6, 0] += plane.gx * dt
-        there[7, 0] += plane.gy * dt
-        there[8, 0] += kinematics.rise * dt
-        there[9, 0] += kinematics.turn_x * dt
-        there[10, 0] += kinematics.turn_y * dt
-        size = scaled_length(there, ZERO, scale)
-        if size > 0.0:
-            step = _SMALL / size
-            displaced(state, there, ZERO, step, ahead)
-            displaced(state, there, ZERO, -step, behind)
-            impact_at_vertex(body, law, plane, time + step * dt, vertex, ahead)
-            impact_at_vertex(body, law, plane, time - step * dt, vertex, behind)
-            tangent_between(ahead, behind, 0.5 / step, tangent, c)
-        for k in range(3):
-            tangent[k, c] -= after[7 + k] * dt
-            tangent[3 + k, c] -= after[10 + k] * dt
-        tangent[6, c] -= plane.gx * dt
-        tangent[7, c] -= plane.gy * dt
-        tangent[8, c] -= kinematics.fall * dt
+    wanted, gradient, shifts = np.empty(2), np.empty((3, INPUTS)), np.empty((0, SHIFTS))
+    wanted_columns(law, FALSE, FALSE, wanted)
+    impact_tangent(body, law, vertex, state, kinematics, wanted, gradient, shifts, reach, tangent, columns, dtime)
 
 
 @inner
 def contact_onset_tangent(
     body: Body, plane: Plane, state: Array, time: float, i: int, j: int, scale: Array, tangent: Array, columns: int
 ) -> None:
-    """Carry disturbances into held contact of i and j, in place: what would lift or move the vertices is lost."""
+    """Carry disturbances into the contact (i, j), in place: what would lift or move the held vertices is lost."""
     ahead, behind = np.empty(13), np.empty(13)
     for c in range(columns):
         if j == -2:
@@ -243,18 +207,18 @@ def held_tangent(
     scale: Array,
     tangent: Array,
     columns: int,
-    rates: Array,
+    step_room: Array,
 ) -> None:
-    """Carry disturbances through dt [s] of held contact, in place, by differences of the integration itself."""
+    """Carry disturbances through dt [s] of held contact, in place, by differences of the integration."""
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     for c in range(columns):
         size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            held_step(body, plane, there, time, dt, i, j, rates, ahead)
+            held_step(body, plane, there, time, dt, i, j, step_room, ahead)
             displaced(state, tangent, c, -step, there)
-            held_step(body, plane, there, time, dt, i, j, rates, behind)
+            held_step(body, plane, there, time, dt, i, j, step_room, behind)
             tangent_between(ahead, behind, 0.5 / step, tangent, c)
 
 
@@ -271,7 +235,7 @@ def frictional_tangent(
     tangent: Array,
     columns: int,
 ) -> None:
-    """`sliding_tangent` with friction."""
+    """`sliding_tangent` of a law with friction."""
     n, mu = body.vertices.shape[0], law.parameters[1]
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     arms, guess, impulses = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -280,11 +244,11 @@ def frictional_tangent(
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
+            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep_tolerance)
             displaced(state, tangent, c, -step, there)
-            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep)
+            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep_tolerance)
             tangent_between(ahead, behind, 0.5 / step, tangent, c)
-    sliding_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep)
+    sliding_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep_tolerance)
     place, z_table = 0, table_height(plane, time + dt)
     for k in range(n):
         if active[k]:
@@ -308,16 +272,16 @@ def sliding_tangent(
     tangent: Array,
     columns: int,
 ) -> None:
-    """As `held_tangent`, with friction: differences of its steps. Vertices that no longer press leave `active`."""
+    """As `held_tangent`, for sliding contact. Vertices that no longer press leave `active`."""
     assert isinstance(law, RoughLaw)
     return frictional_tangent(body, law, plane, state, time, dt, active, scale, tangent, columns)
 
 
 @overload(sliding_tangent, strict=False)
-def _rubbed_tangent(
+def _sliding_tangent_of(
     body: Any, law: Any, plane: Any, state: Any, time: Any, dt: Any, active: Any, scale: Any, tangent: Any, columns: Any
 ) -> Any:
-    """Nothing at all for a law without friction, which never gets here."""
+    """For a law without friction, which never gets here, a function that does nothing."""
     if law.instance_class is RoughLaw:
         return frictional_tangent.py_func
     return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
@@ -336,18 +300,18 @@ def carry_to_event(
     knots: Array,
     knot: int,
     segment: int,
-    own: bool,
+    add_error: bool,
     scale: Array,
     tangent: Array,
     moved: Array,
     columns: int,
-    rates: Array,
+    step_room: Array,
 ) -> tuple[Array, Array, int, int]:
-    """Carry disturbances from an event to the next, through flight or held contact.
+    """Carry disturbances from an event to the next at `until` [s], through flight or through the contact (i, j).
 
-    `knot` is the first of `knots` not passed yet, `segment` the event that began this stretch. With `own` the error of
-    the integration joins as a column (not with friction, where it is that of the method, set by `Precision.turn`).
-    Returns the disturbances, the spare room, the number of columns, and the knot.
+    `knot` is the first of `knots` not passed yet, `segment` the event that began this stretch. With `add_error` the error of
+    the integration joins as a column; not with friction, where it is set by `Precision.step_turn`. Returns the disturbances,
+    the spare room, the number of columns, and the knot.
     """
     if i < 0 or j == -2:
         if until > time:
@@ -363,16 +327,16 @@ def carry_to_event(
             more = knot + 1 < knots.shape[0] and knots[knot + 1, 0] == segment
             begin, end = knots[knot, 1], knots[knot + 1, 1] if more else until
             here, dt = knots[knot, 2:15].copy(), end - begin
-            if own and columns == tangent.shape[1]:
+            if add_error and columns == tangent.shape[1]:
                 columns = compressed(tangent, columns, moved)
             if dt > 0.0 and j == -3:
                 sliding_tangent(body, law, plane, here, begin, dt, active, scale, tangent, columns)
             elif dt > 0.0:
-                held_tangent(body, plane, here, begin, dt, i, j, scale, tangent, columns, rates)
-                if own:
-                    held_step(body, plane, here, begin, dt, i, j, rates, whole)
-                    held_step(body, plane, here, begin, 0.5 * dt, i, j, rates, half)
-                    held_step(body, plane, half, begin + 0.5 * dt, 0.5 * dt, i, j, rates, halves)
+                held_tangent(body, plane, here, begin, dt, i, j, scale, tangent, columns, step_room)
+                if add_error:
+                    held_step(body, plane, here, begin, dt, i, j, step_room, whole)
+                    held_step(body, plane, here, begin, 0.5 * dt, i, j, step_room, half)
+                    held_step(body, plane, half, begin + 0.5 * dt, 0.5 * dt, i, j, step_room, halves)
                     tangent_between(whole, halves, 1.0, tangent, columns)
                     columns += 1
         knot += 1
@@ -381,7 +345,7 @@ def carry_to_event(
 
 @inner
 def compressed(errors: Array, columns: int, room: Array) -> int:
-    """At most twelve columns with the same sums of squares in every direction, in place: L of the rows' E = L Q."""
+    """Replace the columns by at most twelve with the same sums of squares in every direction, L of E = L Q; their number."""
     factor = np.zeros((12, 12))
     copy_columns(room, errors, columns)
     used = ZERO
@@ -390,7 +354,7 @@ def compressed(errors: Array, columns: int, room: Array) -> int:
         for c in range(columns):
             square += errors[r, c] * errors[r, c]
             left += room[r, c] * room[r, c]
-        if left <= 1e-26 * square or left == 0.0:
+        if left <= NEGLIGIBLE_ROW * square or left == 0.0:
             continue  # the rest is rounding
         norm = sqrt(left)
         factor[r, used] = norm
@@ -421,10 +385,10 @@ def event_tangent(
     columns: int,
     dtime: Array,
 ) -> tuple[int, int]:
-    """Carry disturbances through a logged event, in place; i and j were held until then. Returns what is held after."""
+    """Carry disturbances through a logged event, in place; (i, j) was the contact until then. Returns the contact after."""
     state, time, hit = row[2:15].copy(), row[0], int(row[1])
     if hit >= 0:
-        impact_tangent_of_errors(body, law, plane, time, hit, state, i, j, FALSE, scale, tangent, columns, dtime)
+        disturbed_impact(body, law, plane, time, hit, state, i, j, FALSE, tangent, columns, dtime)
     elif row[21] >= 0 and row[22] != -3:
         contact_onset_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
     return int(row[21]), int(row[22])
@@ -436,10 +400,10 @@ def run_growth(
 ) -> tuple[Array, Array]:
     """Derivatives of a logged throw after each of its events, by its start, in units of `scales_of`.
 
-    Returns them (events, 12, 12), divided by 10^k, and the k (events,) that keep them within range.
+    Returns them (events, 12, 12), divided by 10^k, and the exponents k (events,) that keep them within range.
     """
     scale = scales_of(body, plane)
-    tangent, moved, dtime, rates = np.zeros((12, 12)), np.empty((12, 12)), np.empty(12), np.empty((12, 6))
+    tangent, moved, dtime, step_room = np.zeros((12, 12)), np.empty((12, 12)), np.empty(12), step_workspace()
     for k in range(12):
         tangent[k, k] = scale[k]
     maps, exponents = np.empty((log.shape[0], 12, 12)), np.zeros(log.shape[0])
@@ -463,14 +427,14 @@ def run_growth(
             tangent,
             moved,
             TANGENT_ROWS,
-            rates,
+            step_room,
         )
         i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, TANGENT_ROWS, dtime)
         time = row[0]
         state_after(row, state)
-        if np.max(np.abs(tangent)) > 1e100:
-            tangent *= 1e-100
-            exponent += 100.0
+        if np.max(np.abs(tangent)) > 10.0**RANGE_EXPONENT:
+            tangent *= 10.0**-RANGE_EXPONENT
+            exponent += RANGE_EXPONENT
         exponents[k] = exponent
         for c in range(12):
             maps[k, :, c] = tangent[:, c] / scale
@@ -479,12 +443,14 @@ def run_growth(
 
 @inner
 def orthonormalised(tangent: Array, scale: Array, logs: Array) -> None:
-    """Make the columns (12, m) orthonormal in units of `scale`, in place; `logs` (m,) receives the logarithms of the
-    lengths that Gram and Schmidt's method took away."""
+    """Make the columns (12, m) orthonormal in units of `scale`, in place, by the method of Gram and Schmidt.
+
+    `logs` (m,) receives the logarithms of the lengths before the normalisation.
+    """
     for c in range(tangent.shape[1]):
         tangent[:, c] /= scale
     for c in range(tangent.shape[1]):
-        for _ in range(2):  # once more, for the rounding of the first time
+        for _ in range(2):  # the second pass removes the rounding of the first
             for b in range(c):
                 tangent[:, c] -= np.dot(tangent[:, b].copy(), tangent[:, c].copy()) * tangent[:, b]
         norm = sqrt(np.sum(tangent[:, c] * tangent[:, c]))
@@ -506,18 +472,18 @@ def run_exponents(
     logs: Array,
     clock: Array,
 ) -> tuple[int, int, float, Array]:
-    """Follow a throw and m disturbances, `tangent` (12, m), made orthonormal at every impact (Benettin et al.).
+    """Follow a throw and m disturbances, `tangent` (12, m), which are made orthonormal at every impact (Benettin et al.).
 
     Fills `logs` (impacts, m) with the logarithms of their growth since the impact before, `clock` (impacts,) with the
-    instants [s]. Returns how the throw ended, the number of impacts reached, and the time and state after the last.
+    instants [s]. Returns the code of the ending, the number of impacts, and the time and state after the last.
     """
     scale, columns = scales_of(body, plane), tangent.shape[1]
-    moved, dtime, rates = np.empty(tangent.shape), np.empty(columns), np.empty((12, 6))
+    moved, dtime, step_room = np.empty(tangent.shape), np.empty(columns), step_workspace()
     state, time, i, j, done, code = start.copy(), start_time, NONE, NONE, 0, IMPACTS_REACHED
     wanted = logs.shape[0]
     while done < wanted and code == IMPACTS_REACHED:
         code, _, _, until, end, log, knots = run_throw(
-            body, law, plane, precision, state, time, inf, min(256, wanted - done), FALSE, NO_LIMIT, TRUE
+            body, law, plane, precision, state, time, inf, min(ORBIT_BLOCK, wanted - done), FALSE, NO_LIMIT, TRUE
         )
         knot = 0
         for k in range(log.shape[0]):
@@ -539,7 +505,7 @@ def run_exponents(
                 tangent,
                 moved,
                 columns,
-                rates,
+                step_room,
             )
             i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, columns, dtime)
             time = row[0]
@@ -552,7 +518,7 @@ def run_exponents(
             # The block ends within held contact, where the next vertex strikes.
             tangent, moved, _, knot = carry_to_event(
                 body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, FALSE, scale, tangent, moved,
-                columns, rates,
+                columns, step_room,
             )  # fmt: skip
             time = until
             copy_to(state, end)

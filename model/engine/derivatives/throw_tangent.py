@@ -1,4 +1,8 @@
-"""model.engine.derivatives.throw_tangent."""
+"""A throw with derivatives by its start and by the parameters of die, law, table and air: the kernel of every fit.
+
+The throw touches in the order that it takes by itself, or with prescribed vertices. Then each flight lasts until that vertex
+comes down, and the poses are a smooth function of the start. Held contact is not followed. Method: `throw.tangent`.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +14,10 @@ from numba.extending import overload
 from numpy.typing import NDArray
 
 from ...compiled import compiled, inner
-from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, integrate_flow, start_flow
-from ..event_loop import chatter_speed
+from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, drag_acceleration, integrate_flow, start_flow
 from ..flight import (
+    BELOW_TABLE,
+    LEAST_BOUND,
     advance,
     first_touch,
     height_terms,
@@ -22,18 +27,17 @@ from ..flight import (
     table_velocity,
     touch_of_vertex,
 )
-from ..impact import INPUTS, ParameterDerivatives
-from ..log import copy_to, doubled_rows, write_event
+from ..impact import INPUTS, ParameterDerivatives, wanted_columns
+from ..log import copy_to, with_room, write_event
+from ..rest import chatter_speed
 from ..types import (
     CHATTER,
-    COULOMB_BY_SPEED,
     FINE,
     IMPACT_CAP,
     LOG_COLUMNS,
     NO_TOUCH,
     NONE,
     ROUNDING_BOUND,
-    SMOOTH_BY_SPEED,
     TIME_REACHED,
     Array,
     Body,
@@ -41,7 +45,10 @@ from ..types import (
     Plane,
 )
 from .growth import impact_at_vertex
-from .impact_tangent import flight_tangent, impact_tangent
+from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_tangent, shifts_at_impact
+
+FIRST_ROWS = 16
+"""Rows of the log that are allocated first; doubled where they are used up."""
 
 
 @inner
@@ -57,7 +64,7 @@ def fly_in_vacuum(
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` along a parabola; `flow` is not used."""
+    """`fly` without drag; `flow` is not used."""
     copy_to(pose, state)
     advance(pose, spin, dt, plane)
     flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
@@ -80,7 +87,7 @@ def fly_in_air(
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` against drag; `flow` goes on from where the last call left it."""
+    """`fly` against drag; `flow` goes on from where the last call has left it."""
     integrate_flow(air.drag, plane, flow, dt - flow[48])
     copy_to(pose, state)
     advance(pose, spin, dt, plane)  # for its attitude
@@ -115,7 +122,7 @@ def fly(
     pose: Array,
     moved: Array,
 ) -> None:
-    """The state and its derivatives `dt` [s] after the start of a flight, into `pose` (13,) and `moved` (12, 12 + m)."""
+    """State and derivatives `dt` [s] after the start of a flight, into `pose` (13,) and `moved` (12, 12 + m)."""
     if isinstance(air, Air):
         fly_in_air(air, plane, state, spin, dt, tangent, sources, flow, pose, moved)
     else:
@@ -135,7 +142,7 @@ def _fly_of(
 def touch_in_vacuum(
     air: Vacuum, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
-    """`touch_ahead` of a parabola."""
+    """`touch_ahead` without drag."""
     if limit < inf:
         return first_touch(terms, state[2], state[9], spin, radius, plane, clock, 0.0, limit)
     dt, found, velocity, acceleration = touch_of_vertex(terms, state[2], state[9], spin, radius, plane, clock)
@@ -146,13 +153,15 @@ def touch_in_vacuum(
 def touch_in_air(
     air: Air, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
-    """`touch_ahead` against drag: the flight is integrated step by step, none longer than the parabola that bounds the
-    height of each vertex from below (or, backwards, from above) allows."""
+    """`touch_ahead` against drag, by steps of the integration.
+
+    No step is longer than the parabola allows that bounds the height of each vertex from below or, backwards, from above.
+    """
     flow, g = np.empty(FLOW_SIZE), plane.g
     start_flow(state, flow)
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     t, alone, back = 0.0, limit == inf, False
-    below = -1e-12 * radius
+    below = BELOW_TABLE * radius
     while True:
         c, s = cos(spin * t), sin(spin * t)
         speed = sqrt(flow[3] * flow[3] + flow[4] * flow[4] + flow[5] * flow[5]) + 2.0 * g * AIR_STEP_S
@@ -172,7 +181,7 @@ def touch_in_air(
             if back:
                 if h >= -h_tol:
                     return t, i, v, -g
-                bound = max(swing_most + push - g, 1e-3 * g)
+                bound = max(swing_most + push - g, LEAST_BOUND * g)
                 root = sqrt(v * v - 2.0 * bound * h)
                 step = min(step, 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound)
                 continue
@@ -208,8 +217,8 @@ def touch_ahead(
     clock: float,
     limit: float,
 ) -> tuple[float, int, float, float]:
-    """The first touch of the vertices of `terms` up to `limit` [s], as `first_touch`; where that is infinite, the touch
-    of the one vertex in `terms`, as `touch_of_vertex`. Time, row (-1: none), velocity, acceleration."""
+    """The first touch of the vertices of `terms` up to `limit` [s], as `first_touch`; for an infinite limit the touch of the
+    one vertex in `terms`, as `touch_of_vertex`. Returns time, row (-1: none), velocity and acceleration."""
     if isinstance(air, Air):
         return touch_in_air(air, plane, state, terms, spin, radius, clock, limit)
     return touch_in_vacuum(air, plane, state, terms, spin, radius, clock, limit)
@@ -239,22 +248,20 @@ def run_tangent(
     seed: Array,
     sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
-    """The event loop with derivatives. `times` (n,) ascending; `sequence` is used unless `free`; `seed` (12, 12 + m)
-    are the derivatives of the start, `sources` those of what else the m parameters change.
+    """Poses at `times` (n,) [s], ascending, of a throw with its derivatives by 12 + m parameters.
 
-    Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their derivatives (n, 6, 12 + m),
-    the log (k, ROW) with absolute times, and the derivatives (k, 12 + m) of the impacts' instants.
+    The vertices of `sequence` strike, unless `free`. `seed` (12, 12 + m) are the derivatives of the start, `sources` those of
+    what else the m parameters change. Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their
+    derivatives (n, 6, 12 + m), the log (k, LOG_COLUMNS), and the derivatives (k, 12 + m) of the instants of the impacts.
     """
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
-    log, dtimes = np.empty((16, LOG_COLUMNS)), np.empty((16, columns))
+    log, dtimes = np.empty((FIRST_ROWS, LOG_COLUMNS)), np.empty((FIRST_ROWS, columns))
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
     tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, INPUTS))
     flow = np.empty(FLOW_SIZE)
-    wanted = np.zeros(2)
-    by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED
-    wanted[0] = 1.0 if by_speed or np.any(sources.chi) else 0.0
-    wanted[1] = 1.0 if np.any(sources.mu) else 0.0
+    wanted, shifts = np.empty(2), np.empty((columns - 12, SHIFTS))
+    wanted_columns(law, np.any(sources.chi), np.any(sources.mu), wanted)
     terms = np.empty((body.vertices.shape[0], 4))
     slow = chatter_speed(law, plane, FINE, body.radius)
     last = times[n - 1] if n > 0 else start_time
@@ -287,15 +294,35 @@ def run_tangent(
             done += 1
         if hit < 0:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
-        if impacts == log.shape[0]:
-            log, dtimes = doubled_rows(log), doubled_rows(dtimes)
+        log, dtimes = with_room(log, impacts), with_room(dtimes, impacts)
         fly(air, plane, state, spin, dt, tangent, sources, flow, before, moved)
         tangent, moved = moved, tangent
-        copy_to(state, before)
         time += dt
-        impact_tangent(
-            body, law, plane, time, hit, state, air.drag, sources, wanted, tangent, gradient, dtimes[impacts]
-        )
+        copy_to(state, before)
         impact_at_vertex(body, law, plane, time, hit, state)
+        kinematics = _flight_kinematics(plane, time, air.drag, before, state)
+        shifts_at_impact(sources, plane, time, hit, before, shifts)
+        impact_tangent(
+            body, law, hit, before, kinematics, wanted, gradient, shifts, inf, tangent, columns, dtimes[impacts]
+        )
         write_event(log[impacts], time, hit, before, state, -1.0, NONE)
         impacts += 1
+
+
+@inner
+def _flight_kinematics(plane: Plane, time: float, drag: float, before: Array, after: Array) -> ImpactKinematics:
+    """Motion around an impact between two flights, whose states there are `before` and `after`."""
+    bx, by, bz = drag_acceleration(drag, before[7], before[8], before[9])
+    fx, fy, fz = drag_acceleration(drag, after[7], after[8], after[9])
+    return ImpactKinematics(
+        table_velocity(plane, time),
+        table_acceleration(plane, time),
+        plane.gx + bx,
+        plane.gy + by,
+        bz - plane.g,
+        0.0,
+        0.0,
+        bx - fx,
+        by - fy,
+        bz - fz,
+    )

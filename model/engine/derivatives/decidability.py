@@ -1,4 +1,10 @@
-"""model.engine.derivatives.rounding."""
+"""What errors make of a throw: whether double precision decides its face.
+
+Errors come from the start, from rounding at every event, from the height at which a touch was found, and from the steps of
+held contact. They are columns E (12, n) of disturbances, E Eᵀ is their covariance, and they are carried along as in `growth`.
+Where the errors leave open which of two vertices touches first, the throw with the other order is followed as a branch of its
+own. The rules that make a throw undecidable: `ensembles.chaos`.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +17,19 @@ from ...compiled import compiled, inner
 from ..event_loop import run_throw
 from ..flight import (
     advance,
+    centripetal_acceleration,
+    clearance,
     first_touch,
     height_terms,
     lever_arm,
     spin_rate,
     table_acceleration,
     table_height,
-    table_velocity,
+    vertex_velocity,
 )
-from ..held_contact import centripetal_acceleration, clearance
-from ..log import copy_columns, copy_to, energy_per_mass, has_friction
+from ..held_contact import step_workspace
+from ..log import copy_columns, copy_to
+from ..rest import energy_per_mass
 from ..types import (
     BALANCED,
     NO_LIMIT,
@@ -36,41 +45,64 @@ from ..types import (
     Law,
     Plane,
     Precision,
+    has_friction,
 )
 from .growth import (
-    MAX_BRANCHES,
-    MAX_COLUMNS,
-    NEGLIGIBLE_DIFFERENCE,
-    SAFETY_FACTOR,
-    UNDECIDABLE_ERROR,
     carry_to_event,
     compressed,
     contact_onset_tangent,
+    disturbed_impact,
     impact_at_vertex,
-    impact_tangent_of_errors,
     is_held,
     scaled_length,
     scales_of,
     tangent_between,
 )
-from .impact_tangent import flight_tangent, touch_delay
+from .linearised_motion import flight_tangent, touch_delay
+
+MAX_COLUMNS = 40
+"""Columns of errors for which there is room; they are compressed to twelve when it is full."""
+
+MAX_BRANCHES = 16
+"""Other orders of touches that are followed before a throw is given up as undecidable."""
+
+SAFETY_FACTOR = 3.0
+"""An error is taken to reach this many times its estimate where the order of touches is asked for: the estimate adds up
+independent errors by their squares."""
+
+UNDECIDABLE_ERROR = 0.05
+"""Error, in units of `scales_of`, beyond which another outcome is possible. Of 3700 throws whose face changed with the
+tolerance of touches, none had reached less than 0.23."""
+
+NEGLIGIBLE_DIFFERENCE = 1e-4
+"""Difference that the order of two touches may make, in the same units, to be carried as an error; a larger one is followed as
+a branch."""
+
+MAX_ALTERNATING_IMPACTS = 40
+"""Impacts of two vertices that touch together and strike by turns."""
+
+GRAZE_BISECTIONS = 60
+"""Halvings of the search for the instant at which a vertex passed the table closest: to the last bit."""
+
+UNIT_ROUNDING = 2.220446049250313e-16
 
 
 @inner
 def add_rounding(
     body: Body, plane: Plane, state: Array, time: float, height: float, k: int, errors: Array, columns: int
 ) -> int:
-    """Two more columns: an error `height` [m] of the touch, and one of rounding in all the rest, signs by k."""
+    """Add two columns: an error `height` [m] of the touch, and rounding in all other numbers, its signs random by k."""
     errors[:, columns] = 0.0
     errors[2, columns] = height
-    unit, speed = 2.220446049250313e-16, 0.0
+    speed = 0.0
     for m in range(3):
         speed = max(speed, abs(state[7 + m]))
     spin = spin_rate(state)
+    # A linear congruential generator (Knuth; Numerical Recipes' constants), which the log's row number seeds.
     bits = k * 2654435761 + 1013904223
     for m in range(12):
         bits = (bits * 1664525 + 1013904223) % 4294967296
-        sign = unit if bits >= 2147483648 else -unit
+        sign = UNIT_ROUNDING if bits >= 2147483648 else -UNIT_ROUNDING
         if m < 3:
             errors[m, columns + 1] = 0.0 if m < 2 else sign * (abs(state[2]) + body.radius)
         elif m < 6:
@@ -84,8 +116,10 @@ def add_rounding(
 
 @inner
 def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
-    """Root of the sum of squares of the errors that matter, in units of `scale`: not where the die is on the table,
-    nor, where nothing rubs, how fast it drifts."""
+    """Root of the sum of squares of the errors that matter, in units of `scale`.
+
+    The place on the table does not matter, nor, without friction, the horizontal velocity.
+    """
     square = 0.0
     for k in range(2, 12):
         if (k == 6 or k == 7) and law.code == SMOOTH:
@@ -96,20 +130,13 @@ def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
 
 
 @inner
-def vertex_velocity(body: Body, plane: Plane, state: Array, time: float, vertex: int) -> float:
-    """Vertical velocity [m/s] of a vertex relative to the table."""
-    arm = lever_arm(body.vertices[vertex], state)
-    return float(state[9] + state[10] * arm[1] - state[11] * arm[0] - table_velocity(plane, time))
-
-
-@inner
 def impacts_in_order(
     body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
 ) -> None:
-    """The state after two vertices have struck together, `first` first, and again as long as they still come down."""
+    """The state after the impacts of two vertices that touch together, `first` first, by turns as long as they sink."""
     copy_to(out, state)
     vertex = first
-    for _ in range(40):
+    for _ in range(MAX_ALTERNATING_IMPACTS):
         if vertex_velocity(body, plane, out, time, vertex) < 0.0:
             impact_at_vertex(body, law, plane, time, vertex, out)
         vertex = other if vertex == first else first
@@ -119,12 +146,12 @@ def impacts_in_order(
 
 @inner
 def touch_height_error(body: Body, plane: Plane, precision: Precision, state: Array, time: float, dt: float) -> float:
-    """How far [m] from the table a touch may be found, after dt [s] of motion from `state`: as in `first_touch`."""
+    """How far [m] from the table `first_touch` may find a touch, after dt [s] of motion from `state`."""
     turned = body.radius * (1.0 + spin_rate(state) * dt)
     size = abs(state[2]) + (abs(state[9]) + plane.g * dt) * dt + turned
     if plane.amplitude != 0.0:
         size += plane.amplitude * (1.0 + abs(plane.rate * (time + dt) + plane.phase))
-    return precision.root + ROUNDING_BOUND * size
+    return precision.contact_tolerance + ROUNDING_BOUND * size
 
 
 @inner
@@ -148,11 +175,11 @@ def other_touch_orders(
     gaps: Array,
     known: int,
 ) -> tuple[int, int]:
-    """Which other vertices may touch before `hit` does, as far as the errors tell. Where the order makes a slight
-    difference, or one below the `size` that the errors have already, it joins the errors; where it makes a larger one
-    it becomes a branch. i and j are held (-1: none).
+    """Find the vertices that may touch before `hit` does, as far as the errors tell; (i, j) is the contact.
 
-    Returns the number of columns and the number of branches, more than MOST_BRANCHES where there was no room.
+    A difference below NEGLIGIBLE_DIFFERENCE, or below the `size` that the errors have already, joins the errors. A larger one
+    becomes a branch. Returns the number of columns and the number of branches, more than MAX_BRANCHES where there was no
+    room.
     """
     arm = lever_arm(body.vertices[hit], state)
     u = vertex_velocity(body, plane, state, time, hit)
@@ -162,7 +189,7 @@ def other_touch_orders(
     for c in range(columns):
         heights += errors[2, c] * errors[2, c]
         tilts += errors[3, c] * errors[3, c] + errors[4, c] * errors[4, c]
-        late = touch_delay(errors, c, arm, u, reach)
+        late = touch_delay(errors, c, arm[0], arm[1], u, reach, 0.0)
         delays += late * late
     heights, tilts, delays = sqrt(heights), sqrt(tilts), sqrt(delays)
     fresh = columns
@@ -179,7 +206,7 @@ def other_touch_orders(
         square = 0.0
         for c in range(columns):
             lift = errors[2, c] + errors[3, c] * other[1] - errors[4, c] * other[0]
-            lift += v * touch_delay(errors, c, arm, u, reach)
+            lift += v * touch_delay(errors, c, arm[0], arm[1], u, reach, 0.0)
             square += lift * lift
         limit = SAFETY_FACTOR * sqrt(square) + floor
         if h > limit:
@@ -195,7 +222,7 @@ def other_touch_orders(
         if known >= MAX_BRANCHES:
             return fresh, MAX_BRANCHES + 1
         copy_columns(room, errors, columns)
-        impact_tangent_of_errors(body, law, plane, time, k, state, i, j, TRUE, scale, room, columns, dtime)
+        disturbed_impact(body, law, plane, time, k, state, i, j, TRUE, room, columns, dtime)
         seeds[known] = 0.0
         used = compressed(room, columns, np.empty((12, MAX_COLUMNS)))
         copy_columns(seeds[known], room, used)
@@ -219,10 +246,10 @@ def add_grazing_touch(
     errors: Array,
     columns: int,
 ) -> int:
-    """Look for a vertex that passed the table within its error during a flight of dt [s] from `state` and rose again.
+    """Look for a vertex that passed the table within its error during a flight of dt [s] from `state`, and rose again.
 
-    `errors` are those at the end of the flight. Had it touched, then no faster than it falls through its error, and what
-    that impulse does to the velocities joins as a column. Returns the number of columns.
+    `errors` are those at the end of the flight. Had the vertex touched, it would have done so no faster than it falls through
+    its error. The effect of that impulse on the velocities joins the errors as a column. Returns the number of columns.
     """
     heights, tilts = 0.0, 0.0
     for c in range(columns):
@@ -237,7 +264,7 @@ def add_grazing_touch(
     if k < 0 or k == hit or vertex_velocity(body, plane, there, time + dt, k) < 0.0:
         return columns
     high = dt
-    for _ in range(60):
+    for _ in range(GRAZE_BISECTIONS):
         middle = 0.5 * (low + high)
         copy_to(there, state)
         advance(there, spin, middle, plane)
@@ -287,15 +314,15 @@ def follow_errors(
     branch: int,
     known: int,
 ) -> tuple[float, float, int]:
-    """Carry the errors of a logged throw to its end. `states`, `times`, `seeds` and `gaps` hold its branches, of which
-    this is number `branch`; new ones are added.
+    """Carry the errors of a logged throw to its end.
 
-    Returns the error at the end in units of `scales_of`, the margin (how many times larger the errors might have been
-    at least), and the number of branches. A margin of 1 or less ends the search at once.
+    `states`, `times`, `seeds` and `gaps` hold the branches, of which this is number `branch`; new ones are added. Returns the
+    error at the end in units of `scales_of`, the margin (how many times larger the errors might be), and the number of
+    branches. A margin of 1 or less ends the search at once.
     """
     scale = scales_of(body, plane)
     errors, moved = np.empty((12, MAX_COLUMNS)), np.empty((12, MAX_COLUMNS))
-    dtime, rates = np.empty(MAX_COLUMNS), np.empty((12, 6))
+    dtime, step_room = np.empty(MAX_COLUMNS), step_workspace()
     copy_columns(errors, seeds[branch], TANGENT_ROWS)
     columns = compressed(errors, TANGENT_ROWS, moved)
     state, time, i, j, knot, margin, size = start.copy(), start_time, NONE, NONE, ZERO, inf, 0.0
@@ -304,7 +331,23 @@ def follow_errors(
     for k in range(log.shape[0]):
         row = log[k]
         errors, moved, columns, knot = carry_to_event(
-            body, law, plane, state, time, row[0], i, j, knots, knot, k - 1, TRUE, scale, errors, moved, columns, rates
+            body,
+            law,
+            plane,
+            state,
+            time,
+            row[0],
+            i,
+            j,
+            knots,
+            knot,
+            k - 1,
+            TRUE,
+            scale,
+            errors,
+            moved,
+            columns,
+            step_room,
         )
         floor = touch_height_error(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
         if columns + 3 + body.vertices.shape[0] > MAX_COLUMNS:
@@ -315,9 +358,13 @@ def follow_errors(
         copy_to(state, row[2:15])
         time = row[0]
         if hit >= 0:
-            # A finer tolerance finds the touch at this instant or later: the height left is the whole error.
-            missed = abs(clearance(body.vertices[hit], state, table_height(plane, time))) + floor - precision.root
-            own = columns
+            # A finer tolerance finds the touch at this instant or later, so that the height left is the whole error.
+            missed = (
+                abs(clearance(body.vertices[hit], state, table_height(plane, time)))
+                + floor
+                - precision.contact_tolerance
+            )
+            touch_column = columns
             columns = add_rounding(body, plane, state, time, -missed, k, errors, columns)
             columns, known = other_touch_orders(
                 body,
@@ -341,8 +388,8 @@ def follow_errors(
             )
             if known > MAX_BRANCHES:
                 return size, 0.0, known
-            impact_tangent_of_errors(body, law, plane, time, hit, state, i, j, TRUE, scale, errors, columns, dtime)
-            errors[2, own] += missed  # the table, not the die, is what stands too high by this
+            disturbed_impact(body, law, plane, time, hit, state, i, j, TRUE, errors, columns, dtime)
+            errors[2, touch_column] += missed  # it is the table that stands too high by this, not the die
             i, j = NONE, NONE
         else:
             i, j = int(row[21]), int(row[22])
@@ -382,8 +429,10 @@ def decide(
     start_error: Array,
     impact_cap: int,
 ) -> tuple[int, int, int, float, float]:
-    """A throw to its decision, with what its errors may make of it; see `chaos`. `start_error` (12,) are those of the
-    start. Returns the face row (-1: none), impacts, ending, the error at the end, and the margin (above 1: decidable).
+    """Follow a throw to its decision, with its errors; `start_error` (12,) are those of the start.
+
+    Returns the row of the face (-1: none), impacts, code of the ending, the error at the end, and the margin (above 1:
+    decidable).
     """
     states, times, gaps = np.empty((MAX_BRANCHES + 1, 13)), np.empty(MAX_BRANCHES + 1), np.empty(MAX_BRANCHES + 1)
     seeds = np.zeros((MAX_BRANCHES + 1, 12, 12))
@@ -427,8 +476,10 @@ def decide_many(
     landed: NDArray[np.int64],
     figures: Array,
 ) -> None:
-    """`decide` from every row of `starts` (n, 13). Fills `landed` (n, 3): face row or -1, impacts, ending; and
-    `figures` (n, 2): error at the end, margin."""
+    """`decide` from every row of `starts` (n, 13).
+
+    Fills `landed` (n, 3): row of the face or -1, impacts, code of the ending; and `figures` (n, 2): error at the end, margin.
+    """
     for k in range(starts.shape[0]):
         face, impacts, ending, error, margin = decide(
             body, law, plane, precision, starts[k], 0.0, start_error, impact_cap
