@@ -20,7 +20,6 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numba.core.dispatcher import Dispatcher
 
 from .kernel_cache import KernelCache
 
@@ -29,8 +28,8 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """`@compiled`, or `@compiled(nogil=True)` for what threads call."""
     if function is None:
         return partial(compiled, **options)
-    kernel = njit(function, no_cfunc_wrapper=True, **options)
-    if isinstance(kernel, Dispatcher):  # with NUMBA_DISABLE_JIT it is the function itself
+    kernel: Any = njit(function, no_cfunc_wrapper=True, **options)
+    if kernel is not function:  # with NUMBA_DISABLE_JIT it is the function itself
         kernel._cache = KernelCache(function)
     return kernel
 

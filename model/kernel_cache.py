@@ -97,7 +97,7 @@ class _KeyedOnSources:
         return source_digest(Path(self._py_file))
 
 
-class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
+class _KernelCacheImpl(CompileResultCacheImpl):
     """numba's cache of compiled functions, in numba's folders."""
 
     _locator_classes = tuple(
@@ -105,7 +105,7 @@ class _KernelCacheImpl(CompileResultCacheImpl):  # type: ignore[misc]
     )
 
 
-class _Index(IndexDataCacheFile):  # type: ignore[misc]
+class _Index(IndexDataCacheFile):
     """The list of compiled versions of one kernel, by argument types.
 
     numba unpickles the argument types of an index before it compares the stamp. An index of older sources may name a type that no
@@ -120,7 +120,7 @@ class _Index(IndexDataCacheFile):  # type: ignore[misc]
         return overloads
 
 
-class KernelCache(FunctionCache):  # type: ignore[misc]
+class KernelCache(FunctionCache):
     """The cache of one kernel."""
 
     _impl_class: Any = _KernelCacheImpl

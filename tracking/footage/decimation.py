@@ -112,7 +112,8 @@ class DecimatedClip:
         whole = self._clip.frame(self._decimation.every * index)
         if self._decimation.shrink == 1:
             return whole
-        return np.rint(self._decimation.picture(whole)).astype(whole.dtype)
+        picture = np.rint(self._decimation.picture(whole))
+        return picture.astype(np.uint8) if whole.dtype == np.uint8 else picture.astype(np.uint16)
 
     def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
         """Frames `start` to `stop` in order; raises as the clip does."""

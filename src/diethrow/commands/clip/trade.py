@@ -176,9 +176,9 @@ def setting_for(
         if width is not None and width <= 0.5 * within:
             return quality, Decimation(every, shrink)
         narrowest = min(width, narrowest or np.inf) if width is not None else narrowest
-    best = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
+    reached = "leaves χ undetermined" if narrowest is None else f"gives ±{narrowest:.2g}"
     raise ValueError(
-        f"{scene.path}: no setting determines χ to ±{within:g}, the best {best}; film more bounces, or widen --chi-within"
+        f"{scene.path}: no setting determines χ to ±{within:g}, the best {reached}; film more bounces, or widen --chi-within"
     )
 
 
