@@ -1,4 +1,7 @@
-"""tracking.clip_parameters."""
+"""What all frames of a clip share, estimated from its pictures: light, lens blur, corner radius, clock offsets.
+
+The tracker in `sequence` estimates them between its passes and gives them to the model of the picture; `check` reports them.
+"""
 
 from .clock_offsets import ClockOffsets as ClockOffsets
 from .clock_offsets import estimate_clock_offsets as estimate_clock_offsets

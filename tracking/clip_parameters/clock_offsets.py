@@ -1,27 +1,27 @@
-"""The clocks of several cameras set to that of the first.
+"""Clock offsets between cameras of one frame rate.
 
-Cameras that run at one rate need not expose at one instant: the frame k of camera c shows the die a little later than that
-of the first one, by an offset δ that stays the same over the clip. In flight the die of velocity v and spin ω is then seen
-displaced by δ v and turned by δ ω. So what the edges of camera c alone say of the pose, less what those of the first alone say,
-is on every frame
+Frame k of camera c shows the die later than frame k of the first camera, by an offset δ that is constant over the
+clip. In flight a die of velocity v and angular velocity ω then appears displaced by δ v and rotated by δ ω. The pose
+by the edges of camera c alone, minus that by the first alone, is on every frame
 
     x_c - x_0 = δ (v, ω) + a + e_c s_c - e_0 s_0 + noise,        noise ~ (0, P_c + P_0),
 
-with x the six numbers of a pose (world axes) and P their covariance. a (six numbers with a prior) is what the calibration gets
-wrong between the two cameras, e the change of a pose for a contour that is taken a pixel too far out and s by how many it is
-(`lean`). Weighted least squares, frames far from the others left out by Tukey's biweight, gives δ with its standard error.
-What tells δ from a is that v and ω change: by gravity a little, at a bounce much.
+with x the six numbers of a pose (world axes) and P their covariance; a (six numbers with a prior) is the calibration
+error between the two cameras, e the derivative of a pose by a displacement of the contour outwards, and s that
+displacement in pixels. δ and its standard error follow by weighted least squares with Tukey's biweight over the
+frames. δ is distinguished from a because v and ω change: by gravity a little, at an impact much.
 
-**Used** it is by way of the cameras. One that sees the motion x ↦ E x + u, E the rotation by δ ω, stands where
+**Use.** A camera that sees the motion x ↦ E x + u, E the rotation by δ ω, stands where
 
     R_c (E x + u) + t_c = (R_c E) x + (t_c + R_c u),        u = δ v + p - E p,
 
-so the frame of a late camera is that of a synchronised camera in another place (`CameraRig`), for the p, v and ω of that frame.
+so the frame of a late camera is that of a synchronous camera at another pose (`CameraRig`), for the p, v and ω of
+that frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,26 +29,30 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import State, Throw
-from ..picture import CameraRig, View, make_view, shares_in_view
+from ..picture import BIWEIGHT_CUT, CameraRig, View, make_view, shares_in_view
 from ..pose import Pose, refine_pose
 from ..throw import CONTOUR_SHARE, CONTOUR_SIGMA_PX
 
 Array = NDArray[np.float64]
-Image = NDArray[np.float32]
 
-LOOKS = 60
-"""Frames on which the cameras are compared: each tells a few per cent of a frame, and their mean under one per cent."""
-FEWEST = 8
-"""Frames below which nothing is said: there are nine numbers to be told apart."""
-ASTRAY_M, ASTRAY_RAD = 3e-4, 3e-3
-"""One sigma of what two calibrations against one table disagree in: half a pixel, seen at a hand's breadth of board."""
-SIGNIFICANT = 3.0
-"""Sigmas from which an offset is taken for one."""
-NEAR_BOUNCE = 1.5
-"""Frames from an impact within which the cameras are not compared: one may show the die before it and one behind."""
-CUT_SIGMA = 4.685
-"""Tukey's biweight: frames beyond carry no weight."""
-ROUNDS = 8
+COMPARED_FRAMES = 60
+"""Frames on which cameras are compared: each determines the offset to a few per cent of a frame, their mean to under
+one."""
+FEWEST_FRAMES = 8
+"""Frames below which nothing is estimated: there are nine unknowns."""
+CALIBRATION_SIGMA_M = 3e-4
+"""Standard deviation of the displacement between two calibrations against one table: half a pixel, at a board of a
+hand's breadth."""
+CALIBRATION_SIGMA_RAD = 3e-3
+"""Standard deviation of the rotation between two calibrations against one table."""
+SIGNIFICANT_SIGMAS = 3.0
+"""Standard errors from which an offset is applied."""
+NEAR_IMPACT_FRAMES = 1.5
+"""Frames from an impact within which cameras are not compared: one may show the die before it and one after."""
+REWEIGHTINGS = 8
+"""Iterations of the robust weights."""
+VARIANCE_ITERATIONS = 3
+"""Iterations of the noise variance between two of those: it weights the frames against the priors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,18 +60,18 @@ class ClockOffsets:
     """By how much each camera exposes later than the first."""
 
     seconds: Array
-    """(cameras,) 0 for the first, and for every one that shows no offset."""
+    """(cameras,) 0 for the first, and for every one without a significant offset."""
     sigma_s: Array
-    """(cameras,) standard error; NaN for the first, and where nothing could be told."""
+    """(cameras,) standard error; NaN for the first, and where nothing could be estimated."""
 
     @staticmethod
     def none(cameras: int) -> ClockOffsets:
-        """All cameras synchronised, as far as is known."""
+        """All cameras synchronous, as far as is known."""
         return ClockOffsets(np.zeros(cameras), np.full(cameras, np.nan))
 
     @property
     def any(self) -> bool:
-        """Whether a camera is late or early at all."""
+        """Whether any camera has an offset."""
         return bool(self.seconds.any())
 
     def notices(self, frame_s: float) -> tuple[str, ...]:
@@ -85,43 +89,49 @@ def estimate_clock_offsets(
 ) -> ClockOffsets:
     """The offsets of the cameras of a view, from the flights of a throw.
 
-    `frame(k)` gives the pictures (cameras, height, width) of the frame at `times_s[k]`. One camera, or a throw without
-    frames enough that several of them show whole, has none.
+    `frame(k)` gives the pictures (cameras, height, width) of the frame at `times_s[k]`. All offsets are 0 for one
+    camera, or for fewer than FEWEST_FRAMES that show the whole die in flight to two of them.
     """
     n = len(view.cameras)
     offsets = ClockOffsets.none(n)
     if n == 1:
         return offsets
-    alone = [_alone(view, c) for c in range(n)]
-    rows = _rows_in_flight(times_s, throw)
-    looks = [_Look.at(alone, frame(int(k)), throw.at(float(times_s[k]))) for k in rows]
-    radius_px = view.die.corner_radius_m * view.camera.matrix[0, 0] / _distance_m(view, throw)
-    size_px = float(np.hypot(CONTOUR_SIGMA_PX, CONTOUR_SHARE * radius_px))
+    alone = [_view_of_one(view, c) for c in range(n)]
+    states, poses = [], []
+    for k in _rows_in_flight(times_s, throw):
+        state, pictures = throw.at(float(times_s[k])), frame(int(k))
+        states.append(state)
+        poses.append([_pose_by_edges(one, pictures[c], state) for c, one in enumerate(alone)])
+    distance_m = float(np.linalg.norm(throw.flights[0].start.position_m - view.camera.centre_m))
+    radius_px = view.die.corner_radius_m * view.camera.matrix[0, 0] / distance_m
+    contour_px = float(np.hypot(CONTOUR_SIGMA_PX, CONTOUR_SHARE * radius_px))
     for c in range(1, n):
-        pairs = [(look, look.poses[0], look.poses[c]) for look in looks]
-        rows_of_c = list(_rows(pairs))
-        if len(rows_of_c) < FEWEST:
+        both = ((state, of_frame[0], of_frame[c]) for state, of_frame in zip(states, poses, strict=True))
+        rows = [
+            _whitened_rows(state, first, late) for state, first, late in both if first is not None and late is not None
+        ]
+        if len(rows) < FEWEST_FRAMES:
             continue
-        late_s, sigma_s = _fitted(np.array(rows_of_c), size_px)
+        late_s, sigma_s = _fit_offset(np.array(rows), contour_px)
         offsets.sigma_s[c] = sigma_s
-        offsets.seconds[c] = late_s if abs(late_s) > SIGNIFICANT * sigma_s else 0.0
+        offsets.seconds[c] = late_s if abs(late_s) > SIGNIFICANT_SIGMAS * sigma_s else 0.0
     return offsets
 
 
 def rig_at(rig: CameraRig, seconds: Array, position_m: Array, motion: Array) -> CameraRig:
-    """Cameras that see, at the instant of the first one, what the late ones will see: for a die at `position_m` (3,) with
-    `motion` (6,), velocity and angular velocity."""
+    """The cameras moved to where they would have to stand to see, at the time of the first one, what they see
+    `seconds` (cameras,) later: for a die at `position_m` (3,) with `motion` (6,), velocity and angular velocity."""
     rotations, translations = rig.rotation.copy(), rig.translation.copy()
-    for e, late_s in enumerate(seconds[rig.camera]):
+    for view, late_s in enumerate(seconds[rig.camera]):
         turn = matrix_from_quat(quat_from_rotvec(late_s * motion[3:]))
         shift = late_s * motion[:3] + position_m - turn @ position_m
-        translations[e] += rotations[e] @ shift
-        rotations[e] = rotations[e] @ turn
+        translations[view] += rotations[view] @ shift
+        rotations[view] = rotations[view] @ turn
     return rig._replace(rotation=rotations, translation=translations)
 
 
-def _alone(view: View, c: int) -> View:
-    """The view of one of the cameras."""
+def _view_of_one(view: View, c: int) -> View:
+    """The view of camera c alone."""
     camera = view.cameras[c]
     background = view.backgrounds[c, : camera.height_px, : camera.width_px]
     mirror = bool((view.rig.partner >= 0).any())
@@ -133,35 +143,19 @@ def _alone(view: View, c: int) -> View:
 
 
 def _rows_in_flight(times_s: Array, throw: Throw) -> NDArray[np.int64]:
-    """Some frames spread over those that surely lie on a flight."""
+    """COMPARED_FRAMES spread over those that certainly lie on a flight."""
     spacing = float(np.median(np.diff(times_s)))
     known = np.array([flight.covariance is not None for flight in throw.flights])
     flying = known[throw.flights_at(times_s)]
-    bounces = np.array([impact.time_s for impact in throw.impacts])
-    if len(bounces):
-        flying &= np.abs(times_s[:, None] - bounces).min(1) > NEAR_BOUNCE * spacing
+    impacts_s = np.array([impact.time_s for impact in throw.impacts])
+    if len(impacts_s):
+        flying &= np.abs(times_s[:, None] - impacts_s).min(1) > NEAR_IMPACT_FRAMES * spacing
     rows = np.flatnonzero(flying)
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(LOOKS, len(rows))).round().astype(int))]
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(COMPARED_FRAMES, len(rows))).round().astype(int))]
 
 
-def _distance_m(view: View, throw: Throw) -> float:
-    return float(np.linalg.norm(throw.flights[0].start.position_m - view.camera.centre_m))
-
-
-@dataclass(frozen=True, eq=False)
-class _Look:
-    """One instant as each camera alone sees it."""
-
-    state: State
-    poses: tuple[Pose | None, ...]
-    """None where the camera does not show the whole die, or leaves a direction open."""
-
-    @staticmethod
-    def at(alone: list[View], pictures: NDArray[np.generic], state: State) -> _Look:
-        return _Look(state, tuple(_pose(view, pictures[c], state) for c, view in enumerate(alone)))
-
-
-def _pose(view: View, picture: NDArray[np.generic], state: State) -> Pose | None:
+def _pose_by_edges(view: View, picture: NDArray[np.generic], state: State) -> Pose | None:
+    """The pose by one camera; None if it does not show the whole die, or leaves a direction undetermined."""
     if shares_in_view(view, state.position_m[None], state.rotation[None])[0] < 1.0:
         return None
     image = np.asarray(picture[: view.camera.height_px, : view.camera.width_px], np.float32)
@@ -171,42 +165,37 @@ def _pose(view: View, picture: NDArray[np.generic], state: State) -> Pose | None
     return pose if pose.covariance is not None else None
 
 
-def _rows(pairs: list[tuple[_Look, Pose | None, Pose | None]]) -> Iterator[Array]:
-    """What each frame says, in sigmas: (6, 10), the derivatives with respect to δ, a, s_0 and s_c, and the difference."""
-    for look, first, late in pairs:
-        if first is None or late is None:
-            continue
-        assert first.covariance is not None
-        assert late.covariance is not None
-        turned = rotation_between(quat_from_matrix(first.rotation), quat_from_matrix(late.rotation))
-        difference = np.concatenate([late.position_m - first.position_m, turned])
-        moving = np.concatenate([look.state.velocity_m_s, look.state.omega_rad_s])
-        columns = [
-            moving[:, None],
-            np.eye(6),
-            -first.contour_bias_jacobian[:, None],
-            late.contour_bias_jacobian[:, None],
-        ]
-        L = np.linalg.cholesky(first.covariance + late.covariance)
-        yield np.linalg.solve(L, np.hstack([*columns, difference[:, None]]))
+def _whitened_rows(state: State, first: Pose, late: Pose) -> Array:
+    """(6, 10) equations of one frame, in sigmas: derivatives by δ, a, s_0 and s_c, and the difference of the two
+    poses."""
+    assert first.covariance is not None
+    assert late.covariance is not None
+    rotation = rotation_between(quat_from_matrix(first.rotation), quat_from_matrix(late.rotation))
+    difference = np.concatenate([late.position_m - first.position_m, rotation])
+    rates = np.concatenate([state.velocity_m_s, state.omega_rad_s])
+    columns = [rates, -first.contour_bias_jacobian, late.contour_bias_jacobian, difference]
+    by_offset, by_first, by_late, right = (column[:, None] for column in columns)
+    L = np.linalg.cholesky(first.covariance + late.covariance)
+    return np.asarray(np.linalg.solve(L, np.hstack([by_offset, np.eye(6), by_first, by_late, right])))
 
 
-def _fitted(rows: Array, size_px: float) -> tuple[float, float]:
-    """δ [s] and its standard error from rows (n, 6, 10), the errors as wide as they scatter but no less than stated."""
-    prior = 1.0 / np.array([np.inf, *[ASTRAY_M] * 3, *[ASTRAY_RAD] * 3, size_px, size_px])
+def _fit_offset(rows: Array, contour_px: float) -> tuple[float, float]:
+    """δ [s] and its standard error from rows (n, 6, 10), whose noise variance is estimated, at least 1."""
+    calibration = [CALIBRATION_SIGMA_M] * 3 + [CALIBRATION_SIGMA_RAD] * 3
+    prior = 1.0 / np.array([np.inf, *calibration, contour_px, contour_px])
     weights = np.ones(len(rows))
-    for _ in range(ROUNDS):
+    for _ in range(REWEIGHTINGS):
         A, b = rows[:, :, :9], rows[:, :, 9]
         normal = np.einsum("n,nij,nik->jk", weights, A, A)
-        pull = np.einsum("n,nij,ni->j", weights, A, b)
+        gradient = np.einsum("n,nij,ni->j", weights, A, b)
         variance = 1.0
-        for _ in range(3):  # the scale of the noise weighs the frames against the priors
-            held = normal / variance + np.diag(prior**2)
-            unit = 1.0 / np.sqrt(np.diag(held))
-            inverse = np.linalg.inv(held * np.outer(unit, unit)) * np.outer(unit, unit)
-            found = inverse @ (pull / variance)
+        for _ in range(VARIANCE_ITERATIONS):
+            information = normal / variance + np.diag(prior**2)
+            unit = 1.0 / np.sqrt(np.diag(information))
+            covariance = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
+            found = covariance @ (gradient / variance)
             squares = ((b - A @ found) ** 2).mean(1)
             variance = max(1.0, float((weights * squares).sum() / max(weights.sum(), 1.0)))
-        ratio = np.sqrt(squares / max(float(np.median(squares)), 1e-12)) / CUT_SIGMA
+        ratio = np.sqrt(squares / max(float(np.median(squares)), 1e-12)) / BIWEIGHT_CUT
         weights = np.where(ratio < 1.0, (1.0 - ratio**2) ** 2, 0.0)
-    return float(found[0]), float(np.sqrt(inverse[0, 0]))
+    return float(found[0]), float(np.sqrt(covariance[0, 0]))

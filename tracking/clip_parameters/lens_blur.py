@@ -1,4 +1,8 @@
-"""The lens blur, as the edges of a die show it on frames whose poses are known."""
+"""The lens blur of a clip, from the edges of the die on frames with known poses.
+
+Each frame gives a Newton step of the blur and its information (`blur_step`); the common blur takes their weighted
+mean, and the steps are repeated.
+"""
 
 from __future__ import annotations
 
@@ -9,30 +13,42 @@ import numpy as np
 from ..picture import View
 from ..pose import SampledFrames, blur_step
 
-LEAST_BLUR_PX, MOST_BLUR_PX = 0.3, 6.0
-"""A sharper picture than a pixel can show, and one too blurred to tell a pose."""
+LEAST_BLUR_PX = 0.3
+"""Least blur: that of a pixel by itself."""
+MOST_BLUR_PX = 6.0
+"""Largest blur with which a picture still determines a pose."""
 BLUR_FRAMES = 16
-"""Frames over which it is estimated."""
+"""Frames on which it is estimated."""
+STEPS = 4
+"""Most Newton steps."""
+OUTLIER_DEVIATIONS = 3.0
+"""Median absolute deviations from the median step beyond which a frame is left out."""
+LEAST_DEVIATION_PX = 0.01
+"""Least median absolute deviation that is assumed for that."""
+MOST_DECREASE = 0.3
+"""Largest decrease in one step, as a share of the blur."""
+MOST_INCREASE = 0.5
+"""Largest increase in one step, as a share of the blur."""
+CONVERGED_PX = 2e-3
+"""A smaller step is the last."""
 
 
-def estimate_lens_blur(view: View, looks: SampledFrames) -> float:
-    """The lens blur [px] that fits some frames best: Newton steps on their common blur, each frame weighted by what it says of
-    it, frames far from the others left out. That of the view where they say nothing."""
-    for _ in range(4):
-        steps = np.array(
-            [
-                blur_step(view, picture, position_m, rotation, motion[:3], motion[3:])
-                for picture, position_m, rotation, motion in zip(
-                    looks.pictures, looks.position_m, looks.rotation, looks.motion, strict=True
-                )
-            ]
-        )
-        far = np.abs(steps[:, 0] - np.median(steps[:, 0]))
-        weight = np.where(far <= 3.0 * max(float(np.median(far)), 0.01), steps[:, 1], 0.0)
+def estimate_lens_blur(view: View, frames: SampledFrames) -> float:
+    """The lens blur [px] that fits the frames best; that of the view if they do not determine it.
+
+    Each frame is weighted by its information, and outliers are left out.
+    """
+    for _ in range(STEPS):
+        poses = zip(frames.pictures, frames.position_m, frames.rotation, frames.motion, strict=True)
+        steps = np.array([blur_step(view, picture, p, R, motion[:3], motion[3:]) for picture, p, R, motion in poses])
+        deviation = np.abs(steps[:, 0] - np.median(steps[:, 0]))
+        near = deviation <= OUTLIER_DEVIATIONS * max(float(np.median(deviation)), LEAST_DEVIATION_PX)
+        weight = np.where(near, steps[:, 1], 0.0)
         if not weight.sum() > 0.0:
             break
-        change = float(np.clip(weight @ steps[:, 0] / weight.sum(), -0.3 * view.blur_px, 0.5 * view.blur_px))
+        mean = weight @ steps[:, 0] / weight.sum()
+        change = float(np.clip(mean, -MOST_DECREASE * view.blur_px, MOST_INCREASE * view.blur_px))
         view = replace(view, blur_px=float(np.clip(view.blur_px + change, LEAST_BLUR_PX, MOST_BLUR_PX)))
-        if abs(change) < 2e-3:
+        if abs(change) < CONVERGED_PX:
             break
     return view.blur_px

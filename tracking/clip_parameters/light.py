@@ -1,14 +1,16 @@
-"""How bright a die looks by where its surface turns, as its flat faces show it: what the bevels of a rounded one must look like.
+"""The light of a clip: how bright the die's surface looks as a function of its normal, learned on its flat faces.
 
-A die is convex, so that nothing of it shades another part. In light from afar, seen from afar and of one paint, each of its
-points then is as bright as its normal says, be the paint dull or glossy, and what a flat face shows in one frame a bevel shows in
-another. Faces have thousands of pixels, and lie where they lie whatever a contour errs; the strips of bevels have a few, in
-which their shades and the place of the edge look much alike.
+It predicts the shade of the bevels of a rounded die. A die is convex, so that no part of it shades another. With
+distant light, a distant camera and one paint, the brightness of a point then depends on its normal alone, whether the
+paint is dull or glossy: a bevel looks as a flat face did in another frame. Faces have thousands of pixels, and their
+positions do not depend on contour errors; strips of bevels have a few, in which shade and the position of the edge
+are hard to distinguish.
 
-The brightness is a polynomial of degree 4 of the normal, fitted to the middling grey of each face on some frames: what light from
-anywhere on a dull surface gives is to 99 % of the second degree (Ramamoorthi and Hanrahan, J. Opt. Soc. Am. A 18, 2448, 2001).
-How far it may be trusted is asked of parts of the clip that it was not fitted to, and of the fit itself for normals that no face
-had: a die that hardly turns tells little. Marks hardly move the median of a face.
+The brightness is a polynomial of degree 4 in the normal, fitted to the median grey level of each face on some frames.
+The light that a dull surface reflects is to 99 % of the second degree, whatever its source (Ramamoorthi and Hanrahan,
+J. Opt. Soc. Am. A 18, 2448, 2001). Its accuracy comes from cross-validation over parts of the clip, and from the
+covariance of the fit for normals that no face had: a die that hardly turns determines little. Marks hardly change the
+median of a face.
 """
 
 from __future__ import annotations
@@ -21,82 +23,96 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..picture import LIGHT_DEGREE, View
-from ..picture import LIGHT_TERMS as TERMS
+from ..picture import LIGHT_DEGREE, LIGHT_TERMS, View
 from ..pose import ClipPoses, Picture, shown_whole
 
 Array = NDArray[np.float64]
 
 LIGHT_FRAMES = 96
-"""Frames whose faces are asked."""
-GLANCE = 0.1
-"""Least cosine at which a face is seen: its grey then is that of a few pixels, amid the blur of its edges."""
-FEWEST_PX = 12
-"""Least pixels of a face, away from its edges."""
-FEWEST_FACES = 40
-"""Below that many greys no polynomial is fitted."""
+"""Frames whose faces are used."""
+LEAST_VIEW_COSINE = 0.1
+"""Least cosine between the normal of a face and the direction to the camera: below it a few pixels remain, within the
+blur of the edges."""
+FEWEST_FACE_PX = 12
+"""Least number of pixels of a face, away from its edges."""
+FEWEST_GREYS = 40
+"""Least number of face greys to which the polynomial is fitted."""
 PARTS = 6
-"""Parts of the clip, each of which is foretold from the others."""
-LAMP = np.array([10.0, 2.0, 1.25, 0.5, 0.4])
-"""One sigma of each degree's share in the brightness, in its mean: a lamp on a dull surface gives 1, 2, 1.25, 0 and -0.375 times
-the polynomials of Legendre in the cosine of the angle to it; how bright the whole is, nobody knows."""
+"""Parts of the clip for the cross-validation."""
+PRIOR_SIGMAS = np.array([10.0, 2.0, 1.25, 0.5, 0.4])
+"""Prior standard deviation of each degree's part of the brightness, in units of its mean. A lamp on a dull surface
+gives 1, 2, 1.25, 0 and -0.375 times the Legendre polynomials in the cosine of the angle to it; the overall brightness
+is unknown."""
 LEAST_MISFIT = 0.01
-"""Least misfit that is believed, in middling greys."""
+"""Least standard deviation of the fit, in units of the median grey."""
 MOST_MISFIT = 0.3
-"""A misfit beyond which the paint is not one, the light not from afar, or the die turned too little, and bevels are left to
-themselves."""
-CAUCHY, TURNS = 2.0, 8
-"""Misfits at which a face counts half, and times that the fit is repeated with weights from the last."""
-DARK = 0.5
-"""Least brightness that is believed, in that of the darkest faces."""
+"""Standard deviation from which the fit is not used: there are several paints, the light is near, or the die turned
+too little."""
+CAUCHY_SCALE = 2.0
+"""Residual, in standard deviations, at which a face has half its weight."""
+REWEIGHTINGS = 8
+"""Iterations of the robust weights."""
+FIRST_SIGMA = 0.1
+"""Standard deviation that the first iteration assumes."""
+DARKEST_SHARE = 0.5
+"""Least brightness that is predicted, in units of that of the darkest faces."""
+DARKEST_QUANTILE = 0.02
+"""Quantile of the greys that counts as the darkest faces."""
+NORMAL_MAD = 1.4826
+"""Standard deviation over median absolute deviation of a normal distribution."""
+SPHERE_POINTS = 200
+"""Normals over which the prior and the mean accuracy are computed."""
 
 
-def with_light(view: View, picture: Picture, seen: ClipPoses) -> View:
-    """The view with what some frames that show the whole die tell of the light; the same for a sharp die, and where the
-    brightness of its faces is no function of their normals. Views in a mirror are lit otherwise, and show no faces from above:
-    nothing is known there."""
+def with_light(view: View, picture: Picture, poses: ClipPoses) -> View:
+    """The view with the light estimated from LIGHT_FRAMES that show the whole die.
+
+    It is the same view for a sharp die, and if the brightness of its faces is no function of their normals. The light
+    of mirror images differs and remains unknown.
+    """
     if view.die.corner_radius_m == 0.0:
         return view
     light = np.zeros_like(view.light)
-    rows = np.flatnonzero(shown_whole(view, seen))
+    rows = np.flatnonzero(shown_whole(view, poses))
     rows = np.unique(rows[np.linspace(0, len(rows) - 1, min(LIGHT_FRAMES, len(rows))).astype(int)])
-    greys = [_greys(view, picture(int(k)), seen.position_m[k], seen.rotation[k]) for k in rows]
+    greys = [_face_greys(view, picture(int(k)), poses.position_m[k], poses.rotation[k]) for k in rows]
     for k, camera in enumerate(view.cameras):
         of_frame = [found[k] for found in greys]
         count = np.array([len(found) for found in of_frame], int)
-        if count.sum() >= FEWEST_FACES:
+        if count.sum() >= FEWEST_GREYS:
             known = np.concatenate(of_frame)
             frame = np.repeat(np.arange(len(rows)), count)
-            light[k] = _fitted(known[:, :3], known[:, 3], frame, camera.rotation[2])
+            light[k] = _light_of_camera(known[:, :3], known[:, 3], frame, camera.rotation[2])
     return replace(view, light=light)
 
 
-def _greys(view: View, pictures: NDArray[np.generic], position_m: Array, rotation: Array) -> list[Array]:
-    """(faces seen, 4) normal and grey of each flat face that each camera sees: the median of its pixels away from its edges."""
+def _face_greys(view: View, pictures: NDArray[np.generic], position_m: Array, rotation: Array) -> list[Array]:
+    """For each camera (faces in view, 4): normal of each flat face, and the median grey of its pixels away from its
+    edges."""
     shape, found = view.shape, []
     normals = shape.normals @ rotation.T
     margin = 1 + ceil(2.0 * view.blur_px)
     for k, camera in enumerate(view.cameras):
         image, background = pictures if pictures.ndim == 2 else pictures[k], view.backgrounds[k]
-        sight = position_m - camera.centre_m
-        facing = -normals @ sight / np.linalg.norm(sight)
-        some = []
-        for f in np.flatnonzero(facing > GLANCE):
+        toward = position_m - camera.centre_m
+        facing = -normals @ toward / np.linalg.norm(toward)
+        of_camera = []
+        for f in np.flatnonzero(facing > LEAST_VIEW_COSINE):
             corners = np.unique(shape.edges[shape.face_edges[f][shape.face_edges[f] >= 0]])
             flat = (shape.vertices[corners] + shape.radius * shape.normals[f]) @ rotation.T + position_m
-            inside = _inside(camera.project(flat), (camera.width_px, camera.height_px), margin)
+            inside = _pixels_inside(camera.project(flat), (camera.width_px, camera.height_px), margin)
             grey = image[inside][np.isfinite(background[inside])] if inside is not None else np.zeros(0)
-            if len(grey) >= FEWEST_PX:
-                some.append([*normals[f], float(np.median(grey))])
-        found.append(np.array(some).reshape(-1, 4))
+            if len(grey) >= FEWEST_FACE_PX:
+                of_camera.append([*normals[f], float(np.median(grey))])
+        found.append(np.array(of_camera).reshape(-1, 4))
     return found
 
 
-def _inside(
+def _pixels_inside(
     corners_px: Array, size: tuple[int, int], margin: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]] | None:
-    """Rows and columns of the pixels of a picture (width, height) that lie within a convex outline (n, 2), `margin` pixels from
-    its border; None where that leaves the picture."""
+    """Rows and columns of the pixels within the convex hull of `corners_px` (n, 2), `margin` pixels from its border;
+    None if it leaves the picture of a `size` (width, height)."""
     if not np.isfinite(corners_px).all():
         return None
     hull = cv2.convexHull(corners_px.astype(np.float32))[:, 0]
@@ -110,45 +126,49 @@ def _inside(
     return rows + low[1] - 1, columns + low[0] - 1
 
 
-def _fitted(normals: Array, grey: Array, frame: NDArray[np.int64], sight: Array) -> Array:
-    """(TERMS + 2,) what the kernels want of greys (n,) at normals (n, 3) on frames (n,), for a camera that looks along `sight`
-    (3,); zero where they are no function of the normals, or say too little of it."""
-    middle = float(np.median(grey))
-    known, A = np.zeros(TERMS + 2), basis(normals)
-    if not middle > 0.0:
-        return known
-    shade, left = grey / middle, np.zeros(len(grey))
+def _light_of_camera(normals: Array, grey: Array, frame: NDArray[np.int64], axis: Array) -> Array:
+    """(LIGHT_TERMS + 2,) coefficients of the brightness, its least value, and its standard deviation [grey].
+
+    They are fitted to greys (n,) at normals (n, 3) on frames (n,), for a camera with the optical axis `axis` (3,);
+    zero if the greys are no function of the normals, or do not determine it.
+    """
+    median = float(np.median(grey))
+    light, A = np.zeros(LIGHT_TERMS + 2), normal_monomials(normals)
+    if not median > 0.0:
+        return light
+    brightness, residual = grey / median, np.zeros(len(grey))
     for low, high in pairwise(np.linspace(0, frame[-1] + 1, PARTS + 1)):
-        asked = (frame >= low) & (frame < high)
-        left[asked] = shade[asked] - A[asked] @ _polynomial(A[~asked], shade[~asked])[0]
-    found, covariance = _polynomial(A, shade)
-    shown = basis(_SPHERE[_SPHERE @ sight < 0.0])
-    unsure = float(np.einsum("ni,ij,nj->n", shown, covariance, shown).mean())
-    misfit = float(np.hypot(_scale(left), np.sqrt(unsure)))
+        part = (frame >= low) & (frame < high)
+        residual[part] = brightness[part] - A[part] @ _fit_polynomial(A[~part], brightness[~part])[0]
+    coefficients, covariance = _fit_polynomial(A, brightness)
+    visible = normal_monomials(_SPHERE[_SPHERE @ axis < 0.0])
+    variance = float(np.einsum("ni,ij,nj->n", visible, covariance, visible).mean())
+    misfit = float(np.hypot(_standard_deviation(residual), np.sqrt(variance)))
     if misfit > MOST_MISFIT:
-        return known
-    known[:TERMS] = middle * found
-    known[TERMS:] = DARK * max(float(np.quantile(grey, 0.02)), 1e-3 * middle), misfit * middle
-    return known
+        return light
+    light[:LIGHT_TERMS] = median * coefficients
+    darkest = max(float(np.quantile(grey, DARKEST_QUANTILE)), 1e-3 * median)
+    light[LIGHT_TERMS:] = DARKEST_SHARE * darkest, misfit * median
+    return light
 
 
-def _polynomial(A: Array, shade: Array) -> tuple[Array, Array]:
-    """(TERMS,) coefficients of greys (n,) over their middle, and their covariance (TERMS, TERMS): with a prior, and robustly
-    against highlights, shadows near the table, and frames whose pose is wrong."""
-    weight, scale = np.ones(len(shade)), 0.1
-    for _ in range(TURNS):
+def _fit_polynomial(A: Array, brightness: Array) -> tuple[Array, Array]:
+    """(LIGHT_TERMS,) coefficients of the relative brightness (n,) with rows A, and their covariance: with a prior,
+    and robust against highlights, shadows near the table, and frames with a wrong pose."""
+    weight, sigma = np.ones(len(brightness)), FIRST_SIGMA
+    for _ in range(REWEIGHTINGS):
         weighted = A.T * weight
-        covariance = np.linalg.inv(weighted @ A / scale**2 + _PRIOR)
-        found = np.asarray(covariance @ (weighted @ shade)) / scale**2
-        left = shade - A @ found
-        scale = _scale(left)
-        weight = 1.0 / (1.0 + (left / (CAUCHY * scale)) ** 2)
-    return found, np.asarray(covariance)
+        covariance = np.linalg.inv(weighted @ A / sigma**2 + _PRIOR)
+        coefficients = np.asarray(covariance @ (weighted @ brightness)) / sigma**2
+        residual = brightness - A @ coefficients
+        sigma = _standard_deviation(residual)
+        weight = 1.0 / (1.0 + (residual / (CAUCHY_SCALE * sigma)) ** 2)
+    return coefficients, np.asarray(covariance)
 
 
-def _scale(left: Array) -> float:
-    """Standard deviation of what is left (n,), by its median size."""
-    return max(1.4826 * float(np.median(np.abs(left))), LEAST_MISFIT)
+def _standard_deviation(residual: Array) -> float:
+    """Of residuals (n,), by their median absolute value; at least LEAST_MISFIT."""
+    return max(NORMAL_MAD * float(np.median(np.abs(residual))), LEAST_MISFIT)
 
 
 _POWERS = [
@@ -159,29 +179,31 @@ _POWERS = [
 ]
 
 
-def basis(normals: Array) -> Array:
-    """(n, TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of `edges`: k to 1 alone, since z² is 1 - x² - y²."""
+def normal_monomials(normals: Array) -> Array:
+    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of the kernels of `picture`: k is at
+    most 1, since z² is 1 - x² - y²."""
     x, y, z = normals.T
     return np.stack([x**i * y**j * z**k for i, j, k in _POWERS], axis=1)
 
 
-def _over_the_sphere(count: int) -> Array:
-    """(count, 3) unit vectors, as evenly spread as a golden spiral has them."""
+def _spiral_on_sphere(count: int) -> Array:
+    """(count, 3) unit vectors, evenly spread on a golden spiral."""
     k = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
     across = np.sqrt(1.0 - z * z)
     return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
 
 
-_SPHERE = _over_the_sphere(200)
+_SPHERE = _spiral_on_sphere(SPHERE_POINTS)
 
 
 def _prior() -> Array:
-    """(TERMS, TERMS) information of lamps of which nobody knows where they hang: by the addition theorem, degree l of a function
-    on the sphere is Σ a² P_l(n · n')/(2 l + 1) alike at n and n'."""
-    alike = np.polynomial.legendre.legval(_SPHERE @ _SPHERE.T, LAMP**2 / (2.0 * np.arange(LIGHT_DEGREE + 1) + 1.0))
-    back = np.linalg.pinv(basis(_SPHERE))
-    return np.asarray(np.linalg.inv(back @ alike @ back.T))
+    """(LIGHT_TERMS, LIGHT_TERMS) prior information, for lamps in unknown directions. By the addition theorem the
+    covariance of the brightness at normals n and n' is Σ σ_l² P_l(n · n')/(2 l + 1)."""
+    by_degree = PRIOR_SIGMAS**2 / (2.0 * np.arange(LIGHT_DEGREE + 1) + 1.0)
+    covariance = np.polynomial.legendre.legval(_SPHERE @ _SPHERE.T, by_degree)
+    fit = np.linalg.pinv(normal_monomials(_SPHERE))
+    return np.asarray(np.linalg.inv(fit @ covariance @ fit.T))
 
 
 _PRIOR = _prior()

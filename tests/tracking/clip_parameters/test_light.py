@@ -14,7 +14,7 @@ from rounded_dice import photograph_rounded
 
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
-from diethrow.tracking.clip_parameters.light import basis, with_light
+from diethrow.tracking.clip_parameters.light import normal_monomials, with_light
 from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.frame_poses import ClipPoses
@@ -68,7 +68,7 @@ def test_the_faces_foretell_how_bright_any_surface_looks() -> None:
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     normals = normals[normals @ sight < 0.0]  # those that a contour, at the least, shows
     true = 115.0 + 90.0 * np.maximum(normals @ LIGHT, 0.0)
-    told = basis(normals) @ light[:LIGHT_TERMS]
+    told = normal_monomials(normals) @ light[:LIGHT_TERMS]
     scale = told @ true / (told @ told)
     assert np.sqrt(np.mean((scale * told / true - 1.0) ** 2)) < 0.03
 
