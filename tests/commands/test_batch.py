@@ -190,7 +190,7 @@ def test_a_batch_replaces_no_folder_that_is_not_its_own(scenes: list[Path], tmp_
 def test_two_batches_on_one_folder_exclude_each_other(
     scenes: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(diethrow.files.outputs, "PATIENCE_S", 0.0)
+    monkeypatch.setattr(diethrow.files.outputs, "LOCK_TIMEOUT_S", 0.0)
     with locked(tmp_path / "out"), pytest.raises(OutputBusyError, match="another run is writing"):
         track(scenes, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []

@@ -68,14 +68,14 @@ def plan_file(folder: Path, text: str = PLAN) -> Path:
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_every_mistake_is_one_sentence_that_names_file_key_and_value(tmp_path: Path, mistake: str) -> None:
-    old, new, said = MISTAKES[mistake]
+    old, new, facts = MISTAKES[mistake]
     assert old in PLAN
     path = plan_file(tmp_path, PLAN.replace(old, new))
     with pytest.raises(SceneError) as caught:
         read_plan(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
-    for words in said:
+    for words in facts:
         assert words in str(caught.value)
 
 

@@ -42,7 +42,7 @@ MISTAKES = {
     "missing table": ('[table]\nsurface = "wood"\n', "", ["table is missing", "surface"]),
     "unknown key": ("fps = 1500.0", "fps = 1500.0\nexpsure_s = 1e-4", ["clip.expsure_s", "0.0001", "exposure_s?"]),
     "unit in another name": ("edge_m = 0.016", "edge_mm = 16", ["die.edge_mm", "16", "did you mean edge_m?"]),
-    "key of another table": ("edge_m =", "fps = 1500.0\nedge_m =", ["die.fps", "belongs into [clip]"]),
+    "key of another table": ("edge_m =", "fps = 1500.0\nedge_m =", ["die.fps", "belongs in [clip]"]),
     "unknown table": ("[table]", '[film]\na = "b"\n[table]', ["film", "there is no such key"]),
     "millimetres": ("edge_m = 0.016", "edge_m = 16", ["die.edge_m = 16", "metres", "did you mean 0.016?"]),
     "grams": ("mass_kg = 0.0048", "mass_kg = 4.8", ["die.mass_kg = 4.8", "kilograms", "did you mean 0.0048?"]),
@@ -90,7 +90,7 @@ MISTAKES = {
     "start on an excluded frame": (
         'background = "background.png"',
         "exclude = [[2, 5]]\n[start]\nframe = 3\nposition_m = [0, 0, 0.1]\nquaternion_wxyz = [1, 0, 0, 0]",
-        ["start.frame = 3", "not excluded"],
+        ["start.frame = 3", "clip.exclude"],
     ),
     "fraction of a pixel": ("width = 384", "width = 384.5", ["camera.width = 384.5", "whole number"]),
     "frames that fall": ("fps = 1500.0", "fps = 1500.0\nframes = [9, 3]", ["clip.frames = [9, 3]", "first < stop"]),
@@ -104,12 +104,12 @@ MISTAKES = {
     "camera that looks up": (
         "[[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]\ntranslation_m = [0.0, 0.02, 0.6]",
         "[[1.0, 0.0, 0.0], [0.0, 0.6, -0.8], [0.0, 0.8, 0.6]]\ntranslation_m = [0.0, 0.02, -0.6]",
-        ["camera.rotation", "looks away from the table"],
+        ["camera.rotation", "the table"],
     ),
     "footage that is not there": ("clip.avi", "klip.avi", ["clip.path", "klip.avi", "does not exist"]),
     "background that is not there": ('"background.png"', '"b.png"', ["clip.background", "b.png", "does not exist"]),
     "absolute path": ('"clip.avi"', '"/etc/hostname"', ["clip.path", "/etc/hostname", "--allow-outside"]),
-    "path that leaves": ('"clip.avi"', '"../clip.avi"', ["clip.path", "../clip.avi", "out of the folder"]),
+    "path that leaves": ('"clip.avi"', '"../clip.avi"', ["clip.path", "../clip.avi", "folder"]),
     "path that leaves by a bend": ('"background.png"', '"x/../../b.png"', ["clip.background", "--allow-outside"]),
     "pattern that leaves": ('"clip.avi"', '"../*/frame_*.png"', ["clip.path", "--allow-outside"]),
     "path too long": ('"clip.avi"', '"' + "a" * 300 + '"', ["clip.path", "too long"]),
@@ -145,7 +145,7 @@ MISTAKES = {
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with what the scene points at; no file is looked into here."""
+    """A folder with the files that the scene names; none of them is opened here."""
     (tmp_path / "clip.avi").write_bytes(b"")
     (tmp_path / "background.png").write_bytes(b"")
     return tmp_path
@@ -166,12 +166,14 @@ def scene_file(folder: Path, text: str = SCENE) -> Path:
         ('corner_radius_m = "estimate"', 0.0, CornerRounding.ESTIMATED),
     ],
 )
-def test_a_radius_is_given_or_looked_for(folder: Path, line: str, radius_m: float, rounding: CornerRounding) -> None:
+def test_a_corner_radius_is_given_or_estimated(
+    folder: Path, line: str, radius_m: float, rounding: CornerRounding
+) -> None:
     scene = read_scene(scene_file(folder, SCENE + line + "\n"))
     assert scene.die.corner_radius_m == radius_m
     assert scene.rounding is rounding
     if rounding is CornerRounding.ESTIMATED:
-        with pytest.raises(SceneError, match="a track does not show the corners"):
+        with pytest.raises(SceneError, match=r"die\.corner_radius_m"):
             scene.given_die()
     else:
         assert scene.given_die() is scene.die
@@ -179,7 +181,7 @@ def test_a_radius_is_given_or_looked_for(folder: Path, line: str, radius_m: floa
 
 @pytest.mark.parametrize("mistake", MISTAKES)
 def test_every_mistake_is_one_sentence_that_names_file_key_and_value(folder: Path, mistake: str) -> None:
-    old, new, said = MISTAKES[mistake]
+    old, new, facts = MISTAKES[mistake]
     assert SCENE.count(old) >= 1
     path = scene_file(folder, SCENE.replace(old, new))
     with pytest.raises(SceneError) as caught:
@@ -187,7 +189,7 @@ def test_every_mistake_is_one_sentence_that_names_file_key_and_value(folder: Pat
     sentence = str(caught.value)
     assert sentence.startswith(f"{path}: ")
     assert "\n" not in sentence
-    for words in said:
+    for words in facts:
         assert words in sentence
 
 
@@ -205,14 +207,14 @@ def test_a_wrong_scene_ends_with_status_2_and_no_folder(folder: Path, mistake: s
     assert sorted(folder.rglob("*")) == before
 
 
-def test_a_file_that_is_no_text_is_refused_in_a_sentence(folder: Path) -> None:
+def test_a_file_that_is_no_text_is_refused(folder: Path) -> None:
     path = folder / "scene.toml"
     path.write_bytes(b'[clip]\npath = "\xff\xfe"\n')
     with pytest.raises(SceneError, match=r"scene\.toml: byte \d+ is not UTF-8"):
         read_scene(path)
-    with pytest.raises(SceneError, match="there is no such file"):
+    with pytest.raises(SceneError, match="no such file"):
         read_scene(folder / "other.toml")
-    with pytest.raises(SceneError, match="this is a folder"):
+    with pytest.raises(SceneError, match="folder"):
         read_scene(folder)
 
 
@@ -246,7 +248,7 @@ def test_a_rotation_with_four_decimals_is_brought_onto_the_nearest_rotation(fold
     np.testing.assert_allclose(rotation[1:, 1:], [[-c, -s], [s, -c]], atol=1e-4)
 
 
-def test_a_scene_without_footage_serves_a_fit_and_is_refused_by_tracking(folder: Path) -> None:
+def test_a_scene_without_footage_is_enough_for_a_fit_and_refused_for_tracking(folder: Path) -> None:
     text = '[clip]\nfps = 148.0\n[table]\nsurface = "acrylic"\n[die]\nshape = "cube"\nedge_m = 0.1048\nmass_kg = 0.37\n'
     scene = read_scene(scene_file(folder, text))
     assert scene.cameras == ()
@@ -254,7 +256,7 @@ def test_a_scene_without_footage_serves_a_fit_and_is_refused_by_tracking(folder:
         scene.views()
 
 
-def test_two_cameras_are_read_and_a_mistake_tells_which(folder: Path) -> None:
+def test_two_cameras_are_read_and_an_error_names_which(folder: Path) -> None:
     head, camera, tail = SCENE.partition("[camera]")[0], SCENE[SCENE.index("[camera]") : SCENE.index("[table]")], ""
     tail = SCENE[SCENE.index("[table]") :]
     second = camera.replace("[camera]", '[[camera]]\npath = "clip.avi"')
@@ -267,14 +269,12 @@ def test_two_cameras_are_read_and_a_mistake_tells_which(folder: Path) -> None:
         read_scene(scene_file(folder, wrong))
 
 
-def test_a_table_that_moves_is_read_and_refused_by_what_knows_only_one_at_rest(folder: Path) -> None:
+def test_a_moving_table_is_read_and_refused_where_it_must_be_at_rest(folder: Path) -> None:
     moving = 'surface = "wood"\nmotion = {amplitude_m = 0.001, frequency_hz = 25.0, phase_rad = 0.5}'
     scene = read_scene(scene_file(folder, SCENE.replace('surface = "wood"', moving)))
     assert scene.table.motion is not None
     assert scene.table.motion.frequency_hz == 25.0
-    with pytest.raises(
-        SceneError, match=r"table\.motion\.amplitude_m = 0\.001: an oscillating table is fitted to a single track"
-    ):
+    with pytest.raises(SceneError, match=r"table\.motion\.amplitude_m = 0\.001: "):
         scene.still_table()
 
 
@@ -306,7 +306,7 @@ def test_a_path_leaves_the_folder_only_where_that_is_allowed(
     with pytest.raises(SceneError, match="--allow-outside"):
         read_scene(path)
     assert read_scene(path, allow_outside=True).clip.path == elsewhere
-    # Inside by another spelling; and a link, which whoever keeps the folder has put there.
+    # Inside by another spelling, and a link, which the owner of the folder made.
     (folder / "link.avi").symlink_to(elsewhere)
     for text in (str(folder / "clip.avi"), "link.avi", f"../{folder.name}/clip.avi"):
         assert read_scene(scene_file(folder, SCENE.replace("clip.avi", text))).clip.path is not None

@@ -1,9 +1,9 @@
-"""Folders and files that appear whole or not at all.
+"""Output folders and files that appear complete or not at all.
 
-Results are written into a sibling folder, brought onto the disk, and renamed onto the wanted name at the end: a run that
-fails, is stopped or is killed leaves nothing that looks finished, and a folder that is replaced stays as it was until its
-successor is complete. Whoever writes holds a lock on the name, which the system lets go of when a run is killed; the next
-run on that name sweeps away what the killed one left.
+Results are written into a hidden folder next to the output, flushed to the disk, and renamed at the end. A run that fails, is
+stopped or is killed leaves nothing that looks finished, and a folder that is replaced stays as it was until its successor is
+complete. A run holds a lock on the name of its output. The system releases the lock of a killed run, and the next run on that
+name removes what the killed one left.
 """
 
 from __future__ import annotations
@@ -23,29 +23,31 @@ from types import FrameType
 
 try:
     import fcntl
-except ImportError:  # Windows has no such locks: there, two runs on one folder are not kept apart
+except ImportError:  # Windows has no such locks: there, two runs on one output are not kept apart
     fcntl = None  # type: ignore[assignment]
 
-PATIENCE_S = 2.0
-"""Wait for a lock: a worker whose parent was killed needs a moment to notice."""
+LOCK_TIMEOUT_S = 2.0
+"""Wait for a lock: a worker process needs a moment to notice that its parent was killed."""
+LOCK_POLL_S = 0.02
+"""Between two tries to take a lock."""
 DISK_ERRORS = {
     errno.ENOSPC: "the disk is full",
     errno.EDQUOT: "the disk quota is used up",
     errno.EFBIG: "the file is larger than allowed here",
-    errno.EROFS: "the disk can only be read",
+    errno.EROFS: "the disk is read-only",
 }
-ROOM_BYTES = 2**24
-"""A disk with less room than this is full: small results fit, and nothing is half-written."""
-LOCKLESS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
-"""What file systems say that know no locks; there, runs are not kept apart."""
+MIN_FREE_BYTES = 2**24
+"""A disk with less free space counts as full. Small results fit into this, so none is left half-written."""
+NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
+"""Errors of file systems without locks; there, two runs on one output are not kept apart."""
 
 
 class OutputExistsError(FileExistsError):
-    """The output is there already, and nobody said that it may be replaced."""
+    """The output exists already and may not be replaced."""
 
 
 class OutputPlaceError(OSError):
-    """The output cannot be made where it was wanted."""
+    """The output cannot be written at its place."""
 
 
 class OutputBusyError(OutputPlaceError):
@@ -54,7 +56,7 @@ class OutputBusyError(OutputPlaceError):
 
 @contextmanager
 def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
-    """A folder to write into; it becomes `folder` when the block ends, and vanishes when the block fails.
+    """A folder to write into. It becomes `folder` when the block ends, and is removed if the block fails.
 
     Raises OutputExistsError, before anything is computed, where `folder` exists and may not be replaced (see
     `refuse_existing`), OutputBusyError where another run is writing it, and OutputPlaceError where it cannot be made, or
@@ -62,15 +64,15 @@ def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = 
     """
     folder = Path(os.path.abspath(folder))
     kept = tuple(inputs)
-    with _place_errors_told(folder):
+    with _place_errors_named(folder):
         refuse_existing(folder, force=force, inputs=kept)
-    with _sigterm_as_interrupt(), locked(folder), _disk_errors_told(folder):
-        _sweep(folder)
+    with _sigterm_as_interrupt(), locked(folder), _disk_errors_named(folder):
+        _remove_leftovers(folder)
         refuse_existing(folder, force=force, inputs=kept)
-        aside = _folder_beside(folder)
+        aside = _folder_next_to(folder)
         try:
             yield aside
-            _settle(aside)
+            _flush(aside)
             refuse_existing(folder, force=force, inputs=kept)
             _replace(folder, aside)
         finally:
@@ -79,8 +81,10 @@ def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = 
 
 @contextmanager
 def whole_file(file: Path, *, force: bool = False, inputs: Iterable[Path] = ()) -> Iterator[Path]:
-    """A path to write to; it becomes `file` when the block ends, and vanishes when the block fails. Raises as
-    `whole_folder`; `force` replaces a file, never a folder, a link or one of the `inputs`."""
+    """A path to write to. It becomes `file` when the block ends, and is removed if the block fails. Raises as `whole_folder`.
+
+    `force` replaces a file, never a folder, a link or one of the `inputs`.
+    """
     file = Path(os.path.abspath(file))
     if file.is_symlink() or file.is_dir():
         raise OutputExistsError(f"{file} exists and is not a file; wanted a new file, try another --out")
@@ -88,12 +92,12 @@ def whole_file(file: Path, *, force: bool = False, inputs: Iterable[Path] = ()) 
         raise OutputExistsError(f"{file} exists; wanted a new file, try another --out, or --force to replace it")
     if any(kept.exists() and file.exists() and kept.samefile(file) for kept in inputs):
         raise OutputExistsError(f"{file} is an input, which must stay; wanted another file, try another --out")
-    with _sigterm_as_interrupt(), locked(file), _disk_errors_told(file):
-        _sweep(file)
-        aside = _folder_beside(file)
+    with _sigterm_as_interrupt(), locked(file), _disk_errors_named(file):
+        _remove_leftovers(file)
+        aside = _folder_next_to(file)
         try:
             yield aside / file.name
-            _settle(aside)
+            _flush(aside)
             (aside / file.name).replace(file)
             _sync_folder(file.parent)
         finally:
@@ -102,30 +106,30 @@ def whole_file(file: Path, *, force: bool = False, inputs: Iterable[Path] = ()) 
 
 @contextmanager
 def locked(output: Path) -> Iterator[None]:
-    """Keep other runs off an output while the block lasts, by a lock on a hidden file beside it.
+    """Keep other runs off an output during the block, by a lock on a hidden file next to it.
 
-    The lock goes with the process, however that ends. Raises OutputBusyError where somebody else holds it, and
-    OutputPlaceError where there is no place for it.
+    The lock ends with the process. Raises OutputBusyError where another process holds it, and OutputPlaceError where the file
+    cannot be made.
     """
     output = Path(os.path.abspath(output))
     beside = output.with_name(f".{output.name}.lock")
-    with _place_errors_told(output):
+    with _place_errors_named(output):
         output.parent.mkdir(parents=True, exist_ok=True)
         handle = _lock(beside, output)
     try:
         yield
     finally:
         if handle is not None:
-            # Unlinked while it is held: nobody can have locked this file, and who waits for it finds it gone.
+            # Unlinked while it is locked: no other process can hold it, and one that waits finds another file of that name.
             beside.unlink(missing_ok=True)
             os.close(handle)
 
 
 def _lock(beside: Path, output: Path) -> int | None:
-    """A file descriptor that holds the lock; None where there are no locks."""
+    """The descriptor of the locked file; None where there are no locks."""
     if fcntl is None:
         return None
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + LOCK_TIMEOUT_S
     while True:
         handle = os.open(beside, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -136,29 +140,29 @@ def _lock(beside: Path, output: Path) -> int | None:
                 raise OutputBusyError(
                     f"another run is writing {output}; wait for its end, or try another --out"
                 ) from None
-            time.sleep(0.02)
+            time.sleep(LOCK_POLL_S)
             continue
         except OSError as error:
             os.close(handle)
-            if error.errno in LOCKLESS:
+            if error.errno in NO_LOCKS:
                 beside.unlink(missing_ok=True)
                 return None
             raise
-        if _is_still(beside, handle):
+        if _is_same_file(beside, handle):
             return handle
         os.close(handle)
 
 
-def _is_still(path: Path, handle: int) -> bool:
-    """Whether an open file is the one of that name: its last holder may have removed it meanwhile."""
+def _is_same_file(path: Path, handle: int) -> bool:
+    """Whether an open file still has that name: its last holder may have removed it."""
     try:
         return os.path.samestat(path.stat(), os.fstat(handle))
     except FileNotFoundError:
         return False
 
 
-def _sweep(output: Path) -> None:
-    """Remove what killed runs on this name left, and put back a predecessor that was moved away; needs the lock."""
+def _remove_leftovers(output: Path) -> None:
+    """Remove what killed runs on this name left, and put back a folder that one of them moved away; needs the lock."""
     left = re.compile(rf"\.{re.escape(output.name)}\.[a-z0-9_]{{8}}\.(part|old)")
     for path in [path for path in output.parent.iterdir() if left.fullmatch(path.name)]:
         if (path / "old").exists() and not output.exists():
@@ -170,7 +174,7 @@ def refuse_existing(folder: Path, *, force: bool = False, inputs: Iterable[Path]
     """Raises OutputExistsError for a folder that may not be written.
 
     `force` allows the replacement of a folder, but never of a file or link, nor of a folder that holds one of the
-    `inputs`, the working directory or the home folder: results must not erase what they were made from.
+    `inputs`, the working directory or the home folder: results must not erase their inputs.
     """
     folder = Path(os.path.abspath(folder))
     if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
@@ -182,29 +186,29 @@ def refuse_existing(folder: Path, *, force: bool = False, inputs: Iterable[Path]
             raise OutputExistsError(f"{folder} holds {kept}, which must stay; wanted another folder, try another --out")
 
 
-def demand_room(output: Path, room_bytes: int) -> None:
-    """Raises OutputPlaceError where the disk of `output`, which is being made, has less room than that.
+def check_free_space(output: Path, needed_bytes: int) -> None:
+    """Raises OutputPlaceError where the disk of `output` has less free space than `needed_bytes`.
 
-    Asked before much is written: not every library says that the disk is full, the one that writes recordings waits.
+    Called before much is written: not every library reports a full disk, and the one that writes recordings waits for ever.
     """
     free = shutil.disk_usage(output.parent).free
-    if free < room_bytes:
+    if free < needed_bytes:
         raise OutputPlaceError(
-            f"{output} was not written: the disk is full, {1e-6 * free:.0f} MB are free and {1e-6 * room_bytes:.0f} MB are "
-            "wanted; make room, or try another --out"
+            f"{output} was not written: the disk is full, {1e-6 * free:.0f} MB are free; wanted "
+            f"{1e-6 * needed_bytes:.0f} MB; free some space, or try another --out"
         )
 
 
-def _folder_beside(output: Path) -> Path:
+def _folder_next_to(output: Path) -> Path:
     """A new, empty folder next to an output, on the same disk."""
-    demand_room(output, ROOM_BYTES)
-    with _place_errors_told(output):
+    check_free_space(output, MIN_FREE_BYTES)
+    with _place_errors_named(output):
         return Path(tempfile.mkdtemp(prefix=f".{output.name}.", suffix=".part", dir=output.parent))
 
 
 @contextmanager
-def _place_errors_told(output: Path) -> Iterator[None]:
-    """What the system refuses while room for an output is made, in a sentence."""
+def _place_errors_named(output: Path) -> Iterator[None]:
+    """Turns errors of the system while an output is created into an OutputPlaceError."""
     try:
         yield
     except (OutputPlaceError, OutputExistsError):
@@ -217,8 +221,8 @@ def _place_errors_told(output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _disk_errors_told(output: Path) -> Iterator[None]:
-    """A disk that fails or fills up while an output is written, in a sentence."""
+def _disk_errors_named(output: Path) -> Iterator[None]:
+    """Turns errors of the disk while an output is written into an OutputPlaceError."""
     try:
         yield
     except OutputPlaceError:
@@ -227,12 +231,12 @@ def _disk_errors_told(output: Path) -> Iterator[None]:
         if error.errno not in DISK_ERRORS:
             raise
         raise OutputPlaceError(
-            f"{output} was not written: {DISK_ERRORS[error.errno]}; make room, or try another --out"
+            f"{output} was not written: {DISK_ERRORS[error.errno]}; free some space, or try another --out"
         ) from error
 
 
-def _settle(aside: Path) -> None:
-    """Bring every file onto the disk, and give the folder the rights of an ordinary one (mkdtemp's is private)."""
+def _flush(aside: Path) -> None:
+    """Flush every file to the disk, and give the folder the permissions of an ordinary one (mkdtemp makes it private)."""
     for file in aside.rglob("*"):
         if file.is_file():
             with file.open("rb") as handle:
@@ -244,7 +248,7 @@ def _settle(aside: Path) -> None:
 
 
 def _replace(folder: Path, aside: Path) -> None:
-    """Rename `aside` onto `folder`; a predecessor is moved away first, and back again if the renaming fails."""
+    """Rename `aside` to `folder`. An existing folder is moved away first, and back again if the renaming fails."""
     if not folder.exists():
         aside.rename(folder)
         _sync_folder(folder.parent)
@@ -262,7 +266,7 @@ def _replace(folder: Path, aside: Path) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Bring the names in a folder onto the disk; a rename alone may come to nothing in a power cut."""
+    """Flush the names in a folder to the disk: a power cut may undo a rename alone."""
     if os.name == "nt":
         return  # folders cannot be opened there
     handle = os.open(folder, os.O_RDONLY)
@@ -274,7 +278,7 @@ def _sync_folder(folder: Path) -> None:
 
 @contextmanager
 def _sigterm_as_interrupt() -> Iterator[None]:
-    """Let SIGTERM unwind the stack, so that the clean-up runs; only the main thread may set handlers."""
+    """Raise KeyboardInterrupt on SIGTERM, so that the clean-up runs; only the main thread may set handlers."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -1,7 +1,7 @@
 """The throw file: one throw to simulate.
 
-`read_plan` turns a throw.toml into the values that the model takes: a die, a law, a release, and an end. The paper's
-Euler angles and body-frame angular velocity are accepted beside quaternion and world axes.
+`read_plan` turns a throw.toml into values of the model: a die, an impact law, a release state and an end. Orientation is a
+quaternion or the paper's Euler angles; angular velocity is given in world axes or in body axes.
 """
 
 from __future__ import annotations
@@ -25,9 +25,11 @@ from .settings import TomlTable, Vector3, Vector4, read_toml, refuse, validate
 Array = NDArray[np.float64]
 
 UNIT_TOLERANCE = 1e-4
-"""A quaternion written with four decimals passes; it is then brought to length 1."""
-FARTHEST_M = 100.0
+"""A quaternion written with four decimals passes, and is normalised."""
+MAX_DISTANCE_M = 100.0
 """From the origin to a release; beyond it the position is in another unit."""
+TOUCH_TOLERANCE = 1e-12
+"""Of the circumscribed radius: how far rounding may leave the lowest corner of a die on the table below it."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,12 @@ class Plan:
 
     @property
     def law(self) -> SmoothImpact | CoulombImpact:
-        """The impact law: with friction only where the file asks for it."""
+        """The impact law: with friction only where the file gives it."""
         return CoulombImpact(self.chi, self.mu) if self.mu else SmoothImpact(self.chi)
 
     @property
     def model_table(self) -> ModelTable:
-        """The table as the model has it."""
+        """The table as a value of the model."""
         return self.table.in_model
 
 
@@ -67,7 +69,12 @@ def read_plan(path: Path) -> Plan:
     checked = validate(_PlanFile, data, path)
     table = table_from(checked.table) if checked.table else Table("")
     if checked.die.corner_radius_m == ESTIMATE:
-        raise refuse(path, "die.corner_radius_m", ESTIMATE, "a throw that is simulated has no pictures, wanted metres")
+        raise refuse(
+            path,
+            "die.corner_radius_m",
+            ESTIMATE,
+            "a simulated throw has no pictures to estimate from; wanted metres",
+        )
     die = die_from(checked.die, path)
     release = _release(checked.initial, die, path)
     until = checked.until
@@ -96,9 +103,9 @@ def _restitution(value: float) -> float:
     return value
 
 
-def _radians(values: list[float]) -> list[float]:
+def _within_a_turn(values: list[float]) -> list[float]:
     if any(abs(value) > 2 * np.pi for value in values):
-        raise ValueError("not radians")
+        raise ValueError("more than a turn")
     return values
 
 
@@ -109,7 +116,7 @@ class _LawTable(TomlTable):
 
 class _InitialTable(TomlTable):
     position_m: Vector3 = Field(description="3 numbers in metres, the centre of the die")
-    euler_rad: Annotated[Vector3, AfterValidator(_radians)] | None = Field(
+    euler_rad: Annotated[Vector3, AfterValidator(_within_a_turn)] | None = Field(
         None, description="3 numbers, psi, theta, phi in radians, within one turn"
     )
     quaternion_wxyz: Vector4 | None = Field(None, description="4 numbers, a unit quaternion w x y z, body to world")
@@ -142,13 +149,13 @@ def _release(table: _InitialTable, die: Die, path: Path) -> State:
     position = np.array(table.position_m, float)
     quaternion = _orientation(table, path)
     rotation = matrix_from_quat(quaternion)
-    if float(np.abs(position).max()) > FARTHEST_M:
+    if float(np.abs(position).max()) > MAX_DISTANCE_M:
         guess = f"did you mean {(position * 1e-3).tolist()}?"
         raise refuse(
-            path, "initial.position_m", position, f"wanted metres, within {FARTHEST_M:g} m of the origin; {guess}"
+            path, "initial.position_m", position, f"wanted metres, within {MAX_DISTANCE_M:g} m of the origin; {guess}"
         )
     lowest = float((position + die.solid.vertices @ rotation.T)[:, 2].min())
-    if lowest < -1e-12 * die.solid.circumradius:
+    if lowest < -TOUCH_TOLERANCE * die.solid.circumradius:
         wanted = f"the lowest corner is {-lowest:.4g} m below the table; wanted every corner at z >= 0"
         raise refuse(path, "initial.position_m", position, wanted)
     return State(0.0, position, quaternion, np.array(table.velocity_m_s, float), _spin(table, rotation, path))

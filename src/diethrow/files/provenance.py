@@ -1,4 +1,4 @@
-"""Where a result comes from: enough to make it again, and to see that the inputs are still the same."""
+"""The origin of a result: enough to make it again, and to check that its inputs are unchanged."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ PACKAGES = (
 """Packages whose version can change a result."""
 
 CHUNK_BYTES = 1 << 18
-"""Pieces in which a file is read: they stay in the processor's cache."""
-READ_AT_ONCE_BYTES = 1 << 24
-"""Files up to this size are read through before the work begins, larger ones beside it. Of a clip of 8 GB it takes some seconds,
-in which the stages that follow one frame after the other leave a core idle."""
+"""Size of the pieces in which a file is read: they fit into the processor's cache."""
+MAX_FOREGROUND_BYTES = 1 << 24
+"""Files up to this size are hashed before the work begins, larger ones in a thread beside it. A clip of 8 GB takes some seconds,
+and the stages that follow frame by frame leave a core idle."""
 
 
 @dataclass
 class Stopwatch:
-    """Seconds that each stage of a run took, in the order in which they ended."""
+    """Duration of each stage of a run [s], in the order in which they ended."""
 
     seconds: dict[str, float] = field(default_factory=dict)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time the block under `name`; a stage that is entered again adds up."""
+        """Time the block under `name`; the times of a stage that is entered again add up."""
         start = time.perf_counter()
         try:
             yield
@@ -55,12 +55,12 @@ class Stopwatch:
 
 
 class InputChangedError(OSError):
-    """An input is not what it was when the run began."""
+    """An input changed after the run began."""
 
 
 @dataclass(frozen=True)
 class InputFile:
-    """A file as it was when it was read through."""
+    """A file as it was when it was hashed."""
 
     path: Path
     bytes: int
@@ -68,9 +68,9 @@ class InputFile:
 
 
 def files_read(inputs: Iterable[Path]) -> tuple[InputFile, ...]:
-    """Every file that the inputs mean, with its digest; inputs may be files, folders of files, or patterns.
+    """Every file of the inputs with its digest; inputs may be files, folders of files, or patterns.
 
-    Raises InputChangedError for a file that is written to meanwhile, OSError for one that cannot be read.
+    Raises InputChangedError for a file that changes meanwhile, OSError for one that cannot be read.
     """
     return tuple(_file_read(path, _status(path)) for path in _files(tuple(inputs)))
 
@@ -79,7 +79,7 @@ class Inputs:
     """The files of a run as they were when it began."""
 
     def __init__(self, inputs: Iterable[Path]) -> None:
-        """Raises OSError for a file that cannot be read. Large ones are read through in a thread, until `close`."""
+        """Raises OSError for a file that cannot be read. Large files are hashed in a thread, until `close`."""
         self._stop = threading.Event()
         self._reader = ThreadPoolExecutor(1, "inputs")
         self._begun: list[tuple[Path, os.stat_result]] = []
@@ -93,55 +93,55 @@ class Inputs:
 
     def _begin(self, path: Path, status: os.stat_result) -> None:
         self._begun.append((path, status))
-        if status.st_size > READ_AT_ONCE_BYTES:
+        if status.st_size > MAX_FOREGROUND_BYTES:
             self._read.append(self._reader.submit(_file_read, path, status, self._stop))
         else:
             self._read.append(_file_read(path, status))
 
     @property
     def files(self) -> tuple[InputFile, ...]:
-        """All of them, when they are read. Raises InputChangedError for one that was written to since the run began, and
-        CancelledError after `close` for what was not read by then."""
+        """All files, after waiting for their digests. Raises InputChangedError for one that changed since the run began, and
+        CancelledError for one that was not yet hashed at `close`."""
         return tuple(file.result() if isinstance(file, Future) else file for file in self._read)
 
     def first_changed(self) -> str:
-        """A sentence on the first file that is not what it was; empty where all are."""
+        """The error message for the first file that changed; empty where none did."""
         for (path, before), file in zip(self._begun, self._read, strict=True):
             try:
                 now = path.stat()
-                if _is_as(before, now):
+                if _is_same(before, now):
                     continue
-                # A copy of the same bytes, or a new time alone, changes no result; of a file not yet read nobody knows.
+                # The same bytes under a new time change no result; a file that is not yet hashed counts as changed.
                 known = file.result() if isinstance(file, Future) and file.done() and not file.exception() else file
                 if not isinstance(known, InputFile) or now.st_size != known.bytes or sha256(path) != known.sha256:
                     return _changed(path)
             except OSError:
-                return f"{path} vanished, or cannot be read any longer, while it was worked on; run again"
+                return f"{path} was removed, or can no longer be read, during the run; put it back and run again"
         return ""
 
     def close(self) -> None:
-        """Read no further."""
+        """Stop hashing."""
         self._stop.set()
         self._reader.shutdown(cancel_futures=True)
 
 
 @contextmanager
-def steady(inputs: Iterable[Path]) -> Iterator[Inputs]:
-    """The files of the inputs as they are now; what the block makes of them is refused if they change meanwhile.
+def unchanged_inputs(inputs: Iterable[Path]) -> Iterator[Inputs]:
+    """The files of the inputs as they are now, which must not change during the block.
 
-    Raises InputChangedError at the end of the block, or when it asks for the files, also in place of an error that a changed
+    Raises InputChangedError at the end of the block, or when it asks for the files; also instead of an error that a changed
     file may have caused.
     """
-    known = Inputs(inputs)
+    held = Inputs(inputs)
     try:
-        yield known
-        changed = known.first_changed()
+        yield held
+        changed = held.first_changed()
     except (ValueError, OSError) as error:
-        if changed := known.first_changed():
+        if changed := held.first_changed():
             raise InputChangedError(changed) from error
         raise
     finally:
-        known.close()
+        held.close()
     if changed:
         raise InputChangedError(changed)
 
@@ -151,7 +151,7 @@ def _file_read(path: Path, before: os.stat_result, stop: threading.Event | None 
         digest, after = sha256(path, stop), path.stat()
     except OSError as error:
         raise _unreadable(path, error) from error
-    if not _is_as(before, after):
+    if not _is_same(before, after):
         raise InputChangedError(_changed(path))
     return InputFile(path, before.st_size, digest)
 
@@ -169,11 +169,11 @@ def _unreadable(path: Path, error: OSError) -> OSError:
 
 
 def _changed(path: Path) -> str:
-    return f"{path} changed while it was read; wait until it is written, and run again"
+    return f"{path} changed during the run; wait until it is complete, and run again"
 
 
-def _is_as(before: os.stat_result, now: os.stat_result) -> bool:
-    """Whether it is the same file, with the same time of the last change: then its bytes are the same."""
+def _is_same(before: os.stat_result, now: os.stat_result) -> bool:
+    """Whether it is the same file with the same time of its last change, and so with the same bytes."""
     names = ("st_size", "st_dev", "st_ino", "st_mtime_ns")
     return all(getattr(before, name) == getattr(now, name) for name in names)
 
@@ -188,10 +188,10 @@ def write_provenance(
     seeds: dict[str, int] | None = None,
     found: dict[str, float] | None = None,
 ) -> None:
-    """`provenance.json`: version, command line and where it was given, what was understood, what was `found` in the place of
-    what nobody gave, SHA-256 of every input, seeds, packages, timings.
+    """`provenance.json`: version, command line and working folder, settings, SHA-256 of every input, seeds, packages, timings.
 
-    `understood` is any frozen value (a Scene, a Plan); inputs as for `files_read`, or as a run has held them steady.
+    `understood` is the frozen value that the command read (a Scene, a Plan); `found` holds numbers that were estimated because
+    the file does not give them; inputs as for `files_read`, or the `Inputs` of the run.
     """
     read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)
     write_json(
@@ -213,7 +213,7 @@ def write_provenance(
 
 
 def add_timings(path: Path, seconds: dict[str, float]) -> None:
-    """Put the timings of a run into a provenance that was written before its last stages."""
+    """Replace the timings of a provenance that was written before the last stages of its run."""
     write_json(path, {**read_json(path), "timings_s": _rounded(seconds)})
 
 
@@ -222,7 +222,7 @@ def _rounded(seconds: dict[str, float]) -> dict[str, float]:
 
 
 def sha256(path: Path, stop: threading.Event | None = None) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces. Raises CancelledError where `stop` is set before its end."""
+    """Hexadecimal SHA-256 of a file, read in pieces. Raises CancelledError if `stop` is set before the end."""
     digest, piece = hashlib.sha256(), memoryview(bytearray(CHUNK_BYTES))
     with path.open("rb", buffering=0) as file:
         while count := file.readinto(piece):
@@ -247,7 +247,7 @@ def as_tables(value: Any) -> Any:
 
 
 def _files(inputs: tuple[Path, ...]) -> list[Path]:
-    """Every file that the inputs mean, once, in order."""
+    """Every file of the inputs, once, in order."""
     found: dict[Path, None] = {}
     for path in inputs:
         if path.is_dir():

@@ -1,8 +1,7 @@
-"""The scene file: what was filmed, by which camera, over which table, and which die.
+"""The scene file: the footage, its cameras, the table and the die.
 
-`read_scene` checks everything once, at the door, and returns frozen values of the stages. What no file can be without
-(a die, a table) is demanded here; footage and cameras are demanded by the commands that need them
-(`Scene.views`), because a fit to somebody else's track needs neither.
+`read_scene` checks everything once and returns frozen values of the stages. A die and a table are required here. Footage and
+cameras are required by the commands that need them (`Scene.views`): a fit to somebody else's track needs neither.
 """
 
 from __future__ import annotations
@@ -28,32 +27,39 @@ __all__ = ["ClipSource", "Motion", "Scene", "SceneError", "Table", "View", "read
 
 Array = NDArray[np.float64]
 
-LARGEST_EDGE_M = 1.0
-DENSITIES_KG_M3 = (5.0, 25000.0)
-"""From a die of foam to one of osmium; beyond them a length or a mass is in another unit."""
-FARTHEST_M = 100.0
+MAX_EDGE_M = 1.0
+"""Edge of a die; a longer one is in another unit."""
+MIN_DENSITY_KG_M3 = 5.0
+"""Of a die of foam; with a lower one a length or a mass is in another unit."""
+MAX_DENSITY_KG_M3 = 25000.0
+"""Above osmium; with a higher one a length or a mass is in another unit."""
+MIN_INERTIA_SHARE = 1e-3
+"""Of the moment of inertia with all the mass at the corners; a smaller one is in another unit."""
+MAX_DISTANCE_M = 100.0
 """From the world's origin to a camera; beyond it the translation is in another unit."""
 ESTIMATE = "estimate"
-"""In the place of a number: the pictures tell it."""
+"""Instead of a number: it is estimated from the pictures."""
 ROTATION_TOLERANCE = 1e-4
-"""Entries written with four decimals pass; they are then brought onto the nearest rotation."""
+"""Matrices and quaternions written with four decimals pass, and are replaced by the nearest rotation."""
+EXACT_ROTATION = 1e-12
+"""A matrix this near a rotation is used as it stands: the nearest rotation would only change its last digits."""
 
 
 @dataclass(frozen=True)
 class ClipSource:
-    """Where the footage lies and how it was taken."""
+    """The files of the footage and how it was recorded."""
 
     path: Path | None
     """A film, a folder or pattern of images, or a Photron header; None where the scene has no footage."""
     fps: float | None
-    """Recording rate [frames/s]; None where the file itself carries it."""
+    """Recording rate [1/s]; None where the clip's own file has it."""
     exposure_s: float | None
     background_path: Path | None
     """A frame without the die."""
     frame_range: tuple[int, int] | None
     """First frame, and the one after the last; None for the whole clip."""
     excluded: tuple[tuple[int, int], ...] = ()
-    """Frames whose pictures are not used: ranges of a first frame and the one after the last."""
+    """Frames that are not used: ranges of a first frame and the one after the last."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +82,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Table:
-    """What the die falls on."""
+    """The table that the die falls on."""
 
     surface: str
     """Free text; `mirror` says that the table reflects."""
@@ -84,7 +90,7 @@ class Table:
 
     @property
     def in_model(self) -> ModelTable:
-        """The table as the model has it."""
+        """The table as a value of the model."""
         if self.motion is None:
             return ModelTable()
         return ModelTable(
@@ -96,7 +102,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Scene:
-    """One throw as its scene file describes it."""
+    """One filmed throw, as its scene file describes it."""
 
     path: Path
     text: str
@@ -106,15 +112,17 @@ class Scene:
     die: Die
     table: Table
     start: ManualInitialisation | None = None
-    """The first pose by hand; None where it is found."""
+    """The manual initial pose; None where it is searched for."""
     rounding: CornerRounding = CornerRounding.GIVEN
-    """Whether the file gives the radius of the die's corners, which is 0 in `die` where it does not."""
+    """How the radius of the die's corners is found. Where the file does not give it, it is 0 in `die`."""
 
     def views(self) -> tuple[View, ...]:
-        """The cameras with their footage; in the picture of the first a start is looked for, and the replay shows it. Raises
-        SceneError where there is none, or one lacks its footage."""
+        """The cameras with their footage; initial poses and the replay use the first one. Raises SceneError where there is no
+        camera, or one has no footage."""
         if not self.cameras:
-            raise SceneError(f"{self.path}: camera is missing; wanted a [camera] table to track the die with")
+            raise SceneError(
+                f"{self.path}: camera is missing; wanted a [camera] table, since tracking needs a calibrated camera"
+            )
         for k, view in enumerate(self.cameras):
             if view.path is None:
                 key = "clip.path" if len(self.cameras) == 1 else f"camera[{k + 1}].path"
@@ -122,32 +130,35 @@ class Scene:
         return self.cameras
 
     def given_die(self) -> Die:
-        """The die, for what knows no pictures. Raises SceneError where they are to tell the radius of its corners."""
+        """The die, for commands without pictures. Raises SceneError where the radius is to be estimated from them."""
         if self.rounding is CornerRounding.ESTIMATED:
             wanted = (
-                "a track does not show the corners, wanted their radius in metres, as the tracking told it or measured"
+                "a track does not show the corners; wanted their radius in metres, as tracking reported it or measured"
             )
             raise refuse(self.path, "die.corner_radius_m", ESTIMATE, wanted)
         return self.die
 
     def still_table(self) -> Table:
-        """The table, at rest. Raises SceneError for one that moves: tracking and joint fits know only one at rest."""
+        """The table, at rest. Raises SceneError for one that moves: tracking and joint fits have no model of it."""
         motion = self.table.motion
         if motion is not None and motion.amplitude_m > 0:
-            wanted = "an oscillating table is fitted to a single track (diethrow fit) but not yet tracked, wanted 0"
+            wanted = "an oscillating table can be fitted to a single track (diethrow fit) but not tracked; wanted 0"
             raise refuse(self.path, "table.motion.amplitude_m", motion.amplitude_m, wanted)
         return self.table
 
 
 def read_scene(path: Path, *, allow_outside: bool = False) -> Scene:
-    """The scene in a TOML file; paths in it are relative to the file, and lead out of its folder only where that is
-    allowed: a scene may come from a stranger. Raises SceneError, one sentence a mistake."""
+    """The scene in a TOML file. Raises SceneError, one sentence a mistake.
+
+    Paths in the file are relative to it. They may lead out of its folder only with `allow_outside`: a scene may come from
+    somebody else.
+    """
     path = Path(path)
     data, text = read_toml(path)
     if isinstance(data.get("camera"), dict):
         data["camera"] = [data["camera"]]
     checked = validate(_SceneFile, data, path)
-    files = _Surroundings(path, allow_outside)
+    files = _FilesOfScene(path, allow_outside)
     clip = _clip(checked.clip, path, files)
     several = len(checked.camera) > 1
     views = tuple(
@@ -176,13 +187,13 @@ def _not_negative(value: float) -> float:
     return value
 
 
-def _a_shape(value: str) -> str:
+def _known_shape(value: str) -> str:
     if value not in SHAPES:
         raise ValueError("unknown shape")
     return value
 
 
-def _a_radius(value: float | str) -> float | str:
+def _radius_or_estimate(value: float | str) -> float | str:
     if isinstance(value, str):
         if value != ESTIMATE:
             raise ValueError("no such word")
@@ -190,7 +201,7 @@ def _a_radius(value: float | str) -> float | str:
     return _not_negative(value)
 
 
-def _a_mark(value: str) -> str:
+def _known_marks(value: str) -> str:
     if value not in ("pips", "numbers"):
         raise ValueError("unknown marks")
     return value
@@ -202,13 +213,13 @@ def _rising(value: list[int]) -> list[int]:
     return value
 
 
-def _unit(value: list[float]) -> list[float]:
+def _unit_length(value: list[float]) -> list[float]:
     if abs(float(np.linalg.norm(value)) - 1.0) > ROTATION_TOLERANCE:
         raise ValueError("not of length 1")
     return value
 
 
-def _a_pair(value: list[float]) -> list[float]:
+def _pair(value: list[float]) -> list[float]:
     if len(value) != 2:
         raise ValueError("not two numbers")
     return value
@@ -222,10 +233,10 @@ def _not_empty(value: str) -> str:
 
 Positive = Annotated[float, AfterValidator(_positive)]
 NotNegative = Annotated[float, AfterValidator(_not_negative)]
-Radius = Annotated[float | str, AfterValidator(_a_radius)]
+Radius = Annotated[float | str, AfterValidator(_radius_or_estimate)]
 PositiveInt = Annotated[int, AfterValidator(_positive)]
 NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
-UnitQuaternion = Annotated[Vector4, AfterValidator(_unit)]
+UnitQuaternion = Annotated[Vector4, AfterValidator(_unit_length)]
 PathText = Annotated[str, AfterValidator(_not_empty)]
 
 _BACKGROUND_WANTED = "the path of a picture of the scene without the die, relative to the scene file"
@@ -273,22 +284,20 @@ class TableTable(TomlTable):
 class DieTable(TomlTable):
     """`[die]`, in scenes and throws alike."""
 
-    shape: Annotated[str, AfterValidator(_a_shape)] = Field(description=f"one of {', '.join(SHAPES)}")
+    shape: Annotated[str, AfterValidator(_known_shape)] = Field(description=f"one of {', '.join(SHAPES)}")
     edge_m: Positive = Field(description="the edge of the sharp polyhedron in metres, above 0")
     mass_kg: Positive = Field(description="the mass in kilograms, above 0")
     corner_radius_m: Radius | None = Field(
         None, description='the radius of the rounded corners in metres, 0 or more, or "estimate"'
     )
     inertia_kg_m2: Positive | None = Field(None, description="the moment of inertia in kg m², above 0")
-    marks: Annotated[str, AfterValidator(_a_mark)] | None = Field(
+    marks: Annotated[str, AfterValidator(_known_marks)] | None = Field(
         None, description='"pips", "numbers", or no such key for plain faces'
     )
 
 
 class _ClickTable(TomlTable):
-    px: Annotated[list[float], AfterValidator(_a_pair)] = Field(
-        description="[x, y], where the corner is seen, in pixels"
-    )
+    px: Annotated[list[float], AfterValidator(_pair)] = Field(description="[x, y], where the corner is seen, in pixels")
     vertex: NotNegativeInt | None = Field(None, description="the corner's number in vertices.csv, or no such key")
 
 
@@ -314,7 +323,7 @@ class _SceneFile(TomlTable):
 # --- from tables to values ---
 
 
-def _clip(table: _ClipTable, path: Path, files: _Surroundings) -> ClipSource:
+def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
     frame_s = 1.0 / table.fps if table.fps else np.inf
     if table.exposure_s and table.exposure_s > frame_s:
         guess = _unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
@@ -331,27 +340,29 @@ def _clip(table: _ClipTable, path: Path, files: _Surroundings) -> ClipSource:
 
 
 def _start(table: _StartTable, clip: ClipSource, views: tuple[View, ...], die: Die, path: Path) -> ManualInitialisation:
-    """The first pose by hand. Raises SceneError for one that is half given, or cannot be."""
+    """The manual initial pose. Raises SceneError for one that is incomplete or impossible."""
     first, stop = clip.frame_range or (0, np.inf)
     if not first <= table.frame < stop or any(a <= table.frame < b for a, b in clip.excluded):
-        raise refuse(path, "start.frame", table.frame, "wanted a frame within clip.frames that is not excluded")
-    posed = table.position_m is not None and table.quaternion_wxyz is not None
-    if posed == bool(table.corners) or (table.position_m is None) != (table.quaternion_wxyz is None):
+        raise refuse(
+            path, "start.frame", table.frame, "wanted a frame within clip.frames that clip.exclude does not name"
+        )
+    has_pose = table.position_m is not None and table.quaternion_wxyz is not None
+    if has_pose == bool(table.corners) or (table.position_m is None) != (table.quaternion_wxyz is None):
         given = [key for key in ("position_m", "quaternion_wxyz", "corners") if getattr(table, key)]
         raise refuse(path, "start", given, "wanted either position_m and quaternion_wxyz, or corners")
-    if table.position_m is not None and not 0 < table.position_m[2] <= FARTHEST_M:
+    if table.position_m is not None and not 0 < table.position_m[2] <= MAX_DISTANCE_M:
         raise refuse(path, "start.position_m", table.position_m, "wanted metres, above the table (z = 0)")
     clicks = tuple(Click(np.array(each.px, float), each.vertex) for each in table.corners)
     if clicks:
         _check_clicks(clicks, views, die, path)
-    if not posed:
+    if not has_pose:
         return ManualInitialisation(table.frame, clicks=clicks)
     quaternion = np.array(table.quaternion_wxyz, float)
     return ManualInitialisation(table.frame, np.array(table.position_m, float), quaternion / np.linalg.norm(quaternion))
 
 
 def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, path: Path) -> None:
-    """Enough clicks, inside the picture, on different corners that the die has."""
+    """Raise SceneError unless there are enough clicks, inside the picture, on different corners of the die."""
     if len(clicks) < FEWEST_CLICKS:
         raise refuse(path, "start.corners", f"{len(clicks)} clicks", f"wanted {FEWEST_CLICKS} or more")
     vertices = [click.vertex for click in clicks if click.vertex is not None]
@@ -366,22 +377,22 @@ def _check_clicks(clicks: tuple[Click, ...], views: tuple[View, ...], die: Die, 
 
 
 @dataclass(frozen=True)
-class _Surroundings:
-    """The files about a scene file."""
+class _FilesOfScene:
+    """The files that a scene file names."""
 
     scene_path: Path
     allow_outside: bool
 
     def existing(self, text: str | None, key: str, wanted: str) -> Path | None:
-        """The path that `text` means beside the scene file; a pattern such as `frames/*.png` must match something."""
+        """The file that `text` names, relative to the scene file; a pattern such as `frames/*.png` must match something."""
         if text is None:
             return None
         found = self.scene_path.parent / text
         if not self.allow_outside and self._leaves(found):
-            told = (
-                f"this leads out of the folder of the scene; wanted {wanted} and inside its folder, or --allow-outside"
+            reason = (
+                f"the path leads out of the scene's folder; wanted {wanted} and inside its folder, or --allow-outside"
             )
-            raise refuse(self.scene_path, key, text, told)
+            raise refuse(self.scene_path, key, text, reason)
         try:
             there = found.exists()
         except OSError as error:
@@ -393,23 +404,23 @@ class _Surroundings:
         raise refuse(self.scene_path, key, text, f"{found} does not exist; wanted {wanted}")
 
     def _leaves(self, found: Path) -> bool:
-        """Whether a path leads out of the folder by what it says. A link inside the folder is the doing of whoever keeps
-        the folder, who may have the films on another disk, and is followed."""
+        """Whether the path itself leads out of the folder. A link inside the folder is followed: its owner made it, for
+        example to films on another disk."""
         folder = self.scene_path.parent
-        if ".." in found.parts:  # a link before it decides where it leads
+        if ".." in found.parts:  # a link before `..` decides where it leads
             return not found.resolve().is_relative_to(folder.resolve())
         inside = found.absolute()
         return not (inside.is_relative_to(folder.absolute()) or inside.is_relative_to(folder.resolve()))
 
 
 def _check_picture(table: _CameraTable, key: str, path: Path) -> None:
-    """Before anything of that size is made."""
+    """Raise SceneError for a picture that no camera takes, before memory is taken for it."""
     if table.width * table.height > MAX_PIXELS:
         size = [table.width, table.height]
         raise refuse(path, f"{key}.width and {key}.height", size, f"wanted {MAX_PIXELS} pixels at most")
 
 
-def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _Surroundings) -> View:
+def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _FilesOfScene) -> View:
     _check_picture(table, key, path)
     matrix = np.array(table.matrix, float)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[1, 0] == 0 and (matrix[2] == (0.0, 0.0, 1.0)).all()):
@@ -419,7 +430,7 @@ def _view(table: _CameraTable, key: str, clip: ClipSource, path: Path, files: _S
     camera = Camera(
         table.width, table.height, matrix, np.array(table.distortion, float), _rotation(table, key, path), translation
     )
-    _check_outlook(camera, key, path)
+    _check_camera_pose(camera, key, path)
     own_background = files.existing(table.background, f"{key}.background", _BACKGROUND_WANTED)
     return View(
         camera,
@@ -437,39 +448,40 @@ def _rotation(table: _CameraTable, key: str, path: Path) -> Array:
     if np.linalg.det(rotation) < 0:
         wanted = "wanted a rotation, this is a reflection (determinant -1); try the sign of one row"
         raise refuse(path, f"{key}.rotation", rotation, wanted)
-    if error < 1e-12:
+    if error < EXACT_ROTATION:
         return rotation
     u, _, vt = np.linalg.svd(rotation)
     return np.asarray(u @ vt)
 
 
-def _check_outlook(camera: Camera, key: str, path: Path) -> None:
-    """A camera stands above the table, near it, and sees some of it."""
+def _check_camera_pose(camera: Camera, key: str, path: Path) -> None:
+    """Raise SceneError for a camera that is below the table, too far from it, or turned away from it."""
     translation = camera.translation_m
-    if float(np.linalg.norm(translation)) > FARTHEST_M:
+    if float(np.linalg.norm(translation)) > MAX_DISTANCE_M:
         guess = f"; did you mean {shown_list(translation * 1e-3)}?"
-        raise refuse(path, f"{key}.translation_m", translation, f"wanted metres, at most {FARTHEST_M:g} m away{guess}")
+        raise refuse(
+            path, f"{key}.translation_m", translation, f"wanted metres, at most {MAX_DISTANCE_M:g} m away{guess}"
+        )
     height = float(camera.centre_m[2])
     if height <= 0:
-        wanted = f"this camera stands {-height:.4g} m below the table (z = 0); wanted one above it"
+        wanted = f"the camera is {-height:.4g} m below the table (z = 0); wanted a camera above it"
         if translation[2] > 0:
             wanted += ", with rotation and translation_m from world to camera"
         raise refuse(path, f"{key}.translation_m", translation, wanted)
     if not _sees_table(camera):
-        wanted = "this camera looks away from the table (z = 0), no pixel of it sees any; wanted world to camera"
+        wanted = "no pixel of the camera shows the table (z = 0); wanted a camera turned to it, rotation from world to camera"
         raise refuse(path, f"{key}.rotation", camera.rotation, wanted)
 
 
 def _sees_table(camera: Camera) -> bool:
-    """Whether the ray of a corner of the frame goes down; the lowest ray always belongs to one (distortion aside)."""
+    """Whether the ray of a corner of the frame points down. The lowest ray is always one of these, distortion aside."""
     corners = [(x, y, 1.0) for x in (0.0, camera.width_px - 1.0) for y in (0.0, camera.height_px - 1.0)]
     rays = np.linalg.solve(camera.matrix, np.array(corners).T).T @ camera.rotation
     return bool((rays[:, 2] < 0).any())
 
 
 def die_from(table: DieTable, path: Path) -> Die:
-    """The die of a `[die]` table, sharp where that gives no radius. Raises SceneError for one that cannot be: too large, too
-    dense."""
+    """The die of a `[die]` table, with sharp corners where it gives no radius. Raises SceneError for an impossible one."""
     _check_density(table, path)
     if table.marks == "pips" and table.shape != "cube":
         raise refuse(path, "die.marks", "pips", f'a {table.shape} has no pips; wanted "numbers", or no such key')
@@ -493,7 +505,7 @@ def die_from(table: DieTable, path: Path) -> Die:
 
 
 def _rounding(table: DieTable) -> CornerRounding:
-    """What a `[die]` table wants done about the radius of the corners."""
+    """How the radius of the corners is found for a `[die]` table."""
     if table.corner_radius_m is None:
         return CornerRounding.TESTED
     return CornerRounding.ESTIMATED if table.corner_radius_m == ESTIMATE else CornerRounding.GIVEN
@@ -508,14 +520,14 @@ def table_from(table: TableTable) -> Table:
 
 
 def _check_density(table: DieTable, path: Path) -> None:
-    low, high = DENSITIES_KG_M3
+    low, high = MIN_DENSITY_KG_M3, MAX_DENSITY_KG_M3
 
     def possible(edge_m: float, mass_kg: float) -> bool:
         return low <= mass_kg / _volume_m3(table.shape, edge_m) <= high
 
-    if table.edge_m > LARGEST_EDGE_M:
+    if table.edge_m > MAX_EDGE_M:
         guess = _unit_guess(table.edge_m, (1e-3, 1e-2), lambda edge: possible(edge, table.mass_kg))
-        raise refuse(path, "die.edge_m", table.edge_m, f"wanted metres, at most {LARGEST_EDGE_M:g}{guess}")
+        raise refuse(path, "die.edge_m", table.edge_m, f"wanted metres, at most {MAX_EDGE_M:g}{guess}")
     if not possible(table.edge_m, table.mass_kg):
         density = table.mass_kg / _volume_m3(table.shape, table.edge_m)
         guess = _unit_guess(table.mass_kg, (1e-3, 1e-6, 1e3), lambda mass: possible(table.edge_m, mass))
@@ -526,18 +538,18 @@ def _check_density(table: DieTable, path: Path) -> None:
 
 
 def _check_inertia(table: DieTable, die: Die, path: Path) -> None:
-    """No mass lies farther out than the corners: J = ⅔ Σ m r² <= ⅔ m R²."""
+    """Raise SceneError for an impossible moment of inertia. No mass lies outside the corners: J = ⅔ Σ m r² <= ⅔ m R²."""
     most = 2.0 / 3.0 * die.mass_kg * die.solid.circumradius**2
-    if table.inertia_kg_m2 is not None and not 1e-3 * most <= table.inertia_kg_m2 <= most:
+    if table.inertia_kg_m2 is not None and not MIN_INERTIA_SHARE * most <= table.inertia_kg_m2 <= most:
         wanted = (
-            f"wanted kg m², {1e-3 * most:.4g} to {most:.4g}, the most with all the mass at the corners; "
+            f"wanted kg m², {MIN_INERTIA_SHARE * most:.4g} to {most:.4g}, the most with all the mass at the corners; "
             f"a homogeneous die has {die.inertia_kg_m2:.4g}"
         )
         raise refuse(path, "die.inertia_kg_m2", table.inertia_kg_m2, wanted)
 
 
 def _volume_m3(shape: str, edge_m: float) -> float:
-    """Volume by the cones from the centre to the faces."""
+    """Volume, as the sum of the tetrahedra from the centre to triangles of the faces."""
     solid = make_die(shape, edge_m, 1.0).solid
     volume = 0.0
     for face in solid.faces:
@@ -548,7 +560,7 @@ def _volume_m3(shape: str, edge_m: float) -> float:
 
 
 def _unit_guess(value: float, factors: tuple[float, ...], fits: Callable[[float], bool]) -> str:
-    """`; did you mean 0.016?` where the value in another unit would do, else nothing."""
+    """`; did you mean 0.016?` where one of the factors of units makes the value possible, else nothing."""
     guess = next((value * factor for factor in factors if fits(value * factor)), None)
     return "" if guess is None else f"; did you mean {guess:.6g}?"
 

@@ -1,7 +1,7 @@
-"""TOML files in, checked tables out: every mistake becomes one sentence.
+"""Reads TOML files into checked tables; every mistake becomes an error of one sentence.
 
-A settings file is described by a private pydantic model whose fields say in their `description` what they accept. That
-description is the second half of the sentence a user gets, so the rule and the message cannot drift apart.
+A pydantic model describes a settings file. The `description` of a field says what it accepts, and is the second half of the error
+for a wrong value, so rule and message agree.
 """
 
 from __future__ import annotations
@@ -20,18 +20,20 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 Array = NDArray[np.float64]
 AnyTable = TypeVar("AnyTable", bound="TomlTable")
 
-LARGEST_FILE_BYTES = 2**20
-"""A hundred times a long scene; what is larger is something else."""
-LONGEST_VALUE = 90
-"""Characters of a value that an error repeats before it is cut."""
+MAX_FILE_BYTES = 2**20
+"""A hundred times a long scene; a larger file is something else."""
+MAX_VALUE_CHARACTERS = 90
+"""Longest part of a value that an error repeats."""
+MIN_SIMILARITY = 0.6
+"""Of an unknown key to a known one (`difflib`) for which the error suggests it."""
 
 
 class SceneError(ValueError):
-    """A scene or throw file that cannot be used; the text names the file, the key, the value and what is accepted."""
+    """A scene or throw file that cannot be used; the text names file, key and value, and what is accepted."""
 
 
 class TomlTable(BaseModel):
-    """One TOML table. Strict: no text that looks like a number, no number that stands for a truth value."""
+    """One TOML table. Strict: text is no number, and a number is no truth value."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=True)
 
@@ -61,8 +63,8 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
     if not path.is_file():
         raise SceneError(f"{path}: this is a folder; wanted a TOML file, for example {path / 'scene.toml'}")
     try:
-        if path.stat().st_size > LARGEST_FILE_BYTES:
-            raise SceneError(f"{path}: {path.stat().st_size} bytes; wanted a TOML file of {LARGEST_FILE_BYTES} at most")
+        if path.stat().st_size > MAX_FILE_BYTES:
+            raise SceneError(f"{path}: {path.stat().st_size} bytes; wanted a TOML file of {MAX_FILE_BYTES} at most")
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: byte {error.start} is not UTF-8; wanted a TOML file in UTF-8") from error
@@ -70,36 +72,36 @@ def read_toml(path: Path) -> tuple[dict[str, Any], str]:
         raise SceneError(f"{path}: cannot be read ({error.strerror}); wanted a TOML file") from error
     try:
         return tomllib.loads(text), text
-    except (ValueError, RecursionError) as error:  # beside its own error: numbers too long, tables too deep
+    except (ValueError, RecursionError) as error:  # besides TOMLDecodeError: numbers too long, tables too deep
         raise SceneError(f"{path}: not valid TOML, {_lower_first(str(error))}") from error
 
 
 def validate(model: type[AnyTable], data: dict[str, Any], path: Path) -> AnyTable:
-    """`data` as `model`. Raises SceneError that tells the first mistake, and how many more there are."""
+    """`data` as `model`. Raises SceneError with the first mistake and the number of further ones."""
     try:
         return model.model_validate(data)
     except ValidationError as error:
         problems = error.errors(include_url=False)
-        # An unknown key explains a missing one (edge_mm for edge_m), so it is told first.
+        # An unknown key explains a missing one (edge_mm for edge_m), so it comes first.
         first = min(problems, key=lambda problem: problem["type"] != "extra_forbidden")
         more = f" ({len(problems) - 1} more after this one)" if len(problems) > 1 else ""
         raise SceneError(f"{path}: {_sentence(model, data, first)}{more}") from error
 
 
 def refuse(path: Path, key: str, value: Any, wanted: str) -> SceneError:
-    """The error for a value that is well formed and still impossible; `key` is dotted, as in `camera.rotation`."""
+    """The error for a well-formed but impossible value; `key` is dotted, as in `camera.rotation`."""
     return SceneError(f"{path}: {key} = {shown(value)}: {wanted}")
 
 
 def shown(value: Any) -> str:
-    """A value as it may be repeated in a sentence: on one line and short."""
+    """A value in the form in which an error repeats it: on one line and short."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     try:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
         text = str(value)
-    return text if len(text) <= LONGEST_VALUE else text[: LONGEST_VALUE - 3] + "..."
+    return text if len(text) <= MAX_VALUE_CHARACTERS else text[: MAX_VALUE_CHARACTERS - 3] + "..."
 
 
 def _sentence(model: type[BaseModel], data: dict[str, Any], problem: Any) -> str:
@@ -148,15 +150,15 @@ def _accepted(owner: type[BaseModel], key: str) -> str:
 
 
 def _nearest(key: str, model: type[BaseModel], owner: type[BaseModel]) -> str:
-    """What an unknown key may have been meant as: a neighbour in its table, or the same key of another table."""
+    """A suggestion for an unknown key: a similar key of its table, or the same key of another table."""
     known = _keys(owner)
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    close = difflib.get_close_matches(key, known, n=1, cutoff=MIN_SIMILARITY)
     if close:
         return f"did you mean {close[0]}?"
     for name in _keys(model):
         inner = _table_of(model, name)
         if inner is not None and inner is not owner and key in _keys(inner):
-            return f"it belongs into [{name}]"
+            return f"it belongs in [{name}]"
     return f"known here are {', '.join(known)}"
 
 

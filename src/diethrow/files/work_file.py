@@ -1,7 +1,7 @@
-"""What a long run has done so far, kept beside its output folder, so that a stopped run can go on.
+"""Keeps the finished part of a long run next to its output folder, so that a stopped run can continue.
 
-The file is replaced in one step, so that it is whole whenever a run is stopped, and it carries a digest of the settings
-and of the version: what was made with others is never taken for a part of this run.
+The file is replaced in one step, so it is complete whenever a run is stopped. It holds a digest of the settings and of the
+version: a run never continues from results of other settings.
 """
 
 from __future__ import annotations
@@ -26,12 +26,14 @@ from .tables import plain
 
 Kept = dict[str, NDArray[Any]]
 
-EVERY_S = 5.0
-"""Between two writings, and never more than a twentieth of the time spent on them."""
+WRITE_INTERVAL_S = 5.0
+"""Least time between two writings: what a killed run loses."""
+WRITE_INTERVAL_RATIO = 20.0
+"""Least time between two writings, in durations of one: writing takes at most a twentieth of a run."""
 
 
 class WorkFile:
-    """The work file of an output folder and of settings: any frozen value whose fields are plain."""
+    """The work file of an output folder and of the settings of a run: a frozen value with plain fields."""
 
     def __init__(self, folder: Path, settings: Any) -> None:
         folder = Path(os.path.abspath(folder))
@@ -41,11 +43,11 @@ class WorkFile:
         self.digest = hashlib.sha256(text.encode()).hexdigest()
 
     def read(self) -> Kept | None:
-        """What was kept, None if there is nothing. Raises ValueError for the work file of other settings."""
+        """The arrays that were kept; None if there is no file. Raises ValueError for a work file of other settings."""
         if not self.path.exists():
             return None
         try:
-            # Opened here, because numpy leaves a file open that is no archive.
+            # Opened here: numpy leaves a file open that is no archive.
             with self.path.open("rb") as handle, np.load(handle, allow_pickle=False) as file:
                 kept = {name: file[name] for name in file.files}
         except (ValueError, EOFError, zipfile.BadZipFile) as error:
@@ -53,12 +55,12 @@ class WorkFile:
         if str(kept.pop("digest", "")) != self.digest:
             raise ValueError(
                 f"{self.path} belongs to a run with other settings or of another version; "
-                "give the settings of that run, or leave --resume out to begin anew"
+                "give the settings of that run, or leave --resume out to start again"
             )
         return kept
 
     def write(self, kept: Mapping[str, Any]) -> None:
-        """Replace the file, in one step."""
+        """Replace the file in one step."""
         aside = self.path.with_name(f"{self.path.name}.{os.getpid()}.part")
         try:
             with aside.open("wb") as file:
@@ -72,14 +74,14 @@ class WorkFile:
             aside.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Nothing is left to go on with."""
+        """Delete the file: the run is complete."""
         self.path.unlink(missing_ok=True)
 
     @contextmanager
     def keeping(self) -> Iterator[Callable[[Mapping[str, Any]], None]]:
-        """A function to tell what is done so far; written now and then, and when the block is stopped or fails."""
+        """A function that takes what is finished so far. It is written from time to time, and when the block stops or fails."""
         last: Mapping[str, Any] | None = None
-        due = time.monotonic() + EVERY_S
+        due = time.monotonic() + WRITE_INTERVAL_S
 
         def keep(kept: Mapping[str, Any]) -> None:
             nonlocal last, due
@@ -87,7 +89,7 @@ class WorkFile:
             if (begin := time.monotonic()) >= due:
                 self.write(kept)
                 took = time.monotonic() - begin
-                due = time.monotonic() + max(EVERY_S, 20.0 * took)
+                due = time.monotonic() + max(WRITE_INTERVAL_S, WRITE_INTERVAL_RATIO * took)
 
         try:
             yield keep

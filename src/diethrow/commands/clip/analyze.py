@@ -11,7 +11,7 @@ from pathlib import Path
 from ...analysis import PLAIN, Analysis, Progress, Shown, Tracking, rate_hz, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
-from ...files.provenance import Stopwatch, steady
+from ...files.provenance import Stopwatch, unchanged_inputs
 from ...files.scene import Scene
 from ...files.tables import read_json
 from ...fitting.throw import IntervalMethod
@@ -46,7 +46,7 @@ def analyze(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
-    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
         fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices

@@ -9,8 +9,8 @@ import numpy as np
 from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
 from ...files.fit_records import write_fit
-from ...files.outputs import ROOM_BYTES, demand_room, whole_folder
-from ...files.provenance import Stopwatch, add_timings, steady
+from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
+from ...files.provenance import Stopwatch, add_timings, unchanged_inputs
 from ...files.scene import Scene
 from ...files.tables import read_json
 from ...files.throw_records import (
@@ -51,7 +51,7 @@ def fit_track(
     table, die = scene.table.in_model, scene.given_die()
     frames = read_track(track_path)
     paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
-    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         frames, measured, smoothed = find_impacts(frames, track_path, die, None, progress, watch)
         fit = run_fit(frames, measured, die, progress, watch, intervals, table)
         write_vertices(folder / "vertices.csv", die.solid)
@@ -117,7 +117,7 @@ def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
 
 
 def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
-    demand_room(folder, _replay_bytes(record))
+    check_free_space(folder, _replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
         write_recording(folder / "replay.rrd", record)
@@ -139,4 +139,4 @@ def write_pages(
 def _replay_bytes(record: Record) -> int:
     """More than a recording and a report take: 2 kB a frame beside the film, and a twentieth of its pixels."""
     film = record.clip.width_px * record.clip.height_px * len(record.clip) // 20 if record.clip is not None else 0
-    return ROOM_BYTES + 2048 * len(record.track) + film
+    return MIN_FREE_BYTES + 2048 * len(record.track) + film

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
-from ...files.provenance import Inputs, Stopwatch, steady, write_provenance
+from ...files.provenance import Inputs, Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import ClipSource, Scene, View
 from ...files.settings import SceneError, refuse
 from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
@@ -43,7 +43,7 @@ def track_only(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
-    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
         write_tracking(folder, scene, tracking)
         command = command or same_command("track", scene, out, quality, decimation)

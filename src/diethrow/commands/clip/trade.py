@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
-from ...files.provenance import Stopwatch, steady, write_provenance
+from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
 from ...fitting.estimation import sight, whiteners
 from ...fitting.free import common_restitution, fit_flights, measure_bounces, moved_state
@@ -126,7 +126,7 @@ def trade(
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
-    with whole_folder(out, force=force, inputs=paths) as folder, steady(paths) as inputs:
+    with whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
         with one_thread(), watch.stage("trade"):
             measured = _measured(scene, within, draws, progress)
         _write(folder, scene.path.resolve().parent.name, measured)
