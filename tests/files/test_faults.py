@@ -50,7 +50,7 @@ def test_a_full_disk_is_reported_before_anything_is_computed(tmp_path: Path, mon
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(10**9, 10**9 - 10**6, 10**6))
     with (
-        pytest.raises(OutputPlaceError, match="disk is full.* 1 MB .* 17 MB"),
+        pytest.raises(OutputPlaceError, match=r"disk is full.* 1 MB .* 17 MB"),
         whole_folder(tmp_path / "out"),
     ):
         pytest.fail("the work was begun")
