@@ -1,5 +1,5 @@
-"""Records to a Rerun recording, figures and a report.
+"""Replay: a Rerun recording, figures, and pages, drawn from records of a throw; and a camera's view of a simulated throw.
 
-A `Record` holds what an analysis found. Nothing here computes physics: poses, bounces and parameters are read and
-drawn. The names are imported from their modules, because a figure should not have to load the viewer.
+A `Record` holds what an analysis found. This package reads poses, bounces and parameters and draws them; it computes no
+physics. Import names from the folders below: a figure then does not load the viewer.
 """

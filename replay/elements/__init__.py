@@ -1,4 +1,8 @@
-"""replay.elements."""
+"""What all replays share: the record that they draw, colours, edges in view, findings as text, and the clip as video.
+
+`Record` is the input of every recording, figure and report. `Motion` is one throw (measured or simulated) ready to draw.
+Recordings, figures and pages take their colours and their sentences from here, so that all of them agree.
+"""
 
 from .colours import ALARM as ALARM
 from .colours import AXIS_COLOURS as AXIS_COLOURS
@@ -39,6 +43,7 @@ from .findings_text import short_verdict as short_verdict
 from .findings_text import verdict as verdict
 from .record import Motion as Motion
 from .record import Record as Record
+from .record import ReportDetails as ReportDetails
 from .record import Residuals as Residuals
 from .record import motion_of as motion_of
 from .record import motions_of as motions_of

@@ -1,12 +1,13 @@
-"""The colours of every picture: one for what the camera saw, one for what the model says.
+"""The colours of all pictures: blue for the measurement, orange for the model.
 
-Blue against orange stays apart for every common colour blindness, and both keep a contrast of about 3 : 1 on white
-paper and more on the viewer's dark ground.
+Blue and orange remain distinguishable under every common colour blindness. Both have a contrast of about 3 : 1 on white
+paper, and more on the viewer's dark background.
 """
 
 from __future__ import annotations
 
 Colour = tuple[int, int, int]
+"""Red, green and blue, 0 to 255."""
 
 MEASURED: Colour = (43, 140, 220)
 SIMULATED: Colour = (224, 118, 0)
@@ -21,8 +22,7 @@ COLOURS = {"measured": MEASURED, "simulated": SIMULATED}
 """Colour of each motion by its name."""
 
 AXIS_COLOURS: tuple[Colour, Colour, Colour] = ((214, 84, 120), (62, 160, 92), (126, 110, 214))
-"""x, y and z where a vector is drawn by component."""
-
+"""x, y and z, for vectors drawn by component."""
 
 THROW_COLOURS: tuple[Colour, ...] = (
     (86, 180, 233),
@@ -33,20 +33,8 @@ THROW_COLOURS: tuple[Colour, ...] = (
     (150, 130, 255),
     (190, 190, 190),
 )
-"""Of several throws, or of several models of one, in the order in which they are named; then again from the first. Okabe
-and Ito's as far as they stand out from the viewer's dark ground."""
-
-
-def hex_colour(colour: Colour) -> str:
-    """`#rrggbb`, as matplotlib and CSS write it."""
-    return "#{:02x}{:02x}{:02x}".format(*colour)
-
-
-def mixed(colour: Colour, other: Colour, share: float) -> Colour:
-    """`colour` with a `share` (0 to 1) of `other` in it."""
-    red, green, blue = (round((1.0 - share) * a + share * b) for a, b in zip(colour, other, strict=True))
-    return red, green, blue
-
+"""Colours of several throws, or of several models of one throw, in their order; after the last, the first again. Those of
+Okabe and Ito that stand out from the viewer's dark background, and others."""
 
 FACE_COLOURS: tuple[Colour, ...] = (
     (0, 114, 178),
@@ -70,13 +58,24 @@ FACE_COLOURS: tuple[Colour, ...] = (
     (240, 135, 0),
     (150, 120, 75),
 )
-"""One for each face of a die. The first six are Okabe and Ito's, each other one lies as far as can be from those before
-it: two of the first 4, 12 and 20 differ by CIEDE2000 of at least 20, 12 and 9, also for who lacks one kind of cone
-(Machado, Oliveira and Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009)."""
+"""One for each face of a die. The first six are Okabe and Ito's; each further one lies as far as possible from those
+before it. Any two of the first 4, 12 and 20 differ by a CIEDE2000 of at least 20, 12 and 9, also for readers who lack one
+kind of cone (Machado, Oliveira and Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291, 2009)."""
 
 SPINNING_COLOUR: Colour = (0, 0, 0)
-"""Where a die spins or stands for ever and lands on no face."""
+"""Of throws that end spinning or balanced, on no face."""
 BOUNCING_COLOUR: Colour = (150, 150, 150)
-"""Where it was left bouncing."""
+"""Of throws that were stopped while they still bounced."""
 NO_RELEASE_COLOUR: Colour = (255, 255, 255)
-"""Where no die can be released."""
+"""Of conditions at which no die can be released."""
+
+
+def hex_colour(colour: Colour) -> str:
+    """`#rrggbb`, as matplotlib and CSS write it."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def mixed(colour: Colour, other: Colour, share: float) -> Colour:
+    """`colour` with a `share` (0 to 1) of `other` in it."""
+    red, green, blue = (round((1.0 - share) * a + share * b) for a, b in zip(colour, other, strict=True))
+    return red, green, blue

@@ -1,4 +1,4 @@
-"""The sentences of a replay: what the report, the recording and its event log say about a throw."""
+"""Findings as text: formatted numbers, and the sentences of the report, the recording and its event log."""
 
 from __future__ import annotations
 
@@ -17,10 +17,35 @@ if TYPE_CHECKING:
 
 UNKNOWN = "not determined"
 SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+MAX_LISTED_TIMES = 6
+"""Bounces whose times the summary lists."""
+CERTAIN_ODDS = 0.95
+"""Odds from which the landing face counts as certain: higher values delay the bounce from which it is reported."""
+
+PARAMETER_TEXTS = {
+    "chi": "restitution χ [1]",
+    "mu": "Coulomb friction μ [1]",
+    "chi_fade_s_per_m": "decrease of χ with the normal speed [s/m]",
+    "mu_fade_s_per_m": "decrease of μ with the normal speed [s/m]",
+    "corner_radius_m": "radius of the corners [m]",
+    "inertia_kg_m2": "moment of inertia [kg m²]",
+    "tilt_x_rad": "tilt of the table about x [rad]",
+    "tilt_y_rad": "tilt of the table about y [rad]",
+    "drag_per_m": "air drag [1/m]",
+    "table_amplitude_m": "amplitude of the table's motion [m]",
+    "table_frequency_hz": "frequency of the table's motion [Hz]",
+    "table_phase_rad": "phase of the table's motion at t = 0 [rad]",
+    "clock_scale": "true seconds per second of the clip [1]",
+    "length_scale": "metres of the track per true metre [1]",
+}
+"""Meaning and unit of each parameter of a fit."""
+
+
+# --- numbers ---
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits and a true minus sign; `not determined` for None and NaN."""
+    """A number with `digits` significant digits and a true minus sign; `not determined` for None and NaN."""
     if value is None or not np.isfinite(value):
         return UNKNOWN
     text = f"{value:.{digits}g}"
@@ -31,12 +56,17 @@ def number(value: float | None, digits: int = 4) -> str:
 
 
 def fixed(value: float, decimals: int) -> str:
-    """A number with so many decimals and a true minus sign; `not determined` for NaN."""
+    """A number with a fixed count of decimals and a true minus sign; `not determined` for NaN."""
     return f"{value:.{decimals}f}".replace("-", "−") if np.isfinite(value) else UNKNOWN
 
 
+def decimals_for(width: float) -> int:
+    """Decimals that show an interval of this width with two digits, from 2 to 8."""
+    return int(np.clip(1 - np.floor(np.log10(width)) if width > 0 else 4, 2, 8))
+
+
 def interval(value: float | None, low: float | None, high: float | None, level: float | None = 0.95) -> str:
-    """`0.583 (95 % interval 0.580 to 0.586)`, with the decimals that the interval deserves."""
+    """`0.583 (95 % interval 0.580 to 0.586)`; the width of the interval sets the decimals."""
     if value is None or not np.isfinite(value):
         return UNKNOWN
     if low is None or high is None or level is None or not np.isfinite([low, high]).all():
@@ -46,39 +76,27 @@ def interval(value: float | None, low: float | None, high: float | None, level: 
     return f"{fixed(value, decimals)} ({100 * level:.3g} % interval {low_text} to {high_text})"
 
 
-def decimals_for(width: float) -> int:
-    """Decimals that show an interval of this width with two digits, between 2 and 8."""
-    return int(np.clip(1 - np.floor(np.log10(width)) if width > 0 else 4, 2, 8))
+def short_interval(value: float | None, low: float | None, high: float | None) -> str:
+    """`0.583 (0.580 to 0.586)`; the width of the interval sets the decimals."""
+    if value is None or low is None or high is None or not np.isfinite([value, low, high]).all():
+        return number(value)
+    decimals = decimals_for(high - low)
+    return f"{fixed(value, decimals)} ({fixed(low, decimals)} to {fixed(high, decimals)})"
 
 
-def plural(count: int, what: str) -> str:
+def plural(count: int, noun: str) -> str:
     """`1 bounce`, `3 bounces`."""
-    return f"{count} {what}" + ("" if count == 1 else "s")
+    return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
-def verdict(record: Record) -> list[str]:
-    """What the analysis found, in three sentences: what was seen, what the model makes of it, and where the die lands."""
-    said = [_seen_sentence(record)]
-    if record.fit is None:
-        return [*said, "No model was fitted."]
-    return [*said, _model_sentence(record), landing_sentence(record.fit)]
-
-
-def short_verdict(record: Record) -> str:
-    """What became of the throw, in a few words for a table."""
-    bounces, fit = len(record.measured.impacts), record.fit
-    if fit is None:
-        return "no model fitted"
-    if not bounces or not fit.bounces_fitted:
-        return "no bounce explained" if bounces else "no bounce seen"
-    return f"{fit.bounces_fitted} of {plural(bounces, 'bounce')} explained"
+# --- one impact, one estimate, one parameter ---
 
 
 def bounce_sentence(number_: int, impact: Impact) -> str:
     """One bounce on one line, as the event log shows it."""
-    where = impact.contact + (" " + " ".join(map(str, impact.vertices)) if impact.vertices else "")
+    contact = impact.contact + (" " + " ".join(map(str, impact.vertices)) if impact.vertices else "")
     before, after = impact.normal_velocity_before_m_s, impact.normal_velocity_after_m_s
-    text = f"bounce {number_} at {fixed(1e3 * impact.time_s, 3)} ms, {where}"
+    text = f"bounce {number_} at {fixed(1e3 * impact.time_s, 3)} ms, {contact}"
     if np.isfinite([before, after]).all():
         text += f", {fixed(before, 3)} → {fixed(after, 3)} m/s"
     if np.isfinite(impact.impulse_N_s).all():
@@ -87,12 +105,18 @@ def bounce_sentence(number_: int, impact: Impact) -> str:
 
 
 def impulse_of(impact: Impact) -> str:
-    """How hard the table struck."""
+    """Magnitude of the table's impulse on the die."""
     return f"{number(1e3 * float(np.linalg.norm(impact.impulse_N_s)), 3)} mN s"
 
 
+def chi_of(impact: Impact) -> str:
+    """The apparent restitution of one bounce with its interval."""
+    known = np.isfinite([impact.chi_low, impact.chi_high]).all()
+    return short_interval(impact.chi, impact.chi_low, impact.chi_high) if known else number(impact.chi, 3)
+
+
 def estimate_sentence(estimate: Estimate) -> str:
-    """What is known after so many bounces, on one line of the event log."""
+    """The result of a fit to the frames up to the end of one flight, on one line of the event log."""
     chi = estimate.chi
     text = f"after {plural(estimate.bounces, 'bounce')}: χ = {short_interval(chi.value, chi.low, chi.high)}"
     if odds := estimate.face_odds:
@@ -101,22 +125,96 @@ def estimate_sentence(estimate: Estimate) -> str:
     return text
 
 
-def short_interval(value: float | None, low: float | None, high: float | None) -> str:
-    """`0.583 (0.580 to 0.586)`, with the decimals that the interval deserves."""
-    if value is None or low is None or high is None or not np.isfinite([value, low, high]).all():
-        return number(value)
-    decimals = decimals_for(high - low)
-    return f"{fixed(value, decimals)} ({fixed(low, decimals)} to {fixed(high, decimals)})"
+def role(parameter: Parameter) -> str:
+    """Whether the parameter was fitted, and whether it lies at a bound."""
+    return ("fitted" if parameter.free else "held") + (", at the bound of its law" if parameter.at_bound else "")
 
 
-def chi_of(impact: Impact) -> str:
-    """The apparent restitution of one bounce with its interval, short."""
-    known = np.isfinite([impact.chi_low, impact.chi_high]).all()
-    return short_interval(impact.chi, impact.chi_low, impact.chi_high) if known else number(impact.chi, 3)
+def parameter_text(name: str) -> str:
+    """A parameter's name with its meaning; a parameter without an entry keeps its name, which carries the unit."""
+    return f"{name}: {PARAMETER_TEXTS[name]}" if name in PARAMETER_TEXTS else name
+
+
+# --- the throw ---
+
+
+def verdict(record: Record) -> list[str]:
+    """The result in up to three sentences: what was observed, how well the model fits, and where the die lands."""
+    observed = _observation_sentence(record)
+    if record.fit is None:
+        return [observed, "No model was fitted."]
+    return [observed, _model_sentence(record), landing_sentence(record.fit)]
+
+
+def short_verdict(record: Record) -> str:
+    """The result in a few words, for a table."""
+    bounces, fit = len(record.measured.impacts), record.fit
+    if fit is None:
+        return "no model fitted"
+    if not bounces or not fit.bounces_fitted:
+        return "no bounce explained" if bounces else "no bounce observed"
+    return f"{fit.bounces_fitted} of {plural(bounces, 'bounce')} explained"
+
+
+def landing_sentence(fit: Fit) -> str:
+    """The face on which the die comes to rest, or the odds of the likeliest one."""
+    if fit.landed_face is not None:
+        return f"The die comes to rest on face {fit.landed_face}."
+    if not fit.face_odds:
+        return "Landing face unknown: the simulation stopped before the die came to rest."
+    face, share = max(fit.face_odds.items(), key=lambda item: item[1])
+    return f"Landing face uncertain: face {face} is the likeliest, with odds of {100 * share:.0f} %."
+
+
+def certainty_sentences(estimates: Sequence[Estimate]) -> list[str]:
+    """From which bounce on the landing face was certain, by fits to more and more frames; empty without such fits."""
+    known = [estimate for estimate in estimates if estimate.face_odds]
+    if len(known) < 2:
+        return []
+    likeliest = [max((estimate.face_odds or {}).items(), key=lambda item: item[1]) for estimate in known]
+    face = likeliest[-1][0]
+    last_uncertain = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < CERTAIN_ODDS), default=-1)
+    if last_uncertain == len(known) - 1:
+        return ["No face becomes certain before the clip ends."]
+    first = known[last_uncertain + 1]
+    return [
+        f"Face {face} is certain (odds of {100 * CERTAIN_ODDS:.0f} % or more) from the flight after bounce "
+        f"{first.bounces} on, which begins at {fixed(1e3 * first.time_s, 1)} ms."
+    ]
+
+
+def effects_sentences(fit: Fit) -> list[str]:
+    """Which effects the model includes, and what became of the others."""
+    given = {"smooth impact"}
+    if "table_amplitude_m" not in fit.parameters:
+        given.add("oscillating table")  # its motion comes from the scene
+    if "corner_radius_m" not in fit.parameters:
+        given.add("rounded corners")  # their radius comes from the scene
+    added = [name for name in fit.chosen if name not in given]
+    if added:
+        first = f"The frames cannot be explained without {_listed(added)}. The model includes {_listed(fit.chosen)}."
+    elif fit.chosen:
+        first = f"The simplest model of this scene is sufficient: {_listed(fit.chosen)}."
+    else:
+        first = "No model of an impact was needed."
+    tried = [effect for effect in fit.considered if effect.evidence is not None]
+    untried = len(fit.considered) - len(tried)
+    sentences = [first]
+    if tried:
+        best = max(tried, key=lambda effect: effect.evidence or 0.0)
+        sentences.append(
+            f"{_word(len(tried))} other {'effect was' if len(tried) == 1 else 'effects were'} tried and rejected. The "
+            f"largest gain in log-likelihood is {number(best.evidence, 2)}, from {best.name}."
+        )
+    if untried:
+        sentences.append(
+            f"{_word(untried)} {'was' if untried == 1 else 'were'} not tried; the table gives the reasons."
+        )
+    return sentences
 
 
 def markdown(record: Record, display: tuple[str, ...] = ()) -> str:
-    """The same findings as a page for the viewer; `display` says how the pictures were made."""
+    """The findings as a page for the viewer; `display` says how the images were made."""
     lines = [f"# {record.title}", "", *(f"{sentence}\n" for sentence in verdict(record))]
     if record.fit is not None:
         lines += ["## Fitted parameters", "", "| parameter | value | |", "| --- | --- | --- |"]
@@ -126,121 +224,18 @@ def markdown(record: Record, display: tuple[str, ...] = ()) -> str:
     return "\n".join(lines)
 
 
-def role(parameter: Parameter) -> str:
-    """How the parameter took part in the fit."""
-    held = "fitted" if parameter.free else "held"
-    return held + (", at the bound of its law" if parameter.at_bound else "")
-
-
-def _word(count: int) -> str:
-    """A number that may begin a sentence."""
-    words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten", "Eleven", "Twelve")
-    return words[count] if count < len(words) else str(count)
-
-
-def _of(parameter: Parameter) -> str:
-    return interval(parameter.value, parameter.low, parameter.high, parameter.level)
-
-
-def landing_sentence(fit: Fit) -> str:
-    """Where the die comes to rest, or how open that is."""
-    if fit.landed_face is not None:
-        return f"The die comes to rest on face {fit.landed_face}."
-    if not fit.face_odds:
-        return "On which face it comes to rest is open: nothing was simulated on to rest."
-    face, share = max(fit.face_odds.items(), key=lambda item: item[1])
-    return f"On which face it comes to rest is open: the likeliest, face {face}, has odds of {100 * share:.0f} %."
-
-
-PARAMETER_TEXTS = {
-    "chi": "restitution χ [1]",
-    "mu": "Coulomb friction μ [1]",
-    "chi_fade_s_per_m": "fading of χ with the normal speed [s/m]",
-    "mu_fade_s_per_m": "fading of μ with the normal speed [s/m]",
-    "corner_radius_m": "radius of the corners [m]",
-    "inertia_kg_m2": "moment of inertia [kg m²]",
-    "tilt_x_rad": "tilt of the table about x [rad]",
-    "tilt_y_rad": "tilt of the table about y [rad]",
-    "drag_per_m": "air drag [1/m]",
-    "table_amplitude_m": "amplitude of the table's motion [m]",
-    "table_frequency_hz": "frequency of the table's motion [Hz]",
-    "table_phase_rad": "phase of the table's motion at t = 0 [rad]",
-    "clock_scale": "true seconds in a second of the clip [1]",
-    "length_scale": "metres of the track in a true metre [1]",
-}
-"""What the parameters of a fit are, with their units."""
-
-
-def parameter_text(name: str) -> str:
-    """A parameter in words; one that is not known here keeps its name, which carries the unit."""
-    return f"{name}: {PARAMETER_TEXTS[name]}" if name in PARAMETER_TEXTS else name
-
-
-def effects_sentences(fit: Fit) -> list[str]:
-    """Which effects the throw needed, and what became of the others."""
-    stated = {"smooth impact"}
-    if "table_amplitude_m" not in fit.parameters:
-        stated.add("oscillating table")  # its motion is the scene's
-    if "corner_radius_m" not in fit.parameters:
-        stated.add("rounded corners")  # they are the scene's
-    beyond = [name for name in fit.chosen if name not in stated]
-    if beyond:
-        first = f"The frames cannot be explained without {_listed(beyond)}; the model has {_listed(fit.chosen)}."
-    elif fit.chosen:
-        first = f"The plainest model of this scene is enough: {_listed(fit.chosen)}."
-    else:
-        first = "No model of an impact was needed."
-    tried = [effect for effect in fit.considered if effect.evidence is not None]
-    untried = len(fit.considered) - len(tried)
-    said = [first]
-    if tried:
-        best = max(tried, key=lambda effect: effect.evidence or 0.0)
-        said.append(
-            f"{_word(len(tried))} other {'effect was' if len(tried) == 1 else 'effects were'} tried and did not pay; "
-            f"nearest came {best.name}, which gains {number(best.evidence, 2)} units of log-likelihood."
-        )
-    if untried:
-        said.append(f"{_word(untried)} {'was' if untried == 1 else 'were'} not tried; the table says why.")
-    return said
-
-
-CERTAIN_ODDS = 0.95
-"""Odds from which a face counts as settled."""
-
-
-def certainty_sentences(estimates: Sequence[Estimate]) -> list[str]:
-    """When the outcome was settled, by fits of more and more frames; nothing where there are none."""
-    known = [estimate for estimate in estimates if estimate.face_odds]
-    if len(known) < 2:
-        return []
-    likeliest = [max((estimate.face_odds or {}).items(), key=lambda item: item[1]) for estimate in known]
-    face = likeliest[-1][0]
-    open_to = max((k for k, (f, share) in enumerate(likeliest) if f != face or share < CERTAIN_ODDS), default=-1)
-    if open_to == len(known) - 1:
-        return ["No face was settled by the frames at hand."]
-    first = known[open_to + 1]
-    return [
-        f"Face {face} was settled by the flight after bounce {first.bounces}, which began at "
-        f"{fixed(1e3 * first.time_s, 1)} ms."
-    ]
-
-
-def _listed(names: Sequence[str]) -> str:
-    """`a`, `a and b`, `a, b and c`."""
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def _seen_sentence(record: Record) -> str:
+def _observation_sentence(record: Record) -> str:
     track, impacts = record.track, record.measured.bounces
-    shown = int((track.status != ABSENT).sum())
-    text = f"The pose of the die is known on {int(track.tracked.sum())} of the {plural(shown, 'frame')} that show it; "
+    visible = int((track.status != ABSENT).sum())
+    text = f"The pose is known on {int(track.tracked.sum())} of the {plural(visible, 'frame')} that show the die; "
     if not impacts:
-        return text + "no bounce was seen."
-    times = ", ".join(f"{1e3 * impact.time_s:.1f}" for impact in impacts[:6]) + (", …" if len(impacts) > 6 else "")
+        return text + "no bounce was observed."
+    times = ", ".join(f"{1e3 * impact.time_s:.1f}" for impact in impacts[:MAX_LISTED_TIMES])
+    times += ", …" if len(impacts) > MAX_LISTED_TIMES else ""
     found = "one bounce was" if len(impacts) == 1 else f"{_word(len(impacts)).lower()} bounces were"
     unresolved = sum(impact.contact == "unresolved" for impact in impacts)
-    rest = f", of which {unresolved} could not be resolved into single contacts." if unresolved else "."
-    return f"{text}{found} found, at {times} ms{rest}"
+    end = f"; {unresolved} of them could not be resolved into single contacts." if unresolved else "."
+    return f"{text}{found} found, at {times} ms{end}"
 
 
 def _model_sentence(record: Record) -> str:
@@ -252,9 +247,23 @@ def _model_sentence(record: Record) -> str:
         share = f"{'all' if fit.bounces_fitted == bounces else f'{fit.bounces_fitted} of'} {bounces} bounces"
         share = "the only bounce" if bounces == 1 else share
         return (
-            f"{text}; the model explains {share}, and its poses differ from the measured ones by "
-            f"{number(fit.residual_rms, 3)} standard errors, root mean square (noise alone gives 1)."
+            f"{text}; the model explains {share}. Its poses differ from the measured ones by {number(fit.residual_rms, 3)} "
+            "standard errors, root mean square (noise alone gives 1)."
         )
-    return text + (
-        "; the model explains none of the bounces, see the messages." if bounces else "; the messages say why."
-    )
+    reason = "the model explains none of the bounces; see the messages." if bounces else "the messages give the reason."
+    return f"{text}; {reason}"
+
+
+def _of(parameter: Parameter) -> str:
+    return interval(parameter.value, parameter.low, parameter.high, parameter.level)
+
+
+def _word(count: int) -> str:
+    """A number as the first word of a sentence."""
+    words = ("No", "One", "Two", "Three", "Four", "Five", "Six", "Seven", "Eight", "Nine", "Ten", "Eleven", "Twelve")
+    return words[count] if count < len(words) else str(count)
+
+
+def _listed(names: Sequence[str]) -> str:
+    """`a`, `a and b`, `a, b and c`."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

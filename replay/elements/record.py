@@ -1,13 +1,14 @@
-"""What a replay draws: a throw as the camera saw it and, where there is a fit, as the model makes it.
+"""The input of a replay: the measured throw and, with a fit, the simulated one.
 
-Nothing here computes physics. A `Motion` is one of the two throws made ready to draw: poses on frames and, between
-them, impacts. The residuals are geometry: what lies between the two poses of one frame.
+A `Motion` is one of the two, ready to draw: poses on frames, and the impacts between them. Residuals are the differences
+of the two poses of a frame. No physics is computed here.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from ...model.die import Die, Solid
 from ...model.rotations import continuous_sign, matrix_from_quat, rotation_between
 from ...model.throw import Impact, Throw
 from ...tracking.camera import Camera
+from ...tracking.check import Finding
 from ...tracking.footage import Clip
 from ...tracking.track import TRACKED, Track
 
@@ -25,10 +27,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+FRAME_ROUNDING = 1e-9
+"""Frames. Keeps the last frame of a throw whose duration is a whole number of frames up to rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """One analysed throw, from clip to fit. What is None was not to be had, and is left out of the picture."""
+    """One analysed throw, from clip to fit. Fields that are None are left out of every picture."""
 
     title: str
     die: Die
@@ -43,18 +48,30 @@ class Record:
     simulated: Track | None = None
     """The fitted model's poses on the frames of `track`."""
     estimates: tuple[Estimate, ...] = ()
-    """What fits of more and more of the throw say, in the order of time; the last is `fit`."""
+    """Results of fits to the frames up to the end of each flight, in the order of time; the last is `fit`."""
     notices: tuple[str, ...] = ()
-    """What a careful reader should know about the footage and the tracking, one sentence each."""
+    """Reservations about the footage and the tracking, one sentence each."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReportDetails:
+    """What a report shows of a run besides the throw. Fields that are empty or None are left out."""
+
+    frames: Track | None = None
+    """Poses of single frames, as the fit used them: their residuals show noise as noise."""
+    findings: tuple[Finding, ...] = ()
+    """Checks of timing and calibration on the finished throw."""
+    origin: Mapping[str, Any] | None = None
+    """Version, command, inputs with their SHA-256, packages and timings, by the keys of `provenance.json`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One throw made ready to draw: `measured` or `simulated`."""
+    """One throw, `measured` or `simulated`, ready to draw."""
 
     name: str
     frame: NDArray[np.int64]
-    """(n,) numbers of the frames on which the pose is known, increasing."""
+    """(n,) numbers of the frames with a pose, increasing."""
     time_s: Array
     """(n,)."""
     position_m: Array
@@ -62,24 +79,24 @@ class Motion:
     quaternion: Array
     """(n, 4) wxyz, body to world."""
     missing_frame: NDArray[np.int64]
-    """(m,) frames on which the pose is not known: no die may be drawn there."""
+    """(m,) numbers of the frames without a pose; no die is drawn there."""
     missing_time_s: Array
     """(m,)."""
     throw: Throw | None
-    """Flights and impacts; None where there are only poses."""
+    """Flights and impacts; None if only poses are known."""
 
     @property
     def impacts(self) -> tuple[Impact, ...]:
-        """Its bounces; none where there are only poses."""
+        """Its bounces; none if only poses are known."""
         return self.throw.bounces if self.throw else ()
 
     @property
     def runs(self) -> list[slice]:
-        """Stretches of rows without a gap between them."""
+        """Runs of rows without a missing frame between them."""
         if not len(self.frame):
             return []
-        gone_before = np.searchsorted(self.missing_frame, self.frame)
-        cuts = np.flatnonzero(np.diff(gone_before)) + 1
+        missing_before = np.searchsorted(self.missing_frame, self.frame)
+        cuts = np.flatnonzero(np.diff(missing_before)) + 1
         return [slice(int(a), int(b)) for a, b in zip([0, *cuts], [*cuts, len(self.frame)], strict=True)]
 
     def corners_m(self, solid: Solid) -> Array:
@@ -90,7 +107,7 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Measured minus simulated on the frames where both poses are known."""
+    """Measured minus simulated pose on the frames where both are known."""
 
     frame: NDArray[np.int64]
     time_s: Array
@@ -104,12 +121,12 @@ class Residuals:
     rotation_deg: Array
     """(n,) angle of the rotation that takes the simulated to the measured orientation."""
     sigmas: Array
-    """(n,) root mean square of the six whitened components; NaN where the frame has no covariance. Near 1 when model
-    and covariances are right."""
+    """(n,) root mean square of the six whitened components, near 1 if model and covariances are right; NaN where the frame
+    has no covariance."""
 
 
 def motion_of(name: str, track: Track, throw: Throw | None) -> Motion:
-    """A track and its throw, made ready to draw under `name`."""
+    """A track and its throw as a motion with this name."""
     known = track.tracked & np.isfinite(track.position_m).all(1) & np.isfinite(track.quaternion).all(1)
     return Motion(
         name,
@@ -124,7 +141,7 @@ def motion_of(name: str, track: Track, throw: Throw | None) -> Motion:
 
 
 def motions_of(record: Record) -> list[Motion]:
-    """The measured motion and, where there is a fit, the simulated one."""
+    """The measured motion and, if there is one, the simulated one."""
     motions = [motion_of("measured", record.track, record.measured)]
     if record.simulated is not None:
         motions.append(motion_of("simulated", record.simulated, record.fit.throw if record.fit else None))
@@ -134,15 +151,14 @@ def motions_of(record: Record) -> list[Motion]:
 def track_of(throw: Throw, fps: float) -> Track:
     """The poses of a modelled throw on the frames of a camera at `fps` [Hz], from its first instant to its last.
 
-    Frame k is at k / fps, as on film. Raises ValueError where fps is not positive or no frame falls into the throw.
+    Frame k is at the time k / fps. Raises ValueError if fps is not positive or the throw contains no frame.
     """
     if not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"fps = {fps}: wanted a finite number above 0")
     begin, end = throw.flights[0].start.time_s, throw.flights[-1].end_s
-    # A billionth of a frame keeps the last frame of a throw whose length is a whole number of frames.
-    frames = np.arange(int(np.ceil(begin * fps - 1e-9)), int(np.floor(end * fps + 1e-9)) + 1)
+    frames = np.arange(int(np.ceil(begin * fps - FRAME_ROUNDING)), int(np.floor(end * fps + FRAME_ROUNDING)) + 1)
     if not len(frames):
-        raise ValueError(f"a throw from {begin} s to {end} s has no frame at {fps} frames per second: raise fps")
+        raise ValueError(f"fps = {fps}: no frame falls between the {begin} s and {end} s of the throw; raise fps")
     times = frames / fps
     positions, quaternions = throw.poses(times)
     unknown = np.full((len(frames), 6, 6), np.nan)
@@ -150,24 +166,24 @@ def track_of(throw: Throw, fps: float) -> Track:
 
 
 def residuals(track: Track, simulated: Track) -> Residuals:
-    """What lies between the two poses of each frame that both tracks know."""
-    _, mine, theirs = np.intersect1d(
+    """The differences of the two poses on each frame that both tracks know."""
+    _, row, simulated_row = np.intersect1d(
         track.frame[track.tracked], simulated.frame[simulated.tracked], return_indices=True
     )
-    mine, theirs = np.flatnonzero(track.tracked)[mine], np.flatnonzero(simulated.tracked)[theirs]
-    shift = track.position_m[mine] - simulated.position_m[theirs]
-    turn = rotation_between(simulated.quaternion[theirs], track.quaternion[mine])
-    whitened = _whitened_rms(np.hstack([shift, turn]), track.covariance[mine])
+    row, simulated_row = np.flatnonzero(track.tracked)[row], np.flatnonzero(simulated.tracked)[simulated_row]
+    shift = track.position_m[row] - simulated.position_m[simulated_row]
+    turn = rotation_between(simulated.quaternion[simulated_row], track.quaternion[row])
+    whitened = _whitened_rms(np.hstack([shift, turn]), track.covariance[row])
     turn_deg = np.rad2deg(turn)
-    variances = np.einsum("nii->ni", track.covariance[mine])
+    variances = np.einsum("nii->ni", track.covariance[row])
     with np.errstate(invalid="ignore"):
         errors = np.sqrt(np.where(variances > 0.0, variances, np.nan)) * ([1e3] * 3 + [np.rad2deg(1.0)] * 3)
     angle = np.linalg.norm(turn_deg, axis=1)
-    return Residuals(track.frame[mine], track.time_s[mine], 1e3 * shift, turn_deg, errors, angle, whitened)
+    return Residuals(track.frame[row], track.time_s[row], 1e3 * shift, turn_deg, errors, angle, whitened)
 
 
 def _whitened_rms(errors: Array, covariances: Array) -> Array:
-    """Root mean square (n,) of errors (n, 6) in units of their covariances (n, 6, 6); NaN where that has no inverse."""
+    """Root mean square (n,) of errors (n, 6) whitened by covariances (n, 6, 6); NaN where a covariance has no inverse."""
     rms = np.full(len(errors), np.nan)
     for k, (error, covariance) in enumerate(zip(errors, covariances, strict=True)):
         if not np.isfinite(covariance).all() or np.linalg.matrix_rank(covariance, hermitian=True) < 6:

@@ -1,6 +1,6 @@
-"""The pictures of a throw on paper: each function draws on the axes that it is given, and returns them.
+"""Plots of one throw. Each function draws on the given axes and returns them.
 
-Measured poses are blue dots and the model orange lines, as in the recording. Every axis carries its unit.
+Measured poses are blue dots and the model is orange lines, as in the recording. Every axis states its unit.
 """
 
 from __future__ import annotations
@@ -17,20 +17,14 @@ from numpy.typing import ArrayLike, NDArray
 from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Impact, Throw
-from ...tracking.camera import Camera
-from ...tracking.footage import Clip
 from ..elements import (
     AXIS_COLOURS,
-    COLOURS,
     FACE_COLOURS,
     IMPACT,
     MEASURED,
     SIMULATED,
-    Motion,
     Residuals,
-    display_window,
     hex_colour,
-    visible_edges,
 )
 
 if TYPE_CHECKING:
@@ -39,12 +33,14 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-MOST_MARKS = 20_000
-"""Marks of a figure that are still drawn as shapes in an SVG; more would make files of many megabytes."""
+MAX_VECTOR_MARKS = 20_000
+"""Marks that an SVG holds as shapes. More are drawn as pixels, because the file would have many megabytes."""
 DRAWN_INSTANTS = 4000
-"""Of a modelled throw: more than the pixels of a figure, and never so many that drawing takes longer than the throw."""
-WITHIN_SIGMAS = 2.0
-"""The band of a plot of residuals: one in twenty lies outside it by chance."""
+"""Instants at which a modelled throw is drawn: more than the pixels of a figure, and drawn faster than simulated."""
+BAND_SIGMAS = 2.0
+"""Half width of the band in plots of residuals: one residual in twenty lies outside it by chance."""
+AXIS_GREY = "#444444"
+"""Of lines at zero, at one, and at chance."""
 
 
 def corner_heights(
@@ -58,9 +54,9 @@ def corner_heights(
 ) -> Axes:
     """Height of every corner over time, as in Fig. 5 of Kapitaniak et al. (Chaos 22, 047504, 2012).
 
-    Poses at times (n,) [s]: positions (n, 3) [m] and quaternions (n, 4) wxyz; rows of NaN break the curves. A label
-    `measured` draws blue dots, any other an orange line. A thin line marks each impact. Called twice on the same axes
-    it shows experiment and model together.
+    Poses at times (n,) [s]: positions (n, 3) [m] and quaternions (n, 4) wxyz; rows of NaN interrupt the curves. The label
+    `measured` draws blue dots, any other an orange line. A thin line marks each impact. Two calls on the same axes show
+    experiment and model together.
     """
     rotations = _matrices(quaternions)
     corners = np.einsum("nj,vj->nv", rotations[:, 2], solid.vertices) + np.asarray(positions_m, float)[:, 2, None]
@@ -71,16 +67,16 @@ def corner_heights(
     else:
         lines = ax.plot(milliseconds, heights, linewidth=0.9, color=hex_colour(SIMULATED), zorder=3)
     for line in lines:
-        line.set_rasterized(heights.size > MOST_MARKS)
+        line.set_rasterized(heights.size > MAX_VECTOR_MARKS)
     lines[0].set_label(label)
     _mark_impacts(ax, impacts)
-    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     ax.set_ylabel("height of each corner [mm]")
     return _time_axis(ax)
 
 
 def throw_heights(ax: Axes, solid: Solid, throw: Throw) -> Axes:
-    """The height of every corner of a modelled throw from its first instant to its last, with its bounces."""
+    """Height of every corner of a modelled throw from its first instant to its last, with its bounces."""
     times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, DRAWN_INSTANTS)
     return corner_heights(ax, solid, times, *throw.poses(times), impacts=throw.bounces)
 
@@ -89,7 +85,7 @@ def position_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()
     """Measured minus simulated position on every frame, by world axis."""
     for axis, colour, values in zip("xyz", AXIS_COLOURS, rest.position_mm.T, strict=True):
         ax.plot(1e3 * rest.time_s, values, ".", markersize=2.5, color=hex_colour(colour), label=axis)
-    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+    ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     _mark_impacts(ax, impacts)
     ax.set_ylabel("position residual [mm]")
     ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
@@ -105,34 +101,24 @@ def angle_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -
     return _time_axis(ax)
 
 
-def sigma_residuals(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
-    """Position and orientation together, in standard errors: the root mean square of six; noise alone gives about 1."""
-    ax.plot(1e3 * rest.time_s, rest.sigmas, ".", markersize=2.5, color=hex_colour(MEASURED))
-    ax.axhline(1.0, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
-    ax.set_ylim(bottom=0.0)
-    _mark_impacts(ax, impacts)
-    ax.set_ylabel("residual [standard errors]")
-    return _time_axis(ax)
-
-
 def position_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
-    """Measured minus simulated position by world axis, each in standard errors of the measured one; the band holds two."""
+    """Measured minus simulated position by world axis, in standard errors of the measurement; the band is ± BAND_SIGMAS."""
     scaled = rest.position_mm / rest.standard_errors[:, :3]
     return _in_sigmas(ax, rest.time_s, scaled, impacts, "position residual [σ]")
 
 
 def turn_sigmas(ax: Axes, rest: Residuals, impacts: Sequence[Impact] = ()) -> Axes:
-    """The rotation from simulated to measured about each world axis, in standard errors; the band holds two."""
+    """Rotation from the simulated to the measured orientation about each world axis, in standard errors, with the band."""
     scaled = rest.turn_deg / rest.standard_errors[:, 3:]
     return _in_sigmas(ax, rest.time_s, scaled, impacts, "rotation residual [σ]")
 
 
 def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact], label: str) -> Axes:
-    ax.axhspan(-WITHIN_SIGMAS, WITHIN_SIGMAS, color=hex_colour(IMPACT), alpha=0.13, linewidth=0, zorder=0)
+    ax.axhspan(-BAND_SIGMAS, BAND_SIGMAS, color=hex_colour(IMPACT), alpha=0.13, linewidth=0, zorder=0)
     for axis, colour, of_axis in zip("xyz", AXIS_COLOURS, values.T, strict=True):
         (line,) = ax.plot(1e3 * time_s, of_axis, ".", markersize=2.5, color=hex_colour(colour), label=axis)
-        line.set_rasterized(values.size > MOST_MARKS)
-    ax.axhline(0.0, color="#444444", linewidth=0.8, zorder=1)
+        line.set_rasterized(values.size > MAX_VECTOR_MARKS)
+    ax.axhline(0.0, color=AXIS_GREY, linewidth=0.8, zorder=1)
     _mark_impacts(ax, impacts)
     ax.set_ylabel(label)
     ax.legend(loc="upper left", ncols=3, frameon=False, markerscale=3, handletextpad=0.1)
@@ -140,7 +126,7 @@ def _in_sigmas(ax: Axes, time_s: Array, values: Array, impacts: Sequence[Impact]
 
 
 def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = None) -> Axes:
-    """Apparent restitution of every bounce with its interval; the fitted one as a band across all of them."""
+    """Apparent restitution of every bounce with its interval; the fitted value as a line with its band."""
     for number, impact in enumerate(impacts, 1):
         if not np.isfinite(impact.chi):
             continue
@@ -155,11 +141,11 @@ def restitution(ax: Axes, impacts: Sequence[Impact], fitted: Parameter | None = 
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set_xlabel("bounce [number]")
     ax.set_ylabel("restitution χ [1]")
-    return _plain(ax)
+    return remove_box(ax)
 
 
 def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
-    """The correlations that belong to a covariance (n, n): blue together, orange against each other, in hundredths."""
+    """Correlations of a covariance (n, n) in hundredths: blue positive, orange negative."""
     sigmas = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     with np.errstate(divide="ignore", invalid="ignore"):
         r = np.where(np.outer(sigmas, sigmas) > 0.0, covariance / np.outer(sigmas, sigmas), np.nan)
@@ -173,14 +159,14 @@ def correlations(ax: Axes, covariance: Array, names: Sequence[str]) -> Axes:
     ax.set_yticks(range(len(names)), names)
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    ax.set_xlabel("with [name]")
-    ax.set_ylabel("of [name]")
+    ax.set_xlabel("component [name]")
+    ax.set_ylabel("component [name]")
     if ax.figure is not None:
         ax.figure.colorbar(shown, ax=ax, shrink=0.8, label="correlation [1]")
     return ax
 
 
-def face_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
+def landing_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
     """Share of the simulated landings on each face."""
     faces = sorted(odds)
     ax.bar([str(face) for face in faces], [odds[face] for face in faces], color=hex_colour(SIMULATED), width=0.7)
@@ -189,11 +175,11 @@ def face_odds(ax: Axes, odds: Mapping[int, float]) -> Axes:
     ax.set_ylim(0.0, 1.1)
     ax.set_xlabel("face [number]")
     ax.set_ylabel("share of landings [1]")
-    return _plain(ax)
+    return remove_box(ax)
 
 
-def odds_on_the_way(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
-    """The odds of each face by the fit of the frames up to then, from each estimate until the next."""
+def odds_over_time(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[Impact] = ()) -> Axes:
+    """Odds of each face by the fit to the frames so far, as steps from each estimate to the next."""
     known = [estimate for estimate in estimates if estimate.face_odds]
     times = [1e3 * estimate.time_s for estimate in known]
     for face in sorted({face for estimate in known for face in estimate.face_odds or {}}):
@@ -208,30 +194,8 @@ def odds_on_the_way(ax: Axes, estimates: Sequence[Estimate], impacts: Sequence[I
     return _time_axis(ax)
 
 
-def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Sequence[Motion], frame: int) -> Axes:
-    """One frame of the clip with the visible edges of the die drawn on it, as each motion has them there.
-
-    A motion that does not know its pose on this frame draws nothing. Raises IndexError for a frame that the clip lacks.
-    """
-    index = frame - clip.first_frame
-    if not 0 <= index < len(clip):
-        raise IndexError(f"frame {frame}: the clip has {clip.first_frame} to {clip.first_frame + len(clip) - 1}")
-    picture = display_window(clip).apply(clip.frame(index))
-    ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
-    for motion, width in zip(motions, (1.8, 0.7), strict=False):
-        rows = np.flatnonzero(motion.frame == frame)
-        for drawn in visible_edges(solid, camera, motion.position_m[rows], motion.quaternion[rows]):
-            for edge in (*drawn.silhouette_px, *drawn.inner_px):
-                ax.plot(*edge.T, color=hex_colour(COLOURS[motion.name]), linewidth=width)
-    ax.set_xlim(-0.5, clip.width_px - 0.5)
-    ax.set_ylim(clip.height_px - 0.5, -0.5)
-    ax.set_xlabel("x [px]")
-    ax.set_ylabel("y [px]")
-    return ax
-
-
 def _matrices(quaternions: ArrayLike) -> Array:
-    """Rotation matrices (n, 3, 3); NaN where the quaternion is."""
+    """Rotation matrices (n, 3, 3); NaN where the quaternion is NaN."""
     q = np.asarray(quaternions, float)
     known = np.isfinite(q).all(1)
     matrices = np.full((len(q), 3, 3), np.nan)
@@ -248,9 +212,10 @@ def _mark_impacts(ax: Axes, impacts: Sequence[Impact]) -> None:
 def _time_axis(ax: Axes) -> Axes:
     ax.set_xlabel("time [ms]")
     ax.margins(x=0.01)
-    return _plain(ax)
+    return remove_box(ax)
 
 
-def _plain(ax: Axes) -> Axes:
+def remove_box(ax: Axes) -> Axes:
+    """The axes without the lines at the top and at the right."""
     ax.spines[["top", "right"]].set_visible(False)
     return ax

@@ -1,4 +1,4 @@
-"""The page of a calibration: the camera with its errors, where every corner lies off, and the board on the table."""
+"""The page of a calibration: the camera with its standard errors, the residuals of every corner, and the table's board."""
 
 from __future__ import annotations
 
@@ -10,61 +10,64 @@ from numpy.typing import NDArray
 
 from ...tracking.calibration import INTRINSICS, Calibration, SeenBoard, TablePose
 from ..elements import AXIS_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
-from .page_parts import as_address, as_table, captioned, drawing, plotted, whole_page
+from .page_parts import WIDE, as_address, as_table, captioned, drawing, plotted, whole_page
 
 BLUE, ORANGE, GREY = hex_colour(MEASURED), hex_colour(SIMULATED), hex_colour(IMPACT)
+ARROW_PERCENTILE = 95
+"""Percentile of the residuals that sets the scale of the arrows, so that an outlier does not shrink the others."""
 ARROW_SHARE = 0.06
-"""Length of the largest usual residual's arrow, as a share of the picture's width."""
+"""Length of the arrow of a residual at that percentile, as a share of the image width."""
+CIRCLE_SIGMAS = 2.0
+"""Radius of the circle in the plot of residuals, in standard errors of a coordinate."""
 AXIS_SQUARES = 2.0
 """Length of the drawn world axes, in squares of the board."""
+NAME_CHARACTERS = 24
+"""Characters of a file name, from its end, that fit below a bar."""
+
+SCATTER_CAPTION = "Found minus projected position, one dot per corner. The circle has a radius of two standard errors."
+IMAGES_CAPTION = "Root mean square residual of the corners of each image; orange: image not used."
+DISTORTION_CAPTION = (
+    "Radial displacement of a point by the lens, relative to a pinhole camera, from the image centre to its farthest "
+    "corner. Grey: the range of the boards' corners."
+)
 
 
 def calibration_page(
     calibration: Calibration, table: TablePose | None, table_picture: NDArray[np.uint8] | None, square_m: float
 ) -> str:
-    """The whole page as HTML; `table_picture` (height, width) is drawn under the board that lies on the table."""
+    """The page as HTML; `table_picture` (height, width) is the image of the board on the table, `square_m` [m] its square."""
     parts = [
         "<h1>Camera calibration</h1>",
-        f'<p class="key">{len(calibration.boards)} pictures of {calibration.width_px} × {calibration.height_px} px</p>',
+        f'<p class="key">{len(calibration.boards)} images of {calibration.width_px} × {calibration.height_px} px</p>',
         _verdict(calibration, table),
         "<h2>Camera</h2>",
         _camera(calibration),
         "<h2>Residuals</h2>",
         captioned(*_arrows(calibration)),
         captioned(plotted((5.2, 4.4), lambda ax: _scatter(ax, calibration)), SCATTER_CAPTION, narrow=True),
-        captioned(plotted((8.4, 2.6), lambda ax: _each_picture(ax, calibration)), PICTURES_CAPTION),
-        captioned(plotted((8.4, 2.4), lambda ax: _distortion(ax, calibration)), DISTORTION_CAPTION),
+        captioned(plotted((WIDE, 2.6), lambda ax: _image_residuals(ax, calibration)), IMAGES_CAPTION),
+        captioned(plotted((WIDE, 2.4), lambda ax: _distortion(ax, calibration)), DISTORTION_CAPTION),
         _table(table, table_picture, square_m),
         _notes(calibration),
     ]
     return whole_page("Camera calibration", parts)
 
 
-SCATTER_CAPTION = (
-    "Seen minus drawn, one dot a corner. The circle has the radius of two standard errors of a coordinate."
-)
-PICTURES_CAPTION = "Root mean square distance of each picture's corners; orange: left out."
-DISTORTION_CAPTION = (
-    "How far the lens moves a point from where a pinhole camera would show it, from the centre to the farthest corner of "
-    "the picture. Grey: where the corners of the boards lie."
-)
-
-
 def _verdict(calibration: Calibration, table: TablePose | None) -> str:
     K, sigmas = calibration.matrix, calibration.sigmas
     sentences = [
-        f"The corners lie {calibration.rms_px:.3g} px (root mean square) from where the camera draws them.",
+        f"The found corners differ from the projected ones by {calibration.rms_px:.3g} px, root mean square.",
         f"The focal length is {K[0, 0]:.6g} ± {sigmas[0]:.2g} px.",
     ]
     if table is not None:
         centre = table.camera.centre_m
         down = np.degrees(np.arcsin(table.camera.rotation[2, 2] * -1.0))
         sentences.append(
-            f"The camera stands {1e3 * centre[2]:.4g} mm above the table and looks down by {down:.3g}°; "
-            f"the vertical is known to {np.degrees(table.tilt_sigma_rad):.2g}°."
+            f"The camera is {1e3 * centre[2]:.4g} mm above the table and points {down:.3g}° downwards; "
+            f"the standard error of the vertical is {np.degrees(table.tilt_sigma_rad):.2g}°."
         )
     text = " ".join(escape(sentence) for sentence in sentences)
-    headline = "Camera and table" if table is not None else "Camera; no table picture was given"
+    headline = "Camera and table" if table is not None else "Camera only: no image of a board on the table was given"
     return f'<div class="verdict"><p class="headline">{headline}</p><p>{text}</p></div>'
 
 
@@ -77,19 +80,19 @@ def _camera(calibration: Calibration) -> str:
             (
                 f"{name} [{unit}]",
                 f"{value:.6g}" if fitted else "0",
-                f"{sigma:.2g}" if fitted else "not needed by the corners",
+                f"{sigma:.2g}" if fitted else "held at 0: the corners do not need it",
             )
         )
     return as_table(("", "value", "standard error"), rows)
 
 
 def _arrows(calibration: Calibration) -> tuple[str, str]:
-    """Every residual as an arrow where it lies, all equally enlarged; and the caption."""
+    """Every residual as an arrow at its corner, magnified by one factor; and the caption."""
     seen = np.concatenate([board.view.pixels for board in calibration.boards])
     off = np.concatenate([board.residuals_px for board in calibration.boards])
-    usual = max(float(np.percentile(np.linalg.norm(off, axis=1), 95)), 1e-6)
+    usual = max(float(np.percentile(np.linalg.norm(off, axis=1), ARROW_PERCENTILE)), 1e-6)
     times = ARROW_SHARE * calibration.width_px / usual
-    with drawing((8.4, 8.4 * calibration.height_px / calibration.width_px)) as figure:
+    with drawing((WIDE, WIDE * calibration.height_px / calibration.width_px)) as figure:
         ax = figure.subplots()
         ax.quiver(*seen.T, *(times * off).T, angles="xy", scale_units="xy", scale=1, width=0.0015, color=BLUE)
         ax.set(
@@ -101,8 +104,8 @@ def _arrows(calibration: Calibration) -> tuple[str, str]:
         )
         address = as_address(figure, "svg")
     caption = (
-        f"Seen minus drawn, {times:.0f} times enlarged. Arrows that point alike over a region tell of a lens that the model "
-        "does not describe, or of a board that is not flat."
+        f"Found minus projected position, magnified {times:.0f} times. Arrows with a common direction in a region indicate a "
+        "lens that the model does not describe, or a board that is not flat."
     )
     return address, caption
 
@@ -111,17 +114,18 @@ def _scatter(ax: Axes, calibration: Calibration) -> Axes:
     off = np.concatenate([board.residuals_px for board in calibration.boards])
     turn = np.linspace(0.0, 2.0 * np.pi, 100)
     ax.plot(*off.T, ".", color=BLUE, markersize=3)
-    ax.plot(2.0 * calibration.sigma_px * np.cos(turn), 2.0 * calibration.sigma_px * np.sin(turn), color=GREY, lw=1)
+    radius = CIRCLE_SIGMAS * calibration.sigma_px
+    ax.plot(radius * np.cos(turn), radius * np.sin(turn), color=GREY, lw=1)
     ax.set(aspect="equal", xlabel="Δx [px]", ylabel="Δy [px]")
     return ax
 
 
-def _each_picture(ax: Axes, calibration: Calibration) -> Axes:
+def _image_residuals(ax: Axes, calibration: Calibration) -> Axes:
     names = [board.view.name for board in calibration.boards] + [name for name, _ in calibration.left_out]
     values = [board.rms_px for board in calibration.boards] + [rms for _, rms in calibration.left_out]
     colours = [BLUE] * len(calibration.boards) + [ORANGE] * len(calibration.left_out)
     ax.bar(range(len(names)), values, color=colours)
-    ax.set_xticks(range(len(names)), [name[-24:] for name in names], rotation=90, fontsize=6.5)
+    ax.set_xticks(range(len(names)), [name[-NAME_CHARACTERS:] for name in names], rotation=90, fontsize=6.5)
     ax.set(ylabel="RMS [px]")
     return ax
 
@@ -142,16 +146,18 @@ def _distortion(ax: Axes, calibration: Calibration) -> Axes:
 def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m: float) -> str:
     if table is None or picture is None:
         return ""
-    rival = "there is no second pose to choose from"
+    alternative = "The plane has no second pose."
     if table.rival_rms_px is not None:
-        rival = f"the other pose of the plane leaves {table.rival_rms_px:.3g} px, this one {table.board.rms_px:.3g} px"
+        alternative = (
+            f"This pose leaves {table.board.rms_px:.3g} px (RMS), the plane's other pose {table.rival_rms_px:.3g} px."
+        )
     caption = (
-        "The board on the table: corners as found (blue) and as drawn (orange), and the world's axes x, y and z "
-        f"(red, green, violet); {rival}."
+        "The board on the table: found corners (blue circles), projected corners (orange crosses), and the world axes "
+        f"x, y and z (red, green, violet). {alternative}"
     )
     rows = []
     centre, sigmas = table.camera.centre_m, np.sqrt(np.diag(table.covariance))
-    rows.append(("camera's place [mm]", ", ".join(f"{1e3 * x:.5g}" for x in centre), ""))
+    rows.append(("position of the camera [mm]", ", ".join(f"{1e3 * x:.5g}" for x in centre), ""))
     rows.append(
         (
             "translation_m [mm]",
@@ -167,7 +173,7 @@ def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m:
 def _on_table(table: TablePose, picture: NDArray[np.uint8], square_m: float) -> str:
     board: SeenBoard = table.board
     height, width = picture.shape
-    with drawing((8.4, 8.4 * height / width)) as figure:
+    with drawing((WIDE, WIDE * height / width)) as figure:
         ax = figure.subplots()
         ax.imshow(picture, cmap="gray", vmin=0, vmax=255)
         ax.plot(*board.view.pixels.T, "o", mfc="none", mec=BLUE, markersize=5)
@@ -183,4 +189,4 @@ def _on_table(table: TablePose, picture: NDArray[np.uint8], square_m: float) -> 
 def _notes(calibration: Calibration) -> str:
     if not calibration.notices:
         return ""
-    return "<h2>Notes</h2>\n<ul>" + "".join(f"<li>{escape(told)}</li>" for told in calibration.notices) + "</ul>"
+    return "<h2>Notes</h2>\n<ul>" + "".join(f"<li>{escape(notice)}</li>" for notice in calibration.notices) + "</ul>"

@@ -1,4 +1,4 @@
-"""The page of a check: every finding with its verdict, the die on film, and its fall."""
+"""The page of a check: every finding with its verdict, the die in the image, and the heights of its corners."""
 
 from __future__ import annotations
 
@@ -12,74 +12,82 @@ from ...model.die import Die
 from ...tracking.camera import Camera
 from ...tracking.check import Finding, Sight, Verdict
 from ...tracking.footage import Clip
-from ..elements import Motion
-from ..figures import throw_plots
-from .findings import COLOURS, findings_table
-from .page_parts import as_address, captioned, drawing, plotted, whole_page
+from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour, motion_of
+from ..figures import corner_heights, edges_on_frame
+from .page_parts import WIDE, as_address, captioned, drawing, plotted, whole_page
 
 OWN_STYLE = "td:nth-child(-n+2) { white-space: nowrap; }"
-SHOWN = 3
+SHOWN_FRAMES = 3
 """Frames of the clip side by side."""
+VERDICT_COLOURS = {
+    Verdict.GOOD: hex_colour(MEASURED),
+    Verdict.DOUBTFUL: hex_colour(IMPACT),
+    Verdict.BAD: hex_colour(SIMULATED),
+}
+HEADLINES = {
+    Verdict.GOOD: "This clip can be tracked",
+    Verdict.DOUBTFUL: "This clip can be tracked, with reservations",
+    Verdict.BAD: "Correct the findings marked bad before tracking this clip",
+}
 
 
 def check_page(
     title: str, findings: tuple[Finding, ...], sights: Sequence[tuple[Sight | None, Clip, Camera]], die: Die
 ) -> str:
-    """The whole page as HTML, with what each camera sees."""
+    """The page as HTML: the findings, and what each camera shows."""
     parts = [f"<h1>{escape(title)}</h1>", _summary(findings), findings_table(findings)]
     for k, (sight, clip, camera) in enumerate(sights):
         if sight is not None and sight.track.tracked.any():
-            whose = f" with camera {k + 1}" if len(sights) > 1 else ""
+            suffix = f" of camera {k + 1}" if len(sights) > 1 else ""
             parts += [
-                f"<h2>The frames that were tried{whose}</h2>",
-                _film(sight, clip, camera, die),
+                f"<h2>Tracked frames{suffix}</h2>",
+                _frames(sight, clip, camera, die),
                 _heights(sight, die),
             ]
     return whole_page(title, parts, OWN_STYLE)
 
 
+def findings_table(findings: tuple[Finding, ...]) -> str:
+    """One row per finding: its name, verdict, what was measured, and what to change."""
+    rows = "\n".join(
+        f"<tr><td>{escape(finding.name)}</td>"
+        f'<td><span class="dot" style="background:{VERDICT_COLOURS[finding.verdict]}"></span>{finding.verdict.value}</td>'
+        f"<td>{escape(finding.measured)}</td><td>{escape(finding.advice)}</td></tr>"
+        for finding in findings
+    )
+    header = "<tr><th></th><th>verdict</th><th>measured</th><th>what to change</th></tr>"
+    return f'<div class="wide"><table>\n<thead>{header}</thead>\n<tbody>\n{rows}\n</tbody></table></div>'
+
+
 def _summary(findings: tuple[Finding, ...]) -> str:
     worst = max((finding.verdict for finding in findings), key=list(Verdict).index)
-    headline = {
-        Verdict.GOOD: "This clip can be tracked",
-        Verdict.DOUBTFUL: "This clip can be tracked, with reservations",
-        Verdict.BAD: "Something should be put right before this clip is tracked",
-    }[worst]
-    named = [finding.name for finding in findings if finding.verdict is worst]
-    told = "" if worst is Verdict.GOOD else f"{worst.value.capitalize()}: {', '.join(named)}."
-    colour = COLOURS[worst]
+    names = ", ".join(finding.name for finding in findings if finding.verdict is worst)
+    text = "" if worst is Verdict.GOOD else f"{worst.value.capitalize()}: {names}."
     return (
-        f'<div class="verdict" style="border-left-color:{colour}"><p class="headline">{escape(headline)}</p>'
-        f"<p>{escape(told)}</p></div>"
+        f'<div class="verdict" style="border-left-color:{VERDICT_COLOURS[worst]}">'
+        f'<p class="headline">{escape(HEADLINES[worst])}</p><p>{escape(text)}</p></div>'
     )
 
 
-def _film(sight: Sight, clip: Clip, camera: Camera, die: Die) -> str:
-    track = sight.track
-    rows = np.flatnonzero(track.tracked)
-    chosen = rows[np.unique(np.linspace(0, len(rows) - 1, SHOWN).astype(int))]
-    gone = np.flatnonzero(~track.tracked)
-    seen = Motion(
-        "measured", track.frame[rows], track.time_s[rows], track.position_m[rows], track.quaternion[rows],
-        track.frame[gone], track.time_s[gone], sight.throw,
-    )  # fmt: skip
-    with drawing((8.4, 8.4 * clip.height_px / clip.width_px / SHOWN + 0.25)) as figure:
-        for ax, row in zip(figure.subplots(1, SHOWN, squeeze=False)[0], chosen, strict=False):
-            throw_plots.edges_on_frame(ax, clip, camera, die.solid, [seen], int(track.frame[row]))
-            ax.set_title(f"frame {track.frame[row]}", fontsize=8.0, color="#5b6470")
+def _frames(sight: Sight, clip: Clip, camera: Camera, die: Die) -> str:
+    motion = motion_of("measured", sight.track, sight.throw)
+    chosen = motion.frame[np.unique(np.linspace(0, len(motion.frame) - 1, SHOWN_FRAMES).astype(int))]
+    with drawing((WIDE, WIDE * clip.height_px / clip.width_px / SHOWN_FRAMES + 0.25)) as figure:
+        for ax, frame in zip(figure.subplots(1, SHOWN_FRAMES, squeeze=False)[0], chosen, strict=False):
+            edges_on_frame(ax, clip, camera, die.solid, [motion], int(frame))
+            ax.set_title(f"frame {frame}", fontsize=8.0, color="#5b6470")
         for ax in figure.axes:
             ax.set_axis_off()
         address = as_address(figure, "png")
-    return captioned(address, "The die on film with the edges as they were found.")
+    return captioned(address, "Frames of the clip with the measured edges of the die.")
 
 
 def _heights(sight: Sight, die: Die) -> str:
-    def draw(ax: Axes) -> Axes:
-        track = sight.track
-        impacts = sight.throw.impacts if sight.throw is not None else ()
-        throw_plots.corner_heights(
-            ax, die.solid, track.time_s, track.position_m, track.quaternion, impacts, label="measured"
-        )
-        return ax
+    track, impacts = sight.track, sight.throw.impacts if sight.throw is not None else ()
 
-    return captioned(plotted((8.4, 3.2), draw), "Height of every corner over time; the table is at 0. Dashed: bounces.")
+    def draw(ax: Axes) -> Axes:
+        poses = track.time_s, track.position_m, track.quaternion
+        return corner_heights(ax, die.solid, *poses, impacts, label="measured")
+
+    caption = "Height of every corner over time; the table is at 0. Dashed lines: bounces."
+    return captioned(plotted((WIDE, 3.2), draw), caption)

@@ -1,9 +1,9 @@
-"""The Rerun viewer and a recording inside a page: it opens from a file and talks to no network.
+"""The Rerun viewer and a recording inside a page. The page opens from a file and needs no network.
 
-The viewer is two files, a script and its WebAssembly, both within the installed SDK; its own server hands them out, bound
-to this machine and for as long as that takes. A browser lets no page that was opened from a file load its neighbours, so
-both are packed (gzip, base64) into the page, and unpacked when the reader opens the replay: until then the page is as
-light to show as one without. The recording goes to the viewer through a channel, as bytes.
+The viewer is a script and its WebAssembly, both contained in the installed SDK. The SDK's own server delivers them; it
+listens on localhost only and is stopped afterwards. A browser does not let a page that was opened from a file load other
+files. Both are therefore packed into the page (gzip, base64) and unpacked when the reader opens the replay; until then
+the page displays as fast as one without a viewer. The viewer receives the recording as bytes through a channel.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ VIEWER_POLICY = (
     "default-src 'none'; img-src data: blob:; style-src 'unsafe-inline'; font-src data:; "
     "script-src 'unsafe-inline' 'wasm-unsafe-eval'; worker-src blob:; media-src blob:; connect-src data: blob:"
 )
-"""Content security policy: what is in the page may run, and nothing may be asked of any network."""
-START_S = 30.0
-"""Within which the viewer's server answers, on a machine that has other work besides."""
+"""Content security policy: scripts in the page may run, and the browser refuses every network access."""
+START_TIMEOUT_S = 30.0
+"""Time within which the viewer's server must answer, on a machine with other work."""
 COMPRESSION = 6
-"""Of gzip: 9 takes three times as long for one per cent less."""
+"""Level of gzip: 9 takes three times as long and saves one per cent."""
 
 VIEWER_PLACE = """<div class="screen" id="replay">
 <style>
@@ -39,21 +39,21 @@ VIEWER_PLACE = """<div class="screen" id="replay">
 @media (min-width: 60rem) { #replay.open { width: min(94vw, 90rem); margin-left: calc(50% - min(47vw, 45rem)); } }
 </style>
 <p><button type="button" id="replay-start">Open the replay</button></p>
-<p class="key" id="replay-told">The viewer is in this page; it starts in a few seconds and needs WebGL or WebGPU.</p>
+<p class="key" id="replay-status">The viewer is part of this page. It starts in a few seconds and needs WebGL or WebGPU.</p>
 </div>"""
-"""Where the viewer appears."""
+"""The place of the viewer in the page."""
 
 SCRIPT = """<script>
 (() => {
-  const start = document.getElementById("replay-start"), told = document.getElementById("replay-told");
+  const start = document.getElementById("replay-start"), status = document.getElementById("replay-status");
   const packed = (id) => Uint8Array.from(atob(document.getElementById(id).textContent), (c) => c.charCodeAt(0));
   const unpacked = (id) =>
     new Response(new Blob([packed(id)]).stream().pipeThrough(new DecompressionStream("gzip")));
   start.addEventListener("click", async () => {
     start.disabled = true;
-    // The viewer tells its makers that it was started, and asks them for a newer one. It gets an empty answer from here.
+    // The viewer would report its start to its makers and ask for a newer version. It receives an empty answer instead.
     window.fetch = async () => new Response(null, { status: 204 });
-    told.textContent = "Unpacking the viewer…";
+    status.textContent = "Unpacking the viewer…";
     try {
       const script = document.createElement("script");
       script.textContent = await unpacked("viewer-script").text();
@@ -72,10 +72,10 @@ SCRIPT = """<script>
       viewer.send_rrd_to_channel("throw", packed("viewer-recording"));
       viewer.close_channel("throw");
       start.remove();
-      told.textContent = "";
+      status.textContent = "";
       document.getElementById("replay").dataset.state = "started";
     } catch (error) {
-      told.textContent = "The replay could not be started: " + error;
+      status.textContent = "The replay could not be started: " + error;
     }
   });
 })();
@@ -83,9 +83,9 @@ SCRIPT = """<script>
 
 
 def viewer_html(recording: Path) -> str:
-    """The viewer, the recording and what starts them, for the end of a page that has a PLACE.
+    """The viewer, the recording and the starting script, for the end of a page that contains VIEWER_PLACE.
 
-    Raises OSError where the recording cannot be read or the installed SDK hands out no viewer.
+    Raises OSError if the recording cannot be read or the installed SDK contains no web viewer.
     """
     script, code = viewer_files()
     return "\n".join(
@@ -100,25 +100,25 @@ def viewer_html(recording: Path) -> str:
 
 @lru_cache(maxsize=1)
 def viewer_files() -> tuple[bytes, bytes]:
-    """The web viewer of the installed SDK: its script and its WebAssembly. Raises OSError where it has none."""
+    """The web viewer of the installed SDK: its script and its WebAssembly. Raises OSError if the SDK has none."""
     with _server() as address:
         script, code = _fetched(f"{address}/re_viewer.js"), _fetched(f"{address}/re_viewer_bg.wasm")
     if not code.startswith(b"\0asm"):
-        raise OSError("the installed rerun-sdk hands out no web viewer; wanted one with it, as its wheels have")
+        raise OSError("the installed rerun-sdk has no web viewer; install rerun-sdk from its wheel, which contains one")
     return script, code
 
 
 @lru_cache(maxsize=1)
 def _compressed(code: bytes) -> bytes:
-    """The code packed, which takes seconds, once for all pages of a run."""
+    """The compressed code; compression takes seconds and runs once for all pages of a process."""
     return gzip.compress(code, COMPRESSION, mtime=0)
 
 
 @contextmanager
 def _server() -> Iterator[str]:
-    """The address of a server of the viewer, on this machine alone."""
+    """The address of a server of the viewer that listens on localhost only."""
     ports = _free_port(), _free_port()
-    # Without a file to show it would wait for a program to connect; nothing does, and it is stopped in a moment.
+    # Without a file the server waits for a program to connect; none does, and the server is stopped after two requests.
     command = [sys.executable, "-m", "rerun", "--serve-web", "--bind", "127.0.0.1"]
     command += ["--web-viewer-port", str(ports[0]), "--port", str(ports[1])]
     quiet = {**os.environ, "RUST_LOG": "off", "DO_NOT_TRACK": "1"}
@@ -137,27 +137,30 @@ def _free_port() -> int:
 
 
 def _wait_for(server: subprocess.Popen[bytes], port: int) -> None:
-    """Raises OSError where nothing answers on the port."""
-    until = time.monotonic() + START_S
+    """Raises OSError if nothing answers on the port within START_TIMEOUT_S."""
+    until = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < until and server.poll() is None:
         with socket(AF_INET, SOCK_STREAM) as probe:
             probe.settimeout(1.0)
             if probe.connect_ex(("127.0.0.1", port)) == 0:
                 return
         time.sleep(0.05)
-    raise OSError(f"the viewer of rerun-sdk did not start within {START_S:g} s, so it cannot be put into the page")
+    raise OSError(
+        f"the viewer of rerun-sdk did not start within {START_TIMEOUT_S:g} s, so the page cannot contain it; "
+        "write the page without the replay"
+    )
 
 
 def _fetched(address: str) -> bytes:
-    # No proxy of the environment stands between this machine and itself.
+    # Without the proxies of the environment, which do not serve localhost.
     opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
     try:
-        with opener.open(address, timeout=START_S) as answer:
+        with opener.open(address, timeout=START_TIMEOUT_S) as answer:
             return bytes(answer.read())
     except urllib.error.URLError as error:
         raise OSError(f"the viewer of rerun-sdk could not be read from {address} ({error.reason})") from error
 
 
 def _packed(name: str, data: bytes) -> str:
-    """Bytes as text that the browser neither runs nor shows."""
+    """Bytes as text that the browser neither executes nor displays."""
     return f'<script type="text/plain" id="{name}">{base64.b64encode(data).decode("ascii")}</script>'

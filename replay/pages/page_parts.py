@@ -1,4 +1,4 @@
-"""The parts that every page is made of: one style, figures as data addresses, tables. A page needs no network."""
+"""The parts of all pages: the style sheet, figures as data URLs, captions and tables. A page needs no network."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..elements import MEASURED, UNKNOWN, hex_colour
+
+WIDE = 8.4
+"""Width of a figure across the page's text [inches]."""
+PAGE_DPI = 160
 
 STYLE = """
 :root { --ink: #1d2126; --soft: #5b6470; --rule: #d9dde2; --paper: #fff; --wash: #f5f6f8; }
@@ -42,30 +46,32 @@ li { margin: .3rem 0; }
 .unknown { color: var(--soft); font-style: italic; }
 .dot { display: inline-block; width: .7em; height: .7em; border-radius: 50%; margin: 0 .35em 0 0; }
 .dot ~ .dot { margin-left: 1.1em; }
-table.told td { overflow-wrap: anywhere; } table.told td:first-child { color: var(--soft); width: 9rem; }
+table.facts td { overflow-wrap: anywhere; } table.facts td:first-child { color: var(--soft); width: 9rem; }
 .hash { min-width: 15rem; font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: .78rem; overflow-wrap: anywhere; }
 @media (max-width: 40rem) { body { padding-top: 1.2rem; } h1 { font-size: 1.4rem; }
-  figure:not(.narrow) .wide img { width: 36rem; max-width: none; } .wide > table:not(.told) { min-width: 34rem; } }
+  figure:not(.narrow) .wide img { width: 36rem; max-width: none; } .wide > table:not(.facts) { min-width: 34rem; } }
 @media print { @page { margin: 16mm 15mm; } body { max-width: none; padding: 0; font-size: 10pt; }
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } .screen { display: none; }
   h2 { break-after: avoid; margin-top: 1.6rem; } tr, li { break-inside: avoid; } .wide { overflow: visible; }
   figure { margin: .8rem 0; } figure.narrow { max-width: 11cm; } table { font-size: .82rem; } }
 """.replace("MEASURED", hex_colour(MEASURED))
 
-
-SAVING: dict[str, dict[str, Any]] = {
+SAVING_OPTIONS: dict[str, dict[str, Any]] = {
     "svg": {"metadata": {"Date": None, "Creator": None}},
     "png": {"metadata": {"Software": None}},
     "webp": {"pil_kwargs": {"quality": 88}},
 }
-"""How each kind of picture is saved: without dates and names, so that the same record gives the same page."""
+"""Options for each format: no dates and no program names, so that the same record gives the same page."""
 
 STATIC_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-"""Content security policy of a page that runs nothing: the browser itself keeps it off the network."""
+"""Content security policy of a page without scripts: the browser then refuses every network access."""
 
 
 def whole_page(title: str, parts: Iterable[str], style: str = "", policy: str = STATIC_POLICY) -> str:
-    """A page of finished parts; `style` is added to that of all pages, `policy` says what the browser lets it do."""
+    """A page made of finished parts.
+
+    `style` is added to the common style sheet; `policy` is the content security policy.
+    """
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
@@ -79,14 +85,14 @@ def whole_page(title: str, parts: Iterable[str], style: str = "", policy: str = 
 
 
 def plotted(inches: tuple[float, float], draw: Callable[[Axes], Axes]) -> str:
-    """One pair of axes as a data address."""
+    """A figure with one pair of axes as a data URL."""
     with drawing(inches) as figure:
         legended(draw(figure.subplots()))
         return as_address(figure, "svg")
 
 
 def legended(ax: Axes) -> Axes:
-    """The axes with a legend, where something on them has a label and none was drawn."""
+    """The axes, with a legend if something on them has a label and there is no legend yet."""
     if ax.get_legend_handles_labels()[0] and ax.get_legend() is None:
         ax.legend(loc="upper right", frameon=False)
     return ax
@@ -94,8 +100,8 @@ def legended(ax: Axes) -> Axes:
 
 @contextmanager
 def drawing(inches: tuple[float, float]) -> Iterator[Figure]:
-    """An empty figure in the report's own style; drawing and writing happen inside."""
-    # Without a salt the names inside an SVG are random, and the same record would give another page each time.
+    """An empty figure in the style of the pages; draw and save it within the block."""
+    # Without a fixed salt the identifiers in an SVG are random, and two runs would give different pages.
     with rc_context(
         {"font.size": 9.0, "font.family": "DejaVu Sans", "axes.linewidth": 0.7, "svg.hashsalt": "diethrow"}
     ):
@@ -105,15 +111,18 @@ def drawing(inches: tuple[float, float]) -> Iterator[Figure]:
 
 
 def as_address(figure: Figure, kind: str) -> str:
-    """The figure as a data address: an `svg`, with text as outlines, so that it looks the same everywhere; a `png`; or a
-    `webp`, a fifth of a png's size where there are photographs."""
+    """The figure as a data URL of an `svg` (with text as outlines, so that it looks the same everywhere), `png` or `webp`.
+
+    WebP needs a fifth of PNG's size for photographs.
+    """
     buffer = io.BytesIO()
-    figure.savefig(buffer, format=kind, dpi=160, **SAVING[kind])
+    figure.savefig(buffer, format=kind, dpi=PAGE_DPI, **SAVING_OPTIONS[kind])
     media = "svg+xml" if kind == "svg" else kind
     return f"data:image/{media};base64,{base64.b64encode(buffer.getvalue()).decode('ascii')}"
 
 
 def captioned(address: str, caption: str, *, narrow: bool = False) -> str:
+    """An image (a data URL) with its caption."""
     kind = ' class="narrow"' if narrow else ""
     text = escape(caption)
     picture = f'<div class="wide"><img src="{address}" alt="{text}"></div>'
@@ -121,13 +130,13 @@ def captioned(address: str, caption: str, *, narrow: bool = False) -> str:
 
 
 def key_value_table(rows: Iterable[tuple[str, str]]) -> str:
-    """Names with what is to be said of each, without a header."""
+    """A table of names and texts, without a header."""
     body = "\n".join(f"<tr>{_cell(name)}{_cell(text)}</tr>" for name, text in rows)
-    return f'<div class="wide"><table class="told">\n<tbody>\n{body}\n</tbody></table></div>'
+    return f'<div class="wide"><table class="facts">\n<tbody>\n{body}\n</tbody></table></div>'
 
 
 def as_table(header: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    """Rows of text below a header; a cell that begins with `not determined` is set apart."""
+    """Rows of text below a header; cells that begin with `not determined` are in grey italics."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
     body = "\n".join("<tr>" + "".join(_cell(cell) for cell in row) + "</tr>" for row in rows)
     return f'<div class="wide"><table>\n<thead><tr>{head}</tr></thead>\n<tbody>\n{body}\n</tbody></table></div>'

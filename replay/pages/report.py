@@ -1,21 +1,24 @@
-"""One page for one throw: the findings in words, figures, tables, and every reservation. It needs no network."""
+"""The page of one throw: of an analysed one with its findings, figures, tables and reservations, or of a simulated one."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...model.die import Die
 from ...model.rotations import euler_from_quat
-from ...model.throw import Impact, State
+from ...model.throw import Impact, State, Throw
 from ..elements import (
     MEASURED,
     SIMULATED,
     UNKNOWN,
     Record,
+    ReportDetails,
+    bounce_sentence,
     certainty_sentences,
     chi_of,
     decimals_for,
@@ -28,31 +31,32 @@ from ..elements import (
     role,
     verdict,
 )
+from ..figures import throw_heights
 from . import captioned_figures
-from .account import ReportDetails
+from .check import findings_table
 from .embedded_viewer import VIEWER_PLACE, VIEWER_POLICY, viewer_html
-from .findings import findings_table
-from .page_parts import STATIC_POLICY, as_table, key_value_table, whole_page
+from .page_parts import STATIC_POLICY, WIDE, as_table, captioned, key_value_table, plotted, whole_page
 
 if TYPE_CHECKING:
     from ...fitting.results import Fit, Parameter
 
-
+MAX_LISTED_BOUNCES = 50
+"""Bounces listed on the page of a simulated throw; a throw near χ = 1 has thousands."""
 UNKNOWN_ERRORS = np.full(3, np.nan)
 
 
-def write_report(path: Path, record: Record, account: ReportDetails | None = None, replay: Path | None = None) -> None:
-    """Write the page. What is not determined is said to be so, with the reason that the fit gives.
+def write_report(path: Path, record: Record, details: ReportDetails | None = None, replay: Path | None = None) -> None:
+    """Write the page of an analysed throw. Values that are not determined carry the reason that the fit gives.
 
-    With `replay`, a recording, the page holds the viewer and the recording as well. Raises OSError where a file cannot
-    be read or written.
+    With `replay`, a recording, the page contains the viewer and the recording. Raises OSError if a file cannot be read or
+    written.
     """
-    path.write_text(page(record, account or ReportDetails(), replay), encoding="utf-8")
+    path.write_text(report_page(record, details or ReportDetails(), replay), encoding="utf-8")
 
 
-def page(record: Record, account: ReportDetails | None = None, replay: Path | None = None) -> str:
-    """The whole page as HTML; every text that comes from outside is escaped."""
-    told = account or ReportDetails()
+def report_page(record: Record, details: ReportDetails | None = None, replay: Path | None = None) -> str:
+    """The page as HTML; every text from outside the program is escaped."""
+    details = details or ReportDetails()
     parts = [
         f"<h1>{escape(record.title)}</h1>",
         _subtitle(record),
@@ -60,14 +64,40 @@ def page(record: Record, account: ReportDetails | None = None, replay: Path | No
         _throw(record, replay is not None),
         _bounces(record),
         _fit(record),
-        _residuals(record, told),
+        _residuals(record, details),
         _landing(record),
-        _checks(record, told),
-        _origin(told.origin),
+        _checks(record, details),
+        _origin(details.origin),
         viewer_html(replay) if replay is not None else "",
     ]
     policy = STATIC_POLICY if replay is None else VIEWER_POLICY
     return whole_page(record.title, (part for part in parts if part), policy=policy)
+
+
+def throw_page(title: str, die: Die, throw: Throw, sentences: Sequence[str], replay: Path) -> str:
+    """The page of a simulated throw as HTML, with the viewer and the recording at `replay`. Raises OSError as `viewer_html`.
+
+    It shows the result in words, the heights of the corners, and the bounces.
+    """
+    bounces = [bounce_sentence(k, impact) for k, impact in enumerate(throw.bounces[:MAX_LISTED_BOUNCES], 1)]
+    if len(throw.bounces) > len(bounces):
+        bounces.append(f"and {len(throw.bounces) - len(bounces)} more")
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        f'<div class="verdict"><p>{escape(" ".join(sentences))}</p></div>',
+        VIEWER_PLACE,
+        captioned(
+            plotted((WIDE, 4.0), lambda ax: throw_heights(ax, die.solid, throw)),
+            "Height of every corner over time. Dashed lines: bounces.",
+        ),
+        "<h2>Bounces</h2>",
+        _list(bounces or ["None."]),
+        viewer_html(replay),
+    ]
+    return whole_page(title, parts, policy=VIEWER_POLICY)
+
+
+# --- sections ---
 
 
 def _subtitle(record: Record) -> str:
@@ -93,7 +123,7 @@ def _verdict(record: Record) -> str:
 
 
 def _short(parameter: Parameter | None) -> str:
-    """`0.583 ± 0.003`-like headline; the interval need not be symmetric, so its ends are given."""
+    """`0.583, 95 % interval 0.580 to 0.586`: both ends, because the interval may be asymmetric."""
     if parameter is None or parameter.value is None:
         return UNKNOWN
     if parameter.low is None or parameter.high is None:
@@ -101,9 +131,6 @@ def _short(parameter: Parameter | None) -> str:
     decimals = decimals_for(parameter.high - parameter.low)
     ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
     return f"{fixed(parameter.value, decimals)}, {100 * (parameter.level or 0.95):.3g} % interval {ends}"
-
-
-# Sections
 
 
 def _throw(record: Record, embedded: bool) -> str:
@@ -120,7 +147,7 @@ def _throw(record: Record, embedded: bool) -> str:
 def _bounces(record: Record) -> str:
     impacts = record.measured.bounces
     if not impacts:
-        return "<h2>Bounces</h2>\n<p>No bounce was seen.</p>"
+        return "<h2>Bounces</h2>\n<p>No bounce was observed.</p>"
     header = (
         "bounce",
         "time [ms]",
@@ -141,40 +168,40 @@ def _fit(record: Record) -> str:
     if fit is None:
         return "<h2>Fit</h2>\n<p>No model was fitted.</p>"
     rows = [_parameter_row(name, parameter, fit) for name, parameter in fit.parameters.items()]
-    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "part in the fit"), rows)]
+    parts = ["<h2>Fit</h2>", as_table(("parameter", "value", "interval", "in the fit"), rows)]
     if fit.considered or fit.chosen:
         parts += ["<h3>Effects</h3>", _effects(fit)]
     if fit.initial is not None:
         parts += ["<h3>Initial conditions</h3>", _initial(fit.initial, fit)]
-        parts += [plate.as_html() for plate in captioned_figures.fit_figures(record) if plate.name == "correlations"]
+        parts += [figure.as_html() for figure in captioned_figures.fit_figures(record) if figure.name == "correlations"]
     if fit.messages:
         parts += ["<h3>Messages of the fit</h3>", _list(fit.messages)]
     return "\n".join(parts)
 
 
-def _residuals(record: Record, account: ReportDetails) -> str:
+def _residuals(record: Record, details: ReportDetails) -> str:
     if record.simulated is None:
         return ""
-    shown = captioned_figures.as_html(captioned_figures.residual_figures(record, account))
+    figures = captioned_figures.as_html(captioned_figures.residual_figures(record, details))
     nothing = "<p>No frame has both a measured and a simulated pose, so there are no residuals.</p>"
-    return f"<h2>Residuals</h2>\n{shown or nothing}"
+    return f"<h2>Residuals</h2>\n{figures or nothing}"
 
 
 def _landing(record: Record) -> str:
     if record.fit is None:
         return ""
-    said = [landing_sentence(record.fit), *certainty_sentences(record.estimates)]
-    parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(said))}</p>"]
-    parts += [plate.as_html() for plate in captioned_figures.fit_figures(record) if plate.name.startswith("odds")]
+    sentences = [landing_sentence(record.fit), *certainty_sentences(record.estimates)]
+    parts = ["<h2>Landing</h2>", f"<p>{escape(' '.join(sentences))}</p>"]
+    parts += [figure.as_html() for figure in captioned_figures.fit_figures(record) if figure.name.startswith("odds")]
     return "\n".join(parts)
 
 
-def _checks(record: Record, account: ReportDetails) -> str:
-    if not account.findings and not record.notices:
+def _checks(record: Record, details: ReportDetails) -> str:
+    if not details.findings and not record.notices:
         return ""
     parts = ["<h2>Calibration and timing</h2>"]
-    if account.findings:
-        parts.append(findings_table(account.findings))
+    if details.findings:
+        parts.append(findings_table(details.findings))
     if record.notices:
         parts += ["<h3>Footage and tracking</h3>", _list(record.notices)]
     return "\n".join(parts)
@@ -190,7 +217,7 @@ def _origin(origin: Mapping[str, Any] | None) -> str:
         ("command", " ".join(map(str, origin.get("command", ()))) or "called from Python"),
         ("python", f"{origin.get('python', UNKNOWN)} on {origin.get('platform', UNKNOWN)}"),
         ("packages", packages),
-        ("time of the stages [s]", seconds),
+        ("duration of the stages [s]", seconds),
     ]
     inputs = [
         f"<tr><td>{escape(str(file.get('path')))}</td><td>{escape(str(file.get('bytes')))}</td>"
@@ -202,11 +229,11 @@ def _origin(origin: Mapping[str, Any] | None) -> str:
         + "\n".join(inputs)
         + "\n</tbody></table></div>"
     )
-    told = key_value_table((name, text) for name, text in rows if text)
-    return "\n".join(["<h2>Where this comes from</h2>", told, files if inputs else ""])
+    facts = key_value_table((name, text) for name, text in rows if text)
+    return "\n".join(["<h2>Provenance</h2>", facts, files if inputs else ""])
 
 
-# Rows
+# --- rows ---
 
 
 def _bounce_row(count: int, impact: Impact) -> tuple[str, ...]:
@@ -229,7 +256,7 @@ def _parameter_row(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]
     if parameter.value is None:
         return parameter_text(name), reason, UNKNOWN, role(parameter)
     if parameter.low is None or parameter.high is None:
-        no_interval = reason if parameter.free else "held, so it has none"
+        no_interval = reason if parameter.free else "none: the parameter is held"
         return parameter_text(name), number(parameter.value), no_interval, role(parameter)
     decimals = decimals_for(parameter.high - parameter.low)
     ends = f"{fixed(parameter.low, decimals)} to {fixed(parameter.high, decimals)}"
@@ -238,10 +265,10 @@ def _parameter_row(name: str, parameter: Parameter, fit: Fit) -> tuple[str, ...]
 
 
 def _reason(name: str, fit: Fit) -> str:
-    """The messages that speak of the parameter; all of them where none names it."""
+    """The messages that name the parameter; all messages if none does."""
     symbols = (name, {"chi": "χ", "mu": "μ"}.get(name, name))
-    about = [message for message in fit.messages if any(symbol in message for symbol in symbols)]
-    return " ".join(about or fit.messages) or "the fit gives no reason."
+    matching = [message for message in fit.messages if any(symbol in message for symbol in symbols)]
+    return " ".join(matching or fit.messages) or "the fit gives no reason."
 
 
 def _initial(state: State, fit: Fit) -> str:
@@ -272,17 +299,17 @@ def _spread(errors: np.ndarray, unit: str = "") -> str:
 
 
 def _effects(fit: Fit) -> str:
-    rows = [(name, "in the model", "", "") for name in fit.chosen]
+    rows = [(name, "included", "", "") for name in fit.chosen]
     rows += [
         (
             effect.name,
-            "left out",
+            "not included",
             number(effect.evidence, 3) if effect.evidence is not None else "not tried",
             effect.why_not or "",
         )
         for effect in fit.considered
     ]
-    table = as_table(("effect", "", "gain in log-likelihood [1]", "why not"), rows)
+    table = as_table(("effect", "", "gain in log-likelihood [1]", "reason"), rows)
     return f"<p>{escape(' '.join(effects_sentences(fit)))}</p>\n{table}"
 
 

@@ -1,4 +1,4 @@
-"""Speed against accuracy as a page: what was tried, which settings nothing beats, and the one to use."""
+"""The page of speed against accuracy: the settings that were tried, their Pareto front, and the recommended one."""
 
 from __future__ import annotations
 
@@ -13,41 +13,44 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ...tracking.footage import Decimation
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour
+from ..figures import remove_box
 from .captioned_figures import CaptionedFigure
-from .page_parts import as_table, captioned, plotted, whole_page
+from .page_parts import WIDE, as_table, captioned, plotted, whole_page
 
 NARROW_SPEED_RANGE = 8.0
-"""Between settings that lie no further apart than this the axis of speed has numbers between 1, 2 and 5."""
+"""Ratio of the fastest to the slowest setting up to which the speed axis also has numbers between 1, 2 and 5."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One choice, and what it gave."""
+    """One choice of options with its speed and accuracy."""
 
     kind: str
     """`tracking`, `work`, `fit` or `model`."""
     name: str
     rate: float
-    """Frames of the clip, fits or throws a second of processor time."""
+    """Frames of the clip, fits or throws per second of processor time."""
     seconds: float
-    """Of processor time."""
+    """Processor time."""
     error: float | None
-    """See `ERRORS`; None where there is no answer to compare."""
+    """See `ERRORS`; None if there is no result to compare."""
     chi: float | None = None
     chi_low: float | None = None
     chi_high: float | None = None
     chi_error: float | None = None
-    """|χ - that of the reference|."""
+    """|χ - χ of the reference|."""
     coverage: float | None = None
+    """Share of the intervals that contain the true χ."""
     options: tuple[str, ...] = ()
-    """Of `diethrow analyze`, that choose it."""
+    """The options of `diethrow analyze` that select it."""
     on_front: bool = False
+    """Whether it lies on the Pareto front: no other setting is both faster and more accurate."""
     why_not: str | None = None
-    """Why there is no answer."""
+    """Why there is no result."""
 
     @property
     def half_width(self) -> float | None:
-        """Of the χ interval, its longer side."""
+        """The longer side of the χ interval."""
         if self.chi is None or self.chi_low is None or self.chi_high is None:
             return None
         return max(self.chi_high - self.chi, self.chi - self.chi_low)
@@ -55,12 +58,12 @@ class Setting:
     @property
     def choice(self) -> tuple[str, Decimation]:
         """Quality and decimation that the options of a tracking name."""
-        told = dict(zip(self.options[::2], self.options[1::2], strict=True))
-        return told["--quality"], Decimation(int(told.get("--every", "1")), int(told.get("--shrink", "1")))
+        values = dict(zip(self.options[::2], self.options[1::2], strict=True))
+        return values["--quality"], Decimation(int(values.get("--every", "1")), int(values.get("--shrink", "1")))
 
     @property
     def chi_uncertainty(self) -> float | None:
-        """How far χ may be off: the longer side of its interval, or its distance from the reference."""
+        """Possible error of χ: the longer side of its interval or its difference from the reference, whichever is larger."""
         if self.half_width is None:
             return None
         return max(self.half_width, self.chi_error or 0.0)
@@ -69,10 +72,10 @@ class Setting:
 ERRORS = {
     "tracking": "median distance of the corners from the finest run [mm]",
     "work": "median distance of the corners from the finest run [mm]",
-    "fit": "distance of χ from the reference",
+    "fit": "difference of χ from the reference",
     "model": "share of throws that land on another face",
 }
-"""What `Setting.error` is."""
+"""Meaning of `Setting.error` by kind."""
 
 
 @dataclass(frozen=True)
@@ -81,16 +84,17 @@ class Trade:
 
     settings: tuple[Setting, ...]
     reference: str
-    """What χ was compared with."""
+    """What χ is compared with."""
     within: float
+    """Requested uncertainty of χ."""
 
     def of(self, kind: str) -> tuple[Setting, ...]:
-        """The settings of one trade."""
+        """The settings of one kind."""
         return tuple(setting for setting in self.settings if setting.kind == kind)
 
     @property
     def recommended(self) -> Setting | None:
-        """The fastest tracking that gives χ to within what was asked for; None where none does."""
+        """The fastest tracking whose χ is certain to `within`; None if there is none."""
         return fastest_within(self.of("tracking"), self.within)
 
     @property
@@ -99,22 +103,22 @@ class Trade:
         best = self.recommended
         if best is None:
             reached = [s.chi_uncertainty for s in self.of("tracking") if s.chi_uncertainty is not None]
-            told = f"the best comes to ±{min(reached):.2g}" if reached else "none gives χ"
-            return f"No setting gives χ to ±{self.within:g} on this scene: {told}."
+            best_reached = f"the best reaches ±{min(reached):.2g}" if reached else "none gives χ"
+            return f"No setting gives χ to ±{self.within:g} on this scene: {best_reached}."
         options = " ".join(best.options) or "no option"
         return (
-            f"For χ to ±{self.within:g}: diethrow analyze with {options}, {best.rate:.0f} frames a second; it gives "
+            f"For χ to ±{self.within:g}: diethrow analyze with {options}, {best.rate:.0f} frames per second, reaches "
             f"±{best.chi_uncertainty:.2g}."
         )
 
 
 def fastest_within(settings: Sequence[Setting], within: float) -> Setting | None:
-    """The fastest setting whose χ is within what is asked for; None where none is."""
+    """The fastest setting whose χ is certain to `within`; None if there is none."""
     good = [s for s in settings if s.chi_uncertainty is not None and s.chi_uncertainty <= within]
     return max(good, key=lambda s: s.rate, default=None)
 
 
-# --- the page ---------------------------------------------------------------------------------------------------------
+# --- the page ---
 
 _RATES = {"tracking": "frames/s", "work": "frames/s", "fit": "fits/s", "model": "throws/s"}
 _FORMATS = {"tracking": ".3g", "work": ".3g", "fit": ".0%", "model": ".2%"}
@@ -127,37 +131,37 @@ _HEADINGS = {
 
 
 def trade_page(title: str, trade: Trade) -> str:
-    """The whole page as HTML."""
+    """The page as HTML."""
     parts = [
         f"<h1>Speed against accuracy: {escape(title)}</h1>",
         f'<div class="verdict"><p class="headline">{escape(trade.advice)}</p>'
-        f"<p>χ is compared with {escape(trade.reference)}. Speeds are for one second of a processor, all stages of "
-        "the setting together; in bold, what nothing beats in both.</p></div>",
+        f"<p>χ is compared with {escape(trade.reference)}. Speeds are per second of processor time, all stages of a "
+        "setting together. Bold: no other setting is both faster and more accurate.</p></div>",
     ]
     for kind, heading in _HEADINGS.items():
         settings = trade.of(kind)
         if settings:
-            parts += [f"<h2>{heading}</h2>", *(_picture(plate) for plate in _plates(trade) if plate.name == kind)]
+            parts += [f"<h2>{heading}</h2>", *(_figure_html(each) for each in _figures(trade) if each.name == kind)]
             parts += [_table(kind, settings), *_reasons(settings)]
     return whole_page(title, parts, "td:nth-child(2) { white-space: nowrap; }")
 
 
 def write_trade_figures(folder: Path, trade: Trade) -> None:
-    """The pictures of the page as files: tracking.png, work.png, fit.png, model.png, and each as SVG."""
-    for plate in _plates(trade):
-        plate.write(folder)
+    """Write the figures of the page: tracking.png, work.png, fit.png, model.png, and each as SVG."""
+    for figure in _figures(trade):
+        figure.write(folder)
 
 
 def speed_against_error(
-    ax: Axes, settings: Sequence[Setting], badness: Callable[[Setting], float | None], x: str, y: str
+    ax: Axes, settings: Sequence[Setting], error_of: Callable[[Setting], float | None], x: str, y: str
 ) -> Axes:
-    """One point a setting on logarithmic axes, those on the front joined; a value of 0 stands at the lower edge."""
-    told = [(s, b) for s in settings if (b := badness(s)) is not None and s.rate > 0.0]
-    floor = 0.5 * min((b for _, b in told if b > 0.0), default=1.0)
-    places = [(s, max(b, floor)) for s, b in told]
-    front = sorted(((s.rate, b) for s, b in places if s.on_front), key=lambda place: place[0])
+    """One point per setting on logarithmic axes, the Pareto front as a line; an error of 0 stands at the lower edge."""
+    known = [(s, e) for s in settings if (e := error_of(s)) is not None and s.rate > 0.0]
+    floor = 0.5 * min((e for _, e in known if e > 0.0), default=1.0)
+    points = [(s, max(e, floor)) for s, e in known]
+    front = sorted(((s.rate, e) for s, e in points if s.on_front), key=lambda point: point[0])
     ax.plot(*zip(*front, strict=True), color=hex_colour(SIMULATED), linewidth=1.2, zorder=1) if front else None
-    for number, (setting, value) in enumerate(places, start=1):
+    for number, (setting, value) in enumerate(points, start=1):
         colour = hex_colour(SIMULATED if setting.on_front else MEASURED)
         ax.plot(setting.rate, value, "o", color=colour, markersize=5.0, zorder=2)
         ax.annotate(
@@ -166,45 +170,49 @@ def speed_against_error(
         )  # fmt: skip
     ax.set_xscale("log")
     ax.set_yscale("log")
-    # Powers of ten would leave most of these axes with one number.
-    span = max((s.rate for s, _ in places), default=1.0) / min((s.rate for s, _ in places), default=1.0)
+    # With powers of ten alone, most of these axes would have one number.
+    span = max((s.rate for s, _ in points), default=1.0) / min((s.rate for s, _ in points), default=1.0)
     steps = (1.0, 2.0, 5.0) if span > NARROW_SPEED_RANGE else (1.0, 1.2, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0)
     ax.xaxis.set_major_locator(LogLocator(subs=steps))
     ax.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     ax.xaxis.set_minor_formatter(NullFormatter())
     ax.set_xlabel(x)
     ax.set_ylabel(y)
-    ax.spines[["top", "right"]].set_visible(False)
-    return ax
+    return remove_box(ax)
 
 
-def _plates(trade: Trade) -> list[CaptionedFigure]:
-    """A picture of each trade that has anything to show."""
+def _figures(trade: Trade) -> list[CaptionedFigure]:
+    """A figure for each kind that has a result."""
     drawn: list[tuple[str, Callable[[Setting], float | None], str, str]] = [
-        ("tracking", lambda s: s.chi_uncertainty, "frames of the clip a second of a processor", "χ may be off by"),
-        ("work", lambda s: s.chi_uncertainty, "frames of the clip a second of a processor", "χ may be off by"),
-        ("fit", lambda s: s.half_width, "fits a second of a processor", "half width of the χ interval"),
-        ("model", lambda s: s.error, "throws a second of a processor", "share on another face"),
+        (
+            "tracking",
+            lambda s: s.chi_uncertainty,
+            "frames of the clip per second of processor time",
+            "uncertainty of χ",
+        ),
+        ("work", lambda s: s.chi_uncertainty, "frames of the clip per second of processor time", "uncertainty of χ"),
+        ("fit", lambda s: s.half_width, "fits per second of processor time", "half width of the χ interval"),
+        ("model", lambda s: s.error, "throws per second of processor time", "share on another face"),
     ]
-    report_figures = []
-    for kind, badness, x, y in drawn:
-        settings = [s for s in trade.of(kind) if badness(s) is not None]
+    caption = (
+        "Each point is a setting, with its number in the table. Line: Pareto front, no other setting is both faster and more "
+        "accurate. Right is faster, low is more accurate."
+    )
+    figures = []
+    for kind, error_of, x, y in drawn:
+        settings = [s for s in trade.of(kind) if error_of(s) is not None]
         if settings:
-            caption = (
-                "Each point is a setting, by its number in the table; joined: those that nothing beats in both. Right is "
-                "faster, low is better."
-            )
-            draw = partial(speed_against_error, settings=settings, badness=badness, x=x, y=y)
-            report_figures.append(CaptionedFigure(kind, (8.4, 3.6), caption, draw))
-    return report_figures
+            draw = partial(speed_against_error, settings=settings, error_of=error_of, x=x, y=y)
+            figures.append(CaptionedFigure(kind, (WIDE, 3.6), caption, draw))
+    return figures
 
 
-def _picture(plate: CaptionedFigure) -> str:
-    return captioned(plotted(plate.inches, plate.draw), plate.caption)
+def _figure_html(figure: CaptionedFigure) -> str:
+    return captioned(plotted(figure.inches, figure.draw), figure.caption)
 
 
 def _table(kind: str, settings: Sequence[Setting]) -> str:
-    """The settings in the order in which the picture numbers them."""
+    """The settings, numbered as in the figure."""
     header = ["", "setting", _RATES[kind]]
     header += [] if kind == "model" else ["χ", "interval", "off by"]
     header += {
@@ -220,22 +228,22 @@ def _table(kind: str, settings: Sequence[Setting]) -> str:
         cells = [str(number) if answered else "", setting.name, f"{setting.rate:.3g}" if setting.rate else "–"]
         if kind != "model":
             cells += _chi_cells(setting)
-        told = setting.coverage if kind == "fit" else setting.error
-        cells.append("–" if told is None else format(told, _FORMATS[kind]))
+        value = setting.coverage if kind == "fit" else setting.error
+        cells.append("–" if value is None else format(value, _FORMATS[kind]))
         rows.append((setting.on_front, cells))
     table = as_table(header, [cells for _, cells in rows])
     return _bold_rows(table, [on for on, _ in rows])
 
 
 def _reasons(settings: Sequence[Setting]) -> list[str]:
-    """Why some settings leave χ open."""
-    told = [f"<li>{escape(s.name)}: {escape(s.why_not)}</li>" for s in settings if s.why_not is not None]
-    return [f'<p class="key">Settings that leave χ open:</p><ul class="key">{"".join(told)}</ul>'] if told else []
+    """Why some settings give no χ."""
+    items = [f"<li>{escape(s.name)}: {escape(s.why_not)}</li>" for s in settings if s.why_not is not None]
+    return [f'<p class="key">Settings without a value of χ:</p><ul class="key">{"".join(items)}</ul>'] if items else []
 
 
 def _chi_cells(setting: Setting) -> list[str]:
     if setting.chi is None:
-        return ["open", "–", "–"]
+        return ["not determined", "–", "–"]
     interval = "–" if setting.chi_low is None else f"{setting.chi_low:.5f} to {setting.chi_high:.5f}"
     return [f"{setting.chi:.5f}", interval, "–" if setting.chi_error is None else f"{setting.chi_error:.1e}"]
 

@@ -1,4 +1,4 @@
-"""How the viewer opens a recording: four tabs, the same for every throw, without views that would stay empty."""
+"""The layout of the viewer for one throw: the tabs Replay, Bounces, Residuals and Fit, without views that would be empty."""
 
 from __future__ import annotations
 
@@ -14,61 +14,74 @@ from ..elements import Residuals
 Array = NDArray[np.float64]
 
 TRAIL_FRAMES = 40
-"""Length of the corner trails behind the cursor."""
+"""Length of the corner trails before the cursor."""
 
 PLAYBACK_SPEED = 0.02
 """A throw of 0.2 s plays for ten seconds."""
 
-NEAR = 5.0
-"""Distance of the eye that follows the die, in its radii: the die fills half of the view, its trails the rest."""
+FOLLOW_DISTANCE = 5.0
+"""Distance of the viewpoint that follows the die, in the die's radii: the die fills half of the view, its trails the rest."""
 
 BOUNCE_PARTS = ("impacts", "impulses")
-"""Entities below each motion of which the views show every row up to the cursor; of a label only the last is readable."""
+"""Entities of each motion whose rows all remain visible up to the cursor; of labels only the last is readable."""
 
-GROUND = (24, 26, 30)
+SCENERY = ("+ world/table/**", "+ world/camera")
+"""Paths are listed one by one: a glob in the middle of a path matches nothing, without a warning."""
+
+BACKGROUND = (24, 26, 30)
 """Of the three-dimensional views."""
+
+MIN_RESIDUAL_SIGMAS = 2.2
+"""Smallest half range of a plot of residuals in standard errors: the band of ± 2 fits in."""
+
+TICK_STEPS = (1.0, 2.0, 3.0, 10.0)
+"""Half ranges of an axis, times a power of ten: the viewer labels only such values."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordingContents:
-    """What the recording holds."""
+    """The contents of a recording, as far as the layout depends on them."""
 
     motions: tuple[str, ...]
     """`measured`, `simulated`, or both."""
     fps: float
     """[Hz]."""
     eye_m: Array
-    """(3,) from where the three-dimensional views look."""
+    """(3,) viewpoint of the three-dimensional views."""
     target_m: Array
-    """(3,) at what they look."""
+    """(3,) point at the centre of these views."""
     frames: tuple[int, int]
-    """First and last frame with a pose: what is played."""
+    """First and last frame with a pose: the range that is played."""
     height_mm: float
-    """Of the highest corner."""
+    """Height of the highest corner."""
     radius_m: float
-    """Of the sphere through the corners of the die."""
-    picture_px: tuple[int, int] | None = None
-    """Width and height of the film; None where there is none."""
+    """Radius of the sphere through the corners of the die."""
+    image_px: tuple[int, int] | None = None
+    """Width and height of the video; None without one."""
     residuals: Residuals | None = None
     chi_range: tuple[float, float] | None = None
-    """Of the plot of χ; None where no χ is known."""
+    """Range of the plot of χ; None if no χ is known."""
     odds: bool = False
+    """Whether it has odds of the landing faces."""
     bounces: bool = False
+    """Whether any motion has bounces."""
 
 
-def blueprint(shown: RecordingContents) -> rrb.Blueprint:
-    """Replay, Bounces, Residuals, Fit: those of them that have something to show."""
-    tabs = [_replay_tab(shown)]
-    if shown.bounces:
+def blueprint(contents: RecordingContents) -> rrb.Blueprint:
+    """The tabs Replay, Bounces, Residuals and Fit, as far as they have contents."""
+    tabs = [_replay_tab(contents)]
+    if contents.bounces:
         tabs.append(_bounces_tab())
-    if shown.residuals is not None:
-        tabs.append(_residuals_tab(shown.residuals))
-    tabs.append(_fit_tab(shown))
-    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), *panels("frame", shown.fps, shown.frames), auto_views=False)
+    if contents.residuals is not None:
+        tabs.append(_residuals_tab(contents.residuals))
+    tabs.append(_fit_tab(contents))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=0), *panels("frame", contents.fps, contents.frames), auto_views=False
+    )
 
 
 def panels(timeline: str, fps: float, played: tuple[int, int]) -> tuple[rrb.BlueprintPart, ...]:
-    """Nothing about the views but the time panel: paused at the beginning, slow, going round what shows the die."""
+    """Collapsed panels, and playback: paused at the beginning, slow, looping over the frames `played`."""
     return (
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -87,44 +100,40 @@ def panels(timeline: str, fps: float, played: tuple[int, int]) -> tuple[rrb.Blue
 # --- Replay ---
 
 
-def _replay_tab(shown: RecordingContents) -> rrb.Container:
-    both = len(shown.motions) == 2
-    sides = [_side_view(shown, motion) for motion in shown.motions]
-    overlay = [_overlay_view(shown)] if both else []
-    film = [_film_view(shown.picture_px)] if shown.picture_px is not None else []
-    if not film and not both:
-        return rrb.Vertical(*sides, _heights_view(shown), row_shares=[3, 2], name="Replay")
-    right = rrb.Vertical(rrb.Horizontal(*sides), _heights_view(shown), row_shares=[3, 2])
-    return rrb.Horizontal(rrb.Vertical(*film, *overlay), right, column_shares=[2, 3], name="Replay")
+def _replay_tab(contents: RecordingContents) -> rrb.Container:
+    both = len(contents.motions) == 2
+    sides = [_side_view(contents, motion) for motion in contents.motions]
+    overlay = [_overlay_view(contents)] if both else []
+    video = [_video_view(contents.image_px)] if contents.image_px is not None else []
+    if not video and not both:
+        return rrb.Vertical(*sides, _heights_view(contents), row_shares=[3, 2], name="Replay")
+    right = rrb.Vertical(rrb.Horizontal(*sides), _heights_view(contents), row_shares=[3, 2])
+    return rrb.Horizontal(rrb.Vertical(*video, *overlay), right, column_shares=[2, 3], name="Replay")
 
 
-def _side_view(shown: RecordingContents, motion: str) -> rrb.Spatial3DView:
+def _side_view(contents: RecordingContents, motion: str) -> rrb.Spatial3DView:
     """The table, the camera, and one die with its bounces."""
-    contents = [f"+ world/{motion}/{part}" for part in ("die/**", "trail", "impacts/**", "impulses/**")]
+    entities = [f"+ world/{motion}/{part}" for part in ("die/**", "trail", "impacts/**", "impulses/**")]
     return scene_view(
-        motion.capitalize(), [*SCENERY, *contents], [f"world/{motion}"], shown.eye_m, shown.target_m, shown.fps
+        motion.capitalize(), [*SCENERY, *entities], [f"world/{motion}"], contents.eye_m, contents.target_m, contents.fps
     )
 
 
-def _overlay_view(shown: RecordingContents) -> rrb.Spatial3DView:
-    """Both dice in one view that stays close to the measured one."""
+def _overlay_view(contents: RecordingContents) -> rrb.Spatial3DView:
+    """Both dice in one view that follows the measured one."""
     # Without the measured edges, which would hide the model's where the two agree.
     motions = {"measured": ("die", "trail", "impacts/**"), "simulated": ("die/edges",)}
-    contents = [f"+ world/{motion}/{part}" for motion, parts in motions.items() for part in parts]
-    towards = (shown.eye_m - shown.target_m) / np.linalg.norm(shown.eye_m - shown.target_m)
+    entities = [f"+ world/{motion}/{part}" for motion, parts in motions.items() for part in parts]
+    towards = (contents.eye_m - contents.target_m) / np.linalg.norm(contents.eye_m - contents.target_m)
     return scene_view(
         "Overlay: measured solid, simulated edges",
-        [*SCENERY, *contents],
+        [*SCENERY, *entities],
         [f"world/{motion}" for motion in motions],
-        shown.target_m + NEAR * shown.radius_m * towards,
-        shown.target_m,
-        shown.fps,
+        contents.target_m + FOLLOW_DISTANCE * contents.radius_m * towards,
+        contents.target_m,
+        contents.fps,
         follow="world/measured/die",
     )
-
-
-# Paths are named one by one: a glob in the middle of a path silently matches nothing.
-SCENERY = ("+ world/table/**", "+ world/camera")
 
 
 def scene_view(
@@ -137,8 +146,10 @@ def scene_view(
     *,
     follow: str | None = None,
 ) -> rrb.Spatial3DView:
-    """A three-dimensional view; below each entity of `motions` lie a trail, impacts and impulses. The eye moves along with
-    the entity `follow`."""
+    """A three-dimensional view from `eye_m` on `target_m`, with the trails, impacts and impulses of `motions`.
+
+    The viewpoint moves with the entity `follow`.
+    """
     overrides = {f"{motion}/trail": _last(TRAIL_FRAMES, fps) for motion in motions}
     overrides |= {f"{motion}/{part}": _so_far() for motion in motions for part in BOUNCE_PARTS}
     return rrb.Spatial3DView(
@@ -146,7 +157,7 @@ def scene_view(
         contents=contents,
         name=name,
         overrides=overrides,
-        background=rrb.Background(color=GROUND),
+        background=rrb.Background(color=BACKGROUND),
         line_grid=rrb.LineGrid3D(visible=False),
         eye_controls=rrb.EyeControls3D(
             kind=rrb.Eye3DKind.Orbital,
@@ -159,7 +170,7 @@ def scene_view(
 
 
 def _last(frames: int, fps: float) -> rrb.VisibleTimeRanges:
-    """So many frames up to the cursor, on either timeline."""
+    """The given number of frames up to the cursor, on either timeline."""
     nanoseconds = round(frames / fps * 1e9)
     return _ranges(
         rrb.TimeRangeBoundary.cursor_relative(seq=-frames), rrb.TimeRangeBoundary.cursor_relative(nanos=-nanoseconds)
@@ -181,20 +192,22 @@ def _ranges(begin_frame: rrb.TimeRangeBoundary, begin_t: rrb.TimeRangeBoundary) 
     )
 
 
-def _film_view(picture_px: tuple[int, int]) -> rrb.Spatial2DView:
-    width, height = picture_px
+def _video_view(image_px: tuple[int, int]) -> rrb.Spatial2DView:
+    width, height = image_px
     return rrb.Spatial2DView(
         origin="world/camera/image",
-        name="Camera: measured edges blue, simulated orange",
+        name="Camera: measured edges blue, simulated edges orange",
         visual_bounds=rrb.VisualBounds2D(x_range=(0.0, width), y_range=(0.0, height)),
     )
 
 
-def _heights_view(shown: RecordingContents) -> rrb.TimeSeriesView:
-    """Sixteen names would hide the curves: the title carries the legend."""
-    legend = ", ".join({"measured": "measured wide", "simulated": "simulated narrow"}[name] for name in shown.motions)
-    name = f"Height of every corner [mm]: {legend}; upright lines: bounces"
-    return plot("plots/height", name, (-0.04 * shown.height_mm, 1.04 * shown.height_mm), legend=None)
+def _heights_view(contents: RecordingContents) -> rrb.TimeSeriesView:
+    """A legend of sixteen names would hide the curves: the title replaces it."""
+    legend = ", ".join(
+        {"measured": "measured wide", "simulated": "simulated narrow"}[name] for name in contents.motions
+    )
+    name = f"Height of every corner [mm]: {legend}; vertical lines: bounces"
+    return plot("plots/height", name, (-0.04 * contents.height_mm, 1.04 * contents.height_mm), legend=None)
 
 
 # --- Bounces, residuals, fit ---
@@ -209,24 +222,24 @@ def _bounces_tab() -> rrb.Container:
 
 
 def log_view() -> rrb.TextLogView:
-    """The event log. Path and level would leave half the width to the sentence, and that says whose bounce it is."""
+    """The event log without the columns path and level, which would take half of its width."""
     columns = rrb.TextLogColumns(text_log_columns=["Body"])
-    return rrb.TextLogView(origin="events", name="Bounces, and what each told", columns=columns)
+    return rrb.TextLogView(origin="events", name="Bounces, and the estimate after each", columns=columns)
 
 
 def lanes_view() -> rrb.StateTimelineView:
-    """Flights, what is held on the table, and what tracking knows."""
+    """Flights, held contacts, and the status of tracking."""
     return rrb.StateTimelineView(origin="phase", name="Flights and contacts")
 
 
 def _residuals_tab(rest: Residuals) -> rrb.Container:
     rows = [
         rrb.Horizontal(
+            plot(f"plots/residual/{what}_{unit}", f"{name} [{symbol}], with standard errors", _about_zero(values)),
             plot(
-                f"plots/residual/{what}_{unit}", f"{name} [{symbol}], each with its standard error", _about_zero(values)
-            ),
-            plot(
-                f"plots/residual/{what}_sigmas", f"{name} [standard errors]; bands: 1 and 2", _about_zero(sigmas, 2.2)
+                f"plots/residual/{what}_sigmas",
+                f"{name} [standard errors]; bands: ± 1 and ± 2",
+                _about_zero(sigmas, MIN_RESIDUAL_SIGMAS),
             ),
         )
         for what, unit, symbol, name, values, sigmas in (
@@ -246,24 +259,24 @@ def _shares(rest: Residuals, first: int) -> Array:
 
 
 def _about_zero(values: ArrayLike, least: float = 0.0) -> tuple[float, float]:
-    """A range about zero that holds the values: 1, 2, 3 or 10 of a power of ten, for the viewer labels only those."""
+    """A range about zero that contains the values and ± `least`, and ends just beyond a tick (see TICK_STEPS)."""
     size = np.abs(np.asarray(values, float))
-    most = max(float(size[np.isfinite(size)].max(initial=0.0)), least, 1e-9)
-    power = 10.0 ** np.floor(np.log10(most))
-    limit = next(step * power for step in (1.0, 2.0, 3.0, 10.0) if step * power >= most)
+    largest = max(float(size[np.isfinite(size)].max(initial=0.0)), least, 1e-9)
+    power = 10.0 ** np.floor(np.log10(largest))
+    limit = next(step * power for step in TICK_STEPS if step * power >= largest)
     return -1.05 * limit, 1.05 * limit
 
 
-def _fit_tab(shown: RecordingContents) -> rrb.Container | rrb.View:
+def _fit_tab(contents: RecordingContents) -> rrb.Container | rrb.View:
     text = rrb.TextDocumentView(origin="report/estimate", name="Fit")
     plots: list[rrb.View] = []
-    if shown.chi_range is not None:
+    if contents.chi_range is not None:
         plots.append(
-            plot("plots/chi", "Restitution χ [1], bounce by bounce", shown.chi_range, legend=rrb.Corner2D.RightTop)
+            plot("plots/chi", "Restitution χ [1] of each bounce", contents.chi_range, legend=rrb.Corner2D.RightTop)
         )
-    if shown.odds:
+    if contents.odds:
         plots.append(
-            plot("plots/odds", "Odds of the faces, from the frames to the end of each flight [1]", (-0.02, 1.02))
+            plot("plots/odds", "Odds of the landing face, by the frames to the end of each flight [1]", (-0.02, 1.02))
         )
     return rrb.Horizontal(text, rrb.Vertical(*plots), column_shares=[1, 1], name="Fit") if plots else text
 
@@ -286,6 +299,6 @@ def plot(
 
 
 def over_all_times() -> rrb.TimeAxis:
-    """The whole recording, so that one instant stands at one place in plots above each other."""
+    """The whole recording, so that plots above each other have the same time axis."""
     always = rrb.TimeRangeBoundary.infinite()
     return rrb.TimeAxis(view_range=rr.TimeRange(always, always))

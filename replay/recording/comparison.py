@@ -1,4 +1,4 @@
-"""Where experiment and model part, and what is known when: residuals with their bands, χ and the odds of the faces."""
+"""Experiment against model: the status of tracking, residuals with bands, and χ and the landing odds over time."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from ..elements import (
     estimate_sentence,
     mixed,
 )
-from .impacts import send_log_lines
-from .timelines import Clock, on_frames, send_instants
+from .timelines import Clock, on_frames, send_instants, send_log_lines
 
 if TYPE_CHECKING:
     from ...fitting.predict import Estimate
@@ -32,13 +31,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BANDS = (1.0, 2.0)
-"""Standard errors whose bands are drawn behind residuals: noise stays within them 68 and 95 % of the time."""
+"""Half widths of the bands behind residuals [standard errors]: 68 and 95 % of noise lie within them."""
 NORMAL_95 = 1.96
-"""Standard errors from the middle of a 95 % interval to its ends."""
+"""Half width of a 95 % interval [standard errors]."""
 
 
 def send_status(recording: rr.RecordingStream, track: Track) -> None:
-    """What tracking knows, where that changes."""
+    """The status of tracking on the frames where it changes."""
     changes = np.flatnonzero(np.r_[True, track.status[1:] != track.status[:-1]])
     recording.log(
         "phase/tracking",
@@ -53,7 +52,7 @@ def send_status(recording: rr.RecordingStream, track: Track) -> None:
 
 
 def send_residuals(recording: rr.RecordingStream, rest: Residuals) -> None:
-    """Residuals in millimetres and degrees, each with the measurement's standard error as a band; and in those errors."""
+    """Residuals in millimetres and degrees with the measurement's standard error as a band, and in standard errors."""
     index = on_frames(rest.frame, rest.time_s)
     if not len(rest.frame):
         return
@@ -86,14 +85,14 @@ def _send_with_band(
     values: Array,
     errors: Array,
 ) -> None:
-    """A curve with a band of one standard error to each side, where that is known."""
+    """A curve with a band of ± 1 standard error where that is known."""
     recording.log(entity, rr.Measurements.from_fields(colors=[colour], names=[name], widths=[1.2]), static=True)
     variances = np.where(np.isfinite(errors), errors**2, 0.0)
     recording.send_columns(entity, index, rr.Measurements.columns(values=values, variances=variances))
 
 
 def _send_noise_bands(recording: rr.RecordingStream, origin: str, rest: Residuals) -> None:
-    """What noise alone would do, in standard errors."""
+    """The bands within which noise alone stays, in standard errors."""
     ends = [0, -1]
     for width in BANDS:
         entity = f"{origin}/band_{width:g}"
@@ -103,19 +102,19 @@ def _send_noise_bands(recording: rr.RecordingStream, origin: str, rest: Residual
         recording.send_columns(entity, on_frames(rest.frame[ends], rest.time_s[ends]), columns)
 
 
-# --- what is known when ---
+# --- estimates over time ---
 
 
 def send_estimates(recording: rr.RecordingStream, estimates: Sequence[Estimate], clock: Clock) -> None:
-    """χ with its standard error as a band, and the odds of the faces, over the flight after each bounce; and sentences.
+    """χ with its standard error and the landing odds during the flight after each bounce, and lines of the event log.
 
-    What stands over a flight is told by all frames to the end of that flight.
+    The value during a flight is estimated from all frames to the end of that flight.
     """
     if not estimates:
         return
     times = np.array([estimate.time_s for estimate in estimates])
-    said = [f"fit {estimate_sentence(estimate)}" for estimate in estimates]
-    send_log_lines(recording, "events/told", times, said, clock, mixed(IMPACT, WHITE, 0.4))
+    lines = [f"fit {estimate_sentence(estimate)}" for estimate in estimates]
+    send_log_lines(recording, "events/told", times, lines, clock, mixed(IMPACT, WHITE, 0.4))
     _send_chi(recording, [estimate for estimate in estimates if estimate.chi.value is not None], clock)
     _send_odds(recording, [estimate for estimate in estimates if estimate.face_odds], clock)
 
@@ -124,7 +123,7 @@ def _send_chi(recording: rr.RecordingStream, known: Sequence[Estimate], clock: C
     if not known:
         return
     instants, rows = _held(known, clock)
-    name = "fit up to there, ± 1 standard error"
+    name = "fit to the frames so far, ± 1 standard error"
     style = rr.Measurements.from_fields(colors=[SIMULATED], names=[name], widths=[1.8], aggregation_policy="off")
     recording.log("plots/chi/estimate", style, static=True)
     values = np.array([estimate.chi.value for estimate in known], float)[rows]
@@ -134,13 +133,13 @@ def _send_chi(recording: rr.RecordingStream, known: Sequence[Estimate], clock: C
 
 
 def _standard_error(estimate: Estimate) -> float:
-    """Half the interval, in standard errors of a normal number; 0 where there is no interval."""
+    """The standard error of a normal distribution with this 95 % interval; 0 without an interval."""
     low, high = estimate.chi.low, estimate.chi.high
     return 0.0 if low is None or high is None else (high - low) / (2.0 * NORMAL_95)
 
 
 def _send_odds(recording: rr.RecordingStream, known: Sequence[Estimate], clock: Clock) -> None:
-    """One curve a face, but for those that no throw landed on."""
+    """One curve per face; faces on which no throw landed are left out."""
     if not known:
         return
     instants, rows = _held(known, clock)
@@ -158,7 +157,7 @@ def _send_odds(recording: rr.RecordingStream, known: Sequence[Estimate], clock: 
 
 
 def _held(known: Sequence[Estimate], clock: Clock) -> tuple[Array, NDArray[np.int64]]:
-    """Instants of a staircase through the estimates, the last one held to the end, and which estimate stands there."""
+    """Instants of a step curve through the estimates, the last held to the end, and the index of each one's estimate."""
     times = np.array([estimate.time_s for estimate in known])
     end = max(float(clock.time_s[-1]), float(times[-1]))
     instants = np.concatenate([np.repeat(times, 2)[1:], [end]])

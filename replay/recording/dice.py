@@ -1,4 +1,4 @@
-"""The die in motion: its body in three dimensions, the trails and heights of its corners, its spin and its energy."""
+"""The moving die: its body and trails in 3D, its edges in the camera's image, and its heights, spin and energy over time."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ from numpy.typing import NDArray
 
 from ...model.die import Solid
 from ...model.throw import Throw
-from ..elements import BLACK, COLOURS, WHITE, Colour, Motion, mixed
-from .timelines import Clock, nanoseconds, on_frames, send_instants
+from ...tracking.camera import Camera
+from ..elements import BLACK, COLOURS, WHITE, Colour, Motion, VisibleEdges, mixed, visible_edges
+from .timelines import Clock, nanoseconds, on_frames, send_clears, send_instants
 
 Array = NDArray[np.float64]
 
-WIDTHS = {"measured": 3.5, "simulated": 1.2}
-"""Of curves. The model is drawn over the measurement, and thinner: both stay in sight where they agree."""
+CURVE_WIDTHS = {"measured": 3.5, "simulated": 1.2}
+"""Widths of curves [points]. The model is thinner and on top, so both are visible where they agree."""
+SILHOUETTE_RADII = {"measured": 1.8, "simulated": 0.5}
+INNER_EDGE_RADII = {"measured": 1.2, "simulated": 0.4}
+CORNER_RADII = {"measured": 2.8, "simulated": 1.2}
+"""Radii of edges and corners in the camera's image [points], by the same rule."""
+DRAW_ORDERS = {"measured": 10.0, "simulated": 20.0}
+"""Order of drawing in the camera's image: larger numbers are on top."""
 
 
 def send_die(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> None:
-    """Poses, the die itself, the trails of its corners and their heights."""
+    """Send the poses, the body, and the trails and heights of the corners."""
     if len(motion.frame):
         _send_body(recording, solid, motion)
         _send_trail(recording, solid, motion)
@@ -26,9 +33,9 @@ def send_die(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> Non
 
 
 def _send_body(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> None:
-    """Poses, and the die itself from the first frame of each run of known poses until the first frame without one.
+    """Send the poses, and the body from the first frame of each run of known poses to the first frame without a pose.
 
-    The mesh is not static: static data cannot be cleared, and a die would stand at its last place while it is lost.
+    The mesh is not static, because static data cannot be cleared: a lost die would remain at its last position.
     """
     entity = f"world/{motion.name}/die"
     poses = rr.Transform3D.columns(translation=motion.position_m, quaternion=np.roll(motion.quaternion, -1, axis=1))
@@ -46,7 +53,7 @@ def _send_body(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> N
 
 
 def _mesh(solid: Solid, colour: Colour) -> rr.Mesh3D:
-    """Flat faces, each in its own tint, so that the eye can follow which face is which."""
+    """Flat faces, each with its own tint, so that a reader can follow a face through the throw."""
     positions: list[Array] = []
     normals: list[Array] = []
     tints: list[Colour] = []
@@ -62,15 +69,8 @@ def _mesh(solid: Solid, colour: Colour) -> rr.Mesh3D:
     )
 
 
-def send_clears(recording: rr.RecordingStream, entity: str, motion: Motion) -> None:
-    """Empty the entity and all below it on every frame without a pose."""
-    if len(motion.missing_frame):
-        gone = rr.Clear.columns(is_recursive=[True] * len(motion.missing_frame))
-        recording.send_columns(entity, on_frames(motion.missing_frame, motion.missing_time_s), gone)
-
-
 def _send_trail(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> None:
-    """The way of every corner from the frame before; the views join the last of these."""
+    """The path of every corner since the previous frame; the views show the last TRAIL_FRAMES of these."""
     corners = motion.corners_m(solid)
     colour = mixed(COLOURS[motion.name], BLACK, 0.25)
     for run in motion.runs:
@@ -86,12 +86,12 @@ def _send_trail(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> 
 
 
 def _send_heights(recording: rr.RecordingStream, solid: Solid, motion: Motion) -> None:
-    """One curve a corner, broken where the pose is not known."""
+    """One curve per corner, interrupted where no pose is known."""
     entity, count = f"plots/height/{motion.name}", len(solid.vertices)
     style = rr.SeriesLines(
         colors=[COLOURS[motion.name]] * count,
         names=[f"{motion.name} corner {k}" for k in range(count)],
-        widths=[WIDTHS[motion.name]] * count,
+        widths=[CURVE_WIDTHS[motion.name]] * count,
     )
     recording.log(entity, style, static=True)
     heights = 1e3 * motion.corners_m(solid)[:, :, 2]
@@ -101,7 +101,7 @@ def _send_heights(recording: rr.RecordingStream, solid: Solid, motion: Motion) -
 
 
 def send_spin_and_energy(recording: rr.RecordingStream, motion: Motion, throw: Throw, clock: Clock) -> None:
-    """Both are constant in flight and jump at a bounce: steps."""
+    """Angular speed and energy of each flight as steps: both are constant in flight and jump at a bounce."""
     begins = flight_begins(throw, clock)
     speeds = np.array([np.linalg.norm(flight.start.omega_rad_s) for flight in throw.flights])
     _send_steps(recording, f"plots/spin/{motion.name}", motion.name, begins, speeds, clock)
@@ -111,7 +111,7 @@ def send_spin_and_energy(recording: rr.RecordingStream, motion: Motion, throw: T
 
 
 def flight_begins(throw: Throw, clock: Clock) -> Array:
-    """When each flight begins; the first not before the recording does."""
+    """The beginning of each flight [s]; the first flight begins no earlier than the recording."""
     first = max(float(clock.time_s[0]), throw.flights[0].start.time_s)
     times = [impact.time_s for impact in throw.impacts]
     return np.array([min([first, *times]), *times])
@@ -120,7 +120,7 @@ def flight_begins(throw: Throw, clock: Clock) -> Array:
 def _send_steps(
     recording: rr.RecordingStream, entity: str, name: str, begins_s: Array, values: Array, clock: Clock
 ) -> None:
-    """Values that hold from each instant to the next, the last one to the end; what is not known is left out."""
+    """Values that hold from each instant to the next, the last one to the end; NaN values are left out."""
     known = np.isfinite(values)
     if not known.any():
         return
@@ -128,9 +128,53 @@ def _send_steps(
     style = rr.SeriesLines(
         colors=COLOURS[name],
         names=name,
-        widths=WIDTHS[name],
+        widths=CURVE_WIDTHS[name],
         interpolation_mode=rr.components.InterpolationMode.StepAfter,
     )
     recording.log(entity, style, static=True)
     steps = np.append(values[known], values[known][-1])
     send_instants(recording, entity, instants, clock, rr.Scalars.columns(scalars=steps))
+
+
+# --- in the camera's image ---
+
+
+def send_visible_edges(recording: rr.RecordingStream, solid: Solid, camera: Camera, motion: Motion) -> None:
+    """Silhouette, inner edges and corners in the camera's image, with lens distortion."""
+    poses = visible_edges(solid, camera, motion.position_m, motion.quaternion)
+    if not poses:
+        return
+    image, name = "world/camera/image", motion.name
+    silhouettes = [edges.silhouette_px for edges in poses]
+    inner = [edges.inner_px for edges in poses]
+    _send_lines(recording, f"{image}/silhouette/{name}", motion, silhouettes, SILHOUETTE_RADII[name])
+    _send_lines(recording, f"{image}/edges/{name}", motion, inner, INNER_EDGE_RADII[name])
+    _send_corners(recording, f"{image}/corners/{name}", motion, poses)
+
+
+def _send_lines(
+    recording: rr.RecordingStream, entity: str, motion: Motion, lines_px: list[Array], radius: float
+) -> None:
+    style = rr.LineStrips2D.from_fields(
+        colors=[COLOURS[motion.name]], radii=[-radius], draw_order=DRAW_ORDERS[motion.name]
+    )
+    recording.log(entity, style, static=True)
+    counts = [len(lines) for lines in lines_px]
+    strips = rr.LineStrips2D.columns(strips=_viewer_px(np.concatenate(lines_px))).partition(counts)
+    recording.send_columns(entity, on_frames(motion.frame, motion.time_s), strips)
+    send_clears(recording, entity, motion)
+
+
+def _send_corners(recording: rr.RecordingStream, entity: str, motion: Motion, poses: list[VisibleEdges]) -> None:
+    radius = CORNER_RADII[motion.name]
+    style = rr.Points2D.from_fields(colors=[COLOURS[motion.name]], radii=[-radius], draw_order=DRAW_ORDERS[motion.name])
+    recording.log(entity, style, static=True)
+    corners = [edges.corners_px for edges in poses]
+    points = rr.Points2D.columns(positions=_viewer_px(np.concatenate(corners))).partition([len(c) for c in corners])
+    recording.send_columns(entity, on_frames(motion.frame, motion.time_s), points)
+    send_clears(recording, entity, motion)
+
+
+def _viewer_px(points_px: Array) -> Array:
+    """The origin of the viewer is the corner of the first pixel, that of the camera model its centre."""
+    return points_px + 0.5

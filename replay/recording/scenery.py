@@ -1,4 +1,4 @@
-"""What stands still in a recording: the table, the camera and its film, and from where all of it is looked at."""
+"""The static part of a recording: the table, the camera with its video, and the viewpoint."""
 
 from __future__ import annotations
 
@@ -19,20 +19,30 @@ Array = NDArray[np.float64]
 
 GRID_M = 0.01
 """Spacing of the lines on the table."""
-FRUSTUM = 0.1
-"""Depth of the camera's frustum as drawn, in distances of the camera from the origin: seen, and not in the way."""
+TABLE_MARGIN_M = 0.01
+"""Margin of the drawn table around the throw."""
+TABLE_Z_M = -5e-5
+"""Height of the drawn table: a face that lies on it must stay in front."""
+FRUSTUM_DEPTH = 0.1
+"""Depth of the camera's frustum as drawn, as a share of the camera's distance from the origin: visible, not in the way."""
+EYE_DISTANCE = 0.95
+"""Distance of the viewpoint in diagonals of the box: the box then fills the view."""
+EYE_DIRECTION = np.array([0.35, -0.85, 0.45])
+"""Direction of the viewpoint without a camera: from the front, the right and above."""
+EMPTY_HALF_M = 0.05
+"""Half the side of the box of a recording without a pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class SceneBounds:
-    """The box that holds the throw, and from where it is looked at."""
+    """The box that contains the throw, and the viewpoint."""
 
     low_m: Array
     """(3,) lowest corner; on the table."""
     high_m: Array
     """(3,) highest corner."""
     eye_m: Array
-    """(3,)."""
+    """(3,) viewpoint."""
     frames: tuple[int, int]
     """First and last frame with a pose."""
 
@@ -43,31 +53,32 @@ class SceneBounds:
 
 
 def scene_bounds_of(solid: Solid, motions: Sequence[Motion], camera: Camera | None) -> SceneBounds:
-    """The box of the first motion that has poses: the model's may go on far beyond what was seen."""
-    shown = next((motion for motion in motions if len(motion.frame)), None)
-    if shown is None:
-        low, high, frames = np.full(3, -0.05), np.full(3, 0.05), (0, 1)
+    """The box of the first motion that has poses: the model may continue far beyond the measurement."""
+    bounding = next((motion for motion in motions if len(motion.frame)), None)
+    if bounding is None:
+        low, high, frames = np.full(3, -EMPTY_HALF_M), np.full(3, EMPTY_HALF_M), (0, 1)
     else:
-        corners = shown.corners_m(solid)
+        corners = bounding.corners_m(solid)
         low, high = corners.min((0, 1)), corners.max((0, 1))
-        frames = int(shown.frame[0]), int(shown.frame[-1])
+        frames = int(bounding.frame[0]), int(bounding.frame[-1])
     low[2] = 0.0
     return SceneBounds(low, high, eye_of(low, high, camera.centre_m if camera is not None else None), frames)
 
 
 def eye_of(low_m: Array, high_m: Array, camera_m: Array | None = None) -> Array:
-    """From where a box fills a view: from the camera's side of the table, else from the front, right and above."""
+    """(3,) the viewpoint from which a box fills a view, on the side of the camera if there is one."""
     target = 0.5 * (low_m + high_m)
-    direction = camera_m - target if camera_m is not None else np.array([0.35, -0.85, 0.45])
-    return np.asarray(target + direction / np.linalg.norm(direction) * 0.95 * float(np.linalg.norm(high_m - low_m)))
+    direction = camera_m - target if camera_m is not None else EYE_DIRECTION
+    diagonal_m = float(np.linalg.norm(high_m - low_m))
+    return np.asarray(target + direction / np.linalg.norm(direction) * EYE_DISTANCE * diagonal_m)
 
 
 def send_table(recording: rr.RecordingStream, low_m: Array, high_m: Array) -> None:
-    """A square round a box with lines every 10 mm, just below z = 0: a face that lies on it stays in front."""
+    """Send a square around a box, with lines every GRID_M."""
     middle = np.round(0.5 * (low_m + high_m)[:2] / GRID_M) * GRID_M
-    half = GRID_M * np.ceil((0.5 * float((high_m - low_m)[:2].max()) + 0.01) / GRID_M)
+    half = GRID_M * np.ceil((0.5 * float((high_m - low_m)[:2].max()) + TABLE_MARGIN_M) / GRID_M)
     ticks = np.arange(-half, half + 0.5 * GRID_M, GRID_M)
-    corners = [(x, y, -5e-5) for x, y in ((-half, -half), (half, -half), (half, half), (-half, half))]
+    corners = [(x, y, TABLE_Z_M) for x, y in ((-half, -half), (half, -half), (half, half), (-half, half))]
     plane = np.add(corners, [*middle, 0.0])
     recording.log(
         "world/table/plane",
@@ -81,12 +92,12 @@ def send_table(recording: rr.RecordingStream, low_m: Array, high_m: Array) -> No
 
 
 def send_footage(recording: rr.RecordingStream, record: Record) -> tuple[str, ...]:
-    """The camera and its film, where there are any; what a reader should know of the picture."""
+    """Send the camera and its video, if there are any; returns notices about the images, one sentence each."""
     if record.camera is not None:
         _send_camera(recording, record.camera)
     if record.clip is None:
-        return ("There is no film in this recording.",)
-    return _send_film(recording, record.clip)
+        return ("This recording contains no video.",)
+    return _send_video(recording, record.clip)
 
 
 def _send_camera(recording: rr.RecordingStream, camera: Camera) -> None:
@@ -97,30 +108,31 @@ def _send_camera(recording: rr.RecordingStream, camera: Camera) -> None:
             image_from_camera=np.add(camera.matrix, [[0.0, 0.0, 0.5], [0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]),
             resolution=(camera.width_px, camera.height_px),
             camera_xyz=rr.ViewCoordinates.RDF,
-            image_plane_distance=FRUSTUM * float(np.linalg.norm(camera.centre_m)),
+            image_plane_distance=FRUSTUM_DEPTH * float(np.linalg.norm(camera.centre_m)),
             color=IMPACT,
         ),
         static=True,
     )
 
 
-def _send_film(recording: rr.RecordingStream, clip: Clip) -> tuple[str, ...]:
-    """The clip as AV1, or as JPEGs where this FFmpeg has no encoder for it."""
+def _send_video(recording: rr.RecordingStream, clip: Clip) -> tuple[str, ...]:
+    """Send the clip as AV1, or as JPEG images if this FFmpeg has no AV1 encoder; returns notices."""
     window = display_window(clip)
     entity, frames = "world/camera/image", clip.first_frame + np.arange(len(clip), dtype=np.int64)
-    said = []
+    notices = []
     if clip.bit_depth > 8:
         levels = f"{window.black:.0f} to {window.white:.0f}"
-        said.append(f"The film shows grey levels {levels} of {clip.bit_depth} bits as black to white.")
+        notices.append(f"The video shows the grey levels {levels} of {clip.bit_depth} bits as black to white.")
     if can_encode_av1():
-        film = rr.AssetVideo(contents=encode_av1(clip, window), media_type="video/mp4")
-        stamps = film.read_frame_timestamps_nanos()
-        assert len(stamps) == len(clip), f"{len(stamps)} frames in the film of {len(clip)}"
-        recording.log(entity, film, static=True)
-        recording.send_columns(entity, on_frames(frames, clip.times_s), rr.VideoFrameReference.columns_nanos(stamps))
+        video = rr.AssetVideo(contents=encode_av1(clip, window), media_type="video/mp4")
+        timestamps_ns = video.read_frame_timestamps_nanos()
+        assert len(timestamps_ns) == len(clip), f"{len(timestamps_ns)} frames in the video of {len(clip)}"
+        recording.log(entity, video, static=True)
+        references = rr.VideoFrameReference.columns_nanos(timestamps_ns)
+        recording.send_columns(entity, on_frames(frames, clip.times_s), references)
     else:
-        said.append("The film is stored as JPEG pictures, because no AV1 encoder was found.")
-        for number, picture in enumerate(encode_jpegs(clip, window)):
+        notices.append("The video is stored as JPEG images, because no AV1 encoder was found.")
+        for number, jpeg in enumerate(encode_jpegs(clip, window)):
             row = on_frames(frames[number : number + 1], clip.times_s[number : number + 1])
-            recording.send_columns(entity, row, rr.EncodedImage.columns(blob=[picture], media_type=["image/jpeg"]))
-    return tuple(said)
+            recording.send_columns(entity, row, rr.EncodedImage.columns(blob=[jpeg], media_type=["image/jpeg"]))
+    return tuple(notices)

@@ -1,16 +1,15 @@
-"""Several recordings in one: several throws on one clock, or several models of one throw.
+"""Several recordings joined in one: several throws on one clock, or several models of one throw.
 
-The chunks of each recording are taken over as they are, but for three things: where they stand in the tree of entities,
-when (all clocks are set by one instant), and in which colour. Nothing is decoded or computed again, so films, poses and
-bounces keep every digit.
+The chunks of each recording are copied with three changes: the entity path, the time (all clocks are aligned at one
+instant), and the colour. Nothing is decoded or computed again, so videos, poses and bounces keep every digit.
 
 | | several throws | several models |
 | --- | --- | --- |
-| film, measured die | each throw's own | those of the first recording |
-| `world/measured/die` | `world/NAME/measured/die` | stays |
+| video, measured die | of each throw | of the first recording |
+| `world/measured/die` | `world/NAME/measured/die` | unchanged |
 | `world/simulated/die` | `world/NAME/simulated/die` | `world/NAME/die` |
-| `plots/spin/measured` | `plots/spin/NAME/measured` | stays |
-| colours | one for each throw, its model paler | the measured die's, and one for each model |
+| `plots/spin/measured` | `plots/spin/NAME/measured` | unchanged |
+| colours | one for each throw, paler for its model | that of the measured die, and one for each model |
 """
 
 from __future__ import annotations
@@ -38,12 +37,16 @@ from .timelines import on_frames
 Array = NDArray[np.float64]
 
 COLOUR_COLUMNS = (":colors", ":vertex_colors", ":color")
-PALE = 0.45
+MODEL_WHITENING = 0.45
 """Share of white in the colour of a throw's model."""
-NEAR_COLOUR = 2
-"""Difference in any of red, green and blue that rounding makes."""
-SHARED = ("/__properties", "/world/table")
-"""What every recording has for itself, and one made of several gets anew."""
+COLOUR_ROUNDING = 2
+"""Largest difference in red, green or blue that rounding causes."""
+REPLACED = ("/__properties", "/world/table")
+"""Entities of each recording that the joined recording replaces by its own."""
+SAME_FPS = 1e-6
+"""Relative difference of frame rates below which frames can be counted on one timeline."""
+DEFAULT_RADIUS_M = 0.01
+"""Radius of a die whose recording has no mesh."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +55,12 @@ class Source:
 
     path: Path
     name: str
-    """By which it is told from the others."""
+    """Name that distinguishes it from the others."""
 
 
 @dataclass(frozen=True, eq=False)
 class _LoadedRecording:
-    """A recording, and what has to be known of it before it is joined."""
+    """A recording with the properties that joining needs."""
 
     name: str
     """As a part of an entity path."""
@@ -65,17 +68,19 @@ class _LoadedRecording:
     chunks: list[Chunk]
     identity: str
     box_m: Array
-    """(2, 3) lowest and highest place of the centre of any die; the table is in it."""
+    """(2, 3) lowest and highest corner of the box that contains the die and touches the table."""
     radius_m: float
+    """Radius of the sphere through the corners of the die."""
     fps: float
     bounce: tuple[int, int] | None
-    """Nanosecond and frame of the first bounce; None without one."""
+    """Time [ns] and frame of the first bounce; None without one."""
     span: tuple[int, int]
-    """Nanoseconds of the first and the last pose."""
+    """Times of the first and the last pose [ns]."""
     frames: tuple[int, int]
+    """First and last frame with a pose."""
 
     def has(self, entity: str) -> bool:
-        """Whether anything stands at an entity or below it."""
+        """Whether the recording has data at an entity or below it."""
         return any(c.entity_path == entity or c.entity_path.startswith(entity + "/") for c in self.chunks)
 
     def rows(self, entity: str, component: str, timeline: str) -> Iterator[tuple[Any, Any]]:
@@ -88,13 +93,14 @@ class _LoadedRecording:
 
 
 def join_recordings(out: Path, sources: Sequence[Source], *, same_throw: bool = False, at_bounce: bool = True) -> None:
-    """Write one recording that holds several; `same_throw` says that they differ in the model alone.
+    """Write one recording that joins several; with `same_throw` they are models of one throw.
 
-    `at_bounce` sets the clocks of several throws so that their first bounces coincide, otherwise all begin with frame 0.
-    Raises ValueError for what is not a recording of a throw, FileNotFoundError for one that is not there.
+    With `at_bounce` the first bounces of several throws coincide, otherwise their frames 0. Raises ValueError for a file
+    that is not the recording of a throw, FileNotFoundError for a missing file.
     """
-    if len({source.name for source in sources}) < len(sources):
-        raise ValueError("two recordings have one name: wanted names that differ")
+    names = [source.name for source in sources]
+    if len(set(names)) < len(names):
+        raise ValueError(f"two recordings have the same name, among {', '.join(names)}; give each its own name")
     reads = [_read(source) for source in sources]
     shifts = [(0, 0)] * len(reads) if same_throw or not at_bounce else _shifts(reads)
     joined = _joined(reads, shifts, same_throw)
@@ -102,19 +108,19 @@ def join_recordings(out: Path, sources: Sequence[Source], *, same_throw: bool = 
     title = f"{len(reads)} {'models' if same_throw else 'throws'}"
     with open_recording(out, title, f"{title.replace(' ', '-')}-{identity}", views_of(joined)) as recording:
         send_table(recording, joined.low_m, joined.high_m)
-        for k, (read, shift, cast) in enumerate(zip(reads, shifts, joined.cast, strict=True)):
-            move = _ChunkRewriter(read, shift, cast, same_throw, first=k == 0, keeps_frames=joined.keeps_frames)
+        for k, (read, shift, entry) in enumerate(zip(reads, shifts, joined.entries, strict=True)):
+            move = _ChunkRewriter(read, shift, entry, same_throw, first=k == 0, counts_frames=joined.counts_frames)
             for chunk in read.chunks:
                 moved = move.chunk(chunk)
                 if moved is not None:
                     rr.send_chunks(moved, recording=recording)
             if not same_throw:
-                _send_lowest(recording, read, shift, cast, joined.keeps_frames)
+                _send_lowest(recording, read, shift, entry, joined.counts_frames)
         recording.log("report/table", rr.TextDocument(_table(reads), media_type=rr.MediaType.MARKDOWN), static=True)
 
 
 def properties_of(path: Path) -> dict[str, Any]:
-    """What a recording says of its throw: χ, bounces, verdict and so on; what it does not say is left out."""
+    """The properties that a recording contains: χ, bounces, verdict and others; absent ones are left out."""
     return _properties(list(RrdReader(path).stream().filter(content="/__properties/throw")))
 
 
@@ -129,7 +135,7 @@ def _properties(chunks: Sequence[Chunk]) -> dict[str, Any]:
 
 
 def entity_name(title: str) -> str:
-    """A title as one part of an entity path, where only some characters may stand as they are."""
+    """A title as one part of an entity path, which allows some characters only."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", title)
 
 
@@ -138,7 +144,7 @@ def entity_name(title: str) -> str:
 
 def _read(source: Source) -> _LoadedRecording:
     if not source.path.is_file():
-        raise FileNotFoundError(f"{source.path}: there is no such recording")
+        raise FileNotFoundError(f"{source.path}: no such recording")
     try:
         reader = RrdReader(source.path)
         recordings = reader.recordings()
@@ -148,9 +154,9 @@ def _read(source: Source) -> _LoadedRecording:
     poses = [_poses(chunks, f"/world/{motion}/die") for motion in ("measured", "simulated")]
     known = [pose for pose in poses if pose is not None]
     if not known or not recordings:
-        raise ValueError(f"{source.path}: no die moves in this recording; wanted the replay.rrd of a throw")
-    times, frames, places = known[0]
-    box = np.array([places.min(0), places.max(0)])
+        raise ValueError(f"{source.path}: this recording has no moving die; wanted the replay.rrd of a throw")
+    times, frames, positions = known[0]
+    box = np.array([positions.min(0), positions.max(0)])
     radius = _radius(chunks)
     box += np.array([[-radius] * 3, [radius] * 3])
     box[0, 2] = 0.0
@@ -170,26 +176,26 @@ def _read(source: Source) -> _LoadedRecording:
 
 
 def _poses(chunks: Sequence[Chunk], entity: str) -> tuple[NDArray[np.int64], NDArray[np.int64], Array] | None:
-    """Nanoseconds, frames and places of the poses at an entity."""
+    """Times [ns], frames and positions [m] of the poses at an entity."""
     for chunk in chunks:
         batch = chunk.to_record_batch() if chunk.entity_path == entity else None
         if batch is not None and "Transform3D:translation" in batch.schema.names:
-            places = np.array([value[0] for value in batch.column("Transform3D:translation").to_pylist()], float)
-            return _times(batch, "t"), _times(batch, "frame"), places
+            positions = np.array([value[0] for value in batch.column("Transform3D:translation").to_pylist()], float)
+            return _times(batch, "t"), _times(batch, "frame"), positions
     return None
 
 
 def _radius(chunks: Sequence[Chunk]) -> float:
-    """Of the sphere through the corners of the die [m]."""
+    """Radius of the sphere through the corners of the die [m]."""
     for chunk in chunks:
         if chunk.entity_path.endswith("/die") and "Mesh3D:vertex_positions" in chunk.to_record_batch().schema.names:
             corners = chunk.to_record_batch().column("Mesh3D:vertex_positions").to_pylist()[0]
             return float(np.linalg.norm(np.array(corners, float), axis=1).max())
-    return 0.01
+    return DEFAULT_RADIUS_M
 
 
 def _first_bounce(chunks: Sequence[Chunk]) -> tuple[int, int] | None:
-    """Nanosecond and frame of the first sentence about a bounce, of the measured die where it has one."""
+    """Time [ns] and frame of the first bounce in the event log, of the measured die if it has one."""
     for motion in ("measured", "simulated"):
         firsts = {}
         for chunk in chunks:
@@ -210,43 +216,43 @@ def _shifts(reads: Sequence[_LoadedRecording]) -> list[tuple[int, int]]:
     bounces = [read.bounce for read in reads]
     missing = [read.title for read in reads if read.bounce is None]
     if missing:
-        raise ValueError(f"{missing[0]} shows no bounce to set the clocks by: try --align frame")
+        raise ValueError(f"{missing[0]} has no bounce at which the clocks could be aligned; try --align frame")
     last_t, last_frame = (max(bounce[k] for bounce in bounces if bounce) for k in (0, 1))
     return [(last_t - bounce[0], last_frame - bounce[1]) for bounce in bounces if bounce]
 
 
 def _joined(reads: Sequence[_LoadedRecording], shifts: Sequence[tuple[int, int]], same_throw: bool) -> JoinedContents:
-    """What the views are made for."""
+    """The description from which the views are made."""
     low = np.min([read.box_m[0] for read in reads], axis=0)
     high = np.max([read.box_m[1] for read in reads], axis=0)
-    keeps = all(abs(read.fps / reads[0].fps - 1.0) < 1e-6 for read in reads)
+    counts = all(abs(read.fps / reads[0].fps - 1.0) < SAME_FPS for read in reads)
     spans = [
-        [time + shift[0] for time in read.span] if not keeps else [frame + shift[1] for frame in read.frames]
+        [time + shift[0] for time in read.span] if not counts else [frame + shift[1] for frame in read.frames]
         for read, shift in zip(reads, shifts, strict=True)
     ]
     return JoinedContents(
-        cast=tuple(_cast(read, k, same_throw) for k, read in enumerate(reads)),
+        entries=tuple(_entry(read, k, same_throw) for k, read in enumerate(reads)),
         same_throw=same_throw,
         low_m=low,
         high_m=high,
         eye_m=eye_of(low, high),
         radius_m=max(read.radius_m for read in reads),
         fps=reads[0].fps,
-        keeps_frames=keeps,
+        counts_frames=counts,
         played=(min(begin for begin, _ in spans), max(end for _, end in spans)),
     )
 
 
-def _cast(read: _LoadedRecording, k: int, same_throw: bool) -> JoinedThrow:
+def _entry(read: _LoadedRecording, k: int, same_throw: bool) -> JoinedThrow:
     colour = THROW_COLOURS[(k + 1 if same_throw else k) % len(THROW_COLOURS)]
     return JoinedThrow(
         read.name,
         read.title,
         colour if not same_throw else MEASURED,
-        colour if same_throw else mixed(colour, WHITE, PALE),
+        colour if same_throw else mixed(colour, WHITE, MODEL_WHITENING),
         measured=read.has("/world/measured/die"),
         simulated=read.has("/world/simulated/die"),
-        film=read.has("/world/camera/image"),
+        video=read.has("/world/camera/image"),
         odds=read.has("/plots/odds"),
     )
 
@@ -256,25 +262,25 @@ def _cast(read: _LoadedRecording, k: int, same_throw: bool) -> JoinedThrow:
 
 @dataclass(frozen=True, eq=False)
 class _ChunkRewriter:
-    """How the chunks of one recording come into the joined one."""
+    """Changes the chunks of one recording to their entity path, time and colour in the joined one."""
 
     read: _LoadedRecording
     shift: tuple[int, int]
     """Nanoseconds and frames to add."""
-    cast: JoinedThrow
+    entry: JoinedThrow
     same_throw: bool
     first: bool
-    keeps_frames: bool
+    counts_frames: bool
 
     def chunk(self, chunk: Chunk) -> Chunk | None:
-        """The chunk where, when and in which colour it belongs; None for what is left out."""
+        """The changed chunk; None if the joined recording leaves it out."""
         entity = self._entity(chunk.entity_path)
         if entity is None:
             return None
         batch = chunk.to_record_batch()
-        if chunk.timeline_names == ["frame"] and not self.keeps_frames:
+        if chunk.timeline_names == ["frame"] and not self.counts_frames:
             return None
-        if "frame" in batch.schema.names and not self.keeps_frames:
+        if "frame" in batch.schema.names and not self.counts_frames:
             batch = batch.drop_columns(["frame"])
         for timeline, shift in zip(("t", "frame"), self.shift, strict=True):
             if timeline in batch.schema.names:
@@ -290,7 +296,7 @@ class _ChunkRewriter:
         return moved.with_entity_path(entity)
 
     def _entity(self, path: str) -> str | None:
-        if path == "/world" or path.startswith(SHARED):
+        if path == "/world" or path.startswith(REPLACED):
             return None
         parts = path.split("/")
         if path.startswith("/report"):
@@ -305,14 +311,14 @@ class _ChunkRewriter:
         return path if self.first else None
 
     def _colours(self, entity: str, values: list[int]) -> list[int]:
-        # What lies between the measured die and a model belongs to the model.
+        # Residuals of a model have the colour of that model.
         of_model = self.same_throw and entity.startswith("/plots/residual")
-        measured = self.cast.simulated_colour if of_model else self.cast.measured_colour
+        measured = self.entry.simulated_colour if of_model else self.entry.measured_colour
         return [self._colour(value, measured) for value in values]
 
     def _colour(self, packed: int, measured: Colour) -> int:
         rgb: Colour = (packed >> 24 & 255, packed >> 16 & 255, packed >> 8 & 255)
-        for old, new in ((MEASURED, measured), (SIMULATED, self.cast.simulated_colour)):
+        for old, new in ((MEASURED, measured), (SIMULATED, self.entry.simulated_colour)):
             found = recoloured(rgb, old, new)
             if found is not None:
                 red, green, blue = found
@@ -320,7 +326,7 @@ class _ChunkRewriter:
         return packed
 
     def _sentences(self, values: list[str]) -> list[str]:
-        """Of the event log; what was measured is the same for all models of one throw."""
+        """Lines of the event log with the title; measured bounces are common to all models of one throw."""
         shared = self.same_throw and values[0].startswith("measured")
         return values if shared else [f"{self.read.title}: {value}" for value in values]
 
@@ -339,11 +345,11 @@ class _ChunkRewriter:
 
 
 def recoloured(rgb: Colour, old: Colour, new: Colour) -> Colour | None:
-    """The same tint or shade of `new` as `rgb` is of `old`; None where it is neither."""
+    """The tint or shade of `new` that corresponds to `rgb` as one of `old`; None if `rgb` is neither."""
     for extreme in (WHITE, BLACK):
-        way = np.subtract(extreme, old)
-        share = float(np.subtract(rgb, old) @ way) / float(way @ way)
-        if -0.01 <= share <= 0.9 and np.abs(np.subtract(mixed(old, extreme, share), rgb)).max() <= NEAR_COLOUR:
+        difference = np.subtract(extreme, old)
+        share = float(np.subtract(rgb, old) @ difference) / float(difference @ difference)
+        if -0.01 <= share <= 0.9 and np.abs(np.subtract(mixed(old, extreme, share), rgb)).max() <= COLOUR_ROUNDING:
             return mixed(new, extreme, max(share, 0.0))
     return None
 
@@ -355,7 +361,7 @@ def _replaced(batch: pa.RecordBatch, name: str, values: NDArray[np.int64]) -> pa
 
 
 def _mapped(batch: pa.RecordBatch, name: str, change: Any) -> pa.RecordBatch:
-    """The batch with every list of a column changed; equal lists only once."""
+    """The batch with `change` applied to every list of a column, once for equal lists."""
     k = batch.schema.names.index(name)
     column, known = batch.schema.field(k), {}
     rows = []
@@ -366,42 +372,44 @@ def _mapped(batch: pa.RecordBatch, name: str, change: Any) -> pa.RecordBatch:
     return batch.set_column(k, column, pa.array(rows, column.type))
 
 
-# --- what is new ---
+# --- added to the joined recording ---
 
 
 def _send_lowest(
-    recording: rr.RecordingStream, read: _LoadedRecording, shift: tuple[int, int], cast: JoinedThrow, keeps_frames: bool
+    recording: rr.RecordingStream,
+    read: _LoadedRecording,
+    shift: tuple[int, int],
+    entry: JoinedThrow,
+    counts_frames: bool,
 ) -> None:
-    """The height of the lowest corner, one curve a throw: eight corners each would hide one another."""
-    for motion, colour in (("measured", cast.measured_colour), ("simulated", cast.simulated_colour)):
+    """The height of the lowest corner, one curve per throw: the curves of all corners would hide each other."""
+    for motion, colour in (("measured", entry.measured_colour), ("simulated", entry.simulated_colour)):
         for chunk in read.chunks:
             batch = chunk.to_record_batch() if chunk.entity_path == f"/plots/height/{motion}" else None
             if batch is None or "Scalars:scalars" not in batch.schema.names:
                 continue
-            entity, label = (
-                f"plots/lowest/{read.name}/{motion}",
-                read.title + (", model" if motion == "simulated" else ""),
-            )
+            entity = f"plots/lowest/{read.name}/{motion}"
+            label = read.title + (", model" if motion == "simulated" else "")
             recording.log(entity, rr.SeriesLines(colors=colour, names=label, widths=1.5), static=True)
             times, frames = _times(batch, "t") + shift[0], _times(batch, "frame") + shift[1]
             index = on_frames(frames, 1e-9 * times.astype(np.float64))
             lowest = [min(row) for row in batch.column("Scalars:scalars").to_pylist()]
             columns = rr.Scalars.columns(scalars=lowest)
-            recording.send_columns(entity, index if keeps_frames else index[1:], columns)
+            recording.send_columns(entity, index if counts_frames else index[1:], columns)
 
 
 def _table(reads: Sequence[_LoadedRecording]) -> str:
-    """One row a recording, for the first page of the report."""
+    """One row per recording, for the first page of the report."""
     lines = ["| | χ | 95 % interval | bounces | explained | residuals [σ] |", "| --- | --- | --- | --- | --- | --- |"]
     for read in reads:
-        facts = _properties(read.chunks)
-        chi, low, high = (facts.get(name) for name in ("chi", "chi_low", "chi_high"))
-        bounds = "" if low is None or high is None else f"{low:.5g} to {high:.5g}"
-        rms = facts.get("residual_rms")
+        properties = _properties(read.chunks)
+        chi, low, high, rms = (properties.get(name) for name in ("chi", "chi_low", "chi_high", "residual_rms"))
         cells = [
+            read.title,
             "" if chi is None else f"{chi:.5g}",
-            bounds,
-            *(facts.get(n, "") for n in ("bounces", "bounces_fitted")),
+            "" if low is None or high is None else f"{low:.5g} to {high:.5g}",
+            *(str(properties.get(name, "")) for name in ("bounces", "bounces_fitted")),
+            "" if rms is None else f"{rms:.2f}",
         ]
-        lines.append(" | ".join(["| " + read.title, *map(str, cells), "" if rms is None else f"{rms:.2f}"]) + " |")
+        lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""How the viewer opens several throws in one recording: the tabs of a single throw, with one colour for each."""
+"""The layout of the viewer for joined recordings: the tabs of a single throw, with one colour for each throw or model."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class JoinedThrow:
-    """One recording among others."""
+    """One of the recordings that are joined."""
 
     name: str
     """As a part of an entity path."""
@@ -24,82 +24,83 @@ class JoinedThrow:
     measured_colour: Colour
     simulated_colour: Colour
     measured: bool
+    """Whether it has a measured die; the next three likewise."""
     simulated: bool
-    film: bool
+    video: bool
     odds: bool
 
 
 @dataclass(frozen=True, eq=False)
 class JoinedContents:
-    """What the joined recording holds."""
+    """The contents of a joined recording, as far as the layout depends on them."""
 
-    cast: tuple[JoinedThrow, ...]
+    entries: tuple[JoinedThrow, ...]
     same_throw: bool
-    """They differ in the model alone."""
+    """Whether they are models of one throw."""
     low_m: Array
-    """(3,) lowest place of any die."""
+    """(3,) lowest corner of the box that contains all dice."""
     high_m: Array
-    """(3,)."""
+    """(3,) its highest corner."""
     eye_m: Array
-    """(3,) from where the three-dimensional view looks at the middle of these."""
+    """(3,) viewpoint of the three-dimensional view, which points at the middle of the box."""
     radius_m: float
-    """Of the largest die."""
+    """Radius of the largest die."""
     fps: float
-    keeps_frames: bool
-    """All have one frame rate, so that frames can be counted."""
+    counts_frames: bool
+    """Whether all have the same frame rate, so that the timeline `frame` exists."""
     played: tuple[int, int]
-    """First and last frame with a pose; nanoseconds where frames are not counted."""
+    """First and last frame with a pose; their times [ns] without the timeline `frame`."""
 
 
 def views_of(joined: JoinedContents) -> rrb.Blueprint:
-    """Replay, Bounces, Residuals, Fit."""
+    """The tabs Replay, Bounces, Residuals and Fit."""
     tabs = [_replay_tab(joined), _bounces_tab()]
-    if any(cast.simulated and cast.measured for cast in joined.cast):
+    if any(entry.simulated and entry.measured for entry in joined.entries):
         tabs.append(_residuals_tab(joined))
     tabs.append(_fit_tab(joined))
-    timeline = "frame" if joined.keeps_frames else "t"
+    timeline = "frame" if joined.counts_frames else "t"
     return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), *panels(timeline, joined.fps, joined.played), auto_views=False)
 
 
 def _replay_tab(joined: JoinedContents) -> rrb.Container:
-    films = _films(joined)
+    videos = _videos(joined)
     heights = plot("plots/height", "Height of every corner [mm]", legend=None)
     if not joined.same_throw:
         heights = plot("plots/lowest", "Height of the lowest corner [mm]")
     scene = rrb.Vertical(_scene(joined), heights, row_shares=[3, 2])
-    if not films:
+    if not videos:
         return rrb.Vertical(*scene.contents, row_shares=[3, 2], name="Replay")
-    columns = 1 if len(films) <= 2 else 2
-    return rrb.Horizontal(rrb.Grid(*films, grid_columns=columns), scene, column_shares=[2, 3], name="Replay")
+    columns = 1 if len(videos) <= 2 else 2
+    return rrb.Horizontal(rrb.Grid(*videos, grid_columns=columns), scene, column_shares=[2, 3], name="Replay")
 
 
-def _films(joined: JoinedContents) -> list[rrb.View]:
-    """One film a throw; of models of one throw, that of the throw."""
+def _videos(joined: JoinedContents) -> list[rrb.View]:
+    """One video per throw; models of one throw share its video."""
     if joined.same_throw:
-        return [rrb.Spatial2DView(origin="world/camera/image", name="Camera")] if joined.cast[0].film else []
+        return [rrb.Spatial2DView(origin="world/camera/image", name="Camera")] if joined.entries[0].video else []
     return [
-        rrb.Spatial2DView(origin=f"world/{cast.name}/camera/image", name=cast.title)
-        for cast in joined.cast
-        if cast.film
+        rrb.Spatial2DView(origin=f"world/{entry.name}/camera/image", name=entry.title)
+        for entry in joined.entries
+        if entry.video
     ]
 
 
 def _scene(joined: JoinedContents) -> rrb.Spatial3DView:
-    """All dice on one table: measured ones solid, models by their edges beside a measured die."""
+    """All dice on one table: measured ones as solids, models as edges if there is a measured die."""
     contents, motions = list(SCENERY), []
-    if joined.same_throw and joined.cast[0].measured:
+    if joined.same_throw and joined.entries[0].measured:
         motions.append("world/measured")
         contents += [f"+ world/measured/{part}" for part in ("die/**", "trail", "impacts")]
-    for cast in joined.cast:
-        solid = f"world/{cast.name}/" + ("measured" if cast.measured else "simulated")
+    for entry in joined.entries:
+        solid = f"world/{entry.name}/" + ("measured" if entry.measured else "simulated")
         if joined.same_throw:
-            motions.append(f"world/{cast.name}")
-            contents += [f"+ world/{cast.name}/{part}" for part in ("die/edges", "trail")]
+            motions.append(f"world/{entry.name}")
+            contents += [f"+ world/{entry.name}/{part}" for part in ("die/edges", "trail")]
         else:
             motions.append(solid)
             contents += [f"+ {solid}/{part}" for part in ("die/**", "trail", "impacts")]
-            contents += [f"+ world/{cast.name}/simulated/die/edges"] if cast.measured and cast.simulated else []
-    name = "Measured solid, models by their edges" if joined.same_throw else "All throws, each model by its edges"
+            contents += [f"+ world/{entry.name}/simulated/die/edges"] if entry.measured and entry.simulated else []
+    name = "Measured solid, edges of the models" if joined.same_throw else "All throws, each model as edges"
     return scene_view(name, contents, motions, joined.eye_m, 0.5 * (joined.low_m + joined.high_m), joined.fps)
 
 
@@ -111,42 +112,42 @@ def _bounces_tab() -> rrb.Container:
 
 
 def _residuals_tab(joined: JoinedContents) -> rrb.Container:
-    """Of each, position and rotation in standard errors on one line, and all in one plot below."""
+    """The root mean square of all in one plot; below it, position and rotation of each, in standard errors."""
     rows = [
         rrb.Horizontal(
             *(
                 plot(
-                    f"plots/residual/{cast.name}/{what}_sigmas",
-                    f"{cast.title}: {what} x red, y green, z violet [standard errors]; bands: 1 and 2",
+                    f"plots/residual/{entry.name}/{what}_sigmas",
+                    f"{entry.title}: {what} x red, y green, z violet [standard errors]; bands: ± 1 and ± 2",
                     (-5, 5),
                     legend=None,
                 )
                 for what in ("position", "turn")
             )
         )
-        for cast in joined.cast
-        if cast.measured and cast.simulated
+        for entry in joined.entries
+        if entry.measured and entry.simulated
     ]
-    together = rrb.TimeSeriesView(
+    all_entries = rrb.TimeSeriesView(
         origin="plots/residual",
-        contents=[f"+ plots/residual/{cast.name}/rms_sigmas" for cast in joined.cast],
+        contents=[f"+ plots/residual/{entry.name}/rms_sigmas" for entry in joined.entries],
         name="All six, whitened: root mean square [standard errors]; noise alone gives 1",
         axis_x=over_all_times(),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.LeftTop),
     )
-    return rrb.Vertical(together, *rows, name="Residuals")
+    return rrb.Vertical(all_entries, *rows, name="Residuals")
 
 
 def _fit_tab(joined: JoinedContents) -> rrb.Container:
-    pages = [rrb.TextDocumentView(origin=f"report/{cast.name}", name=cast.title) for cast in joined.cast]
+    pages = [rrb.TextDocumentView(origin=f"report/{entry.name}", name=entry.title) for entry in joined.entries]
     text = rrb.Vertical(rrb.TextDocumentView(origin="report/table", name="All"), rrb.Tabs(*pages), row_shares=[1, 2])
     odds = [
-        plot(f"plots/odds/{cast.name}", f"{cast.title}: odds of the faces [1]", (-0.02, 1.02))
-        for cast in joined.cast
-        if cast.odds
+        plot(f"plots/odds/{entry.name}", f"{entry.title}: odds of the faces [1]", (-0.02, 1.02))
+        for entry in joined.entries
+        if entry.odds
     ]
     plots = rrb.Vertical(
-        plot("plots/chi", "Restitution χ [1]: each bounce a dot with its 95 % interval, each fit a line", legend=None),
+        plot("plots/chi", "Restitution χ [1]: dots and bars, bounces with 95 % intervals; lines, fits", legend=None),
         *([rrb.Tabs(*odds)] if odds else []),
     )
     return rrb.Horizontal(text, plots, column_shares=[1, 1], name="Fit")

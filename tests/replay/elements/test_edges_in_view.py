@@ -1,4 +1,4 @@
-"""What a camera sees of a convex solid."""
+"""The visible edges of a convex solid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from diethrow.replay.elements.edges_in_view import visible_edges
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_silhouette_of_a_convex_solid_is_the_hull_of_its_corners(shape: str) -> None:
-    """Without distortion a projection keeps straight lines, so that silhouette and hull are the same polygon."""
+    """Without distortion a projection keeps straight lines, so silhouette and hull are the same polygon."""
     solid, camera = isohedral_solid(shape, 0.02), made.camera()
     straight = type(camera)(
         camera.width_px, camera.height_px, camera.matrix, np.zeros(5), camera.rotation, camera.translation_m
@@ -32,8 +32,7 @@ def test_the_silhouette_of_a_convex_solid_is_the_hull_of_its_corners(shape: str)
         assert length == pytest.approx(hull.area, rel=1e-9)
 
 
-def test_edges_seen_and_hidden_make_up_the_solid() -> None:
-    """A cube on which one looks at a corner shows six silhouette edges, three inner ones, and hides three."""
+def test_a_cube_seen_on_a_corner_has_six_silhouette_edges_and_three_inner_ones() -> None:
     throw = made.throw()
     positions, quaternions = throw.poses([made.IMPACT_S])
     (drawn,) = visible_edges(made.die().solid, made.camera(), positions, quaternions)

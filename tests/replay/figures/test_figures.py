@@ -1,4 +1,4 @@
-"""Figures carry units, keep their colours, and draw what they are given."""
+"""Figures state units, keep their colours, and draw the values that they are given."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 
 from diethrow.fitting.predict.sequential import Estimate
 from diethrow.replay.elements.colours import MEASURED, SIMULATED, hex_colour
-from diethrow.replay.elements.record import motions_of, residuals
+from diethrow.replay.elements.record import ReportDetails, motions_of, residuals
 from diethrow.replay.figures import throw_plots
-from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, rows_of_strip, stroboscope
-from diethrow.replay.pages.account import ReportDetails
+from diethrow.replay.figures.clip_frames import COLUMNS, bounce_strip, edges_on_frame, rows_of_strip, stroboscope
 from diethrow.replay.pages.captioned_figures import STATE_NAMES, fit_figures, report_figures, write_figures
 
 
@@ -26,7 +25,7 @@ def axes() -> Axes:
     return Figure().subplots()
 
 
-def height_figure(ax: Axes, label: str) -> Axes:
+def heights(ax: Axes, label: str) -> Axes:
     track = made.track()
     return throw_plots.corner_heights(
         ax, made.die().solid, track.time_s, track.position_m, track.quaternion, made.throw().impacts, label=label
@@ -39,22 +38,19 @@ def drawn() -> list[Axes]:
     clip_figures = record.clip, made.camera(), made.die().solid, motions_of(record)
     assert record.clip is not None
     return [
-        height_figure(axes(), "measured"),
+        heights(axes(), "measured"),
         throw_plots.position_residuals(axes(), rest, impacts),
         throw_plots.angle_residuals(axes(), rest, impacts),
-        throw_plots.sigma_residuals(axes(), rest, impacts),
         throw_plots.position_sigmas(axes(), rest, impacts),
         throw_plots.turn_sigmas(axes(), rest, impacts),
         throw_plots.throw_heights(axes(), made.die().solid, made.throw()),
         throw_plots.correlations(axes(), 1e-8 * np.eye(12), STATE_NAMES),
-        throw_plots.face_odds(axes(), {1: 0.7, 2: 0.3}),
-        throw_plots.odds_on_the_way(axes(), estimates(), impacts),
+        throw_plots.landing_odds(axes(), {1: 0.7, 2: 0.3}),
+        throw_plots.odds_over_time(axes(), estimates(), impacts),
         stroboscope(axes(), *clip_figures),
         bounce_strip(axes(), *clip_figures, impacts),
         throw_plots.restitution(axes(), impacts, made.fit().parameters["chi"]),
-        throw_plots.edges_on_frame(
-            axes(), record.clip, made.camera(), made.die().solid, motions_of(record), made.FIRST_FRAME + 10
-        ),
+        edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), made.FIRST_FRAME + 10),
     ]
 
 
@@ -63,14 +59,14 @@ def estimates() -> tuple[Estimate, ...]:
     return Estimate(1, 0.03, chi, {1: 0.6, 2: 0.4}), Estimate(2, 0.04, chi, {1: 1.0, 2: 0.0})
 
 
-def test_every_axis_carries_its_unit() -> None:
+def test_every_axis_states_its_unit() -> None:
     for ax in drawn():
         for label in (ax.get_xlabel(), ax.get_ylabel()):
             assert label.endswith("]"), label
 
 
 def test_measured_is_blue_dots_and_simulated_orange_lines() -> None:
-    ax = height_figure(height_figure(axes(), "measured"), "simulated")
+    ax = heights(heights(axes(), "measured"), "simulated")
     count = len(made.die().solid.vertices)
     by_colour = {hex_colour(MEASURED): [], hex_colour(SIMULATED): []}
     for line in ax.lines:
@@ -90,17 +86,17 @@ def test_the_lowest_corner_touches_the_table_at_the_impact() -> None:
     assert lowest == pytest.approx(0.0, abs=1e-12)
 
 
-def test_a_gap_in_the_track_is_a_gap_in_the_figure() -> None:
+def test_a_gap_in_the_track_is_a_gap_in_the_plot() -> None:
     track = made.track()
-    line = height_figure(axes(), "measured").lines[0]
+    line = heights(axes(), "measured").lines[0]
     np.testing.assert_array_equal(np.isnan(np.asarray(line.get_ydata(), float)), ~track.tracked)
 
 
 def test_a_frame_outside_the_clip_is_refused() -> None:
     record = made.record()
     assert record.clip is not None
-    with pytest.raises(IndexError, match="frame 0: the clip has 7 to 66"):
-        throw_plots.edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), 0)
+    with pytest.raises(IndexError, match=r"frame 0.* 7 to 66"):
+        edges_on_frame(axes(), record.clip, made.camera(), made.die().solid, motions_of(record), 0)
 
 
 def test_residuals_in_sigmas_are_the_residuals_over_their_standard_errors() -> None:
@@ -119,8 +115,8 @@ def test_correlations_are_those_of_the_covariance() -> None:
     assert {text.get_text() for text in ax.texts} == {"50", "−25", "0"}
 
 
-def test_the_stroboscope_shows_the_die_as_it_is_on_each_frame() -> None:
-    """Every exposure laid over the scene holds the grey levels of its own frame, at its own place."""
+def test_the_multiple_exposure_shows_the_grey_levels_of_each_frame() -> None:
+    """Every exposure over the scene has the grey levels of its own frame, within the image."""
     record = made.record()
     clip = record.clip
     assert clip is not None
@@ -138,7 +134,7 @@ def test_the_stroboscope_shows_the_die_as_it_is_on_each_frame() -> None:
     assert np.asarray(scene.get_array()).shape == (clip.height_px, clip.width_px)
 
 
-def test_a_bounce_is_shown_about_the_frame_nearest_to_it() -> None:
+def test_a_strip_has_the_frame_nearest_to_the_bounce_in_its_middle() -> None:
     record = made.record()
     assert record.clip is not None
     impacts = made.throw().impacts
@@ -164,20 +160,20 @@ def test_impacts_within_three_frames_share_a_row() -> None:
 def test_every_figure_is_written_as_png_and_svg(tmp_path: Path) -> None:
     record = made.record(estimates=estimates(), fit=made.fit(face_odds={1: 0.9, 2: 0.1}))
     written = write_figures(tmp_path / "figures", record)
-    names = [plate.name for plate in report_figures(record, ReportDetails())]
+    names = [figure.name for figure in report_figures(record, ReportDetails())]
     assert len(names) >= 9
     assert [path.name for path in written] == [f"{name}.{kind}" for name in names for kind in ("png", "svg")]
     assert all(path.read_bytes().startswith((b"\x89PNG", b"<?xml")) for path in written)
 
 
-def test_what_a_record_lacks_has_no_figure() -> None:
+def test_a_record_without_clip_and_fit_has_the_figures_of_its_poses_only() -> None:
     bare = made.record(clip=None, camera=None, fit=None, simulated=None)
-    assert [plate.name for plate in report_figures(bare, ReportDetails())] == ["heights", "restitution"]
+    assert [figure.name for figure in report_figures(bare, ReportDetails())] == ["heights", "restitution"]
 
 
-def test_correlations_are_shown_with_the_free_parameters_where_the_fit_has_them() -> None:
+def test_correlations_include_the_free_parameters_if_the_fit_gives_them() -> None:
     fit = made.fit(covariance=1e-8 * np.eye(13))
     for given, wanted in ((fit, (*STATE_NAMES, "chi")), (made.fit(), STATE_NAMES)):
-        plate = next(plate for plate in fit_figures(made.record(fit=given)) if plate.name == "correlations")
-        ax = plate.draw(axes())
+        figure = next(each for each in fit_figures(made.record(fit=given)) if each.name == "correlations")
+        ax = figure.draw(axes())
         assert tuple(label.get_text() for label in ax.get_yticklabels()) == wanted

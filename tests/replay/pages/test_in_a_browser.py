@@ -14,8 +14,7 @@ import replay_records as made
 from browser import Page, opened
 
 from diethrow.replay.pages.embedded_viewer import viewer_files
-from diethrow.replay.pages.report import write_report
-from diethrow.replay.pages.throw import throw_page
+from diethrow.replay.pages.report import throw_page, write_report
 from diethrow.replay.recording.throw_recording import write_recording, write_throw_recording
 
 PHONE_PX = 390
@@ -54,7 +53,7 @@ def test_the_embedded_replay_opens_from_a_file_and_is_drawn(tmp_path: Path) -> N
         page.wait_for("document.getElementById('replay').dataset.state === 'started'", STARTS_S)
         page.evaluate("document.getElementById('replay-canvas').scrollIntoView()")
         assert is_drawn(page)
-        assert page.evaluate("document.getElementById('replay-told').textContent") == ""
+        assert page.evaluate("document.getElementById('replay-status').textContent") == ""
         in_order(page, file)
 
 

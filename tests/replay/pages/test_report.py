@@ -1,4 +1,4 @@
-"""The page says what was found, what was not, and why; it needs no network and believes no text."""
+"""The report states what was determined and, for the rest, why not; it needs no network and escapes every text."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from diethrow.fitting.predict.sequential import Estimate
 from diethrow.fitting.results import Effect, Parameter
 from diethrow.model.throw.motion import Throw
 from diethrow.replay.elements import findings_text
-from diethrow.replay.pages.account import ReportDetails
-from diethrow.replay.pages.report import page, write_report
+from diethrow.replay.elements.record import ReportDetails
+from diethrow.replay.pages.report import report_page, write_report
 from diethrow.tracking.check.verdicts import Finding, Verdict
 
 HOSTILE = "<script>alert(1)</script> \" onload='x' & <img src=http://example.org/x>"
@@ -53,10 +53,10 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def whole() -> str:
-    return page(made.record())
+    return report_page(made.record())
 
 
-def test_the_page_is_well_formed_and_holds_every_section(whole: str) -> None:
+def test_the_page_is_well_formed_and_has_every_section(whole: str) -> None:
     parsed = Page(whole)
     assert parsed.open == []
     for heading in ("The throw", "Bounces", "Fit", "Initial conditions", "Effects", "Messages of the fit"):
@@ -66,7 +66,7 @@ def test_the_page_is_well_formed_and_holds_every_section(whole: str) -> None:
     assert "The last frame is cut off." in parsed.text
 
 
-def test_the_page_asks_nothing_of_the_network(whole: str) -> None:
+def test_the_page_requests_nothing_from_the_network(whole: str) -> None:
     parsed = Page(whole)
     assert not {"script", "link", "iframe", "object"} & set(parsed.tags)
     addresses = [value for name, value in parsed.attributes if name in ("src", "href", "action", "data")]
@@ -77,7 +77,7 @@ def test_the_page_asks_nothing_of_the_network(whole: str) -> None:
 
 def test_every_text_is_escaped() -> None:
     fit = made.fit(messages=(HOSTILE,), parameters={HOSTILE: Parameter(1.0, 0.9, 1.1, 0.95, True, False)})
-    hostile = page(made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
+    hostile = report_page(made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
     parsed = Page(hostile)
     assert parsed.open == []
     assert "script" not in parsed.tags
@@ -85,7 +85,7 @@ def test_every_text_is_escaped() -> None:
     assert parsed.text.count("<script>alert(1)</script>") >= 4
 
 
-def test_what_is_not_determined_is_said_with_its_reason() -> None:
+def test_a_value_that_is_not_determined_is_given_with_its_reason() -> None:
     reason = "χ is not determined: no bounce lies in the clip."
     fit = made.fit(
         parameters={"chi": Parameter(None, None, None, None, False, False)},
@@ -95,15 +95,15 @@ def test_what_is_not_determined_is_said_with_its_reason() -> None:
         messages=(reason,),
     )
     flights = made.throw().flights[:1]
-    text = Page(page(made.record(fit=fit, measured=Throw(flights, ()), simulated=None))).text
+    text = Page(report_page(made.record(fit=fit, measured=Throw(flights, ()), simulated=None))).text
     assert "χ not determined" in text
     assert f"not determined: {reason}" in text
-    assert "No bounce was seen." in text
+    assert "No bounce was observed." in text
     assert "None" not in text
     assert "nan" not in text
 
 
-def test_the_account_of_a_run_is_told_and_escaped() -> None:
+def test_findings_and_provenance_are_shown_and_escaped() -> None:
     origin = {
         "diethrow": "0.1.0",
         "command": ["diethrow", "analyze", HOSTILE],
@@ -114,54 +114,56 @@ def test_the_account_of_a_run_is_told_and_escaped() -> None:
         "timings_s": {"track": 1.5},
     }
     findings = (Finding("scale", Verdict.DOUBTFUL, HOSTILE, HOSTILE),)
-    parsed = Page(page(made.record(), ReportDetails(findings=findings, origin=origin)))
+    parsed = Page(report_page(made.record(), ReportDetails(findings=findings, origin=origin)))
     assert parsed.open == []
     assert "script" not in parsed.tags
     assert parsed.text.count("<script>alert(1)</script>") == 5
-    for told in ("doubtful", "ab" * 32, "numpy 2", "track 1.5"):
-        assert told in parsed.text
+    for text in ("doubtful", "ab" * 32, "numpy 2", "track 1.5"):
+        assert text in parsed.text
 
 
-def test_the_verdict_is_three_sentences() -> None:
-    said = findings_text.verdict(made.record())
-    assert len(said) == 3
-    assert all(sentence.endswith(".") for sentence in said)
-    assert "χ is 0.5831 (95 % interval 0.5802 to 0.5859); the model explains the only bounce" in said[1]
+def test_the_verdict_has_observation_model_and_landing() -> None:
+    sentences = findings_text.verdict(made.record())
+    assert len(sentences) == 3
+    assert all(sentence.endswith(".") for sentence in sentences)
+    assert "χ is 0.5831 (95 % interval 0.5802 to 0.5859)" in sentences[1]
+    assert "only bounce" in sentences[1]
 
 
-def test_it_is_said_which_effects_were_needed_and_what_became_of_the_others() -> None:
+def test_the_effects_that_were_included_tried_and_not_tried_are_named() -> None:
     considered = (Effect("air drag", 0.8, "It gains too little."), Effect("clock", 2.1, "So does this."))
-    said = " ".join(
+    text = " ".join(
         findings_text.effects_sentences(made.fit(chosen=("friction", "rounded corners"), considered=considered))
     )
-    # The radius is no parameter of this fit: the scene states it.
-    assert "cannot be explained without friction; the model has friction and rounded corners" in said
-    assert "Two other effects were tried and did not pay; nearest came clock, which gains 2.1" in said
+    # The radius is not a parameter of this fit: the scene states it, so the frames did not require it.
+    assert "without friction." in text
+    assert "includes friction and rounded corners" in text
+    assert re.search("Two other effects were tried and rejected.* 2.1, from clock", text)
     assert (
-        "plainest model of this scene is enough"
+        "simplest model of this scene is sufficient: smooth impact"
         in findings_text.effects_sentences(made.fit(chosen=("smooth impact",)))[0]
     )
 
 
-def test_a_face_is_settled_from_where_its_odds_stay_high() -> None:
+def test_a_face_is_certain_from_the_bounce_after_which_its_odds_stay_high() -> None:
     chi = made.fit().parameters["chi"]
 
-    def told(*odds: float) -> str:
+    def sentences(*odds: float) -> str:
         known = tuple(Estimate(k, 0.01 * k, chi, {1: p, 2: 1.0 - p}) for k, p in enumerate(odds, 1))
         return " ".join(findings_text.certainty_sentences(known))
 
-    assert "Face 1 was settled by the flight after bounce 2, which began at 20.0 ms" in told(0.5, 0.97, 1.0)
-    assert "after bounce 3" in told(0.99, 0.1, 1.0)
-    assert "No face was settled" in told(0.99, 0.6)
-    assert told(1.0) == ""
+    assert re.search("Face 1 is certain .* after bounce 2 .* 20.0 ms", sentences(0.5, 0.97, 1.0))
+    assert "after bounce 3" in sentences(0.99, 0.1, 1.0)
+    assert "No face becomes certain" in sentences(0.99, 0.6)
+    assert sentences(1.0) == ""
 
 
-def test_a_record_without_fit_clip_or_camera_is_a_page_too() -> None:
-    text = Page(page(made.record(fit=None, clip=None, camera=None, simulated=None, notices=()))).text
+def test_a_record_without_fit_clip_or_camera_still_gives_a_page() -> None:
+    text = Page(report_page(made.record(fit=None, clip=None, camera=None, simulated=None, notices=()))).text
     assert "No model was fitted" in text
 
 
-def test_a_bounce_of_which_little_is_known_is_a_row_without_numbers() -> None:
+def test_a_bounce_without_known_velocities_is_a_row_without_numbers() -> None:
     throw = made.throw()
     vague = replace(
         throw.impacts[0],
@@ -177,7 +179,7 @@ def test_a_bounce_of_which_little_is_known_is_a_row_without_numbers() -> None:
         sigma_time_s=np.nan,
         point_m=np.full(2, np.nan),
     )
-    text = Page(page(made.record(measured=Throw(throw.flights, (vague,))))).text
+    text = Page(report_page(made.record(measured=Throw(throw.flights, (vague,))))).text
     assert "could not be resolved" in text
     assert "nan" not in text
 

@@ -1,4 +1,4 @@
-"""What is written comes back: every frame, pose and bounce at its own nanosecond, and nothing where none is known."""
+"""A recording contains every frame, pose and bounce at its nanosecond, and nothing where none is known."""
 
 from __future__ import annotations
 
@@ -42,20 +42,20 @@ def test_the_viewer_accepts_the_file(written: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_file_that_lost_its_end_is_not_accepted(written: Path, tmp_path: Path) -> None:
-    """Else the test above would say nothing."""
+def test_a_truncated_file_is_not_accepted(written: Path, tmp_path: Path) -> None:
+    """Otherwise the test above would prove nothing."""
     torso = tmp_path / "torso.rrd"
     torso.write_bytes(written.read_bytes()[:-2000])
     assert verify(torso).returncode != 0
 
 
-def test_the_file_carries_its_own_views(written: Path) -> None:
+def test_the_file_contains_its_own_views(written: Path) -> None:
     assert len(RrdReader(written).recordings()) == 1
     assert len(RrdReader(written).blueprints()) == 1
 
 
 @pytest.mark.parametrize(("timeline", "unit"), [("t", 1e9 / made.FPS), ("frame", 1.0)])
-def test_every_known_pose_stands_at_its_own_time(written: Path, timeline: str, unit: float) -> None:
+def test_every_known_pose_has_its_own_time(written: Path, timeline: str, unit: float) -> None:
     track = made.track()
     back = rows(written, "/world/measured/die", "Transform3D:translation", timeline)
     assert [time for time, _ in back] == [round(k * unit) for k in track.frame[track.tracked].tolist()]
@@ -64,13 +64,13 @@ def test_every_known_pose_stands_at_its_own_time(written: Path, timeline: str, u
     np.testing.assert_allclose(positions, track.position_m[track.tracked], atol=4e-9)
 
 
-def test_orientations_come_back_with_the_scalar_last(written: Path) -> None:
+def test_orientations_are_stored_with_the_scalar_last(written: Path) -> None:
     track = made.track()
     back = np.array([value[0] for _, value in rows(written, "/world/measured/die", "Transform3D:quaternion")])
     np.testing.assert_allclose(np.roll(back, 1, axis=1), track.quaternion[track.tracked], atol=1e-7)
 
 
-def test_no_die_stands_on_a_frame_without_a_pose(written: Path) -> None:
+def test_a_frame_without_a_pose_shows_no_die(written: Path) -> None:
     """The mesh begins with each run of poses, and everything is cleared on each frame without one."""
     track = made.track()
     for entity in ("/world/measured/die", "/world/camera/image/silhouette/measured", "/plots/height/measured"):
@@ -80,7 +80,7 @@ def test_no_die_stands_on_a_frame_without_a_pose(written: Path) -> None:
     assert [frame for frame, _ in meshes] == [made.FIRST_FRAME + 3, made.FIRST_FRAME + 34]
 
 
-def test_a_bounce_stands_at_its_own_instant_and_on_the_first_frame_that_shows_it(written: Path) -> None:
+def test_a_bounce_has_its_own_instant_and_the_first_frame_after_it(written: Path) -> None:
     for name in ("measured", "simulated"):
         ((time, text),) = rows(written, f"/events/{name}", "TextLog:text", "t")
         assert time == nanoseconds(made.IMPACT_S)[0]
@@ -90,7 +90,7 @@ def test_a_bounce_stands_at_its_own_instant_and_on_the_first_frame_that_shows_it
 
 
 def test_a_bounce_is_a_point_with_its_impulse_and_a_line_in_the_plot(written: Path) -> None:
-    """Of 5 mN s, upwards: 3 radii long, since it is the strongest. The line runs from the table up, then ends (NaN)."""
+    """The impulse of 5 mN s is the largest, so its arrow is 3 radii long. The line runs from the table up, then ends (NaN)."""
     instant = nanoseconds(made.IMPACT_S)[0]
     for name in ("measured", "simulated"):
         assert [time for time, _ in rows(written, f"/world/{name}/impacts", "Points3D:positions")] == [instant]
@@ -128,7 +128,7 @@ def test_heights_are_those_of_the_corners(written: Path) -> None:
     assert all(len(value) == len(solid.vertices) for _, value in heights)
 
 
-def test_the_overlay_is_where_the_camera_sees_the_corners(written: Path) -> None:
+def test_the_drawn_corners_are_where_the_camera_projects_them(written: Path) -> None:
     """A visible corner lies half a pixel from where the camera model puts it: the viewer counts from the corner of
     the first pixel, the camera model from its centre."""
     track, solid, camera = made.track(), made.die().solid, made.camera()
@@ -161,7 +161,7 @@ def test_residuals_stand_beside_their_standard_errors(written: Path) -> None:
     assert [value for _, value in band] == [[4.0], [4.0]]
 
 
-def test_what_is_known_of_chi_and_of_the_faces_holds_from_the_bounce_to_the_end(written: Path) -> None:
+def test_estimates_of_chi_and_of_the_faces_hold_from_the_bounce_to_the_end(written: Path) -> None:
     begin, end = nanoseconds(made.IMPACT_S)[0], nanoseconds((made.FIRST_FRAME + made.FRAMES - 1) / made.FPS)[0]
     chi = rows(written, "/plots/chi/estimate", "Measurements:values")
     assert chi == [(begin, [0.583]), (end, [0.583])]
@@ -174,14 +174,14 @@ def test_what_is_known_of_chi_and_of_the_faces_holds_from_the_bounce_to_the_end(
     assert said == ["fit after 1 bounce: χ = 0.5830 (0.5800 to 0.5860), lands on face 3 with odds of 0.75"]
 
 
-def test_the_recording_says_of_itself_what_a_table_shows(written: Path) -> None:
+def test_the_recording_has_the_properties_that_a_table_shows(written: Path) -> None:
     said = properties_of(written)
     assert (said["chi"], said["chi_low"], said["chi_high"]) == (0.5831, 0.5802, 0.5859)
     assert (said["bounces"], said["bounces_fitted"], said["verdict"]) == (1, 1, "1 of 1 bounce explained")
 
 
 def test_one_throw_keeps_its_identity_and_another_model_has_its_own(tmp_path: Path) -> None:
-    """The viewer takes recordings of one identity for one."""
+    """The viewer merges recordings with the same id."""
     names = []
     for k, shift_m in enumerate((1e-5, 1e-5, 2e-5)):
         path = tmp_path / f"{k}.rrd"
@@ -202,7 +202,7 @@ def test_measured_and_simulated_keep_their_colours_everywhere(written: Path) -> 
         assert [value for _, value in found] == [[packed]] * 3
 
 
-def test_every_frame_of_the_film_shows_its_own_picture(written: Path) -> None:
+def test_every_frame_of_the_video_shows_its_own_image(written: Path) -> None:
     """Decoded again, the picture that each frame refers to carries that frame's number."""
     ((_, blob),) = rows(written, "/world/camera/image", "AssetVideo:blob")
     references = rows(written, "/world/camera/image", "VideoFrameReference:timestamp", "frame")
@@ -216,7 +216,7 @@ def test_every_frame_of_the_film_shows_its_own_picture(written: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getscheduler"), reason="this system has no such priorities")
-def test_encoding_a_film_leaves_no_thread_before_all_others() -> None:
+def test_encoding_a_video_leaves_no_thread_at_real_time_priority() -> None:
     """Started by root the encoder takes real-time priority 99, and a viewer started afterwards would stop the machine."""
     clip = made.coded_clip()
     video.encode_av1(clip, video.display_window(clip))
@@ -238,7 +238,7 @@ def test_without_av1_every_frame_is_a_jpeg(tmp_path: Path, monkeypatch: pytest.M
     assert "JPEG" in text[0]
 
 
-def test_deep_footage_is_shown_through_one_stated_window(tmp_path: Path) -> None:
+def test_deep_footage_is_mapped_to_8_bits_by_one_stated_window(tmp_path: Path) -> None:
     clip = made.coded_clip(6, bit_depth=12)
     window = video.display_window(clip)
     np.testing.assert_array_equal(window.apply(np.array([[0, 4095]], np.uint16)), [[0, 255]])
@@ -253,7 +253,7 @@ def test_eight_bits_are_shown_as_they_are() -> None:
     np.testing.assert_array_equal(video.display_window(clip).apply(clip.frame(2)), clip.frame(2))
 
 
-def test_what_is_missing_is_absent(tmp_path: Path) -> None:
+def test_parts_that_the_record_lacks_are_absent(tmp_path: Path) -> None:
     path = tmp_path / "bare.rrd"
     write_recording(path, made.record(clip=None, camera=None, fit=None, simulated=None, estimates=()))
     assert verify(path).returncode == 0
@@ -262,7 +262,7 @@ def test_what_is_missing_is_absent(tmp_path: Path) -> None:
         assert not any(entity.startswith(prefix) for entity in there)
     ((_, text),) = rows(path, "/report/estimate", "TextDocument:text")
     assert "No model was fitted" in text[0]
-    assert "no film" in text[0]
+    assert "no video" in text[0]
 
 
 def test_a_track_without_any_pose_still_makes_a_recording(tmp_path: Path) -> None:
@@ -293,19 +293,19 @@ def test_a_modelled_throw_alone_stands_on_the_frames_of_its_camera(tmp_path: Pat
     assert not any(entity.startswith("/world/measured") for entity in entities(path))
 
 
-def test_a_rate_that_no_camera_has_is_refused(tmp_path: Path) -> None:
+def test_a_rate_of_zero_or_without_a_frame_in_the_throw_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="fps = 0"):
         write_throw_recording(tmp_path / "x.rrd", made.die(), made.throw(), 0.0, "x")
     with pytest.raises(ValueError, match="raise fps"):
         write_throw_recording(tmp_path / "x.rrd", made.die(), made.throw(), 1.0, "x")
 
 
-def test_a_folder_that_does_not_exist_is_one_sentence(tmp_path: Path) -> None:
+def test_a_missing_folder_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="is not a folder"):
         write_recording(tmp_path / "nowhere" / "x.rrd", made.record())
 
 
-def test_a_failure_leaves_no_torso(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object) -> None:
         raise RuntimeError("stopped half-way")
 

@@ -1,4 +1,4 @@
-"""Several recordings in one: what each shows stays what it was, on one clock and in a colour of its own."""
+"""Joined recordings keep their data, on one clock and in a colour of their own."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_viewer_accepts_both_kinds(joined: Path, models: Path) -> None:
 
 
 def test_the_first_bounces_coincide_to_the_nanosecond(joined: Path) -> None:
-    """The first throw waits for the second, which bounces five frames later."""
+    """The first throw is delayed, because the second one bounces five frames later."""
     times = [rows(joined, f"/events/{name}/measured", "TextLog:text")[0][0] for name in ("first", "the_2nd")]
     assert times[0] == times[1]
     assert times[0] == pytest.approx(EXACT_NS + 1e9 * LATER_FRAMES / made.FPS, abs=1.0)
@@ -74,7 +74,7 @@ def test_the_first_bounces_coincide_to_the_nanosecond(joined: Path) -> None:
     assert frames[0] == frames[1]
 
 
-def test_set_by_frame_0_every_clock_stays(two: list[Source], tmp_path: Path) -> None:
+def test_aligned_at_frame_0_every_clock_is_unchanged(two: list[Source], tmp_path: Path) -> None:
     join_recordings(tmp_path / "by_frame.rrd", two, at_bounce=False)
     for source, name in zip(two, ("first", "the_2nd"), strict=True):
         for timeline in ("t", "frame"):
@@ -83,7 +83,7 @@ def test_set_by_frame_0_every_clock_stays(two: list[Source], tmp_path: Path) -> 
             assert after == before
 
 
-def test_films_and_poses_keep_every_digit(two: list[Source], joined: Path) -> None:
+def test_videos_and_poses_keep_every_digit(two: list[Source], joined: Path) -> None:
     shift = LATER_FRAMES
     for source, name, moved in zip(two, ("first", "the_2nd"), (shift, 0), strict=True):
         (film,) = rows(source.path, "/world/camera/image", "AssetVideo:blob")
@@ -112,7 +112,7 @@ def test_the_height_of_the_lowest_corner_is_the_least_of_all(two: list[Source], 
     assert lowest == all_corners
 
 
-def test_models_of_one_throw_share_its_film_and_its_measured_die(models: Path) -> None:
+def test_models_of_one_throw_share_its_video_and_its_measured_die(models: Path) -> None:
     there = entities(models)
     assert {"/world/camera/image", "/world/measured/die", "/world/first/die", "/world/again/die"} <= there
     assert "/world/camera/image/silhouette/again" in there
@@ -138,7 +138,7 @@ def test_a_tint_becomes_the_same_tint_of_the_new_colour(share: float, extreme: C
     assert np.abs(np.subtract(found, mixed(new, extreme, share))).max() <= 3
 
 
-def test_what_is_no_tint_of_a_colour_keeps_its_own() -> None:
+def test_a_colour_that_is_no_tint_is_unchanged() -> None:
     for other in (SIMULATED, (128, 128, 128), WHITE, BLACK):
         assert recoloured(other, MEASURED, THROW_COLOURS[2]) is None
 
@@ -154,13 +154,13 @@ def test_recordings_of_different_rates_count_no_frames_together(two: list[Source
     assert times[0] == times[1] == EXACT_NS
 
 
-def test_what_cannot_be_joined_is_told_in_a_sentence(two: list[Source], tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="one name"):
+def test_recordings_that_cannot_be_joined_are_errors(two: list[Source], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="same name"):
         join_recordings(tmp_path / "x.rrd", [two[0], two[0]])
     with pytest.raises(FileNotFoundError, match="no such recording"):
         join_recordings(tmp_path / "x.rrd", [two[0], Source(tmp_path / "none.rrd", "none")])
     (tmp_path / "text.rrd").write_text("no recording")
-    with pytest.raises(ValueError, match=r"not a Rerun recording|no die moves"):
+    with pytest.raises(ValueError, match=r"not a Rerun recording|no moving die"):
         join_recordings(tmp_path / "x.rrd", [two[0], Source(tmp_path / "text.rrd", "text")])
     still = Throw((made.throw().flights[0],), ())
     write_throw_recording(tmp_path / "still.rrd", made.die(), still, 1000.0, "still")
