@@ -1,4 +1,4 @@
-"""A cube with pips that was filmed, and what edges and marks say of it."""
+"""A filmed cube with pips, its poses by edges, and the marks learned from them."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ from diethrow.tracking.track import TRACKED, Track
 Array = NDArray[np.float64]
 
 CUBE = replace(DICE["cube"], marks="pips")
-ROOM = replace(studio(), noise_grey=3.0, exposure_s=2e-4)
-VIEW = ROOM.view(CUBE)
+STUDIO = replace(studio(), noise_grey=3.0, exposure_s=2e-4)
+VIEW = STUDIO.view(CUBE)
 FRAMES = 90
 SIGMA = np.array([1e-5] * 3 + [2e-3] * 3)
-"""Noise of the edges' poses here, position [m] and rotation [rad]."""
-TOWARDS = (np.array([0.0, 0.0, 0.02]) - ROOM.camera.centre_m) / np.linalg.norm([0.0, 0.0, 0.02] - ROOM.camera.centre_m)
-COMMON = np.concatenate([2e-3 * TOWARDS + 5e-5 * ROOM.camera.rotation[0], np.radians([0.3, -0.2, 0.3])])
-"""An error that all poses from edges share: half a per cent of the distance, 0.05 mm sideways, and half a degree."""
+"""Noise of the poses by edges, position [m] and rotation [rad]."""
+TOWARDS = (np.array([0.0, 0.0, 0.02]) - STUDIO.camera.centre_m) / np.linalg.norm(
+    [0.0, 0.0, 0.02] - STUDIO.camera.centre_m
+)
+COMMON = np.concatenate([2e-3 * TOWARDS + 5e-5 * STUDIO.camera.rotation[0], np.radians([0.3, -0.2, 0.3])])
+"""An error that all poses by edges share: half a per cent of the distance, 0.05 mm sideways, and half a degree."""
 
 
 def tossed() -> Flight:
@@ -43,7 +45,7 @@ def tossed() -> Flight:
 def filmed(spots: tuple[Spot, ...], which: range = range(FRAMES)) -> dict[int, Image]:
     """Frames by number."""
     rng = np.random.default_rng(3)
-    return {k: np.rint(photograph(ROOM, CUBE, tossed().at(k / FPS), rng, spots)) for k in which}
+    return {k: np.rint(photograph(STUDIO, CUBE, tossed().at(k / FPS), rng, spots)) for k in which}
 
 
 @cache
@@ -52,7 +54,7 @@ def marked_film() -> dict[int, Image]:
 
 
 def edges_track(motion: Flight | Throw, common: Array, frames: int = FRAMES) -> Track:
-    """Poses as edges would give them: the truth, an error common to all frames (6,) or of each (frames, 6), and noise."""
+    """Poses as by edges: the truth, an error common to all frames (6,) or of each (frames, 6), and noise."""
     rng = np.random.default_rng(11)
     times = np.arange(frames) / FPS
     p, q = motion.poses(times)
@@ -65,7 +67,7 @@ def edges_track(motion: Flight | Throw, common: Array, frames: int = FRAMES) -> 
 
 
 def moved_flight(flight: Flight, common: Array) -> Flight:
-    """The flight that runs through poses with a common error, at their middle."""
+    """The flight through poses with a common error, at their middle."""
     middle = flight.at(0.5 * (flight.start.time_s + flight.end_s))
     start = replace(
         middle,
@@ -89,26 +91,29 @@ def learned_from(film: dict[int, Image], track: Track, throw: Throw) -> SurfaceM
 
 
 def struck(frames_after: int) -> Throw:
-    """The same cube, filmed from a frame on which it falls, until so many frames after its corner has struck the table."""
+    """The same cube, from a frame on which it falls until `frames_after` its impact."""
     return true_throw(CUBE, replace(tossed().at(40 / FPS), time_s=0.0), 0.6, impacts=1, frames_after=frames_after)
 
 
 @cache
 def struck_film() -> list[Image]:
-    """A little past the impact."""
+    """Frames until a little after the impact."""
     throw, rng = struck(5), np.random.default_rng(3)
     times = np.arange(int(throw.flights[-1].end_s * FPS) + 1) / FPS
     states = [throw.flights[throw.flight_at(t)].at(t) for t in times]
-    return [np.rint(photograph(ROOM, CUBE, state, rng, pips(CUBE))) for state in states]
+    return [np.rint(photograph(STUDIO, CUBE, state, rng, pips(CUBE))) for state in states]
 
 
-def learned_along(throw: Throw, strikes: Sequence[VertexImpact | None]) -> SurfaceMarks:
-    """Of the filmed impact, with what it is known to be, from edges with the common error; the throw may end before the film."""
+def learned_along(throw: Throw, vertex_impacts: Sequence[VertexImpact | None]) -> SurfaceMarks:
+    """Marks of the filmed impact, with its known law, from edges with the common error; the throw may end before the
+    film."""
     film = struck_film()
     track = edges_track(throw, COMMON, int(throw.flights[-1].end_s * FPS) + 1)
-    off = replace(throw, flights=tuple(moved_flight(flight, COMMON) for flight in throw.flights))
-    rows = frames_to_learn_from(track, off)
-    marks = learn_marks(VIEW, ((int(k), film[int(k)]) for k in rows), track, off, strikes, saturation_grey=255.0)
+    displaced = replace(throw, flights=tuple(moved_flight(flight, COMMON) for flight in throw.flights))
+    rows = frames_to_learn_from(track, displaced)
+    marks = learn_marks(
+        VIEW, ((int(k), film[int(k)]) for k in rows), track, displaced, vertex_impacts, saturation_grey=255.0
+    )
     assert marks is not None
     return marks
 

@@ -63,3 +63,13 @@ def test_skewed_pixels_shift_sideways_in_proportion_to_height() -> None:
 
 def test_the_centre_is_where_all_rays_meet() -> None:
     np.testing.assert_allclose(CAMERA.rotation @ CAMERA.centre_m + CAMERA.translation_m, 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", DISTORTIONS)
+def test_rays_invert_the_projection(name: str) -> None:
+    camera = with_lens(name, skew=0.7)
+    pixels = np.random.default_rng(1).uniform((0, 0), (camera.width_px, camera.height_px), (200, 2))
+    rays = np.column_stack([camera.rays(pixels), np.ones(len(pixels))])
+    points = (0.3 * rays - camera.translation_m) @ camera.rotation
+    # The stated tolerance of a ray, times the focal length.
+    np.testing.assert_allclose(camera.project(points), pixels, atol=1e-5)

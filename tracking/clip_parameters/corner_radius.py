@@ -154,7 +154,7 @@ class CornerRadius:
 # --- the three questions ----------------------------------------------------------------------------------------------
 
 
-def tested_radius_px(view: View) -> float:
+def compared_radius_px(view: View) -> float:
     """Radius [px] that is compared with a sharp die at the lens blur of a view."""
     return TESTED_PX * max(1.0, view.blur_px / TESTED_BLUR_PX)
 
@@ -177,7 +177,7 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
 
 def is_rounded(view: View, frames: Callable[[int], SampledFrames]) -> bool:
     """Whether the die of a view with sharp corners is clearly rounded; `frames(count)` gives at most `count` frames."""
-    sampled, tested_px = frames(RADIUS_FRAMES), tested_radius_px(view)
+    sampled, tested_px = frames(RADIUS_FRAMES), compared_radius_px(view)
     gain, sigma = rounding_gain(view, sampled.some(ROUND_FRAMES), ROUND_TESTED_PX / TESTED_PX * tested_px)
     if gain > max(LEAST_GAIN, SIGNIFICANT_SIGMAS * sigma):
         return True

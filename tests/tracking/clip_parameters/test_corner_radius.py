@@ -1,4 +1,4 @@
-"""Laws of the radius of the corners that the pictures tell: a rounded die's is found, and a sharp die stays sharp."""
+"""Laws of the estimated corner radius: that of a rounded die is found, and a sharp die stays sharp."""
 
 from __future__ import annotations
 
@@ -22,28 +22,28 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     CornerRadius,
     CornerRounding,
     SampledFrames,
+    compared_radius_px,
     contour_sigma_px,
     is_rounded,
     radius_by_free_poses,
     radius_on_flights,
     rounding_gain,
-    tested_radius_px,
 )
 from diethrow.tracking.pose.frame_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence import tracker as following
+from diethrow.tracking.sequence import tracker
 from diethrow.tracking.sequence.tracker import TrackedClip, track_clip
 
-ROOM = replace(studio(), noise_grey=2.0)
+STUDIO = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
 FEW, MANY = 12, 24
 PX_PER_M = 3750.0
-"""In the middle of the studio's picture."""
+"""Scale in the middle of the studio's picture."""
 
 
 def states(count: int) -> list[State]:
-    """Any orientations, in the middle of the picture."""
+    """Random orientations, in the middle of the picture."""
     made = []
     for k in range(count):
         rng = np.random.default_rng([5, k])
@@ -52,11 +52,11 @@ def states(count: int) -> list[State]:
     return made
 
 
-def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, off: float = 0.0) -> SampledFrames:
-    """Pictures of a die at rest in those orientations, with poses that are `off` by so much of 0.1 mm and 0.6 degrees."""
+def sampled(drawn: Callable[[State, np.random.Generator], Image], count: int, *, error: float = 0.0) -> SampledFrames:
+    """Pictures of a die at rest in those orientations, with positions that err by `error` times 0.1 mm."""
     rng = np.random.default_rng(1)
     at = states(count)
-    wrong = off * rng.standard_normal((count, 3)) * 1e-4
+    wrong = error * rng.standard_normal((count, 3)) * 1e-4
     return SampledFrames(
         tuple(drawn(state, rng)[None] for state in at),
         np.array([state.position_m for state in at]) + wrong,
@@ -66,19 +66,19 @@ def looks(drawn: Callable[[State, np.random.Generator], Image], count: int, *, o
 
 
 @cache
-def round_looks(radius_m: float, count: int = FEW) -> SampledFrames:
-    """Of a rounded cube, at its true poses."""
+def round_frames(radius_m: float, count: int = FEW) -> SampledFrames:
+    """Pictures of a rounded cube, at its true poses."""
     die = replace(CUBE, corner_radius_m=radius_m)
-    return looks(lambda state, rng: photograph_rounded(ROOM, die, state, rng), count)
+    return sampled(lambda state, rng: photograph_rounded(STUDIO, die, state, rng), count)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_sharp_die_stays_sharp(shape: str) -> None:
+def test_a_sharp_die_has_radius_zero(shape: str) -> None:
     die = DICE[shape]
-    view = ROOM.view(die)
-    seen = looks(lambda state, rng: photograph(ROOM, die, state, rng), MANY, off=1.0)
-    gain, sigma = rounding_gain(view, seen, tested_radius_px(view))
-    assert gain < -3.0 * sigma  # what the two more intensities of a rounded edge cost, and a little more
+    view = STUDIO.view(die)
+    seen = sampled(lambda state, rng: photograph(STUDIO, die, state, rng), MANY, error=1.0)
+    gain, sigma = rounding_gain(view, seen, compared_radius_px(view))
+    assert gain < -3.0 * sigma  # the penalty for the two more intensities of a rounded edge, and a little more
     assert not is_rounded(view, seen.some)
     free = radius_by_free_poses(view, seen)
     assert free is not None
@@ -87,20 +87,22 @@ def test_a_sharp_die_stays_sharp(shape: str) -> None:
 
 @pytest.mark.parametrize("blur_px", [1.2, 2.4, 3.5])
 @pytest.mark.parametrize("shape", ["tetrahedron", "cube"])
-def test_a_sharp_die_out_of_focus_is_not_a_rounded_one(shape: str, blur_px: float) -> None:
-    """And a rounded one is one as long as its radius exceeds the blur."""
-    room, die = replace(ROOM, blur_px=blur_px), DICE[shape]
-    assert not is_rounded(room.view(die), looks(lambda at, rng: photograph(room, die, at, rng), MANY, off=1.0).some)
+def test_a_sharp_die_out_of_focus_is_not_taken_for_rounded(shape: str, blur_px: float) -> None:
+    """A die whose radius exceeds the blur is."""
+    setting, die = replace(STUDIO, blur_px=blur_px), DICE[shape]
+    assert not is_rounded(
+        setting.view(die), sampled(lambda at, rng: photograph(setting, die, at, rng), MANY, error=1.0).some
+    )
     ball = replace(CUBE, corner_radius_m=1.5 * blur_px / PX_PER_M)
-    seen = looks(lambda at, rng: photograph_rounded(room, ball, at, rng), FEW)
-    assert is_rounded(room.view(CUBE), seen.some)
+    seen = sampled(lambda at, rng: photograph_rounded(setting, ball, at, rng), FEW)
+    assert is_rounded(setting.view(CUBE), seen.some)
 
 
-# From half a pixel, a little less than the lens's blur, to a die that is round all over: 0.6 to 9 pixels.
+# From half a pixel, a little less than the lens blur, to a die that is nearly a ball: 0.6 to 9 pixels.
 @pytest.mark.parametrize("radius_m", [0.15e-3, 0.6e-3, 2.5e-3])
-def test_a_rounded_die_is_seen_to_be_one_and_its_radius_is_found_within_its_error(radius_m: float) -> None:
-    seen, view = round_looks(radius_m), ROOM.view(CUBE)
-    # Half a pixel is told from none by more frames than these.
+def test_the_radius_of_a_rounded_die_is_found_within_its_error(radius_m: float) -> None:
+    seen, view = round_frames(radius_m), STUDIO.view(CUBE)
+    # Half a pixel is distinguished from none by more frames than these.
     assert is_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
     free = radius_by_free_poses(view, seen)
     assert free is not None
@@ -108,48 +110,49 @@ def test_a_rounded_die_is_seen_to_be_one_and_its_radius_is_found_within_its_erro
     found = radius_on_flights(view, seen, free.radius_m)
     assert found is not None
     assert abs(found.radius_m - radius_m) < 2.0 * found.sigma_m
-    assert found.sigma_m < free.sigma_m  # known poses say more than free ones
+    assert found.sigma_m < free.sigma_m  # known poses determine it better than free ones
 
 
 @pytest.mark.parametrize("gloss_grey", [0.0, 60.0])
-def test_the_light_on_its_bevels_moves_a_rounded_die_by_little_more_than_its_sigmas(gloss_grey: float) -> None:
-    room, die, squared = replace(ROOM, noise_grey=3.0), replace(CUBE, corner_radius_m=0.6e-3), []
+def test_light_on_the_bevels_moves_a_rounded_die_by_little_more_than_its_standard_errors(gloss_grey: float) -> None:
+    setting, die, squared = replace(STUDIO, noise_grey=3.0), replace(CUBE, corner_radius_m=0.6e-3), []
     for k, state in enumerate(states(MANY)):
-        image = photograph_rounded(room, die, state, np.random.default_rng([11, k]), gloss_grey=gloss_grey)
-        pose = refine_pose(room.view(die), image, state.position_m, state.rotation, coarse=0)
+        image = photograph_rounded(setting, die, state, np.random.default_rng([11, k]), gloss_grey=gloss_grey)
+        pose = refine_pose(setting.view(die), image, state.position_m, state.rotation, coarse=0)
         if pose.covariance is not None:
             turned = rotation_between(state.quaternion, quat_from_matrix(pose.rotation))
             errors = np.concatenate([pose.position_m - state.position_m, turned])
             squared.append(errors @ np.linalg.solve(pose.covariance, errors))
     assert len(squared) > MANY - 3
-    # Of honest errors the median is 5.35. Strips whose light is held too near to that of the faces come to 38, and 58 with gloss.
+    # The median of chi-square is 5.35. Strips whose shade is bound too closely to that of the faces come to 38, 58
+    # with gloss.
     assert np.median(squared) < 5.0 * 5.35
 
 
-def test_flights_that_the_pictures_contradict_say_nothing() -> None:
-    seen = round_looks(0.6e-3)
-    astray = replace(seen, position_m=seen.position_m + np.array([1e-3, 0.0, 0.0]))
-    assert radius_on_flights(ROOM.view(CUBE), astray, 0.6e-3) is None
+def test_flights_that_the_pictures_contradict_give_no_radius() -> None:
+    seen = round_frames(0.6e-3)
+    wrong = replace(seen, position_m=seen.position_m + np.array([1e-3, 0.0, 0.0]))
+    assert radius_on_flights(STUDIO.view(CUBE), wrong, 0.6e-3) is None
     none = replace(
         seen, pictures=(), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)), motion=np.zeros((0, 6))
     )
-    assert radius_on_flights(ROOM.view(CUBE), none, 0.6e-3) is None
-    assert radius_by_free_poses(ROOM.view(CUBE), none) is None
-    assert rounding_gain(ROOM.view(CUBE), none, 1.0) == (0.0, np.inf)
+    assert radius_on_flights(STUDIO.view(CUBE), none, 0.6e-3) is None
+    assert radius_by_free_poses(STUDIO.view(CUBE), none) is None
+    assert rounding_gain(STUDIO.view(CUBE), none, 1.0) == (0.0, np.inf)
 
 
 def test_the_contour_error_is_that_of_the_outline() -> None:
-    """A cube seen from in front of a face keeps its outline when it is rounded; seen from a corner it loses 0.41 radii all
-    round, which is a distance that the flights must be free to correct."""
-    view = ROOM.view(CUBE)
-    ahead = ROOM.camera.rotation[2]
-    position = ROOM.camera.centre_m + 0.4 * ahead
-    face = np.column_stack([ROOM.camera.rotation[0], ROOM.camera.rotation[1], ahead])
+    """A cube that shows one face keeps its outline when it is rounded. Seen along a diagonal it loses 0.41 radii all
+    round, like a larger distance, which the flights must be free to correct."""
+    view = STUDIO.view(CUBE)
+    ahead = STUDIO.camera.rotation[2]
+    position = STUDIO.camera.centre_m + 0.4 * ahead
+    face = np.column_stack([STUDIO.camera.rotation[0], STUDIO.camera.rotation[1], ahead])
     corner_axis = np.array([1.0, 1.0, 1.0]) / np.sqrt(3.0)
     across = np.array([1.0, -1.0, 0.0]) / np.sqrt(2.0)
     body = np.column_stack([across, np.cross(corner_axis, across), corner_axis])
     errors = [contour_sigma_px(view, 0.1e-3, position[None], R[None]) for R in (face, face @ body.T)]
-    assert errors[0] == pytest.approx(0.0, abs=0.03 * 0.1e-3 * PX_PER_M)  # the sides are seen a little, from so near
+    assert errors[0] == pytest.approx(0.0, abs=0.03 * 0.1e-3 * PX_PER_M)  # from so near the sides are visible
     assert errors[1] == pytest.approx(0.414 * 0.1e-3 * PX_PER_M, rel=0.05)
     assert contour_sigma_px(view, 0.0, position[None], face[None]) == 0.0
 
@@ -163,56 +166,56 @@ ROUND = replace(CUBE, corner_radius_m=RADIUS_M)
 
 @cache
 def clip() -> tuple[ArrayClip, Throw]:
-    """A rounded cube that falls and bounces once, half-way."""
+    """A rounded cube that falls and bounces once, in the middle."""
     start, down = np.array([-0.001, 0.0, 0.022]), np.array([0.05, 0.05, -0.7])
     release = State(0.0, start, random_quaternion(np.random.default_rng(3)), down, np.array([12.0, -25.0, 9.0]))
     throw = throw_die(ROUND, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
     times, rng = np.arange(FRAMES) / FPS, np.random.default_rng(2)
-    frames = [np.clip(np.rint(photograph_rounded(ROOM, ROUND, throw.at(float(t)), rng)), 0, 255) for t in times]
+    frames = [np.clip(np.rint(photograph_rounded(STUDIO, ROUND, throw.at(float(t)), rng)), 0, 255) for t in times]
     return ArrayClip(np.array(frames).astype(np.uint8), times, 8), throw
 
 
 @cache
-def followed(rounding: CornerRounding, radius_m: float) -> TrackedClip:
-    """The clip, tracked with a radius that is given, or in the place of one."""
+def tracked(rounding: CornerRounding, radius_m: float) -> TrackedClip:
+    """The clip, tracked from a radius that is given or to be found."""
     die = replace(CUBE, corner_radius_m=radius_m)
-    return track_clip(clip()[0], ROOM.camera, die, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
+    return track_clip(clip()[0], STUDIO.camera, die, background=np.rint(STUDIO.table), rounding=rounding, quality=FAST)
 
 
 def depth_errors_m(result: TrackedClip) -> np.ndarray:
-    """(n,) along the line of sight."""
+    """(n,) position errors along the line of sight."""
     track, (_, throw) = result.track, clip()
     use = track.tracked
     off = throw.poses(track.time_s[use])[0] - track.position_m[use]
-    return np.asarray(off @ ROOM.camera.rotation[2])
+    return np.asarray(off @ STUDIO.camera.rotation[2])
 
 
 @pytest.mark.parametrize("rounding", [CornerRounding.TESTED, CornerRounding.ESTIMATED])
 def test_a_die_is_tracked_with_the_radius_that_it_shows(rounding: CornerRounding) -> None:
-    result = followed(rounding, 0.0)
+    result = tracked(rounding, 0.0)
     assert isinstance(result.corners, CornerRadius)
     assert abs(result.corners.radius_m - RADIUS_M) < 2.0 * result.corners.sigma_m
     assert result.die.corner_radius_m == result.corners.radius_m
-    assert "look rounded" in result.corners.notice
+    assert "radius" in result.corners.notice
 
 
-def test_a_rounded_die_taken_for_a_sharp_one_is_seen_too_far_away() -> None:
-    """The reason for it all: contours that lie further in look like a greater distance."""
+def test_a_rounded_die_taken_for_sharp_appears_too_far_away() -> None:
+    """Contours that lie further in look like a larger distance."""
     sharp, found, given = (
         float(np.median(depth_errors_m(each)))
         for each in (
-            followed(CornerRounding.GIVEN, 0.0),
-            followed(CornerRounding.TESTED, 0.0),
-            followed(CornerRounding.GIVEN, RADIUS_M),
+            tracked(CornerRounding.GIVEN, 0.0),
+            tracked(CornerRounding.TESTED, 0.0),
+            tracked(CornerRounding.GIVEN, RADIUS_M),
         )
     )
-    # Single frames, to which no flight has told their distance yet: what the model of a bevel leaves is a third of it.
+    # Of single frames, without the distance from the flights: the model of a bevel leaves a third of the error.
     assert abs(found) < 0.5 * abs(sharp)
     assert abs(given) < 0.5 * abs(sharp)
 
 
-def test_a_radius_that_is_given_is_believed() -> None:
-    result = followed(CornerRounding.GIVEN, RADIUS_M)
+def test_a_given_radius_is_kept() -> None:
+    result = tracked(CornerRounding.GIVEN, RADIUS_M)
     assert result.corners is None
     assert result.die.corner_radius_m == RADIUS_M
     assert result.track.contour_sigma_px == 0.0
@@ -220,31 +223,32 @@ def test_a_radius_that_is_given_is_believed() -> None:
 
 @cache
 def sharp_clip() -> ArrayClip:
-    """A sharp cube that is thrown alike."""
+    """A sharp cube in the same throw."""
     throw = throw_die(CUBE, clip()[1].flights[0].start, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
     rng = np.random.default_rng(2)
     times = np.arange(FRAMES) / FPS
-    frames = np.array([np.clip(np.rint(photograph(ROOM, CUBE, throw.at(float(t)), rng)), 0, 255) for t in times])
+    frames = np.array([np.clip(np.rint(photograph(STUDIO, CUBE, throw.at(float(t)), rng)), 0, 255) for t in times])
     return ArrayClip(frames.astype(np.uint8), times, 8)
 
 
-def sharp_followed(rounding: CornerRounding) -> TrackedClip:
-    return track_clip(sharp_clip(), ROOM.camera, CUBE, background=np.rint(ROOM.table), rounding=rounding, quality=FAST)
+def sharp_tracked(rounding: CornerRounding) -> TrackedClip:
+    return track_clip(
+        sharp_clip(), STUDIO.camera, CUBE, background=np.rint(STUDIO.table), rounding=rounding, quality=FAST
+    )
 
 
-def test_a_sharp_die_is_tracked_as_if_nobody_had_asked() -> None:
+def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> None:
     """Not one bit of the poses differs."""
-    asked, given = sharp_followed(CornerRounding.TESTED), sharp_followed(CornerRounding.GIVEN)
+    asked, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
     assert asked.corners is None
     assert asked.die is CUBE
     assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
     assert np.array_equal(asked.track.covariance, given.track.covariance, equal_nan=True)
 
 
-def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a first sight gets wrong is made good by what follows."""
-    monkeypatch.setattr(following, "_corners_at_sight", lambda *_: CornerRadius(5e-3, 0.5e-3))
-    asked, given = sharp_followed(CornerRounding.TESTED), sharp_followed(CornerRounding.GIVEN)
+def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tracker, "_corners_at_sight", lambda *_: CornerRadius(5e-3, 0.5e-3))
+    asked, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
     assert asked.corners is None
     assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
 
@@ -252,8 +256,8 @@ def test_a_radius_with_which_nothing_starts_is_none(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
 )
-def test_a_radius_that_loses_the_die_is_none(frames: int, borne_out: bool, better: bool) -> None:
+def test_a_radius_with_which_the_die_is_lost_is_discarded(frames: int, borne_out: bool, better: bool) -> None:
     seen, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
     seen.known[:frames] = True
-    trial = following._Trial(1e-3, ROOM.view(CUBE), seen, borne_out, corners)
-    assert following._better_than_sharp([trial], 100) is better
+    trial = tracker._Trial(1e-3, STUDIO.view(CUBE), seen, borne_out, corners)
+    assert tracker._better_than_sharp([trial], 100) is better

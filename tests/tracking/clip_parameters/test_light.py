@@ -1,4 +1,4 @@
-"""Laws of the light that faces show: it foretells how bright bevels are, and single frames err less for it."""
+"""Laws of the light estimated on faces: it predicts how bright bevels are, and reduces the errors of single frames."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from diethrow.tracking.pose.refine import refine_pose
 
 Array = NDArray[np.float64]
 
-ROOM = replace(studio(), noise_grey=2.0)
+STUDIO = replace(studio(), noise_grey=2.0)
 ROUND = replace(DICE["cube"], corner_radius_m=0.6e-3)
-LEARNED, ASKED = 40, 24
+LEARNED, EVALUATED = 40, 24
 
 
 def states(count: int, seed: int) -> list[State]:
-    """Any orientations, in the middle of the picture."""
+    """Random orientations, in the middle of the picture."""
     rng, none = np.random.default_rng(seed), np.zeros(3)
     return [
         State(0.0, np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018]), random_quaternion(rng), none, none)
@@ -47,36 +47,36 @@ def at_poses(some: list[State]) -> ClipPoses:
 
 @cache
 def pictures(gloss_grey: float, count: int, seed: int) -> tuple[Image, ...]:
-    """Of the rounded cube at rest in those orientations."""
+    """Pictures of the rounded cube at rest in those orientations."""
     return tuple(
-        photograph_rounded(ROOM, ROUND, state, np.random.default_rng([seed, k]), gloss_grey=gloss_grey)
+        photograph_rounded(STUDIO, ROUND, state, np.random.default_rng([seed, k]), gloss_grey=gloss_grey)
         for k, state in enumerate(states(count, seed))
     )
 
 
-def lit_view(gloss_grey: float) -> View:
-    """The view with the light learned from frames that nothing else is asked of."""
+def view_with_light(gloss_grey: float) -> View:
+    """The view with the light, learned on other frames than the tests use."""
     shown = pictures(gloss_grey, LEARNED, 1)
-    return with_light(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(states(LEARNED, 1)))
+    return with_light(STUDIO.view(ROUND), lambda k: shown[k][None], at_poses(states(LEARNED, 1)))
 
 
-def test_the_faces_foretell_how_bright_any_surface_looks() -> None:
-    light = lit_view(0.0).light[0]
+def test_faces_predict_the_brightness_of_any_normal() -> None:
+    light = view_with_light(0.0).light[0]
     assert light[LIGHT_TERMS + 1] > 0.0
-    sight = ROOM.camera.rotation[2]
+    sight = STUDIO.camera.rotation[2]
     normals = np.random.default_rng(3).normal(size=(500, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    normals = normals[normals @ sight < 0.0]  # those that a contour, at the least, shows
+    normals = normals[normals @ sight < 0.0]  # visible ones, up to the contour
     true = 115.0 + 90.0 * np.maximum(normals @ LIGHT, 0.0)
-    told = normal_monomials(normals) @ light[:LIGHT_TERMS]
-    scale = told @ true / (told @ told)
-    assert np.sqrt(np.mean((scale * told / true - 1.0) ** 2)) < 0.03
+    predicted = normal_monomials(normals) @ light[:LIGHT_TERMS]
+    scale = predicted @ true / (predicted @ predicted)
+    assert np.sqrt(np.mean((scale * predicted / true - 1.0) ** 2)) < 0.03
 
 
 @pytest.mark.parametrize("gloss_grey", [0.0, 60.0])
-def test_a_rounded_die_errs_less_where_the_light_is_known(gloss_grey: float) -> None:
-    plain, light = ROOM.view(ROUND), lit_view(gloss_grey)
-    at, shown = states(ASKED, 2), pictures(gloss_grey, ASKED, 2)
+def test_known_light_reduces_the_errors_of_a_rounded_die(gloss_grey: float) -> None:
+    plain, light = STUDIO.view(ROUND), view_with_light(gloss_grey)
+    at, shown = states(EVALUATED, 2), pictures(gloss_grey, EVALUATED, 2)
     aside, turned, squared = [], [], []
     for view in (plain, light):
         poses = [
@@ -90,38 +90,38 @@ def test_a_rounded_die_errs_less_where_the_light_is_known(gloss_grey: float) -> 
                 for pose, one in zip(poses, at, strict=True)
             ]
         )
-        aside.append(np.median(np.linalg.norm(moved @ ROOM.camera.rotation[:2].T, axis=1)))
+        aside.append(np.median(np.linalg.norm(moved @ STUDIO.camera.rotation[:2].T, axis=1)))
         turned.append(np.median(np.linalg.norm(wrong, axis=1)))
         errors = np.hstack([moved, wrong])
         squared.append(np.median([e @ pose.information @ e for e, pose in zip(errors, poses, strict=True)]))
     assert aside[1] < 0.25 * aside[0]
     assert turned[1] < 0.9 * turned[0]
-    # Of honest errors the median is 5.35; a highlight is no polynomial.
+    # The median of chi-square is 5.35; a highlight is no polynomial.
     assert squared[1] < (2.0 if gloss_grey == 0.0 else 3.0) * 5.35
 
 
-def test_bevels_cost_a_picture_nothing() -> None:
-    """A die drawn sharp reaches beyond a rounded one's corners; what lies between is not the table, nor a flat face."""
+def test_bevels_do_not_raise_the_cost_of_a_picture() -> None:
+    """A sharp outline reaches beyond rounded corners; the pixels between show neither the table nor a flat face."""
     sharp = DICE["cube"]
     costs = []
     for die, draw in ((sharp, photograph), (ROUND, photograph_rounded)):
         for k, state in enumerate(states(8, 4)):
-            image = draw(ROOM, die, state, np.random.default_rng([4, k]))
-            costs.append(refine_pose(ROOM.view(die), image, state.position_m, state.rotation, coarse=0).cost)
+            image = draw(STUDIO, die, state, np.random.default_rng([4, k]))
+            costs.append(refine_pose(STUDIO.view(die), image, state.position_m, state.rotation, coarse=0).cost)
     assert np.mean(costs[8:]) < 1.1 * np.mean(costs[:8])
 
 
-def told(some: list[State], paint: Array | None = None) -> Array:
-    """(TERMS + 2,) what the first camera is told of the light by the cube at rest in some orientations."""
+def estimated(some: list[State], paint: Array | None = None) -> Array:
+    """(LIGHT_TERMS + 2,) light of the first camera, estimated on the cube at rest in some orientations."""
     shown = [
-        photograph_rounded(ROOM, ROUND, state, np.random.default_rng([5, k]), paint=paint)
+        photograph_rounded(STUDIO, ROUND, state, np.random.default_rng([5, k]), paint=paint)
         for k, state in enumerate(some)
     ]
-    return np.asarray(with_light(ROOM.view(ROUND), lambda k: shown[k][None], at_poses(some)).light[0])
+    return np.asarray(with_light(STUDIO.view(ROUND), lambda k: shown[k][None], at_poses(some)).light[0])
 
 
 def turning(turn_rad: float) -> list[State]:
-    """A cube that turns evenly, by so much in all, over as many frames as the light is learned from."""
+    """A cube that turns evenly, by `turn_rad` in all, over LEARNED frames."""
     rng, none = np.random.default_rng(6), np.zeros(3)
     first, axis = random_quaternion(rng), rng.normal(size=3)
     angles = np.linspace(0.0, turn_rad, LEARNED)[:, None] * axis / np.linalg.norm(axis)
@@ -129,26 +129,26 @@ def turning(turn_rad: float) -> list[State]:
     return [State(0.0, place, quat_multiply(q, first), none, none) for q in quat_from_rotvec(angles)]
 
 
-def test_faces_of_several_paints_tell_little_of_the_light() -> None:
-    """Their greys are no function of where they turn."""
+def test_faces_of_several_paints_make_the_light_uncertain() -> None:
+    """Their greys are no function of the normal."""
     alike, several = (
-        told(states(LEARNED, 1), np.array(paint)) for paint in ([1.0] * 6, [1.0, 0.6, 0.8, 0.5, 1.0, 0.7])
+        estimated(states(LEARNED, 1), np.array(paint)) for paint in ([1.0] * 6, [1.0, 0.6, 0.8, 0.5, 1.0, 0.7])
     )
     assert 0.0 < alike[-1] < 0.1 * 115.0
     assert not several.any() or several[-1] > 2.0 * alike[-1]
 
 
-def test_a_die_that_hardly_turns_tells_little_of_the_light() -> None:
-    plenty, little = (told(turning(turn_rad)) for turn_rad in (6.0, 1.5))
+def test_a_die_that_hardly_turns_makes_the_light_uncertain() -> None:
+    plenty, little = (estimated(turning(turn_rad)) for turn_rad in (6.0, 1.5))
     assert 0.0 < plenty[-1] < 0.1 * 115.0
     assert not little.any() or little[-1] > 2.0 * plenty[-1]
-    assert not told(turning(0.0)).any()
+    assert not estimated(turning(0.0)).any()
 
 
-def test_too_few_faces_tell_nothing_of_the_light() -> None:
-    assert not told(states(8, 1)).any()
+def test_too_few_faces_give_no_light() -> None:
+    assert not estimated(states(8, 1)).any()
 
 
-def test_a_sharp_die_has_no_bevels_to_be_lit() -> None:
-    view = ROOM.view(DICE["cube"])
-    assert with_light(view, lambda _: pytest.fail("no picture is asked for"), at_poses(states(LEARNED, 1))) is view
+def test_a_sharp_die_needs_no_light() -> None:
+    view = STUDIO.view(DICE["cube"])
+    assert with_light(view, lambda _: pytest.fail("a picture was read"), at_poses(states(LEARNED, 1))) is view

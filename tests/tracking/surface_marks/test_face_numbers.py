@@ -1,4 +1,4 @@
-"""Laws of reading faces: the die's own numbers under any labelling, and silence where they are not clear."""
+"""Laws of reading faces: the numbers of the die under any labelling, and no result if they are not clear."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIZE = 81
 
 
 def blank_marks(die: Die) -> SurfaceMarks:
-    """Textures of bare paint with faint noise, all of them seen."""
+    """Textures of bare paint with little noise, all of them known."""
     solid = die.solid
     count, edge = len(solid.faces), solid.edge_m
     axes = face_axes(solid)
@@ -59,7 +59,7 @@ def with_pips(marks: SurfaceMarks, die: Die, numbers: list[int]) -> SurfaceMarks
 
 
 def with_figures(marks: SurfaceMarks, words: list[str]) -> SurfaceMarks:
-    """Numbers drawn in a font that is none of those they are compared with, at any angle."""
+    """Numbers drawn in another font than those they are compared with, at random angles."""
     texture = marks.texture.copy()
     rng = np.random.default_rng(5)
     for f, word in enumerate(words):
@@ -69,7 +69,7 @@ def with_figures(marks: SurfaceMarks, words: list[str]) -> SurfaceMarks:
         cv2.putText(big, word, origin, cv2.FONT_HERSHEY_SIMPLEX, 3.2, 255, 14, cv2.LINE_AA)
         turn = cv2.getRotationMatrix2D((2 * SIZE, 2 * SIZE), float(rng.uniform(0, 360)), 1.0)
         small = cv2.resize(cv2.warpAffine(big, turn, big.shape), (SIZE, SIZE), interpolation=cv2.INTER_AREA) / 255.0
-        # Pictures run down, face coordinates up.
+        # Rows of pictures run downwards, those of face coordinates upwards.
         texture[f] -= 0.8 * cv2.GaussianBlur(small, (0, 0), 1.0)[::-1]
     return replace(marks, texture=texture)
 
@@ -91,7 +91,7 @@ def test_pips_are_read_under_any_labelling(k: int) -> None:
     assert "right-handed" in faces.verdict
 
 
-def test_faces_never_shown_follow_from_the_others() -> None:
+def test_numbers_of_faces_that_were_never_seen_follow_from_the_others() -> None:
     marks = with_pips(blank_cube(), CUBE, [1, 2, 3, 4, 5, 6])
     texture = marks.texture.copy()
     texture[[2, 3, 5]] = np.nan
@@ -100,14 +100,14 @@ def test_faces_never_shown_follow_from_the_others() -> None:
     assert "3 of 6" in faces.verdict
 
 
-def test_a_left_handed_die_is_told() -> None:
+def test_a_left_handed_die_is_recognised() -> None:
     faces = read_faces(CUBE, with_pips(blank_cube(), CUBE, [1, 3, 2, 5, 4, 6]))
     assert faces.numbers == (1, 3, 2, 5, 4, 6)
     assert "left-handed" in faces.verdict
 
 
 @pytest.mark.parametrize(
-    ("marks", "said"),
+    ("marks", "reason"),
     [
         (None, "no marks"),
         (blank_cube(), "0 of its faces"),
@@ -115,42 +115,42 @@ def test_a_left_handed_die_is_told() -> None:
         (replace(blank_cube(), noise_grey=np.zeros(6)), "no marks"),
     ],
 )
-def test_what_is_unreadable_stays_symmetric_and_is_said(marks: SurfaceMarks | None, said: str) -> None:
+def test_unreadable_faces_keep_the_symmetric_numbering_with_the_reason(marks: SurfaceMarks | None, reason: str) -> None:
     faces = read_faces(CUBE, marks)
     assert faces.numbers == (None,) * 6
     assert faces.probability == 0.0
-    assert any(part in faces.verdict for part in said.split("|"))
+    assert any(part in faces.verdict for part in reason.split("|"))
     assert with_numbers(CUBE, faces) is CUBE
 
 
-def test_marks_that_are_no_pips_are_not_counted_as_such() -> None:
+def test_marks_other_than_pips_are_not_counted_as_pips() -> None:
     figures = with_figures(blank_cube(), ["7", "4", "1", "A", "E", "T"])
     assert not any(
         count is not None and count.is_pattern for count in (count_pips(figures, f, 0.0127) for f in range(6))
     )
 
 
-def test_pips_learned_from_a_film_are_read() -> None:
+def test_pips_learned_from_a_clip_are_read() -> None:
     faces = read_faces(CUBE, learned_marks()[0])
     assert faces.numbers == (1, 2, 3, 4, 5, 6)
 
 
-def test_numbers_are_read_in_a_foreign_font_at_any_angle() -> None:
+def test_numbers_are_read_in_another_font_at_any_angle() -> None:
     die = replace(DICE["octahedron"], marks="numbers")
     words = ["3", "7", "1", "8", "2", "5", "4", "6"]
     faces = read_faces(die, with_figures(blank_marks(die), words))
-    claimed = {f: n for f, n in enumerate(faces.numbers) if n is not None}
-    # Not all need be clear, what is claimed must be right.
-    assert all(n == int(words[f]) for f, n in claimed.items())
-    assert len(claimed) >= 5
+    reported = {f: n for f, n in enumerate(faces.numbers) if n is not None}
+    # Not all need be clear, but those that are reported must be right.
+    assert all(n == int(words[f]) for f, n in reported.items())
+    assert len(reported) >= 5
 
 
-def test_no_number_is_claimed_on_faces_without_figures() -> None:
+def test_no_number_is_reported_on_faces_without_figures() -> None:
     die = replace(DICE["octahedron"], marks="numbers")
     assert read_faces(die, blank_marks(die)).numbers == (None,) * 8
 
 
-def test_a_numbered_die_looks_down_with_its_own_number_and_keeps_its_corners() -> None:
+def test_a_numbered_die_lands_on_its_own_number_and_keeps_its_vertices() -> None:
     numbers = (5, 1, 3, 4, 6, 2)
     die = with_numbers(CUBE, FaceNumbers(numbers, 1.0, ""))
     assert die.solid.vertices is CUBE.solid.vertices
@@ -161,12 +161,12 @@ def test_a_numbered_die_looks_down_with_its_own_number_and_keeps_its_corners() -
 
 
 def neighbours(solid: Solid) -> list[tuple[int, int]]:
-    """Pairs of faces that share two corners."""
+    """Pairs of faces that share two vertices."""
     faces = [set(face) for face in solid.faces]
     return [(i, j) for i in range(len(faces)) for j in range(i) if len(faces[i] & faces[j]) == 2]
 
 
 @pytest.mark.parametrize("numbers", [[1, 2, 3, 4, 5, 5], [1, 2, 3], [0, 1, 2, 3, 4, 5]])
-def test_numbers_that_are_no_numbering_are_refused(numbers: list[int]) -> None:
-    with pytest.raises(ValueError, match="wanted each of 1 to 6 once"):
+def test_numbers_other_than_one_to_six_once_each_are_refused(numbers: list[int]) -> None:
+    with pytest.raises(ValueError, match="1 to 6"):
         numbered_solid(CUBE.solid, numbers)
