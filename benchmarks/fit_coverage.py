@@ -21,12 +21,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
 from throws import initial_errors, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import pose_errors, sight, whitened_jacobian
-from diethrow.fitting.throw.physics import Physics, course
+from diethrow.fitting.estimation.observations import observations_of, pose_errors, whitened_jacobian
+from diethrow.fitting.throw.physics import Physics, model_poses
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.laws import LEVEL
@@ -47,13 +47,13 @@ Z95 = 1.959964
 
 def bound(track: Track, throw: Throw, die: Die, chi: float, explained: int, time_s: float) -> Array:
     """Cramér-Rao sigmas (13,) of the state at `time_s` and χ from the frames up to the end of flight `explained`."""
-    sightings = sight(track, throw)
-    sightings = sightings.where(sightings.flight <= explained)
+    observations = observations_of(track, throw)
+    observations = observations.where(observations.flight <= explained)
     physics = Physics(die, LEVEL, {"chi": chi})
     vertices = tuple(impact.vertices[0] for impact in throw.impacts[:explained])
-    way = course(physics, throw.flights[0].at(time_s), sightings.time_s, vertices)
-    errors = pose_errors(sightings, way.positions_m, way.quaternions)
-    jacobian = whitened_jacobian(sightings, errors, way.jacobian).reshape(-1, 13)
+    way = model_poses(physics, throw.flights[0].at(time_s), observations.time_s, vertices)
+    errors = pose_errors(observations, way.positions_m, way.quaternions)
+    jacobian = whitened_jacobian(observations, errors, way.jacobian).reshape(-1, 13)
     scale = np.linalg.norm(jacobian, axis=0)
     return np.linalg.norm(np.linalg.inv(np.linalg.qr(jacobian / scale, mode="r")), axis=1) / scale
 

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.free.loaded_die import LOAD
+from diethrow.fitting.free.loaded_die import CENTRE_OF_MASS
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 
@@ -40,7 +40,7 @@ def one(seed: int, loaded: bool) -> tuple[bool, bool, float, list[bool]]:
     fitted = fit.bounces_fitted > 0
     if "loaded die" not in fit.chosen:
         return fitted, False, np.nan, []
-    found = [fit.parameters[name] for name in LOAD]
+    found = [fit.parameters[name] for name in CENTRE_OF_MASS]
     holds = [
         p.low is not None and p.high is not None and p.low <= c <= p.high for p, c in zip(found, centre, strict=True)
     ]

@@ -32,11 +32,11 @@ from scipy.optimize import least_squares, minimize
 from diethrow.files.scene import read_scene
 from diethrow.files.throw_records import read_track
 from diethrow.fitting.dataset.data_set import Entry, entry_of
-from diethrow.fitting.dataset.joint_effects import EFFECTS, load_before_bounces
+from diethrow.fitting.dataset.joint_effects import EFFECTS, offset_before_bounces
 from diethrow.fitting.dataset.joint_fit import fit_jointly
 from diethrow.fitting.predict.prediction import simulated_poses
-from diethrow.fitting.predict.release_state import Outset, outset_of
-from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.fitting.predict.release_state import ReleaseState, release_from
+from diethrow.fitting.throw.physics import CENTRE_OF_MASS, Physics
 from diethrow.model import engine
 from diethrow.model.die.die import Die
 from diethrow.model.laws import LEVEL
@@ -65,8 +65,8 @@ PARTS = ("impacts", "throws", "mujoco")
 class FirstImpact:
     """The flights before and after, told from frames on their own side."""
 
-    before: Outset
-    after: Outset
+    before: ReleaseState
+    after: ReleaseState
 
 
 def main() -> None:
@@ -108,7 +108,7 @@ LAWS: dict[str, dict[str, float]] = {
         "mu": 0.16,
         "inertia_kg_m2": 0.001,
         "corner_radius_m": 0.006,
-        **dict(zip(LOAD, (0.0001, 0.0001, 0.004), strict=True)),
+        **dict(zip(CENTRE_OF_MASS, (0.0001, 0.0001, 0.004), strict=True)),
     },
 }
 """Laws of single impacts, and where their fits begin."""
@@ -136,14 +136,16 @@ def first_impact(entry: Entry) -> FirstImpact | None:
     """The first impact of a toss, if four frames or more tell a flight after it."""
     if not 4 <= entry.early < len(entry.rows):
         return None
-    after = outset_of(entry.track, entry.rows[: entry.early])
-    return FirstImpact(entry.outset, after) if after.scatters_like(entry.outset) else None
+    after = release_from(entry.track, entry.rows[: entry.early])
+    return FirstImpact(entry.release, after) if after.has_residuals_like(entry.release) else None
 
 
 def after_impact(impact: FirstImpact, physics: Physics) -> Array:
     """(6,) velocity of the centre of mass and spin that a law foretells, less those seen."""
     state, arm, _ = touch(impact, physics)
-    fair = replace(physics, values={name: value for name, value in physics.values.items() if name not in LOAD}).body
+    fair = replace(
+        physics, values={name: value for name, value in physics.values.items() if name not in CENTRE_OF_MASS}
+    ).body
     impulse = impulse_N_s(fair, Touch(state, 0, arm, np.nan), physics.law)
     velocity = state.velocity_m_s + impulse / fair.mass_kg
     spin = state.omega_rad_s + np.cross(arm, impulse) / fair.inertia_kg_m2
@@ -233,7 +235,7 @@ def others(entries: Sequence[Entry], k: int, folds: int) -> list[Entry]:
 
 
 def told(entry: Entry, physics: Physics) -> tuple[Array, Array]:
-    return simulated_poses(physics, entry.outset.of_die(physics.body).state, entry.times_s, engine.FINE)
+    return simulated_poses(physics, entry.release.of_die(physics.body).state, entry.times_s, engine.FINE)
 
 
 TIMES_S = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, np.inf)
@@ -247,7 +249,7 @@ def where_they_miss(entries: Sequence[Entry], fits: Sequence[Physics]) -> None:
         poses = told(entry, fits[k % len(fits)])
         off = poses[0] - entry.track.position_m[entry.rows]
         turned = np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1)
-        travel = entry.track.position_m[entry.rows[-1], :2] - entry.outset.state.position_m[:2]
+        travel = entry.track.position_m[entry.rows[-1], :2] - entry.release.state.position_m[:2]
         along = off[:, :2] @ (travel / np.linalg.norm(travel))
         since = entry.times_s - entry.times_s[0]
         for row, low, high in zip(rows, TIMES_S, TIMES_S[1:], strict=False):
@@ -266,7 +268,7 @@ def error_of(entry: Entry, die: Die, poses: tuple[Array, Array]) -> Array:
     edge = float(np.linalg.norm(np.diff(die.solid.vertices[die.solid.edges[0]], axis=0)))
     off = 100.0 * np.linalg.norm(poses[0] - entry.track.position_m[entry.rows], axis=1) / edge
     turned = np.degrees(np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1))
-    part = len(entry.rows) / (len(entry.rows) + len(entry.outset.rows))
+    part = len(entry.rows) / (len(entry.rows) + len(entry.release.rows))
     return np.array([off.mean(), turned.mean(), part * off.mean(), part * turned.mean()])
 
 
@@ -295,7 +297,7 @@ def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
         errors, seconds = [], 0.0
         for k in range(folds):
             rest = others(entries, k, folds)
-            load = load_before_bounces(rest) if name.startswith("the same") else None
+            load = offset_before_bounces(rest) if name.startswith("the same") else None
             begin = time.perf_counter()
             tuned = mujoco_tuned(rest, die, start, load)
             seconds += time.perf_counter() - begin
@@ -326,7 +328,7 @@ def mujoco_errors(entries: Sequence[Entry], die: Die, numbers: Array, load_m: Ar
     loaded = die if load_m is None else replace(die, centre_of_mass_m=load_m)
 
     def one(entry: Entry) -> Array:
-        data, state = mujoco.MjData(model), entry.outset.of_die(loaded).state
+        data, state = mujoco.MjData(model), entry.release.of_die(loaded).state
         data.qpos[:3], data.qpos[3:] = state.position_m, state.quaternion
         # MuJoCo keeps the spin of a free body in its own axes.
         data.qvel[:3], data.qvel[3:] = state.velocity_m_s, state.rotation.T @ state.omega_rad_s

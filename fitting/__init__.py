@@ -1,6 +1,8 @@
-"""From a track to the model that explains it: free flights, bounces one by one, and the whole throw at once.
+"""Fitting: from a track to the model that explains it, by free flights, single bounces, and the whole throw.
 
-`fit_throw` gives χ and the initial conditions with intervals; `apparent_restitution` looks at a single bounce.
+`fit_throw` returns χ and the initial conditions with intervals; `apparent_restitution` measures a single bounce.
+Folders: `estimation` (observations, robust least squares, intervals), `free` (what needs no impact law), `throw` (one
+throw against the model), `dataset` (joint fits of many throws), `predict` (predictions and sequential estimates).
 """
 
 from .free import Bounce as Bounce

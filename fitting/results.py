@@ -1,7 +1,6 @@
-"""The values of a fit: parameters with intervals, initial conditions with covariance, and what was said on the way.
+"""The values of a fit: parameters with intervals, initial conditions with covariance, and messages.
 
-What cannot be had is None, with a sentence in `Fit.messages` that says why: a number that the data do not carry is
-never made up.
+What the data do not determine is None, with a message in `Fit.messages` that says why; no number is made up.
 """
 
 from __future__ import annotations
@@ -22,60 +21,60 @@ class Parameter:
     """One parameter of the model and its interval."""
 
     value: float | None
-    """In the unit of the parameter's name; None when the data do not determine it."""
+    """In the unit of the parameter's name; None if the data do not determine it."""
     low: float | None
     high: float | None
-    """Bounds of the interval; None when it cannot be had."""
+    """Bounds of the interval; None if it cannot be had."""
     level: float | None
     """Coverage of the interval, such as 0.95; None without an interval."""
     free: bool
-    """True when the data moved it, False when it was held."""
+    """True if the data moved it, False if it was held."""
     at_bound: bool
-    """True when the best value lies on a bound of what the law allows; the interval is then one-sided."""
+    """True if the best value lies on a bound of what the law allows; the interval is then one-sided."""
 
 
 @dataclass(frozen=True)
 class Effect:
-    """Something that the scene may need beyond the plainest model, and what the data say of it."""
+    """A departure from the plainest model, and the evidence for it."""
 
     name: str
     evidence: float | None
-    """By how many units of log-likelihood the effect improves the fit; None when it was not tried."""
+    """Units of log-likelihood by which the effect improves the fit; None if it was not tried."""
     why_not: str | None
-    """Why it was not chosen, as a sentence; None for an effect that was chosen."""
+    """Why it was refused, as a sentence; None for an effect that was accepted."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """What the track says about the model."""
+    """The model that a track supports."""
 
     parameters: dict[str, Parameter]
-    """By name; `chi` always."""
+    """By name; always with `chi`."""
     initial: State | None
-    """The fitted state at the beginning of the first flight: on the true clock and in true metres where the fit found
-    that the track has others (`clock_scale`, `length_scale`)."""
+    """The fitted state at the beginning of the first flight: on the true clock and in true metres if the fit found that
+    those of the track differ (`clock_scale`, `length_scale`)."""
     initial_covariance: Array | None
     """(12, 12) of `initial`: position [m], rotation vector [rad], velocity [m/s], angular velocity [rad/s], world axes,
     R_true = exp(δ) R; scaled up by what the residuals show of the frames' true errors."""
     chosen: tuple[str, ...]
-    """Names of the effects in the model that was fitted."""
+    """Names of the effects in the model."""
     considered: tuple[Effect, ...]
-    """The effects that were left out."""
+    """The effects that were refused."""
     bounces_fitted: int
-    """Bounces of the measured throw that the model runs through and explains."""
+    """Bounces of the measured throw that the model explains."""
     residual_rms: float | None
-    """Root mean square of the whitened residuals, 1 when the model and the frames' covariances are both right.
-    When no bounce is explained: of the model's best attempt at the first bounce."""
+    """Root mean square of the whitened residuals: 1 if the model and the frames' covariances are right. If no bounce is
+    explained: of the model's best attempt at the first bounce."""
     landed_face: int | None
-    """Number (1, 2, …) of the face that the die comes to rest on; None when this is not decided."""
+    """Number (1, 2, …) of the face that the die comes to rest on; None if this is not decided."""
     face_odds: dict[int, float] | None
-    """Share of landings on each face when throws drawn from the fit are simulated on to rest; None if not computed."""
+    """Share of landings on each face when throws drawn from the fit are simulated to rest; None if not computed."""
     messages: tuple[str, ...]
-    """One sentence each: what a careful reader of the numbers should know."""
+    """Sentences that a reader of the numbers should know."""
     throw: Throw | None
-    """The model's throw, from `initial` through every impact that the fit reached, on the track's clock and in its metres."""
+    """The model's throw, from `initial` through every fitted impact, on the track's clock and in its metres."""
     restitution: Restitution = "stronge"
-    """What χ means where something rubs; see `model.impacts.CoulombImpact`."""
+    """What χ means in frictional contact; see `model.laws.CoulombImpact`."""
     covariance: Array | None = None
-    """(12 + k, 12 + k) of `initial` and, behind it, of the k free parameters in the order of `parameters`; None where no
-    such fit was made."""
+    """(12 + k, 12 + k) of `initial` and of the k free parameters in the order of `parameters`; None if no such fit was
+    made."""

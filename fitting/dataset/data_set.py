@@ -1,8 +1,8 @@
-"""A crowd of throws: what each of them misses by when one physics foretells all.
+"""A data set of throws, and the residuals that each of them has when one physics predicts all.
 
-A frame's miss is six lengths: how far the centre is off, and the turn times the radius of gyration √(J/m), so that their
-norm d is the root mean square by which the die's mass points are off. Its cost is √(d² + s²) - s, where the slack s [m]
-holds what the frame's own error and the errors of the start, grown from bounce to bounce, leave open.
+A frame's residual has six lengths: the offset of the centre, and the rotation vector times the radius of gyration √(J/m).
+Their norm d is the root-mean-square distance by which the die's mass points are off. Its cost is √(d² + s²) - s. The slack
+s [m] covers the frame's own error and the errors of the release state, grown from bounce to bounce.
 """
 
 from __future__ import annotations
@@ -18,14 +18,23 @@ from ...model.die import Die
 from ...model.rotations import rotation_between
 from ...model.throw import State
 from ...tracking.track import Track
+from ..estimation import covariance_root
 from ..free import moved_state
-from ..predict import FEWEST, Outset, first_bounce_row, flight_length, outset_before, simulated_throws, usable_rows
+from ..predict import (
+    MIN_FLIGHT_FRAMES,
+    ReleaseState,
+    first_bounce_row,
+    flight_length,
+    release_before,
+    simulated_throws,
+    usable_rows,
+)
 from ..throw import Physics
 
 Array = NDArray[np.float64]
 
-_START_DRAWS = 4
-"""Starts drawn for every throw: the mean square of four is known to a half, and slack needs no more."""
+_RELEASE_DRAWS = 4
+"""Release states drawn for every throw: the mean square of four is known to a half, and slack needs no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +47,7 @@ class Entry:
     """Rows with a pose after the first bounce."""
     early: int
     """How many of them lie before the second bounce."""
-    outset: Outset
+    release: ReleaseState
 
     @property
     def times_s(self) -> Array:
@@ -47,20 +56,20 @@ class Entry:
 
 
 def entry_of(name: str, track: Track, die: Die) -> Entry:
-    """A throw as a joint fit wants it. Raises ValueError, with the name, where its track does not allow it."""
+    """A throw for a joint fit. Raises ValueError, with the name, for a track that cannot be fitted."""
     try:
         row = first_bounce_row(track, die)
         rows = usable_rows(track, die)
-        outset = outset_before(track, die, row)
+        release = release_before(track, die, row)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
     after = rows[rows >= row]
-    early = flight_length(track, die, after) if len(after) >= FEWEST else len(after)
-    return Entry(name, track, after, early, outset)
+    early = flight_length(track, die, after) if len(after) >= MIN_FLIGHT_FRAMES else len(after)
+    return Entry(name, track, after, early, release)
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
+class DataSet:
     """Throws, and what is the same for every trial of parameters."""
 
     entries: tuple[Entry, ...]
@@ -71,85 +80,85 @@ class Crowd:
 
     @property
     def arm_m(self) -> float:
-        """The radius of gyration by which a turn counts."""
+        """The radius of gyration, which converts rotations to lengths."""
         return float(np.sqrt(self.die.inertia_kg_m2 / self.die.mass_kg))
 
-    def misses(self, physics: Physics, strays: Sequence[Array] | None = None) -> list[Array]:
-        """(n, 6) [m] of every throw: seen less simulated. From the states of the outsets, or from those displaced by
-        `strays` (12,) of each throw."""
-        return _misses(self.entries, physics, strays, self.arm_m, self.pool)
+    def residuals(self, physics: Physics, perturbations: Sequence[Array] | None = None) -> list[Array]:
+        """(n, 6) [m] of every throw: observed minus simulated, from the release states or, with `perturbations` (12,) of
+        each throw, from perturbed ones."""
+        return _residuals(self.entries, physics, perturbations, self.arm_m, self.pool)
 
-    def misses_of_each(self, physics: Sequence[Physics]) -> list[Array]:
+    def residuals_of_each(self, physics: Sequence[Physics]) -> list[Array]:
         """The same with a physics for each throw; throws that share one are simulated together."""
         found: list[Array] = [np.empty((0, 6))] * len(self.entries)
         for one in {id(p): p for p in physics}.values():
             mine = [k for k, p in enumerate(physics) if p is one]
-            together = _misses([self.entries[k] for k in mine], one, None, self.arm_m, self.pool)
+            together = _residuals([self.entries[k] for k in mine], one, None, self.arm_m, self.pool)
             for k, part in zip(mine, together, strict=True):
                 found[k] = part
         return found
 
-    def costs(self, misses: Sequence[Array]) -> Array:
+    def costs(self, residuals: Sequence[Array]) -> Array:
         """(throws,) [m]: the mean over the frames of each."""
-        return np.array([_cost(miss, slack) for miss, slack in zip(misses, self.slack, strict=True)])
+        return np.array([_cost(own, slack) for own, slack in zip(residuals, self.slack, strict=True)])
 
     def mean_cost(self, physics: Physics) -> float:
         """Over all throws [m]."""
-        return float(self.costs(self.misses(physics)).mean())
+        return float(self.costs(self.residuals(physics)).mean())
 
-    def some(self, count: int) -> Crowd:
-        """At most so many of them, evenly spread."""
-        which = spread(len(self.entries), count)
+    def subset(self, count: int) -> DataSet:
+        """At most `count` throws, evenly spread."""
+        which = evenly_spread(len(self.entries), count)
         return replace(self, entries=tuple(self.entries[k] for k in which), slack=tuple(self.slack[k] for k in which))
 
 
-def crowd_of(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExecutor) -> Crowd:
-    """The throws, each frame with its slack as this physics has the errors of the start grow."""
-    bare = Crowd(tuple(entries), physics.die, pool, ())
-    plain = bare.misses(physics)
+def data_set_of(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExecutor) -> DataSet:
+    """The throws, with the slack of each frame as errors of the release state grow under this physics."""
+    without_slack = DataSet(tuple(entries), physics.die, pool, ())
+    plain = without_slack.residuals(physics)
     squares = [np.zeros(len(entry.rows)) for entry in entries]
-    for strays in drawn_strays(entries):
-        for k, strayed in enumerate(bare.misses(physics, strays)):
-            squares[k] += ((strayed - plain[k]) ** 2).sum(1) / _START_DRAWS
-    noise = [3.0 * (e.outset.sigma_m**2 + (bare.arm_m * e.outset.sigma_rad) ** 2) for e in entries]
-    return replace(bare, slack=tuple(np.sqrt(s + n) for s, n in zip(squares, noise, strict=True)))
+    for perturbations in drawn_perturbations(entries):
+        for k, perturbed in enumerate(without_slack.residuals(physics, perturbations)):
+            squares[k] += ((perturbed - plain[k]) ** 2).sum(1) / _RELEASE_DRAWS
+    arm_m = without_slack.arm_m
+    noise = [3.0 * (e.release.sigma_m**2 + (arm_m * e.release.sigma_rad) ** 2) for e in entries]
+    return replace(without_slack, slack=tuple(np.sqrt(s + n) for s, n in zip(squares, noise, strict=True)))
 
 
-def drawn_strays(entries: Sequence[Entry]) -> list[list[Array]]:
-    """Displacements (12,) of every start that its frames allow as well, `_START_DRAWS` times."""
+def drawn_perturbations(entries: Sequence[Entry]) -> list[list[Array]]:
+    """Perturbations (12,) of every release state, drawn from its covariance, `_RELEASE_DRAWS` times."""
     rng = np.random.default_rng(0)
-    draws: list[list[Array]] = [[] for _ in range(_START_DRAWS)]
+    draws: list[list[Array]] = [[] for _ in range(_RELEASE_DRAWS)]
     for entry in entries:
-        values, axes = np.linalg.eigh(entry.outset.covariance)
-        reach = axes * np.sqrt(np.clip(values, 0.0, None))
+        root = covariance_root(entry.release.covariance)
         for drawn in draws:
-            drawn.append(reach @ rng.standard_normal(12))
+            drawn.append(root @ rng.standard_normal(12))
     return draws
 
 
-def spread(total: int, count: int) -> NDArray[np.int64]:
-    """At most `count` of so many places, evenly spread."""
+def evenly_spread(total: int, count: int) -> NDArray[np.int64]:
+    """At most `count` of `total` indices, evenly spread."""
     return np.unique(np.linspace(0, total - 1, min(count, total)).round().astype(np.int64))
 
 
-def _misses(
+def _residuals(
     entries: Sequence[Entry],
     physics: Physics,
-    strays: Sequence[Array] | None,
+    perturbations: Sequence[Array] | None,
     arm_m: float,
     pool: ThreadPoolExecutor,
 ) -> list[Array]:
-    states: list[State] = [entry.outset.of_die(physics.body).state for entry in entries]
-    if strays is not None:
-        states = [moved_state(state, stray) for state, stray in zip(states, strays, strict=True)]
+    states: list[State] = [entry.release.of_die(physics.body).state for entry in entries]
+    if perturbations is not None:
+        states = [moved_state(state, change) for state, change in zip(states, perturbations, strict=True)]
     positions, quaternions = simulated_throws(physics, states, [entry.times_s for entry in entries], pool)
-    seen = np.concatenate([entry.track.position_m[entry.rows] for entry in entries])
+    observed = np.concatenate([entry.track.position_m[entry.rows] for entry in entries])
     turned = rotation_between(quaternions, np.concatenate([entry.track.quaternion[entry.rows] for entry in entries]))
-    misses = np.hstack([seen - positions, arm_m * turned])
-    # A throw that bounces on without end is given up: as far off as a die can be that lies where it should.
-    misses = np.where(np.isfinite(misses), misses, np.pi * arm_m)
-    return np.split(misses, np.cumsum([len(entry.rows) for entry in entries])[:-1])
+    residuals = np.hstack([observed - positions, arm_m * turned])
+    # A throw that never stops bouncing has no poses: it counts as a die in the right place with the worst orientation.
+    residuals = np.where(np.isfinite(residuals), residuals, np.pi * arm_m)
+    return np.split(residuals, np.cumsum([len(entry.rows) for entry in entries])[:-1])
 
 
-def _cost(misses: Array, slack: Array) -> float:
-    return float(np.mean(np.sqrt((misses**2).sum(1) + slack**2) - slack))
+def _cost(residuals: Array, slack: Array) -> float:
+    return float(np.mean(np.sqrt((residuals**2).sum(1) + slack**2) - slack))

@@ -1,24 +1,31 @@
-"""fitting.estimation."""
+"""Estimation: observations and their weights, robust least squares, and the intervals that follow.
 
-from .intervals import correlation_length as correlation_length
+`Observations` are the usable frames of a track, each with the matrix that whitens its errors. `levenberg_marquardt` fits
+them under bounds, with a loss that bad frames cannot bend (`huber`). `variance_inflation` scales covariances by what the
+residuals show, and `profile_interval` follows the likelihood of one parameter.
+"""
+
+from .intervals import correlation_time as correlation_time
+from .intervals import normal_quantile as normal_quantile
 from .intervals import profile_interval as profile_interval
 from .intervals import variance_inflation as variance_inflation
-from .least_squares import ENOUGH as ENOUGH
-from .least_squares import NEARLY as NEARLY
-from .least_squares import descend as descend
-from .observations import Sightings as Sightings
+from .least_squares import COARSE_TOLERANCE as COARSE_TOLERANCE
+from .least_squares import COST_TOLERANCE as COST_TOLERANCE
+from .least_squares import HUBER_THRESHOLD as HUBER_THRESHOLD
+from .least_squares import MEDIAN_SQUARE as MEDIAN_SQUARE
+from .least_squares import compressed as compressed
+from .least_squares import huber as huber
+from .least_squares import levenberg_marquardt as levenberg_marquardt
+from .least_squares import orthonormal_basis as orthonormal_basis
+from .least_squares import robust_variance as robust_variance
+from .least_squares import times_inverse as times_inverse
+from .least_squares import triangular_factor as triangular_factor
+from .observations import Observations as Observations
+from .observations import covariance_root as covariance_root
 from .observations import cross_matrices as cross_matrices
+from .observations import observations_of as observations_of
 from .observations import pose_errors as pose_errors
-from .observations import sight as sight
 from .observations import whitened as whitened
 from .observations import whitened_jacobian as whitened_jacobian
 from .observations import whiteners as whiteners
 from .observations import with_noise as with_noise
-from .robust import CLEAN_FRAME as CLEAN_FRAME
-from .robust import MEDIAN_FRAME as MEDIAN_FRAME
-from .robust import condensed as condensed
-from .robust import huber as huber
-from .robust import in_units_of as in_units_of
-from .robust import orthonormal as orthonormal
-from .robust import robust_variance as robust_variance
-from .robust import triangle as triangle

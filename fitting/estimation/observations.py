@@ -1,11 +1,11 @@
-"""What a fit sees: the frames that show the die in free flight, each with its weight.
+"""Observations of a fit: the frames that show the die in free flight, each with its weight.
 
-A residual is what was seen minus what the model says: position [m], then rotation vector [rad] from the model's
-orientation to the one seen, in world axes. It is whitened with W, where Wᵀ W is the inverse of the frame's 6 × 6
-covariance, so that its six numbers have unit variance and no correlation when covariance and model are right.
+A residual is the observed minus the modelled pose: position [m], then the rotation vector [rad] from the modelled to
+the observed orientation, in world axes. It is whitened with W, where Wᵀ W is the inverse of the frame's 6 × 6
+covariance. Its six numbers then have unit variance and no correlation if covariance and model are right.
 
-A frame is an average over its exposure, which lasts at most one frame interval. So a frame nearer than half an interval
-to an impact may blend two flights, shows the die in no pose that it ever had, and is left out.
+A frame is an average over its exposure, which lasts at most one frame interval. A frame closer than half an interval to
+an impact may blend two flights and show a pose that the die never had; such frames are left out.
 """
 
 from __future__ import annotations
@@ -24,16 +24,22 @@ Array = NDArray[np.float64]
 UNRESOLVED_FRAMES = 1.5
 """Frames on either side of an unresolved contact that may lie between the impacts hidden in it."""
 
-_FLOOR = np.array([1e-7] * 3 + [1e-6] * 3)
-"""Smallest sigma [m, rad] ever estimated: a track printed with seven digits has no less."""
+_CLEARANCE_FRAMES = 0.5
+"""Frame intervals between a usable frame and an impact: half, the longest exposure on one side of mid-exposure."""
+
+_MIN_CORRELATION_EIGENVALUE = 1e-9
+"""Smallest eigenvalue of a usable frame's correlation matrix; below it the covariance is singular to rounding."""
+
+_SIGMA_FLOOR = np.array([1e-7] * 3 + [1e-6] * 3)
+"""[m, rad] Smallest sigma estimated: a track printed with seven digits carries no smaller one."""
 
 
 @dataclass(frozen=True, eq=False)
-class Sightings:
+class Observations:
     """Frames with a pose, in free flight, in order of time."""
 
     time_s: Array
-    """(n,) mid-exposure."""
+    """(n,) of mid-exposure."""
     position_m: Array
     """(n, 3)."""
     quaternion: Array
@@ -41,15 +47,15 @@ class Sightings:
     whitener: Array
     """(n, 6, 6) W with Wᵀ W the inverse covariance; NaN where the track has no usable covariance."""
     flight: NDArray[np.int64]
-    """(n,) index of the measured flight that holds the frame."""
+    """(n,) index of the measured flight that contains the frame."""
     interval_s: float
-    """Of the frames of the track."""
+    """Between frames of the track."""
 
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Sightings:
-        """Only the chosen ones, by mask or by index."""
+    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Observations:
+        """The chosen frames alone, by mask or by index."""
         return replace(
             self,
             time_s=self.time_s[chosen],
@@ -60,14 +66,14 @@ class Sightings:
         )
 
     def count(self, flight: int) -> int:
-        """Frames of one flight."""
+        """Number of frames of one flight."""
         return int((self.flight == flight).sum())
 
 
-def sight(track: Track, measured: Throw) -> Sightings:
+def observations_of(track: Track, measured: Throw) -> Observations:
     """The usable frames of a track: tracked, finite, and clear of every measured impact.
 
-    Raises ValueError where the columns of the track have different lengths.
+    Raises ValueError if the columns of the track have different lengths.
     """
     n = len(track)
     columns = (track.time_s, track.position_m, track.quaternion, track.covariance)
@@ -78,13 +84,13 @@ def sight(track: Track, measured: Throw) -> Sightings:
     poses = np.hstack([track.position_m, track.quaternion])
     usable = track.tracked & np.isfinite(poses).all(1) & np.isfinite(track.time_s)
     for impact in measured.impacts:
-        frames = UNRESOLVED_FRAMES if impact.contact == "unresolved" else 0.5
+        frames = UNRESOLVED_FRAMES if impact.contact == "unresolved" else _CLEARANCE_FRAMES
         usable &= np.abs(track.time_s - impact.time_s) >= frames * interval
     times = track.time_s[usable]
     flights = measured.flights_at(times)
     weights = whiteners(track.covariance[usable])
-    seen = Sightings(times, track.position_m[usable], track.quaternion[usable], weights, flights, interval)
-    return seen.where(np.argsort(times, kind="stable"))
+    usable_frames = Observations(times, track.position_m[usable], track.quaternion[usable], weights, flights, interval)
+    return usable_frames.where(np.argsort(times, kind="stable"))
 
 
 def whiteners(covariance: Array) -> Array:
@@ -96,41 +102,43 @@ def whiteners(covariance: Array) -> Array:
         sigma = np.sqrt(np.clip(np.diag(matrix), 0.0, None))
         if not (sigma > 0.0).all():
             continue
-        # Judged as a correlation matrix, where metres and radians no longer hide what is singular.
+        # Eigenvalues of the correlation matrix: in the covariance, metres and radians hide what is singular.
         values = np.linalg.eigvalsh(matrix / np.outer(sigma, sigma))
-        if values[0] > 1e-9:
+        if values[0] > _MIN_CORRELATION_EIGENVALUE:
             found[k] = np.linalg.inv(np.linalg.cholesky(matrix))
     return found
 
 
-def with_noise(sightings: Sightings, missing: NDArray[np.bool_], sigma_m: float, sigma_rad: float) -> Sightings:
+def with_noise(
+    observations: Observations, missing: NDArray[np.bool_], sigma_m: float, sigma_rad: float
+) -> Observations:
     """The same frames, with isotropic noise where `missing` (n,)."""
-    sigma = np.maximum([sigma_m] * 3 + [sigma_rad] * 3, _FLOOR)
-    filled = sightings.whitener.copy()
+    sigma = np.maximum([sigma_m] * 3 + [sigma_rad] * 3, _SIGMA_FLOOR)
+    filled = observations.whitener.copy()
     filled[missing] = np.diag(1.0 / sigma)
-    return replace(sightings, whitener=filled)
+    return replace(observations, whitener=filled)
 
 
-def pose_errors(sightings: Sightings, positions: Array, quaternions: Array) -> Array:
-    """Seen minus modelled (n, 6): position [m], rotation vector [rad], world axes; not whitened."""
-    return np.hstack([sightings.position_m - positions, rotation_between(quaternions, sightings.quaternion)])
+def pose_errors(observations: Observations, positions: Array, quaternions: Array) -> Array:
+    """Observed minus modelled poses (n, 6): position [m], rotation vector [rad], world axes; not whitened."""
+    return np.hstack([observations.position_m - positions, rotation_between(quaternions, observations.quaternion)])
 
 
-def whitened(sightings: Sightings, errors: Array) -> Array:
+def whitened(observations: Observations, errors: Array) -> Array:
     """Errors (n, 6) in units of their sigmas."""
-    return np.einsum("nij,nj->ni", sightings.whitener, errors)
+    return np.einsum("nij,nj->ni", observations.whitener, errors)
 
 
-def whitened_jacobian(sightings: Sightings, errors: Array, jacobian: Array) -> Array:
+def whitened_jacobian(observations: Observations, errors: Array, jacobian: Array) -> Array:
     """Derivative (n, 6, m) of the whitened errors, from that of the modelled poses (n, 6, m).
 
-    A modelled pose turned by δ leaves log(exp(e) exp(-δ)) = e - J⁻¹ δ, with J⁻¹ = 1 + [e]×/2 + [e]×²/12 + O(e⁴)
-    (the inverse right Jacobian; for the 0.5 rad of the worst first guess the next term is 1e-4).
+    A modelled pose turned by δ leaves log(exp(e) exp(-δ)) = e - J⁻¹ δ, with J⁻¹ = 1 + [e]×/2 + [e]×²/12 + O(e⁴) the
+    inverse right Jacobian. For the 0.5 rad of the worst initial guess the next term is 1e-4.
     """
     cross = cross_matrices(errors[:, 3:])
     turn = np.eye(3) + cross / 2.0 + cross @ cross / 12.0
-    seen = np.concatenate([jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
-    return -sightings.whitener @ seen
+    observed = np.concatenate([jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
+    return -observations.whitener @ observed
 
 
 def cross_matrices(vectors: Array) -> Array:
@@ -138,3 +146,9 @@ def cross_matrices(vectors: Array) -> Array:
     x, y, z = np.moveaxis(vectors, -1, 0)
     o = np.zeros_like(x)
     return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+
+
+def covariance_root(covariance: Array) -> Array:
+    """L (m, m) with L Lᵀ a covariance (m, m), which may be singular: L z is a draw for z of independent normal numbers."""
+    values, axes = np.linalg.eigh(covariance)
+    return np.asarray(axes * np.sqrt(np.clip(values, 0.0, None)))

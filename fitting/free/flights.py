@@ -1,11 +1,11 @@
-"""Each flight on its own: the exact motion nearest to its frames, with no law of impact.
+"""Free flights: each flight of a throw fitted by itself, with no impact law.
 
-In flight a pose is p₀ + v t - g t²/2 ẑ and exp(ω t) R₀, twelve numbers. Small changes of them move the pose by
+In flight the pose is p₀ + v t - g t²/2 ẑ and exp(ω t) R₀, which has twelve parameters. Small changes of them move it by
 
     δp(t) = δp + t δv,    δ(t) = exp(ω t) δ + t J(ω t) δω,
 
-J the left Jacobian of exp (Barfoot, State Estimation for Robotics, 2017, Eq. 7.77). These fits give starting values,
-say how large the errors of single frames really are, and set the mark that a model through the bounces must reach.
+with J the left Jacobian of exp (Barfoot, State Estimation for Robotics, 2017, Eq. 7.77). These fits give initial
+values, measure the actual errors of single frames, and set the residuals that a model of the whole throw must reach.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
 from ..estimation import (
-    CLEAN_FRAME,
-    MEDIAN_FRAME,
-    Sightings,
+    HUBER_THRESHOLD,
+    MEDIAN_SQUARE,
+    Observations,
     cross_matrices,
-    descend,
     huber,
+    levenberg_marquardt,
     pose_errors,
     robust_variance,
     whitened,
@@ -35,19 +35,47 @@ from ..estimation import (
 
 Array = NDArray[np.float64]
 
-FEWEST_FRAMES = 2
-"""Two poses have twelve numbers, and so has a state."""
+MIN_FRAMES = 2
+"""Frames of a flight that can be fitted: two poses have twelve numbers, and so has a state."""
 
 _OUTLIER = 45.0
-"""|r|² of a frame, in units of its flight's variance, beyond which it does not show this die: 5e-8 of good ones."""
+"""|r|² of a frame, in units of its flight's variance, beyond which it is an outlier: 5e-8 of good frames."""
 
-_MOST_TRIMS = 6
+_MAX_TRIMS = 6
+"""Rounds of removing outliers and fitting again."""
+
+_MIN_FOR_TRIMS = 5
+"""Frames from which outliers are looked for; with fewer, an outlier bends the flight more than it departs from it."""
+
+_MIN_AGREEING = 0.8
+"""Share of frames that must agree with a flight; if fewer do, the flight is wrong."""
+
+_MIN_AGREEING_AT_ONE_END = 0.5
+"""The same if all others lie at one end of it."""
+
+_UNDERSTATED = 1.5
+"""Variance of the residuals above which the flight is fitted again with a threshold in units of the actual scatter."""
 
 _BAD_START = 25.0
-"""Variance of a free flight above which another start is tried: the motion measured there may be another flight's."""
+"""Variance of a free flight above which another start is tried: the motion measured there may belong to another
+flight."""
+
+_MEDIAN_SQUARE_OF_THREE = 2.366
+"""Median of the sum of three squared normal numbers."""
+
+_SIGMA_FLOOR = (1e-7, 1e-6)
+"""[m], [rad] smallest noise estimated: a track printed with seven digits carries no smaller one."""
+
+_STEPS = (1e-3, 1e-2)
+"""[m], [rad] scales of the unknowns of a flight; those of the velocities are these over its duration."""
+
+_SMALL_ANGLE_RAD = 1e-4
+"""Angle below which the left Jacobian takes its limit. (θ - sin θ)/θ³ still has eight digits there and is multiplied by
+θ²; the limit is exact to 1e-9."""
 
 _FIRST_NOISE = (1e-4, 5e-3)
-"""[m], [rad] before any is known; position and rotation of a flight are fitted apart, so their ratio is no matter."""
+"""[m], [rad] before any is known; their ratio is irrelevant, since position and rotation of a flight are fitted
+apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,69 +83,72 @@ class FreeFlight:
     """One flight fitted by itself."""
 
     flight: Flight
-    """Its covariance is by the stated errors of the frames, not scaled."""
+    """Its covariance follows from the stated errors of the frames, without scaling."""
     frames: int
-    sum_of_squares: float
-    """Of the whitened residuals."""
     variance: float
-    """Of a whitened residual, robustly; NaN for two frames, which leave nothing over."""
+    """Of a whitened residual, robust; NaN for two frames, which leave no degrees of freedom."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeFlights:
     """All flights of a measured throw, fitted one by one."""
 
-    sightings: Sightings
+    observations: Observations
     """Without the outliers; every frame has a covariance."""
     flights: tuple[FreeFlight | None, ...]
     """None for a flight of fewer than two frames."""
     variance: float
-    """Of a whitened residual over all flights: 1 when the frames' covariances are right."""
+    """Of a whitened residual over all flights: 1 if the frames' covariances are right."""
     outliers: int
     """Frames left out because they contradict their own flight."""
     noise_estimated: tuple[int, float, float] | None
-    """Number of frames without a usable covariance, and the sigmas [m], [rad] that their flights gave them; NaN where
-    no flight is long enough to tell, and those frames are then left out."""
+    """Number of frames without a usable covariance, and the sigmas [m], [rad] estimated from their flights. NaN where
+    no flight is long enough; those frames are then left out."""
+
+    @property
+    def huber_threshold(self) -> float:
+        """k² of the robust loss: bad frames are bad relative to the actual scatter of the frames."""
+        return HUBER_THRESHOLD * max(1.0, self.variance)
 
 
-def fit_flights(sightings: Sightings, measured: Throw) -> FreeFlights:
-    """Fit every flight of a measured throw by itself, from the motion measured there."""
-    missing = np.asarray(~np.isfinite(sightings.whitener).all((1, 2)))
+def fit_flights(observations: Observations, measured: Throw) -> FreeFlights:
+    """Fit every flight of a measured throw by itself, started from the measured motion."""
+    missing = np.asarray(~np.isfinite(observations.whitener).all((1, 2)))
     noise = None
     if missing.any():
-        sigma_m, sigma_rad = _flight_noise(sightings, measured)
+        sigma_m, sigma_rad = _flight_noise(observations, measured)
         noise = (int(missing.sum()), sigma_m, sigma_rad)
         if np.isfinite(sigma_m):
-            sightings = with_noise(sightings, missing, sigma_m, sigma_rad)
+            observations = with_noise(observations, missing, sigma_m, sigma_rad)
         else:
-            sightings = sightings.where(~missing)
-    kept = np.ones(len(sightings), bool)
+            observations = observations.where(~missing)
+    kept = np.ones(len(observations), bool)
     fits: list[FreeFlight | None] = []
     for k, flight in enumerate(measured.flights):
-        fit, kept[sightings.flight == k] = _consistent(sightings.where(sightings.flight == k), flight)
+        fit, kept[observations.flight == k] = _without_outliers(observations.where(observations.flight == k), flight)
         fits.append(fit)
-    return FreeFlights(sightings.where(kept), tuple(fits), _pooled_variance(fits), int((~kept).sum()), noise)
+    return FreeFlights(observations.where(kept), tuple(fits), _pooled_variance(fits), int((~kept).sum()), noise)
 
 
-def fit_flight(sightings: Sightings, guess: Flight) -> FreeFlight | None:
+def fit_flight(observations: Observations, guess: Flight) -> FreeFlight | None:
     """The exact motion nearest to the frames, started from a guess; None for fewer than two frames."""
-    n = len(sightings)
-    if n < FEWEST_FRAMES:
+    n = len(observations)
+    if n < MIN_FRAMES:
         return None
-    k2 = CLEAN_FRAME
-    state, residuals, jacobian = _nearest(sightings, _start(sightings, guess), k2)
+    k2 = HUBER_THRESHOLD
+    state, residuals, jacobian = _nearest(observations, _start(observations, guess), k2)
     freedom = 6.0 * (n - 2)
     if freedom and robust_variance(residuals, freedom) > _BAD_START:
-        again = _nearest(sightings, _straight_start(sightings, state.time_s), k2)
+        again = _nearest(observations, _start_from_frames(observations, state.time_s), k2)
         if robust_variance(again[1], freedom) < robust_variance(residuals, freedom):
             state, residuals, jacobian = again
-    if freedom and (variance := robust_variance(residuals, freedom)) > 1.5:
-        # Frames with too small a covariance would all look bad: measure badness in what they really scatter.
-        state, residuals, jacobian = _nearest(sightings, state, k2 * variance)
+    if freedom and (variance := robust_variance(residuals, freedom)) > _UNDERSTATED:
+        # Frames whose covariances are too small would all look bad: the threshold follows their actual scatter.
+        state, residuals, jacobian = _nearest(observations, state, k2 * variance)
     covariance = np.linalg.pinv(np.einsum("nij,nik->jk", jacobian, jacobian), rcond=1e-15, hermitian=True)
     variance = robust_variance(residuals, freedom) if freedom else np.nan
     flight = Flight(state, guess.end_s, covariance)
-    return FreeFlight(flight, n, float((residuals**2).sum()), variance)
+    return FreeFlight(flight, n, variance)
 
 
 def moved_state(state: State, change: Array) -> State:
@@ -132,13 +163,12 @@ def moved_state(state: State, change: Array) -> State:
 
 
 def left_jacobian(rotvecs: Array) -> Array:
-    """J (..., 3, 3) with exp(v + δ) = exp(J δ) exp(v) for small δ; its limit below 1e-4 rad."""
+    """J (..., 3, 3) with exp(v + δ) = exp(J δ) exp(v) for small δ."""
     angle = np.linalg.norm(rotvecs, axis=-1)[..., None, None]
-    safe = np.where(angle > 1e-4, angle, 1.0)
+    safe = np.where(angle > _SMALL_ANGLE_RAD, angle, 1.0)
     cross = cross_matrices(rotvecs)
-    first = np.where(angle > 1e-4, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2, 0.5)
-    # (θ - sin θ)/θ³ still has eight digits at 1e-4 and is multiplied by θ²; below it the limit is exact to 1e-9.
-    second = np.where(angle > 1e-4, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
+    first = np.where(angle > _SMALL_ANGLE_RAD, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2, 0.5)
+    second = np.where(angle > _SMALL_ANGLE_RAD, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
@@ -154,38 +184,41 @@ def flight_jacobian(state: State, times_s: Array) -> Array:
     return jacobian
 
 
-def _nearest(sightings: Sightings, start: State, k2: float) -> tuple[State, Array, Array]:
-    """The state with least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
-    span = max(float(np.ptp(sightings.time_s)), 1e-9)
-    scale = np.repeat([1e-3, 1e-2, 1e-3 / span, 1e-2 / span], 3)
+def _nearest(observations: Observations, start: State, k2: float) -> tuple[State, Array, Array]:
+    """The state of least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
+    span = max(float(np.ptp(observations.time_s)), 1e-9)
+    step_m, step_rad = _STEPS
+    scale = np.repeat([step_m, step_rad, step_m / span, step_rad / span], 3)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         state = moved_state(start, x)
-        errors = pose_errors(sightings, *Flight(state, state.time_s).poses(sightings.time_s))
-        jacobian = flight_jacobian(state, sightings.time_s)
-        # The change is counted from the start, the derivative from where it has led.
+        errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
+        jacobian = flight_jacobian(state, observations.time_s)
+        # The unknown rotation is about the orientation of `start`, the derivative about the displaced one.
         jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobian(x[3:6])
-        residuals, jacobian = huber(whitened(sightings, errors), whitened_jacobian(sightings, errors, jacobian), k2)
+        residuals, jacobian = huber(
+            whitened(observations, errors), whitened_jacobian(observations, errors, jacobian), k2
+        )
         return residuals.ravel(), jacobian.reshape(-1, 12)
 
     free = np.full(12, np.inf)
-    state = moved_state(start, descend(evaluate, np.diag(1.0 / scale), -free, free, steps=30))
-    errors = pose_errors(sightings, *Flight(state, state.time_s).poses(sightings.time_s))
-    jacobian = whitened_jacobian(sightings, errors, flight_jacobian(state, sightings.time_s))
-    return state, whitened(sightings, errors), jacobian
+    state = moved_state(start, levenberg_marquardt(evaluate, np.diag(1.0 / scale), -free, free, max_steps=30))
+    errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
+    jacobian = whitened_jacobian(observations, errors, flight_jacobian(state, observations.time_s))
+    return state, whitened(observations, errors), jacobian
 
 
-def _start(sightings: Sightings, guess: Flight) -> State:
-    """The guess where it is finite, else a start from the frames themselves."""
+def _start(observations: Observations, guess: Flight) -> State:
+    """The guess if it is finite, else a start from the frames themselves."""
     s = guess.start
     if all(np.isfinite(part).all() for part in (s.position_m, s.quaternion, s.velocity_m_s, s.omega_rad_s)):
         return s
-    return _straight_start(sightings, s.time_s)
+    return _start_from_frames(observations, s.time_s)
 
 
-def _straight_start(sightings: Sightings, time_s: float) -> State:
-    """Straight from the first pose to the last, turning as neighbouring frames do in the median."""
-    t, p, q = sightings.time_s, sightings.position_m, sightings.quaternion
+def _start_from_frames(observations: Observations, time_s: float) -> State:
+    """Straight from the first pose to the last, with the median angular velocity between neighbouring frames."""
+    t, p, q = observations.time_s, observations.position_m, observations.quaternion
     dt = t[-1] - t[0]
     velocity = (p[-1] - p[0]) / dt + np.array([0.0, 0.0, 0.5 * GRAVITY_M_S2 * dt])
     turns = rotation_between(q[:-1], q[1:]) / np.diff(t)[:, None]
@@ -193,40 +226,45 @@ def _straight_start(sightings: Sightings, time_s: float) -> State:
     return Flight(first, first.time_s).at(time_s) if np.isfinite(time_s) else first
 
 
-def _consistent(sightings: Sightings, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:
-    """The flight that most frames make, and which of them (n,) agree with it.
+def _without_outliers(observations: Observations, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:
+    """The flight that most frames agree on, and which of them (n,) agree with it.
 
-    The worst are taken away first and the flight is fitted again: many that err alike, as while the die comes into view,
-    bend it so much that the less wrong ones among them do not stand out.
+    The worst frames are removed first and the flight is fitted again. Many frames with the same error, as while the die
+    comes into view, bend the flight so much that the less wrong ones among them do not stand out.
     """
-    n = len(sightings)
+    n = len(observations)
     kept = np.ones(n, bool)
-    whole = fit = fit_flight(sightings, guess)
-    if fit is None or n < 5:  # with fewer, an outlier bends the flight more than it stands out from it
+    whole = fit = fit_flight(observations, guess)
+    if fit is None or n < _MIN_FOR_TRIMS:
         return fit, kept
-    for _ in range(_MOST_TRIMS):
+    for _ in range(_MAX_TRIMS):
         assert fit is not None
-        errors = pose_errors(sightings, *fit.flight.poses(sightings.time_s))
-        s = (whitened(sightings, errors) ** 2).sum(1)
-        agree = s <= _OUTLIER * max(1.0, float(np.median(s[kept])) / MEDIAN_FRAME)
-        if (agree == kept).all() or agree.sum() < 5:
+        errors = pose_errors(observations, *fit.flight.poses(observations.time_s))
+        s = (whitened(observations, errors) ** 2).sum(1)
+        agree = s <= _OUTLIER * max(1.0, float(np.median(s[kept])) / MEDIAN_SQUARE)
+        if (agree == kept).all() or agree.sum() < _MIN_FOR_TRIMS:
             break
         kept = agree
-        fit = fit_flight(sightings.where(kept), guess)
+        fit = fit_flight(observations.where(kept), guess)
     return (fit, kept) if _is_credible(kept) else (whole, np.ones(n, bool))
 
 
 def _is_credible(kept: NDArray[np.bool_]) -> bool:
-    """Whether the frames that were not kept are wrong, rather than the flight: no more than a fifth of them, or, up to a
-    half, all of them at one end, where a die comes into view or leaves it."""
+    """Whether the removed frames are wrong, not the flight.
+
+    At most a fifth of the frames may be removed, or up to a half if all lie at one end, where a die enters or leaves
+    the view.
+    """
     share = float(kept.mean())
     ends = np.flatnonzero(np.diff(kept.astype(int)))
-    return share >= 0.8 or (share >= 0.5 and len(ends) == 1)
+    return share >= _MIN_AGREEING or (share >= _MIN_AGREEING_AT_ONE_END and len(ends) == 1)
 
 
-def _flight_noise(sightings: Sightings, measured: Throw) -> tuple[float, float]:
-    """Sigmas [m], [rad] of a frame, one for all axes, from how frames scatter about their own flights; NaN unknown."""
-    even = with_noise(sightings, np.ones(len(sightings), bool), *_FIRST_NOISE)
+def _flight_noise(observations: Observations, measured: Throw) -> tuple[float, float]:
+    """Sigmas [m], [rad] of a frame, one for all axes, from the scatter of frames about their own flights; NaN if
+    unknown.
+    """
+    even = with_noise(observations, np.ones(len(observations), bool), *_FIRST_NOISE)
     squares, freedom = np.zeros(2), 0.0
     for k, guess in enumerate(measured.flights):
         mine = even.where(even.flight == k)
@@ -234,20 +272,20 @@ def _flight_noise(sightings: Sightings, measured: Throw) -> tuple[float, float]:
         if fit is None or len(mine) < 3:
             continue
         errors = pose_errors(mine, *fit.flight.poses(mine.time_s))
-        # The median of three squared normal numbers is 2.366: one bad frame must not set the noise of all.
+        # The median, so that one bad frame does not set the noise of all.
         n = 3.0 * len(mine)
-        squares += np.median((errors**2).reshape(-1, 2, 3).sum(2), axis=0) / 2.366 * n
+        squares += np.median((errors**2).reshape(-1, 2, 3).sum(2), axis=0) / _MEDIAN_SQUARE_OF_THREE * n
         freedom += n - 6.0
     if freedom <= 0.0:
         return np.nan, np.nan
-    sigma_m, sigma_rad = np.maximum(np.sqrt(squares / freedom), [1e-7, 1e-6])
+    sigma_m, sigma_rad = np.maximum(np.sqrt(squares / freedom), _SIGMA_FLOOR)
     return float(sigma_m), float(sigma_rad)
 
 
 def _pooled_variance(fits: Sequence[FreeFlight | None]) -> float:
-    """Variance of a whitened residual in most flights: the median, each weighted by its frames; 1 where none has any.
+    """Variance of a whitened residual: the median over the flights, weighted by their frames; 1 where none has any.
 
-    The median, because a flight in which tracking missed a bounce scatters without measure.
+    The median, because a flight in which tracking missed a bounce has an arbitrarily large variance.
     """
     found = sorted((fit.variance, fit.frames - 2) for fit in fits if fit is not None and fit.frames > 2)
     if not found:

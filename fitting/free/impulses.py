@@ -1,23 +1,23 @@
-"""Bounce by bounce: what two neighbouring flights say of the impact between them, with no law of impact.
+"""Single bounces: what two neighbouring flights show of the impact between them, with no impact law.
 
-The vertex that touches stands at r from the centre, and its vertical velocity is u = v_z + ω_x r_y - ω_y r_x. With u
-before and u' after, at the instant when the first flight brings the vertex to the table, the apparent restitution is
+The vertex that touches is at r from the centre, and its vertical velocity is u = v_z + ω_x r_y - ω_y r_x. With u before
+and u' after, at the instant when the first flight brings the vertex to the table, the apparent restitution is
 
     χ = -u'/u.
 
-A ratio of two measured numbers has no standard error where the lower one may be zero; its interval is Fieller's
-(J. R. Stat. Soc. B 16, 175, 1954): all χ for which u' + χ u does not differ from zero at the level asked for. It may
-be unbounded, and is then reported as NaN.
+A ratio of two measured numbers has no standard error if the denominator may be zero. Its interval is Fieller's (J. R.
+Stat. Soc. B 16, 175, 1954): all χ for which u' + χ u does not differ from zero at the given level. It may be unbounded,
+and is then reported as NaN.
 
-The impulse is S = m Δv, whatever made it, and with it come the tangential impulse over the normal one, |S_t|/S_z, which
-no Coulomb friction lets exceed μ and sliding makes equal to it, and the energy lost, E - E'. The ratio's interval is
-Fieller's along the measured direction of S_t, and begins at 0 where S_t may be nothing; that of the energy is by linear
-propagation, since it is a smooth function of both states.
+The impulse is S = m Δv for any law. It gives the ratio of tangential to normal impulse, |S_t|/S_z, which Coulomb
+friction limits to μ and sliding makes equal to μ, and the energy lost, E - E'. The interval of the ratio is Fieller's
+along the measured direction of S_t, and begins at 0 where S_t may vanish. That of the energy is by linear propagation,
+since the energy is a smooth function of both states.
 
-What the smooth impact (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8) adds to this is that the impulse is
-vertical: v_x, v_y and ω_z stay, and J Δω = m Δv_z (r × ẑ). These five numbers, in sigmas, say whether it holds.
+The smooth impact (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8) adds that the impulse is vertical: v_x, v_y
+and ω_z stay, and J Δω = m Δv_z (r × ẑ). These five numbers, in sigmas, test it.
 
-Where the corners are rounded, the contact is the lowest point of a sphere inscribed at the corner, and r ends there.
+With rounded corners the contact is the lowest point of a sphere inscribed at the corner, and r ends there.
 """
 
 from __future__ import annotations
@@ -27,23 +27,45 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2, norm
+from scipy.stats import chi2
 from scipy.stats import t as student
 
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Impact, State, energy_J
+from ..estimation import normal_quantile
 from .flights import FreeFlights, flight_jacobian, moved_state
 
 Array = NDArray[np.float64]
 
-_SMOOTH, _CHANGE, _LOST = slice(2, 7), [2, 3, 7], 8
-"""Of `_impact_numbers`: what a smooth impact sets to zero, the change of velocity, and the energy lost."""
+_SMOOTH = slice(2, 7)
+"""Of `_impact_numbers`: what a smooth impact sets to zero."""
+
+_CHANGE = [2, 3, 7]
+"""Of `_impact_numbers`: the change of velocity."""
+
+_LOST = 8
+"""Of `_impact_numbers`: the energy lost."""
+
+_STEPS = np.repeat([1e-7, 1e-6, 1e-4, 1e-2], 3)
+"""[m, rad, m/s, rad/s] steps of the central differences over a state: far above rounding, far below curvature."""
+
+_PLAUSIBLE_CHI = (-0.5, 1.5)
+"""χ of a bounce beyond which its vertex or its flights are wrong."""
+
+_MAX_TOUCH_SHIFT_S = 2e-3
+"""Largest distance of the computed touch from the measured instant: a few frames."""
+
+_NEWTON_STEPS = 8
+"""Steps to the touch; each squares the error."""
+
+_TOUCH_TOLERANCE_S = 1e-12
+"""Step at which the touch is found."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bounce:
-    """One impact, as the flights on either side have it. Sigmas and bounds are NaN for flights without covariance."""
+    """One impact between two flights. Sigmas and bounds are NaN for flights without covariance."""
 
     time_s: float
     """When the flight before brings the contact point to the table."""
@@ -62,7 +84,7 @@ class Bounce:
     impulse_covariance: Array
     """(3, 3) [N² s²]."""
     impulse_ratio: float
-    """Tangential impulse over normal impulse; NaN where the normal one is not upwards."""
+    """Tangential impulse over normal impulse; NaN where the normal one does not point up."""
     impulse_ratio_low: float
     impulse_ratio_high: float
     energy_lost_J: float
@@ -71,13 +93,13 @@ class Bounce:
     energy_before_J: float
     energy_after_J: float
     smooth_sigmas: float
-    """Root mean square of the five numbers that the smooth impact sets to zero, each in sigmas, uncorrelated."""
+    """Root mean square of the five numbers that the smooth impact sets to zero, each in sigmas, decorrelated."""
 
 
 def apparent_restitution(
     die: Die, before: Flight, after: Flight, time_s: float, vertex: int, *, level: float = 0.95
 ) -> Bounce:
-    """What happened at an impact near `time_s` at a vertex, from the flights on either side and their covariances.
+    """The impact near `time_s` at a vertex, from the flights on either side and their covariances.
 
     Raises ValueError for a vertex that the die does not have.
     """
@@ -89,7 +111,7 @@ def apparent_restitution(
     u, u_after = float(values[0]), float(values[1])
     low, high = fieller(u, u_after, covariance[:2, :2], level)
     gradient = np.array([u_after / u**2, -1.0 / u])
-    z = float(norm.ppf(0.5 + level / 2.0))
+    z = normal_quantile(level)
     impulse, of_impulse = die.mass_kg * values[_CHANGE], die.mass_kg**2 * covariance[np.ix_(_CHANGE, _CHANGE)]
     ratio, ratio_low, ratio_high = _impulse_ratio(impulse, of_impulse, level)
     lost, lost_sigma = float(values[_LOST]), float(np.sqrt(covariance[_LOST, _LOST]))
@@ -120,11 +142,10 @@ def apparent_restitution(
 def measure_bounces(
     die: Die, free: FreeFlights, impacts: Sequence[Impact], begin: int = 0, end: int | None = None
 ) -> tuple[Bounce | None, ...]:
-    """Every impact at one known vertex between two flights that could be fitted; None for the others. Of them all those
-    from `begin` up to `end`.
+    """The impacts from `begin` up to `end`; None for each that is not at one known vertex between two fitted flights.
 
-    The covariances are scaled up where the frames scatter more than they state. Where tracking has measured χ with an
-    interval of its own, that one is kept: it knows that the flights meet there, and needs no height of the table.
+    The covariances are scaled up where the frames scatter more than they state. A χ that tracking has measured with its
+    interval is kept: tracking joins the flights at the impact and does not need the height of the table.
     """
     bounces: list[Bounce | None] = []
     scale = max(1.0, free.variance)
@@ -142,7 +163,7 @@ def fieller(u: float, u_after: float, covariance: Array, level: float) -> tuple[
 
     They solve (u' + χ u)² = z² (C₂₂ + 2 χ C₁₂ + χ² C₁₁).
     """
-    z2 = float(norm.ppf(0.5 + level / 2.0)) ** 2
+    z2 = normal_quantile(level) ** 2
     a = u**2 - z2 * covariance[0, 0]
     b = u * u_after - z2 * covariance[0, 1]
     c = u_after**2 - z2 * covariance[1, 1]
@@ -162,8 +183,8 @@ def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[flo
     turn = np.stack([np.array([0.0, 0.0, 1.0]), -along])
     low, high = fieller(upward, -tangential, turn @ covariance @ turn.T, level)
     if np.isfinite(low):
-        # Errors have two directions to make a length of nothing: along the measured one alone 0 would be missed thrice
-        # as often as stated.
+        # Errors in two directions make a zero vector look long. Along the measured direction alone, the interval would
+        # miss 0 three times as often as stated.
         squared = float(impulse[:2] @ np.linalg.pinv(covariance[:2, :2], hermitian=True) @ impulse[:2])
         low = 0.0 if squared <= chi2.ppf(level, 2) else max(0.0, low)
     return tangential / upward, low, high
@@ -172,11 +193,13 @@ def _impulse_ratio(impulse: Array, covariance: Array, level: float) -> tuple[flo
 def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95) -> tuple[float, float, float] | None:
     """One χ for several bounces, with its interval; None where no bounce has a bounded interval of its own.
 
-    Weighted mean with a scatter between bounces beside their own errors (DerSimonian & Laird, Control. Clin. Trials 7,
-    177, 1986), its standard error by Knapp & Hartung (Stat. Med. 22, 2693, 2003) and Student's t, and never smaller
-    than the errors of the bounces themselves allow. A single bounce keeps its own interval.
+    A weighted mean with a variance between bounces beside their own errors (DerSimonian & Laird, Control. Clin. Trials
+    7, 177, 1986). Its standard error is by Knapp & Hartung (Stat. Med. 22, 2693, 2003) and Student's t, and never
+    smaller than the errors of the bounces themselves allow. A single bounce keeps its own interval.
     """
-    used = [b for b in bounces if b is not None and np.isfinite(b.chi_low) and -0.5 < b.chi < 1.5]
+    used = [
+        b for b in bounces if b is not None and np.isfinite(b.chi_low) and _PLAUSIBLE_CHI[0] < b.chi < _PLAUSIBLE_CHI[1]
+    ]
     if not used:
         return None
     if len(used) == 1:
@@ -189,16 +212,16 @@ def common_restitution(bounces: Sequence[Bounce | None], *, level: float = 0.95)
     mean = float(weight @ chi / weight.sum())
     scatter = float(weight @ (chi - mean) ** 2) / (len(used) - 1)
     sigma = np.sqrt(max(1.0, scatter) / weight.sum())
-    # One scatter from few bounces is itself uncertain; without any scatter the errors are known and normal.
-    reach = float(student.ppf(0.5 + level / 2.0, len(used) - 1) if between > 0.0 else norm.ppf(0.5 + level / 2.0))
+    # A variance estimated from few bounces is itself uncertain; without one the errors are known and normal.
+    reach = float(student.ppf(0.5 + level / 2.0, len(used) - 1)) if between > 0.0 else normal_quantile(level)
     return mean, mean - reach * sigma, mean + reach * sigma
 
 
 def _as_measured(bounce: Bounce, impact: Impact) -> Bounce:
-    """The bounce with the χ that tracking has measured (95 %), if it has."""
+    """The bounce with the χ that tracking has measured, if it has (95 %)."""
     if not np.isfinite([impact.chi, impact.chi_low, impact.chi_high]).all() or impact.chi_high <= impact.chi_low:
         return bounce
-    sigma = (impact.chi_high - impact.chi_low) / (2.0 * float(norm.ppf(0.975)))
+    sigma = (impact.chi_high - impact.chi_low) / (2.0 * normal_quantile(0.95))
     return replace(bounce, chi=impact.chi, chi_low=impact.chi_low, chi_high=impact.chi_high, chi_sigma=sigma)
 
 
@@ -208,19 +231,22 @@ def _scaled(flight: Flight, variance: float) -> Flight:
 
 
 def contact_arm(die: Die, rotation: Array, vertex: int) -> Array:
-    """From the centre to the point that touches (3,) [m], world axes, for a vertex turned to the table."""
+    """From the centre to the contact point (3,) [m], world axes, for a vertex turned to the table."""
     inset = 1.0 - die.corner_radius_m / die.solid.inradius
     return np.asarray(rotation @ die.solid.vertices[vertex] * inset - np.array([0.0, 0.0, die.corner_radius_m]))
 
 
 def normal_velocity(state: State, arm: Array) -> float:
+    """Vertical velocity [m/s] of a point at `arm` (3,) from the centre."""
     return float(state.velocity_m_s[2] + state.omega_rad_s[0] * arm[1] - state.omega_rad_s[1] * arm[0])
 
 
 def _touch_time(die: Die, before: Flight, near_s: float, vertex: int) -> float:
-    """When the flight brings the contact point to the table: Newton from the measured instant, within 2 ms of it."""
+    """When the flight brings the contact point to the table: Newton's method from the measured instant; that instant
+    where the method leads away by more than `_MAX_TOUCH_SHIFT_S`.
+    """
     t = near_s
-    for _ in range(8):
+    for _ in range(_NEWTON_STEPS):
         state = before.at(t)
         arm = contact_arm(die, state.rotation, vertex)
         u = normal_velocity(state, arm)
@@ -228,24 +254,24 @@ def _touch_time(die: Die, before: Flight, near_s: float, vertex: int) -> float:
             return near_s
         step = -(float(state.position_m[2]) + float(arm[2])) / u
         t += step
-        if abs(t - near_s) > 2e-3:
+        if abs(t - near_s) > _MAX_TOUCH_SHIFT_S:
             return near_s
-        if abs(step) < 1e-12:
+        if abs(step) < _TOUCH_TOLERANCE_S:
             break
     return t
 
 
 def _impact_numbers(die: Die, before: Flight, after: Flight, time_s: float, vertex: int) -> Array:
-    """(9,): u, u', the five numbers that a smooth impact sets to zero, the rise of v_z, and the energy lost [J].
+    """(9,): u, u', the five numbers that a smooth impact sets to zero, the change of v_z, and the energy lost [J].
 
-    The instant shifts to where the (varied) flight before touches; one Newton step is exact to the first order.
+    The instant shifts to where the (varied) flight before touches; one Newton step is exact to first order.
     """
     state = before.at(time_s)
     arm = contact_arm(die, state.rotation, vertex)
     state = before.at(time_s - (float(state.position_m[2]) + float(arm[2])) / normal_velocity(state, arm))
     arm = contact_arm(die, state.rotation, vertex)
     later = after.at(state.time_s)
-    # Either orientation is an estimate of the same: each velocity is taken with the arm of its own flight.
+    # Either orientation is an estimate of the same one: each velocity is taken with the arm of its own flight.
     arm_after = contact_arm(die, matrix_from_quat(later.quaternion), vertex)
     dv, dw = later.velocity_m_s - state.velocity_m_s, later.omega_rad_s - state.omega_rad_s
     lever = die.mass_kg / die.inertia_kg_m2 * float(dv[2])
@@ -272,9 +298,8 @@ def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: 
     at_touch = [_carried(flight, time_s) for flight in (before, after)]
     for which, flight in enumerate(at_touch):
         assert flight.covariance is not None
-        steps = np.repeat([1e-7, 1e-6, 1e-4, 1e-2], 3)
         gradient = np.empty((9, 12))
-        for k, step in enumerate(steps):
+        for k, step in enumerate(_STEPS):
             change = np.zeros(12)
             change[k] = step
             ends = []
@@ -288,7 +313,7 @@ def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: 
 
 
 def _carried(flight: Flight, time_s: float) -> Flight:
-    """The same flight with its state and covariance at another instant, so that small steps there stay small."""
+    """The same flight with state and covariance at another instant, so that small steps there stay small."""
     assert flight.covariance is not None
     poses = flight_jacobian(flight.start, np.array([time_s]))[0]
     carry = np.eye(12)

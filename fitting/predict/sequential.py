@@ -1,7 +1,7 @@
-"""What is known of a throw while it goes on: χ and the odds of the faces from the frames up to each bounce.
+"""Sequential estimates of a throw: χ and the face odds from the frames up to each bounce.
 
-The effects are those of the whole fit, and its values are where the search begins; a parameter that the frames so far do
-not tell keeps an interval as wide as what its law allows. Each estimate lengthens the shot before it by one flight.
+The effects are those of the whole fit, and its values start the search. A parameter on which the frames so far have no
+information keeps an interval as wide as its law allows. Each estimate extends the trajectory before it by one flight.
 """
 
 from __future__ import annotations
@@ -9,21 +9,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
 
 from ...model.die import Die
 from ...model.laws import LEVEL, Table
 from ...model.throw import Throw
 from ...tracking.track import Track
-from ..estimation import sight
-from ..free import FreeFlights, fit_flights
+from ..estimation import normal_quantile, observations_of
+from ..free import fit_flights
 from ..results import Fit, Parameter
-from ..throw import LEVEL_OF_INTERVALS, Physics, Shot, landing_odds, opening, through_the_bounces
+from ..throw import INTERVAL_LEVEL, Physics, Trajectory, extend_through_bounces, first_flight_trajectory, landing_odds
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What the frames up to the end of one flight say; what they do not is None."""
+    """What the frames up to the end of one flight determine; None for the rest."""
 
     bounces: int
     """How many of the measured bounces lie before that flight."""
@@ -34,22 +33,24 @@ class Estimate:
     """Share of the throws drawn from these frames that land on each face."""
 
 
-def estimates(track: Track, measured: Throw, die: Die, fit: Fit, table: Table = LEVEL) -> tuple[Estimate, ...]:
-    """One for each bounce that the fit explains and that frames follow, in the order of time; the last is the fit's own.
+def sequential_estimates(
+    track: Track, measured: Throw, die: Die, fit: Fit, table: Table = LEVEL
+) -> tuple[Estimate, ...]:
+    """One estimate for each bounce that the fit explains and that frames follow, in order of time; the last is the fit's own.
 
-    `track` and `measured` are those that `fit` was made from. Flights too short to be fitted add nothing.
+    `track` and `measured` are those that `fit` was made from. Flights too short for a fit are skipped.
     """
     if not fit.bounces_fitted:
         return ()
-    free = fit_flights(sight(track, measured), measured)
+    free = fit_flights(observations_of(track, measured), measured)
     first = next(k for k, flight in enumerate(free.flights) if flight is not None)
     reached = first + fit.bounces_fitted
-    beam, found = [opening(free, first, physics_of_fit(fit, die, table))], []
+    beam, found = [first_flight_trajectory(free, first, physics_of_fit(fit, die, table))], []
     for last in range(first + 1, reached):
         shorter = Throw(measured.flights[: last + 1], measured.impacts[:last])
-        beam = through_the_bounces(beam, shorter, free)
+        beam = extend_through_bounces(beam, shorter, free)
         if beam[0].reached == last:
-            found.append(_estimate(beam[0], measured, free))
+            found.append(_estimate(beam[0], measured))
     odds = {fit.landed_face: 1.0} if fit.landed_face is not None else fit.face_odds
     return (*found, Estimate(reached, measured.impacts[reached - 1].time_s, fit.parameters["chi"], odds))
 
@@ -61,12 +62,12 @@ def physics_of_fit(fit: Fit, die: Die, table: Table = LEVEL) -> Physics:
     return Physics(die, table, {"chi": 0.5}, held, fit.restitution).with_values(**values)
 
 
-def _estimate(shot: Shot, measured: Throw, free: FreeFlights) -> Estimate:
-    variance, tau = shot.inflation
-    covariance = shot.covariance * variance * tau
-    chi = shot.physics.values["chi"]
-    reach = float(norm.ppf(0.5 + 0.5 * LEVEL_OF_INTERVALS)) * float(np.sqrt(covariance[12, 12]))
-    low, high = np.clip([chi - reach, chi + reach], *shot.physics.bounds("chi"))
-    parameter = Parameter(chi, float(low), float(high), LEVEL_OF_INTERVALS, True, False)
-    _, odds, _ = landing_odds(shot.physics, shot.state, covariance, shot.vertices)
-    return Estimate(shot.reached, measured.impacts[shot.reached - 1].time_s, parameter, odds)
+def _estimate(trajectory: Trajectory, measured: Throw) -> Estimate:
+    """The estimate from one trajectory, with a symmetric interval of χ."""
+    covariance = trajectory.inflated_covariance
+    chi = trajectory.physics.values["chi"]
+    half_width = normal_quantile(INTERVAL_LEVEL) * float(np.sqrt(covariance[12, 12]))
+    low, high = np.clip([chi - half_width, chi + half_width], *trajectory.physics.bounds("chi"))
+    parameter = Parameter(chi, float(low), float(high), INTERVAL_LEVEL, True, False)
+    _, odds, _ = landing_odds(trajectory.physics, trajectory.state, covariance, trajectory.vertices)
+    return Estimate(trajectory.reached, measured.impacts[trajectory.reached - 1].time_s, parameter, odds)

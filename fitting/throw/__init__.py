@@ -1,17 +1,22 @@
-"""fitting.throw."""
+"""One throw against the model: χ, the initial conditions and the effects that the throw shows.
+
+`fit_throw` is the fit. It extends a trajectory bounce by bounce (`extension`) by single shooting (`shooting`), adds
+effects that the evidence supports (`effects`), and simulates onward to the landing (`landing`). `Physics` is the die,
+the table and the parameters of the laws in use, which predictions and joint fits share.
+"""
 
 from .clock_and_scale import in_true_units as in_true_units
-from .extension import through_the_bounces as through_the_bounces
+from .extension import extend_through_bounces as extend_through_bounces
 from .landing import landing_odds as landing_odds
 from .landing import resting_face as resting_face
-from .physics import LEAST_OF_CALIBRATION as LEAST_OF_CALIBRATION
-from .physics import LOAD as LOAD
-from .physics import QUICK as QUICK
+from .physics import CALIBRATION_LIMITS as CALIBRATION_LIMITS
+from .physics import CENTRE_OF_MASS as CENTRE_OF_MASS
+from .physics import COARSE as COARSE
 from .physics import Physics as Physics
 from .physics import kernel_body as kernel_body
-from .shooting import Shot as Shot
-from .shooting import opening as opening
+from .shooting import Trajectory as Trajectory
+from .shooting import first_flight_trajectory as first_flight_trajectory
+from .throw_fit import INTERVAL_LEVEL as INTERVAL_LEVEL
 from .throw_fit import INTERVAL_METHODS as INTERVAL_METHODS
-from .throw_fit import LEVEL_OF_INTERVALS as LEVEL_OF_INTERVALS
 from .throw_fit import IntervalMethod as IntervalMethod
 from .throw_fit import fit_throw as fit_throw

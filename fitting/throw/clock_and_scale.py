@@ -1,7 +1,7 @@
-"""A clock or a length scale that the track has wrong: from the track's units to true ones, and back.
+"""Clock and length scales of a track: conversion from the track's units to true ones, and back.
 
-A second of the track is `clock_scale` true seconds, a true metre `length_scale` metres of the track. The model lives on
-the true clock, in true metres; what is drawn beside the track, or compared with it, is given back as the track has it.
+A second of the track is `clock_scale` true seconds; a true metre is `length_scale` metres of the track. The model is on
+the true clock and in true metres. What is drawn beside the track, or compared with it, is converted back.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 def in_true_units(physics: Physics, state: State) -> State:
-    """A state on the track's clock and in its metres, by the scales of the physics."""
+    """A state on the track's clock and in its metres, converted by the scales of the physics."""
     clock, length = physics.clock, physics.length
     return State(
         clock * state.time_s,
@@ -30,7 +30,7 @@ def in_true_units(physics: Physics, state: State) -> State:
 
 
 def as_tracked(physics: Physics, throw: Throw) -> Throw:
-    """The throw on the track's clock and in its metres; itself where no scale is fitted."""
+    """The throw on the track's clock and in its metres; unchanged where no scale is fitted."""
     clock, length = physics.clock, physics.length
     if clock == 1.0 and length == 1.0:
         return throw
@@ -40,7 +40,7 @@ def as_tracked(physics: Physics, throw: Throw) -> Throw:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ScaledFlight(Flight):
-    """A flight as another clock and another metre have it; gravity is then another, too."""
+    """A flight on another clock and in other metres, where gravity differs too."""
 
     true: Flight
     clock: float
@@ -72,7 +72,7 @@ def _tracked_state(state: State, clock: float, length: float) -> State:
 
 
 def _scaled_impact(impact: Impact, clock: float, length: float) -> Impact:
-    """Impulses and energies stay as they are: they are the model's, in true units."""
+    """Impulses and energies stay as they are: those of the model, in true units."""
     return replace(
         impact,
         time_s=impact.time_s / clock,

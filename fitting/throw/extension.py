@@ -1,17 +1,19 @@
-"""A shot, lengthened bounce by bounce as long as the model explains what comes.
+"""Extension bounce by bounce: a trajectory is continued as long as the model explains the next flight.
 
-The motion is chaotic, an error growing about twenty-fold a bounce; so the window grows bounce by bounce, and into each
-new flight by few frames first, so that the state is always known well enough for the next step to be nearly linear.
-The measured vertex is tried first; where that is unknown, not explained, or followed by too few frames to tell, the
-sequences that throws drawn from the fit make by themselves are tried as well, and the best few are kept until later
-frames decide.
+The motion is chaotic: an error grows about twenty-fold at a bounce. The fitted frames therefore grow bounce by bounce,
+and within a new flight from few frames to all, so that each fit starts where the problem is nearly linear.
 
-Nor does it go on where rounding, grown from bounce to bounce, begins to be felt (`MOST_ROUNDING`): after some ten bounces
-no double can name the start that makes the throw, while its parameters are long known better than any table is even.
+The measured vertex is tried first. If it is unknown, fails, or is followed by too few frames to distinguish vertices, the
+sequences that throws drawn from the fit make by themselves are tried too. The best few trajectories are kept until later
+frames decide (beam search).
 
-The fit ends at the first bounce that the model cannot explain: where the frames lie more than `MISFIT` times as far
-from every such throw as they scatter about free flights. A wrong vertex or a law that does not hold misses by tens;
-errors that tracking repeats from frame to frame, which a flight can absorb and a throw cannot, stay below.
+The extension ends
+
+- where rounding, grown from bounce to bounce, becomes visible (`MAX_ROUNDING`). After some ten bounces no double can name
+  the initial state of the throw, while its parameters are long known better than any table is even.
+- at the first bounce that the model cannot explain: the frames lie more than `MISFIT` times as far from every trajectory
+  as they scatter about free flights. A wrong vertex or a wrong law misses by tens. Errors that tracking repeats from frame
+  to frame, which a flight absorbs and a throw does not, stay below.
 """
 
 from __future__ import annotations
@@ -22,151 +24,208 @@ import numpy as np
 
 from ...model.laws import Restitution
 from ...model.throw import Throw
-from ..estimation import CLEAN_FRAME, ENOUGH, NEARLY
-from ..free import FEWEST_FRAMES, FreeFlights
-from .contact_sequences import candidates, measured_sequence, own_sequence, simulated_sequences
+from ..estimation import COARSE_TOLERANCE, COST_TOLERANCE
+from ..free import MIN_FRAMES, FreeFlights
+from .contact_sequences import Vertices, candidates, measured_sequence, own_sequence, simulated_sequences
 from .physics import EFFECTS, RESTITUTIONS, Physics
-from .shooting import Shot, clear_of_impacts, linear, mean_squares, shoot, with_physics
+from .shooting import (
+    Trajectory,
+    clear_of_impacts,
+    fit_trajectory,
+    linearised,
+    mean_squares,
+    refitted,
+    refitted_with,
+    with_physics,
+)
 
 MISFIT = 2.5
-"""Largest ratio of the residuals of a throw to those of free flights at which the throw still counts as explained."""
+"""Largest ratio of the residuals of a trajectory to those of free flights at which it still explains the frames."""
 
-MOST_ROUNDING = 1e-5
-"""Sigmas by which rounding of the start may move frames where another bounce is still taken in: it grows up to a hundredfold
-at each, and from 1e-3 on descents end where they stumble, not where the cost is least."""
-
-_TELLING = 8
-"""Frames of a flight that tell one vertex from another; with fewer, rival sequences are carried along."""
+_GOOD_MISFIT = 1.5
+"""The same ratio below which no other explanation of a flight is looked for."""
 
 _HOPELESS = 20.0
-"""Times the allowed mean square at which a sequence is given up before all frames of a flight are in."""
+"""Times the allowed mean square at which a sequence is dropped before all frames of a flight are fitted."""
 
-_SAME = 0.01
-"""Difference of a coefficient below which two starts are one."""
+_EXCUSED_VARIANCE = 4.0
+"""Most by which a flight's own variance may exceed that of all flights and still excuse residuals: a blurred flight scatters
+more than the others, one that hides a bounce far more."""
 
-CLEARLY = 10.0
-"""Fall of the cost, in units of a residual's variance, at which a kind of restitution is taken for a preferred one: a
-likelihood 150 times as large."""
+MAX_ROUNDING = 1e-5
+"""Shift of the frames [sigma] by rounding of the initial state up to which another bounce is added. It grows up to a
+hundredfold at each, and beyond 1e-3 descents end at random places, not at the least cost."""
+
+_SUFFICIENT_FRAMES = 8
+"""Frames of a flight that distinguish one vertex from another; with fewer, competing sequences are kept."""
+
+_WINDOW_FRAMES = (4, 12, 40)
+"""Frames of a new flight in its first fits; the last fit takes all."""
+
+_BEAM_WIDTH = 3
+"""Trajectories kept: more sequences than that have not been seen to explain the same frames."""
+
+_ATTEMPTED_SEQUENCES = 2
+"""Simulated sequences through which the best attempt at an unexplained flight is looked for."""
+
+_SAME_VALUE = 0.01
+"""Difference of a coefficient below which two starts are the same."""
 
 _USUAL_FRICTION = 0.3
+"""Friction coefficient of usual scenes, reported where the frames allow any larger one."""
 
-_WELL = 1.5
-"""The same ratio below which no other way to explain a flight is looked for."""
+_NEGLIGIBLE_RESIDUAL = 1e-6
+"""Difference of all residuals [sigma] below which two definitions of restitution are the same: no slip stops or turns within
+an impact."""
 
-_ALIKE = 1e-6
-"""Sigmas by which no residual differs between kinds of restitution where no slip stops or turns within an impact."""
-
-_BEAM = 3
-
-_WINDOWS = (4, 12, 40)
-"""Frames of a new flight in the first fits of it; the last takes all."""
+CLEAR_DIFFERENCE = 10.0
+"""Fall of the cost, in units of a residual's variance, for which a preferred definition of restitution is given up: a
+likelihood 150 times as large."""
 
 
-def through_the_bounces(beam: list[Shot], measured: Throw, free: FreeFlights) -> list[Shot]:
-    """Lengthen shots flight by flight while the model explains them: the best shots, the best first."""
+def extend_through_bounces(beam: list[Trajectory], measured: Throw, free: FreeFlights) -> list[Trajectory]:
+    """Extend trajectories flight by flight while the model explains them. Returns the best trajectories, best first."""
     for target in range(beam[0].reached + 1, len(measured.flights)):
         if at_its_limit(beam[0]):
             break
-        few = free.sightings.count(target)
-        longer: list[Shot] = []
-        if few >= FEWEST_FRAMES:
-            longer = _lengthened(beam, target, measured, free) or _by_another_way(beam[0], target, measured, free)
+        frames = free.observations.count(target)
+        longer: list[Trajectory] = []
+        if frames >= MIN_FRAMES:
+            longer = _extended(beam, target, measured, free) or _extended_from_variants(beam[0], target, measured, free)
         if longer:
             beam = longer
-        elif few >= _TELLING:
+        elif frames >= _SUFFICIENT_FRAMES:
             break
-        # A short flight may belong to a contact that was not resolved: pass over its frames and try the next.
+        # A short flight may belong to an unresolved contact: its frames are skipped, and the next flight is tried.
     return beam
 
 
 def can_go_on(free: FreeFlights, reached: int) -> bool:
-    """Whether any flight after this one has frames enough to be fitted."""
+    """Whether any later flight has enough frames for a fit."""
     return next_flight(free, reached) is not None
 
 
 def next_flight(free: FreeFlights, reached: int) -> int | None:
-    """The next flight with frames enough to be fitted."""
+    """The next flight with enough frames for a fit."""
     later = range(reached + 1, len(free.flights))
-    return next((k for k in later if free.sightings.count(k) >= FEWEST_FRAMES), None)
+    return next((k for k in later if free.observations.count(k) >= MIN_FRAMES), None)
 
 
-def at_its_limit(shot: Shot) -> bool:
-    """Whether one more bounce is more than doubles can carry."""
-    return shot.rounding > MOST_ROUNDING
+def at_its_limit(trajectory: Trajectory) -> bool:
+    """Whether double precision cannot carry the fit through another bounce."""
+    return trajectory.rounding > MAX_ROUNDING
 
 
-def best_attempt(shot: Shot, measured: Throw, free: FreeFlights) -> Shot | None:
-    """The shot nearest to the frames up to the next flight that has any, explained or not."""
-    target = next_flight(free, shot.reached)
+def best_attempt(trajectory: Trajectory, measured: Throw, free: FreeFlights) -> Trajectory | None:
+    """The trajectory nearest to the frames up to the next flight that has any, explained or not."""
+    target = next_flight(free, trajectory.reached)
     while target is not None:
-        impacts = measured.impacts[shot.reached : target]
-        sequences = dict.fromkeys([*measured_sequence(impacts), *simulated_sequences(shot, target, free)[:2]])
-        tried = [reach(shot, sequence, target, free, patient=True) for sequence in sequences]
+        impacts = measured.impacts[trajectory.reached : target]
+        simulated = simulated_sequences(trajectory, target, free)[:_ATTEMPTED_SEQUENCES]
+        sequences = dict.fromkeys([*measured_sequence(impacts), *simulated])
+        tried = [extend(trajectory, sequence, target, free, exhaustive=True) for sequence in sequences]
         reached = [other for other in tried if other is not None]
         if reached:
-            return min(reached, key=lambda s: s.mean_square)
-        if free.sightings.count(target) >= _TELLING:
+            return min(reached, key=lambda other: other.mean_square)
+        if free.observations.count(target) >= _SUFFICIENT_FRAMES:
             return None
-        target = next_flight(free, target)  # a few frames between two impacts may all turn out to touch one
+        target = next_flight(free, target)  # a few frames between two impacts may all be too close to one
     return None
 
 
-def loss_scale(free: FreeFlights) -> float:
-    """k² of the robust loss: a bad frame is one that is bad beside what frames really scatter."""
-    return CLEAN_FRAME * max(1.0, free.variance)
-
-
-def is_explained(shot: Shot, free: FreeFlights, misfit: float = MISFIT) -> bool:
-    """Whether no flight lies farther from the throw than `misfit` times what free flights leave."""
-    for k, mean_square in mean_squares(shot).items():
+def is_explained(trajectory: Trajectory, free: FreeFlights, misfit: float = MISFIT) -> bool:
+    """Whether no flight lies farther from the trajectory than `misfit` times what free flights leave."""
+    for k, mean_square in mean_squares(trajectory).items():
         alone = free.flights[k]
         allowed = max(1.0, free.variance)
-        if alone is not None and alone.frames > FEWEST_FRAMES:
-            # A blurred flight scatters more than the others; one that hides a bounce far more, which excuses nothing.
-            allowed = float(np.clip(alone.variance, allowed, 4.0 * allowed))
+        if alone is not None and alone.frames > MIN_FRAMES:
+            allowed = float(np.clip(alone.variance, allowed, _EXCUSED_VARIANCE * allowed))
         if mean_square > misfit**2 * allowed:
             return False
     return True
 
 
-def keeps_its_sequence(shot: Shot) -> bool:
-    """Whether the fitted throw, left to itself, touches with the vertices that were prescribed."""
-    return own_sequence(shot.physics, shot.state, float(shot.sightings.time_s[-1])) == shot.vertices
+def well_explained(trajectory: Trajectory, free: FreeFlights) -> bool:
+    """Whether no other values or definitions of restitution need be tried for what the trajectory explains."""
+    return is_explained(trajectory, free, _GOOD_MISFIT)
 
 
-def well_explained(shot: Shot, free: FreeFlights) -> bool:
-    """Whether no other values or kinds need be tried for what the shot explains."""
-    return is_explained(shot, free, _WELL)
+def keeps_its_sequence(trajectory: Trajectory) -> bool:
+    """Whether the fitted throw, simulated without prescription, touches with the prescribed vertices."""
+    end_s = float(trajectory.observations.time_s[-1])
+    return own_sequence(trajectory.physics, trajectory.state, end_s) == trajectory.vertices
 
 
-def starts_with(effect: str, physics: Physics, free: FreeFlights, before: int, after: int) -> list[Physics]:
-    """The physics with some of one effect, from where fits of the flights `before` and `after` a bounce find their way:
-    first as much as these two show."""
-    some = physics.with_some_of(effect)
-    if effect == "friction" and (ratio := _slip_ratio(free, before, after)) is not None:
-        return [physics.with_effect(effect).with_values(mu=ratio), *some]
-    return some
+def extend(
+    trajectory: Trajectory, sequence: Vertices, target: int, free: FreeFlights, *, exhaustive: bool = False
+) -> Trajectory | None:
+    """The trajectory extended through more impacts to the end of flight `target`; None if one of them never happens.
+
+    Also None, unless `exhaustive`, as soon as the fit is hopelessly far from the frames.
+    """
+    vertices = trajectory.vertices + sequence
+    new = np.flatnonzero(free.observations.flight == target)
+    old = np.flatnonzero(np.isin(free.observations.flight, np.unique(trajectory.observations.flight)))
+    k2 = free.huber_threshold
+    for count in [*(n for n in _WINDOW_FRAMES if n < len(new)), len(new)]:
+        # Few frames have little information on the parameters, so the scales of the step before stand in for it.
+        window = free.observations.where(np.concatenate([old, new[:count]]))
+        tolerance = COARSE_TOLERANCE if count < len(new) else COST_TOLERANCE
+        trajectory = fit_trajectory(window, trajectory, vertices, k2, tolerance=tolerance)
+        worst = max(mean_squares(trajectory).values())
+        if not exhaustive and worst > _HOPELESS * MISFIT**2 * max(1.0, free.variance):
+            return None
+    clear = clear_of_impacts(trajectory)
+    if not clear.all():
+        trajectory = fit_trajectory(trajectory.observations.where(clear), trajectory, vertices, k2)
+    happened = len(trajectory.propagation.impact_times_s) == len(vertices)
+    followed = trajectory.observations.count(target) >= MIN_FRAMES
+    return replace(trajectory, reached=target) if happened and followed else None
 
 
-def _slip_ratio(free: FreeFlights, before: int, after: int) -> float | None:
-    """Tangential over normal impulse between two flights: where a contact slides throughout, μ. None where it is none."""
-    pair = free.flights[before], free.flights[after]
-    if pair[0] is None or pair[1] is None:
-        return None
-    instant = pair[1].flight.start.time_s
-    change = pair[1].flight.start.velocity_m_s - pair[0].flight.at(instant).velocity_m_s
-    return float(np.hypot(change[0], change[1]) / change[2]) if change[2] > 0.0 else None
+def _extended(
+    beam: list[Trajectory], target: int, measured: Throw, free: FreeFlights, *, likeliest: bool = False
+) -> list[Trajectory]:
+    """The trajectories that explain the frames up to flight `target` too, best first; none if no sequence does.
+
+    With `likeliest`, only through the measured vertices where they are known.
+    """
+    found: list[Trajectory] = []
+    sufficient = free.observations.count(target) >= _SUFFICIENT_FRAMES
+    for trajectory in beam:
+        tried: set[Vertices] = set()
+        for group in candidates(trajectory, measured.impacts[trajectory.reached : target], target, free):
+            for sequence in group:
+                if sequence not in tried:
+                    tried.add(sequence)
+                    longer = extend(trajectory, sequence, target, free)
+                    if longer is not None and is_explained(longer, free):
+                        found.append(longer)
+            if (sufficient and any(keeps_its_sequence(longer) for longer in found)) or (likeliest and group):
+                break
+    return _best_of(found)
 
 
-def _by_another_way(shot: Shot, target: int, measured: Throw, free: FreeFlights) -> list[Shot]:
-    """The shots that explain the frames up to flight `target` from other values of what earlier frames have left open,
-    such as friction at a contact that stuck, or with another kind of restitution, which all mean the same until a slip
-    stops; none if there is no such way."""
-    others = _variants(shot, target, free)
+def _best_of(found: list[Trajectory]) -> list[Trajectory]:
+    """The best trajectory of each sequence, a few of them; those that keep their sequence without prescription come first."""
+    ranked = sorted(found, key=lambda one: (not keeps_its_sequence(one), one.mean_square), reverse=True)
+    distinct = {trajectory.vertices: trajectory for trajectory in ranked}
+    return list(reversed(distinct.values()))[:_BEAM_WIDTH]
+
+
+def _extended_from_variants(
+    trajectory: Trajectory, target: int, measured: Throw, free: FreeFlights
+) -> list[Trajectory]:
+    """The trajectories that explain the frames up to flight `target` from a variant of this one; none if no variant does.
+
+    Earlier frames leave some values open, such as friction at a contact that stuck, and do not distinguish definitions of
+    restitution before a slip stops.
+    """
+    variants = _variants(trajectory, target, free)
     for likeliest in (True, False):
-        found: list[Shot] = []
-        for other in others:
-            longer = _lengthened([other], target, measured, free, likeliest=likeliest)
+        found: list[Trajectory] = []
+        for variant in variants:
+            longer = _extended([variant], target, measured, free, likeliest=likeliest)
             if longer and well_explained(longer[0], free):
                 return longer
             found += longer
@@ -175,134 +234,96 @@ def _by_another_way(shot: Shot, target: int, measured: Throw, free: FreeFlights)
     return []
 
 
-def _variants(shot: Shot, target: int, free: FreeFlights) -> list[Shot]:
-    """The shot with other kinds of restitution, with other values that explain its own frames, and with both."""
-    kinds = [replace(shot, physics=kind) for kind in shot.physics.with_other_restitutions()]
-    others: list[Shot] = []
-    for effect in shot.physics.effects:
-        for physics in starts_with(effect, shot.physics, free, shot.reached, target):
-            other = _settled_with(effect, physics, shot, free)
-            if is_explained(other, free) and not any(_agree(other, known) for known in (shot, *others)):
+def _variants(trajectory: Trajectory, target: int, free: FreeFlights) -> list[Trajectory]:
+    """The trajectory with other definitions of restitution, with other values that explain its frames, and with both."""
+    redefined = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
+    others: list[Trajectory] = []
+    for effect in trajectory.physics.effects:
+        for physics in starts_with(effect, trajectory.physics, free, trajectory.reached, target):
+            other = _refitted_from(effect, physics, trajectory, free)
+            if is_explained(other, free) and not any(_same_parameters(other, known) for known in (trajectory, *others)):
                 others.append(other)
     both = [replace(other, physics=kind) for other in others for kind in other.physics.with_other_restitutions()]
-    return [*kinds, *others, *both]
+    return [*redefined, *others, *both]
 
 
-def _settled_with(effect: str, physics: Physics, shot: Shot, free: FreeFlights) -> Shot:
-    """The shot with an effect as it is in `physics`, and all else fitted to that.
+def starts_with(effect: str, physics: Physics, free: FreeFlights, before: int, after: int) -> list[Physics]:
+    """The physics with one effect at values from which fits converge: first the value that the flights `before` and
+    `after` a bounce show, then typical ones."""
+    typical = physics.with_typical_values(effect)
+    if effect == "friction" and (ratio := _slip_ratio(free, before, after)) is not None:
+        return [physics.with_effect(effect).with_values(mu=ratio), *typical]
+    return typical
 
-    With all of it free from the beginning, a descent may stop at the bend where a slip just stops within an impact.
+
+def _slip_ratio(free: FreeFlights, before: int, after: int) -> float | None:
+    """Tangential over normal impulse between two flights, which is μ where a contact slides throughout; None without one."""
+    one, other = free.flights[before], free.flights[after]
+    if one is None or other is None:
+        return None
+    instant = other.flight.start.time_s
+    change = other.flight.start.velocity_m_s - one.flight.at(instant).velocity_m_s
+    return float(np.hypot(change[0], change[1]) / change[2]) if change[2] > 0.0 else None
+
+
+def _refitted_from(effect: str, physics: Physics, trajectory: Trajectory, free: FreeFlights) -> Trajectory:
+    """The trajectory with an effect held as it is in `physics`, and everything else fitted to that.
+
+    With everything free from the start, a descent may stop at the bend where a slip just stops within an impact.
     """
-    k2, held = loss_scale(free), physics.held | set(EFFECTS[effect])
-    settled = shoot(
-        shot.sightings, with_physics(shot, replace(physics, held=held), k2), shot.vertices, k2, enough=NEARLY
-    )
-    return with_physics(settled, replace(settled.physics, held=physics.held), k2)
+    k2, held = free.huber_threshold, physics.held | set(EFFECTS[effect])
+    fitted = refitted_with(trajectory, replace(physics, held=held), k2, tolerance=COARSE_TOLERANCE)
+    return with_physics(fitted, replace(fitted.physics, held=physics.held), k2)
 
 
-def _agree(one: Shot, other: Shot) -> bool:
-    """Whether two shots have the same parameters, within what a fit that is only to lead on tells."""
-    return all(abs(value - other.physics.values[name]) < _SAME for name, value in one.physics.values.items())
+def _same_parameters(one: Trajectory, other: Trajectory) -> bool:
+    """Whether two trajectories have the same parameters, within the accuracy of a preliminary fit."""
+    return all(abs(value - other.physics.values[name]) < _SAME_VALUE for name, value in one.physics.values.items())
 
 
-def ways_of_friction(shot: Shot, free: FreeFlights) -> list[Shot]:
-    """The shot as friction is best told by its frames, then others of the same kind that agree with them as well.
+def friction_alternatives(trajectory: Trajectory, free: FreeFlights) -> list[Trajectory]:
+    """The trajectory with the friction that its frames support best, then others that agree with them as well.
 
-    Where no slip stops within an impact there is one way alone. Where one does, more friction may do as well, the least
-    cost may lie behind a bend that a descent does not pass, and kinds of restitution differ: of these the first, in the
-    order of preference, that no other clearly beats.
+    Where no slip stops within an impact there is one alternative. Where one does, more friction may fit equally well, the
+    least cost may lie behind a bend that a descent does not pass, and the definitions of restitution differ. The first
+    definition, in the order of `RESTITUTIONS`, is taken that no other clearly beats.
     """
-    if all(_is_alike(replace(shot, physics=kind), shot) for kind in shot.physics.with_other_restitutions()):
-        return [shot]
-    k2 = loss_scale(free)
-    ways = {kind: [_of_kind(kind, shot, k2)] for kind in RESTITUTIONS}
+    kinds = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
+    if all(_same_residuals(kind, trajectory) for kind in kinds):
+        return [trajectory]
+    k2 = free.huber_threshold
+    found = {kind: [_with_restitution(kind, trajectory, k2)] for kind in RESTITUTIONS}
     for kind in RESTITUTIONS:
-        # From elsewhere only where it may change the choice.
-        ways[kind] += _elsewhere(kind, shot, free)
-        best = min((way for found in ways.values() for way in found), key=lambda way: way.cost(k2))
-        enough = best.cost(k2) + CLEARLY * max(1.0, best.mean_square)
-        preferred = ways[kind]
-        if min(way.cost(k2) for way in preferred) <= enough:
+        # Other starts only for the definitions that may still be chosen.
+        found[kind] += _from_other_friction(kind, trajectory, free)
+        best = min((one for fits in found.values() for one in fits), key=lambda one: one.cost(k2))
+        allowed = best.cost(k2) + CLEAR_DIFFERENCE * max(1.0, best.mean_square)
+        preferred = found[kind]
+        if min(one.cost(k2) for one in preferred) <= allowed:
             break
-    # Where any friction beyond some does as well, the value given is one that scenes have.
-    least = min(way.cost(k2) for way in preferred)
-    usual = {id(way): abs(np.log(max(way.physics.values["mu"], _SAME) / _USUAL_FRICTION)) for way in preferred}
-    ranked = sorted(preferred, key=lambda way: (way.cost(k2) > least + NEARLY, usual[id(way)]))
-    return [way for way in ranked if way.cost(k2) <= enough]
+    # Where any friction above a limit fits equally well, the value nearest to that of usual scenes is reported.
+    least = min(one.cost(k2) for one in preferred)
+    unusual = {id(one): abs(np.log(max(one.physics.values["mu"], _SAME_VALUE) / _USUAL_FRICTION)) for one in preferred}
+    ranked = sorted(preferred, key=lambda one: (one.cost(k2) > least + COARSE_TOLERANCE, unusual[id(one)]))
+    return [one for one in ranked if one.cost(k2) <= allowed]
 
 
-def _of_kind(kind: Restitution, shot: Shot, k2: float) -> Shot:
-    """The shot with one kind of restitution, from its own values."""
-    if kind == shot.physics.restitution:
-        return shot
-    physics = replace(shot.physics, restitution=kind)
-    return shoot(shot.sightings, with_physics(shot, physics, k2), shot.vertices, k2)
+def _with_restitution(kind: Restitution, trajectory: Trajectory, k2: float) -> Trajectory:
+    """The trajectory with one definition of restitution, fitted from its own values."""
+    if kind == trajectory.physics.restitution:
+        return trajectory
+    return refitted_with(trajectory, replace(trajectory.physics, restitution=kind), k2)
 
 
-def _elsewhere(kind: Restitution, shot: Shot, free: FreeFlights) -> list[Shot]:
-    """The shot with one kind of restitution, from little and from much friction."""
-    some = replace(shot.physics, restitution=kind).with_some_of("friction")
-    starts = [_settled_with("friction", physics, shot, free) for physics in some]
-    return [shoot(shot.sightings, start, shot.vertices, loss_scale(free)) for start in starts]
+def _from_other_friction(kind: Restitution, trajectory: Trajectory, free: FreeFlights) -> list[Trajectory]:
+    """The trajectory with one definition of restitution, fitted from typical values of friction, small to large."""
+    typical = replace(trajectory.physics, restitution=kind).with_typical_values("friction")
+    starts = [_refitted_from("friction", physics, trajectory, free) for physics in typical]
+    return [refitted(start, free.huber_threshold) for start in starts]
 
 
-def _is_alike(other: Shot, shot: Shot) -> bool:
-    """Whether another kind of restitution makes no difference to a shot."""
-    if other.physics.restitution == shot.physics.restitution:
+def _same_residuals(other: Trajectory, trajectory: Trajectory) -> bool:
+    """Whether another definition of restitution makes no difference to the residuals."""
+    if other.physics.restitution == trajectory.physics.restitution:
         return True
-    return bool(np.abs(linear(other)[0] - shot.residuals).max() < _ALIKE)
-
-
-def _lengthened(
-    beam: list[Shot], target: int, measured: Throw, free: FreeFlights, *, likeliest: bool = False
-) -> list[Shot]:
-    """The shots that explain the frames up to flight `target` too, best first; none if no sequence does.
-
-    With `likeliest`, through the measured vertices alone where they are known.
-    """
-    found: list[Shot] = []
-    telling = free.sightings.count(target) >= _TELLING
-    for shot in beam:
-        tried: set[tuple[int, ...]] = set()
-        for group in candidates(shot, measured.impacts[shot.reached : target], target, free):
-            for sequence in group:
-                if sequence not in tried:
-                    tried.add(sequence)
-                    longer = reach(shot, sequence, target, free)
-                    if longer is not None and is_explained(longer, free):
-                        found.append(longer)
-            if (telling and any(keeps_its_sequence(longer) for longer in found)) or (likeliest and group):
-                break
-    return _best_of(found)
-
-
-def _best_of(found: list[Shot]) -> list[Shot]:
-    """The best shot of each sequence, a few of them; throws that take their vertices by themselves come before throws
-    that have to be told."""
-    ranked = sorted(found, key=lambda shot: (not keeps_its_sequence(shot), shot.mean_square), reverse=True)
-    distinct = {shot.vertices: shot for shot in ranked}
-    return list(reversed(distinct.values()))[:_BEAM]
-
-
-def reach(
-    shot: Shot, sequence: tuple[int, ...], target: int, free: FreeFlights, *, patient: bool = False
-) -> Shot | None:
-    """The shot fitted on through more impacts to the end of flight `target`; None if one of them never happens.
-
-    Unless `patient`, None as well as soon as the fit is hopelessly far from the frames.
-    """
-    vertices = shot.vertices + sequence
-    mine = np.flatnonzero(free.sightings.flight == target)
-    old = np.flatnonzero(np.isin(free.sightings.flight, np.unique(shot.sightings.flight)))
-    k2 = loss_scale(free)
-    for count in [*(n for n in _WINDOWS if n < len(mine)), len(mine)]:
-        # Few frames say little of the parameters, so the scales of the step before stand in for them.
-        seen = free.sightings.where(np.concatenate([old, mine[:count]]))
-        shot = shoot(seen, shot, vertices, k2, enough=NEARLY if count < len(mine) else ENOUGH)
-        if not patient and max(mean_squares(shot).values()) > _HOPELESS * MISFIT**2 * max(1.0, free.variance):
-            return None
-    clear = clear_of_impacts(shot)
-    if not clear.all():
-        shot = shoot(shot.sightings.where(clear), shot, vertices, k2)
-    happened = len(shot.way.impact_times_s) == len(vertices) and shot.sightings.count(target) >= FEWEST_FRAMES
-    return replace(shot, reached=target) if happened else None
+    return bool(np.abs(linearised(other)[0] - trajectory.residuals).max() < _NEGLIGIBLE_RESIDUAL)

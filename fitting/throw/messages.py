@@ -1,4 +1,4 @@
-"""What a fit says of itself, one sentence each."""
+"""Messages of a fit, one sentence or two each: what happened, why, and what the numbers then mean."""
 
 from __future__ import annotations
 
@@ -7,91 +7,116 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..free import Bounce, FreeFlights
-from .contact_sequences import own_sequence
+from ..results import Parameter
+from .contact_sequences import Vertices, own_sequence
 from .extension import MISFIT, at_its_limit, can_go_on, keeps_its_sequence
-from .shooting import Shot
+from .shooting import Trajectory
+
+_NOTABLE_VARIANCE = 1.5
+"""Variance of the frames about free flights from which a message states it: sigmas that are a fifth too small."""
+
+_NOTABLE_INFLATION = 1.2
+"""Variance or correlation time from which a message states that sigmas were scaled up: by a tenth."""
 
 
-def frame_words(free: FreeFlights) -> list[str]:
-    """What to say of the frames before any law of impact is tried."""
-    words = []
+def frame_messages(free: FreeFlights) -> list[str]:
+    """What the free flights show of the frames, before any impact law is fitted."""
+    messages = []
     if free.noise_estimated is not None:
         count, sigma_m, sigma_rad = free.noise_estimated
-        told = (
+        consequence = (
             f"their noise was estimated from flights: {1e3 * sigma_m:.3g} mm and {np.rad2deg(sigma_rad):.3g} degrees"
             if np.isfinite(sigma_m)
             else "no flight is long enough to estimate their noise, so they were left out"
         )
-        words.append(f"{count} frames have no usable covariance; {told}.")
+        messages.append(f"{count} frames have no usable covariance; {consequence}.")
     if free.outliers:
-        words.append(f"{free.outliers} frames contradict the flight that their neighbours make, and were left out.")
-    if free.variance > 1.5:
-        words.append(
-            f"Within free flights the frames scatter {np.sqrt(free.variance):.2f} times as much as they state."
+        messages.append(f"{free.outliers} frames contradict the flight of their neighbours and were left out.")
+    if free.variance > _NOTABLE_VARIANCE:
+        messages.append(
+            f"Within free flights the frames scatter {np.sqrt(free.variance):.2f} times as much as their sigmas state."
         )
-    return words
+    return messages
 
 
-def bounce_words(shots: list[Shot], free: FreeFlights, total: int, explained: int) -> list[str]:
-    """What to say of the bounces that the fit runs through, and of the one that stopped it."""
-    words, shot = [], shots[0]
+def bounce_messages(trajectories: list[Trajectory], free: FreeFlights, total: int, explained: int) -> list[str]:
+    """The bounces that the fit explains, and why it stops."""
+    messages, best = [], trajectories[0]
     if explained < total:
-        words.append(f"The model explains {explained} of {total} bounces; {_why_no_more(shot, free, explained)}.")
-    if len(shot.vertices) != explained:
-        words.append(
-            f"The fitted throw has {len(shot.vertices)} impacts where {explained} bounces were measured: "
-            f"vertices {', '.join(map(str, shot.vertices))}."
+        messages.append(f"The model explains {explained} of {total} bounces; {_why_no_more(best, free, explained)}.")
+    if len(best.vertices) != explained:
+        messages.append(
+            f"The fitted throw has {len(best.vertices)} impacts where {explained} bounces were measured: "
+            f"vertices {_listed(best.vertices)}."
         )
-    if len(shots) > 1:
-        rivals = "; ".join(" ".join(map(str, s.vertices)) for s in shots[1:])
-        words.append(f"Other sequences of vertices agree with the frames too: {rivals}.")
-    if not keeps_its_sequence(shot):
-        by_itself = own_sequence(shot.physics, shot.state, float(shot.sightings.time_s[-1]))
-        words.append(
-            "Left to itself the fitted throw touches with other vertices than those fitted: "
-            f"{', '.join(map(str, by_itself)) or 'none'} instead of {', '.join(map(str, shot.vertices))}."
+    if len(trajectories) > 1:
+        others = "; ".join(" ".join(map(str, other.vertices)) for other in trajectories[1:])
+        messages.append(f"Other sequences of vertices agree with the frames too: {others}.")
+    if not keeps_its_sequence(best):
+        simulated = own_sequence(best.physics, best.state, float(best.observations.time_s[-1]))
+        messages.append(
+            "A simulation from the fitted initial state touches with other vertices than those fitted: "
+            f"{_listed(simulated) or 'none'} instead of {_listed(best.vertices)}."
         )
-    return words
+    return messages
 
 
-def _why_no_more(shot: Shot, free: FreeFlights, explained: int) -> str:
-    if not can_go_on(free, shot.reached):
+def _listed(vertices: Vertices) -> str:
+    return ", ".join(map(str, vertices))
+
+
+def _why_no_more(trajectory: Trajectory, free: FreeFlights, explained: int) -> str:
+    if not can_go_on(free, trajectory.reached):
         return "the flights that follow have fewer than two frames clear of impacts"
-    if at_its_limit(shot):
+    if at_its_limit(trajectory):
         return (
-            "errors of the start grow from bounce to bounce, and doubles cannot carry the fit through another "
-            f"(rounding alone already moves frames by {shot.rounding:.0e} sigma)"
+            "errors of the initial state grow from bounce to bounce, and double precision cannot carry the fit through "
+            f"another (rounding alone already moves frames by {trajectory.rounding:.0e} sigma)"
         )
     return (
-        f"after bounce {explained + 1} every throw that was tried misses the frames by more than {MISFIT:g} times "
-        "their scatter"
+        f"after bounce {explained + 1} every trajectory that was tried lies more than {MISFIT:g} times as far from the "
+        "frames as they scatter"
     )
 
 
-def inflation_words(variance: float, tau: float) -> list[str]:
-    """The sentence that says by how much sigmas and intervals were scaled up, if they were."""
-    if variance < 1.2 and tau < 1.2:
+def inflation_messages(variance: float, tau: float) -> list[str]:
+    """By how much sigmas and intervals were scaled up, if they were."""
+    if variance < _NOTABLE_INFLATION and tau < _NOTABLE_INFLATION:
         return []
     larger = f"{np.sqrt(variance):.2f} sigma (rms) and " if variance > 1.0 else ""
     why = "the frames' errors are larger than stated, or the model is not quite right; " if variance > 1.0 else ""
     return [
-        f"Residuals are {larger}alike over {tau:.1f} frames: {why}sigmas and intervals are scaled up by "
+        f"Residuals are {larger}correlated over {tau:.1f} frames: {why}sigmas and intervals are scaled up by "
         f"{np.sqrt(variance * tau):.2f}."
     ]
 
 
-def missed_words(total: int, worst_sigmas: float | None, bounces: Sequence[Bounce | None]) -> str:
-    """Why no throw runs through the first bounce."""
-    missed = (
-        "no throw reaches the next flight"
+def unexplained_message(total: int, worst_sigmas: float | None, bounces: Sequence[Bounce | None]) -> str:
+    """Why no trajectory explains the first bounce."""
+    how = (
+        "no trajectory reaches the next flight"
         if worst_sigmas is None
-        else f"the best throw misses the frames of one of the two flights by {worst_sigmas:.1f} sigma (rms)"
+        else f"the best trajectory misses the frames of one of the two flights by {worst_sigmas:.1f} sigma (rms)"
     )
-    words = (
-        f"The model explains 0 of {total} bounces; {missed}: no law that was tried describes these impacts, or the "
-        "frames' errors are far larger than they state. The start is that of the first flight alone."
+    message = (
+        f"The model explains 0 of {total} bounces; {how}: none of the laws that were tried describes these impacts, or the "
+        "frames' errors are far larger than stated. The initial state is that of the first flight alone."
     )
-    sideways = [b.smooth_sigmas for b in bounces if b is not None and np.isfinite(b.smooth_sigmas)]
-    if sideways:
-        words += f" Bounce by bounce the impulses miss those of a smooth impact by up to {max(sideways):.1f} sigma."
-    return words
+    smooth = [bounce.smooth_sigmas for bounce in bounces if bounce is not None and np.isfinite(bounce.smooth_sigmas)]
+    if smooth:
+        message += (
+            f" The impulses of single bounces differ from those of a smooth impact by up to {max(smooth):.1f} sigma."
+        )
+    return message
+
+
+def ratio_message(common: tuple[float, float, float] | None, chi: Parameter | None, count: int) -> str:
+    """What is known of χ from the ratios of normal velocities at `count` bounces, where no law explains them."""
+    if common is None:
+        return "chi cannot be determined: no bounce lies between two flights that determine its normal velocities."
+    if chi is None or chi.value is None:
+        return "chi cannot be determined: the ratios of normal velocities at the bounces contradict each other."
+    return (
+        f"chi is the ratio of normal velocities at {count} bounce{'s' if count > 1 else ''}, which needs no impact law; "
+        "its interval includes their scatter."
+    )

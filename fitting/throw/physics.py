@@ -1,13 +1,13 @@
-"""What a throw obeys: die, table, and the numbers of the laws in use, each of them free or held.
+"""The physics of a throw: die, table, and the numbers of the laws in use, each of them free or held.
 
-The plainest model is the paper's: a smooth impact with one χ. Everything else is an effect with numbers of its own, and
-an effect that is not in use has none: it costs no parameter, no time and no line in the result.
+The plainest model is the paper's: a smooth impact with one χ. Everything else is an effect with parameters of its own.
+An effect that is not in use adds no parameter, no computing time and no line in the result.
 
-| effect | parameters | off at |
+| effect | parameters | no effect at |
 | --- | --- | --- |
-| friction | `mu`, Coulomb, along the normal impulse (`model.impacts.CoulombImpact`) | 0 |
-| fading restitution | `chi_fade_s_per_m` = 1/u_s of `model.impacts.RestitutionBySpeed` | 0 |
-| fading friction | `mu_fade_s_per_m` = 1/u_s of `model.impacts.FrictionBySpeed`; joint fits alone | 0 |
+| friction | `mu`, Coulomb, along the normal impulse (`model.laws.CoulombImpact`) | 0 |
+| fading restitution | `chi_fade_s_per_m` = 1/u_s of `model.laws.RestitutionBySpeed` | 0 |
+| fading friction | `mu_fade_s_per_m` = 1/u_s of `model.laws.FrictionBySpeed`; joint fits only | 0 |
 | rounded corners | `corner_radius_m` | 0 |
 | inertia | `inertia_kg_m2` | that of the homogeneous die |
 | loaded die | `centre_of_mass_x_m`, `_y_m`, `_z_m` from the centroid, body axes; one moment of inertia about it | 0 |
@@ -38,8 +38,8 @@ from ...model.laws import (
     SmoothImpact,
     Table,
 )
-from ...model.throw import Propagation, State, Throw, ThrowResult, Until, body_of, checked_release, propagate, throw_die
-from ..free import LOAD, SHAKE
+from ...model.throw import Propagation, State, ThrowResult, Until, body_of, checked_release, propagate, throw_die
+from ..free import CENTRE_OF_MASS, TABLE_MOTION
 
 Array = NDArray[np.float64]
 
@@ -48,22 +48,24 @@ EFFECTS: dict[str, tuple[str, ...]] = {
     "fading restitution": ("chi_fade_s_per_m",),
     "rounded corners": ("corner_radius_m",),
     "inertia": ("inertia_kg_m2",),
-    "loaded die": LOAD,
+    "loaded die": CENTRE_OF_MASS,
     "tilted table": ("tilt_x_rad", "tilt_y_rad"),
-    "oscillating table": SHAKE,
+    "oscillating table": TABLE_MOTION,
     "air drag": ("drag_per_m",),
     "clock": ("clock_scale",),
     "length scale": ("length_scale",),
 }
 """The parameters of every effect that a fit may free."""
 
-ALONE = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
-"""Effects that no fit of one throw has together: a displaced centre of mass has derivatives for smooth impacts without air
-alone (`model.tangent`). Joint fits, which need none, have it with friction."""
+INCOMPATIBLE_EFFECTS = {"loaded die": frozenset({"friction", "fading restitution", "air drag", "oscillating table"})}
+"""Effects that no fit of one throw combines: `model.throw` has derivatives for a displaced centre of mass only for
+smooth impacts without air. Joint fits need no derivatives and combine it with friction."""
 
 RESTITUTIONS: tuple[Restitution, ...] = ("stronge", "newton", "poisson")
+"""Definitions of restitution, in the order of preference."""
 
-_OFF = {"clock_scale": 1.0, "length_scale": 1.0}
+_NEUTRAL = {"clock_scale": 1.0, "length_scale": 1.0}
+"""Values without effect, where these are not 0."""
 
 _BOUNDS = {
     "chi": (0.0, 1.0),
@@ -79,52 +81,62 @@ _BOUNDS = {
     "clock_scale": (0.8, 1.25),
     "length_scale": (0.8, 1.25),
 }
+"""What the laws allow, and what scenes may have."""
 
-LEAST_OF_CALIBRATION = {
+_MAX_OFFSET = 0.5
+"""Largest component of a centre-of-mass offset, in inscribed radii."""
+
+_MAX_CORNER_RADIUS = 0.9
+"""Largest corner radius, in inscribed radii: at 1 the die is a sphere."""
+
+_INERTIA_BOUNDS = (0.2, 3.0)
+"""Least and largest moment of inertia, relative to that of the die."""
+
+CALIBRATION_LIMITS = {
     "clock_scale": 1e-3,
     "length_scale": 1e-3,
     "tilt_x_rad": 2e-3,
     "tilt_y_rad": 2e-3,
     "table_amplitude_m": 2e-5,
-    "table_frequency_hz": np.inf,  # what does not move has no frequency
+    "table_frequency_hz": np.inf,  # a table at rest has no frequency
     "table_phase_rad": np.inf,
 }
-"""Departures that the camera's own calibration leaves open in every scene: a thousandth of a length, a tenth of a degree
-of the table. Smaller ones are in the poses, whatever their sigmas say, and no effect of the scene."""
+"""Departures that a camera's calibration leaves open in every scene: a thousandth of a length, a tenth of a degree of
+the table. Smaller ones are errors of the poses, whatever their sigmas state, and no effect of the scene."""
 
-_LEAST_SHARE = 1e-3
-"""The same of a centre of mass, as a share of an edge: the corners of a real die are not truer than that."""
+_CENTRE_OF_MASS_LIMIT = 1e-3
+"""The same for a centre of mass, as a share of an edge: corners of real dice are no more accurate."""
 
-_SOME: dict[str, tuple[dict[str, float], ...]] = {
+_TYPICAL_VALUES: dict[str, tuple[dict[str, float], ...]] = {
     "friction": ({"mu": 0.1}, {"mu": 0.4}, {"mu": 1.0}),
     "fading restitution": ({"chi_fade_s_per_m": 1.0},),
 }
-"""Values of an effect, from small to large among those that scenes have, from which a fit may find its way."""
+"""Values of an effect, from small to large among those of scenes, from which fits converge."""
 
-_SLOW_FADE_S_PER_M = 1e-6
-"""Where the law needs a finite speed scale although nothing fades yet."""
+_MIN_FADE_S_PER_M = 1e-6
+"""The law needs a finite speed scale even where nothing fades."""
 
 
-QUICK = engine.Precision(0.0, 1e-4, 1.0, 1e-4)
-"""For throws that are compared with frames. Against the finest setting the poses of the cube tosses of
-`benchmarks/tosses.py` shift by 1 % of an edge in the median, as different laws do by more, their mean error does not
-change, and they take a fifth of the time."""
+COARSE = engine.Precision(0.0, 1e-4, 1.0, 1e-4)
+"""For throws that are compared with frames. Against the finest setting, the poses of the cube tosses of
+`benchmarks/tosses.py` shift by 1 % of an edge in the median, less than between laws. Their mean error is the same, and
+they take a fifth of the time."""
 
 
 @lru_cache(maxsize=64)
 def kernel_body(die: Die) -> engine.Body:
-    """As `body_of`, which takes as long as a short throw, once for all throws of a die."""
+    """`body_of`, which takes as long as a short throw, cached for all throws of a die."""
     return body_of(die)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What a throw left to itself did, in short."""
+    """Outcome of a throw simulated without prescribed vertices."""
 
-    struck: NDArray[np.int64]
-    """(k,) the vertex of every event; -1 where nothing strikes and only what is held changes. Empty unless kept."""
+    vertices: NDArray[np.int64]
+    """(k,) the vertex of every event; -1 where nothing strikes and only the held vertices change. Empty unless kept."""
     landed_face: int | None
-    """Number of the face decided on; None without one."""
+    """Number of the face of rest; None without one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,8 +150,8 @@ class Physics:
     held: frozenset[str] = field(default=frozenset())
     """Parameters in use that a fit leaves alone."""
     restitution: Restitution = "stronge"
-    """What χ means where something rubs; see `model.impacts.CoulombImpact`. All mean the same as long as no slip stops
-    or turns within an impact."""
+    """What χ means in frictional contact; see `model.laws.CoulombImpact`. All definitions agree as long as no slip
+    stops or turns within an impact."""
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -161,61 +173,64 @@ class Physics:
         """Effects whose parameters are in use."""
         return tuple(effect for effect, names in EFFECTS.items() if names[0] in self.values)
 
-    def is_noticeable(self, effect: str) -> bool:
+    def exceeds_calibration(self, effect: str) -> bool:
         """Whether an effect in use is larger than what calibration leaves open."""
-        return any(abs(self.values[name] - self.off(name)) > self.least(name) for name in EFFECTS[effect])
-
-    def goes_with(self, effect: str) -> bool:
-        """Whether an effect can be taken in beside those in use."""
-        return not any(
-            (effect in others and alone in self.effects) or (effect == alone and others.intersection(self.effects))
-            for alone, others in ALONE.items()
+        return any(
+            abs(self.values[name] - self.neutral(name)) > self.calibration_limit(name) for name in EFFECTS[effect]
         )
 
-    def least(self, name: str) -> float:
-        """Departure that the calibration leaves open."""
-        if name in LOAD:
-            return _LEAST_SHARE * self.die.solid.edge_m
-        return LEAST_OF_CALIBRATION.get(name, 0.0)
+    def is_compatible_with(self, effect: str) -> bool:
+        """Whether an effect can be combined with those in use."""
+        return not any(
+            (effect in others and alone in self.effects) or (effect == alone and others.intersection(self.effects))
+            for alone, others in INCOMPATIBLE_EFFECTS.items()
+        )
+
+    def calibration_limit(self, name: str) -> float:
+        """Departure of a parameter that the calibration leaves open."""
+        if name in CENTRE_OF_MASS:
+            return _CENTRE_OF_MASS_LIMIT * self.die.solid.edge_m
+        return CALIBRATION_LIMITS.get(name, 0.0)
 
     def bounds(self, name: str) -> tuple[float, float]:
-        """What the law allows."""
-        if name in LOAD:
-            return -0.5 * self.die.solid.inradius, 0.5 * self.die.solid.inradius
+        """Least and largest value that the law allows. Raises KeyError for a name that is no parameter."""
+        if name in CENTRE_OF_MASS:
+            return -_MAX_OFFSET * self.die.solid.inradius, _MAX_OFFSET * self.die.solid.inradius
         if name == "corner_radius_m":
-            return 0.0, 0.9 * self.die.solid.inradius
+            return 0.0, _MAX_CORNER_RADIUS * self.die.solid.inradius
         if name == "inertia_kg_m2":
-            return 0.2 * self.die.inertia_kg_m2, 3.0 * self.die.inertia_kg_m2
+            least, most = _INERTIA_BOUNDS
+            return least * self.die.inertia_kg_m2, most * self.die.inertia_kg_m2
         return _BOUNDS[name]
 
-    def off(self, name: str) -> float:
-        """The value at which a parameter does nothing."""
+    def neutral(self, name: str) -> float:
+        """The value at which a parameter has no effect."""
         if name == "corner_radius_m":
             return self.die.corner_radius_m
-        if name in SHAKE:
+        if name in TABLE_MOTION:
             return float(getattr(self.table, name.removeprefix("table_")))
-        return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _OFF.get(name, 0.0)
+        return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _NEUTRAL.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
-        """The same with other values, each kept within its bounds."""
+        """The same with other values, each clipped to its bounds."""
         kept = {name: float(np.clip(value, *self.bounds(name))) for name, value in values.items()}
         return replace(self, values={**self.values, **kept})
 
     def with_effect(self, effect: str) -> Physics:
-        """The same with one effect more, still at the values where it does nothing."""
-        return self.with_values(**{name: self.off(name) for name in EFFECTS[effect]})
+        """The same with one more effect, at the values where it has no effect."""
+        return self.with_values(**{name: self.neutral(name) for name in EFFECTS[effect]})
 
     def without_effect(self, effect: str) -> Physics:
         """The same with one effect less."""
         return replace(self, values={n: value for n, value in self.values.items() if n not in EFFECTS[effect]})
 
-    def with_some_of(self, effect: str) -> list[Physics]:
-        """The same with a little and with much of one effect, for fits that find no way from none of it."""
+    def with_typical_values(self, effect: str) -> list[Physics]:
+        """The same with one effect at several strengths, for fits that do not converge from none of it."""
         wider = self.with_effect(effect)
-        return [wider.with_values(**values) for values in _SOME.get(effect, ())]
+        return [wider.with_values(**values) for values in _TYPICAL_VALUES.get(effect, ())]
 
     def with_other_restitutions(self) -> list[Physics]:
-        """The same with the other kinds of restitution; none where nothing rubs and all mean the same."""
+        """The same with the other definitions of restitution; none without friction, where all agree."""
         if "mu" not in self.values:
             return []
         return [replace(self, restitution=kind) for kind in RESTITUTIONS if kind != self.restitution]
@@ -235,11 +250,11 @@ class Physics:
         chi = self.values["chi"]
         law = CoulombImpact(chi, self.values["mu"], self.restitution) if "mu" in self.values else SmoothImpact(chi)
         fade = self.values.get("chi_fade_s_per_m")
-        faded = law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _SLOW_FADE_S_PER_M))
+        faded = law if fade is None else RestitutionBySpeed(law, 1.0 / max(fade, _MIN_FADE_S_PER_M))
         if "mu_fade_s_per_m" not in self.values or isinstance(law, SmoothImpact):
             return faded
         assert not isinstance(faded, SmoothImpact)
-        return FrictionBySpeed(faded, 1.0 / max(self.values["mu_fade_s_per_m"], _SLOW_FADE_S_PER_M))
+        return FrictionBySpeed(faded, 1.0 / max(self.values["mu_fade_s_per_m"], _MIN_FADE_S_PER_M))
 
     @cached_property
     def body(self) -> Die:
@@ -249,34 +264,35 @@ class Physics:
             die = replace(die, corner_radius_m=self.values["corner_radius_m"])
         if "inertia_kg_m2" in self.values:
             die = replace(die, inertia_kg_m2=self.values["inertia_kg_m2"])
-        if LOAD[0] in self.values:
-            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in LOAD]))
+        if CENTRE_OF_MASS[0] in self.values:
+            die = replace(die, centre_of_mass_m=np.array([self.values[name] for name in CENTRE_OF_MASS]))
         return die
 
     @cached_property
     def plane(self) -> Table:
         """The table with the fitted tilt and motion."""
         table = self.table
-        if SHAKE[0] in self.values:
-            amplitude, frequency, phase = (self.values[name] for name in SHAKE)
+        if TABLE_MOTION[0] in self.values:
+            amplitude, frequency, phase = (self.values[name] for name in TABLE_MOTION)
             table = replace(table, amplitude_m=amplitude, frequency_hz=frequency, phase_rad=phase)
         if "tilt_x_rad" in self.values:
             x, y = self.values["tilt_x_rad"], self.values["tilt_y_rad"]
-            # A turn about x by a leans the normal towards -y; about y by b towards x.
+            # A turn about x by a tilts the normal towards -y; about y by b towards x.
             table = replace(table, tilt_rad=float(np.hypot(x, y)), downhill_rad=float(np.arctan2(-x, y)))
         return table
 
     def throw(self, start: State, until: Until) -> ThrowResult:
-        """The throw that the die makes by itself. Raises ValueError for a start below the table."""
+        """The throw of the die without prescribed vertices. Raises ValueError for a start below the table."""
         return throw_die(self.body, start, self.law, until=until, table=self.plane)
 
     def can_release(self, start: State) -> bool:
-        """Whether a throw can begin so: not below the table, where fits through prescribed vertices, and draws from
-        them, may lie."""
+        """Whether a throw can begin there: not below the table, where fits through prescribed vertices, and draws from
+        them, may lie.
+        """
         return self._packed(start) is not None
 
     def after(self, start: State, vertices: tuple[int, ...]) -> State:
-        """Where the last flight of a throw through prescribed vertices begins."""
+        """The state in which the last flight of a throw through prescribed vertices begins."""
         drag = self.values.get("drag_per_m", 0.0)
         return propagate(
             self.body, start, self.law, [], vertices=vertices, table=self.plane, parameters=(), drag_per_m=drag
@@ -291,15 +307,15 @@ class Physics:
         keep: bool,
         precision: engine.Precision = engine.FINE,
     ) -> Run | None:
-        """The throw left to itself, in short; None for a start below the table.
+        """The outcome of a throw without prescribed vertices; None for a start below the table.
 
-        The event loop without the values of a `Throw`, which take ten times as long.
+        Runs the event loop without making a `Throw`, which would take ten times as long.
         """
         packed = self._packed(start)
         if packed is None:
             return None
         if not self.body.is_spherical_top:
-            return self._run_top(start, end_s, impacts)
+            return self._run_asymmetric(start, end_s, impacts)
         _, _, face, _, _, log, _ = engine.run_throw(
             kernel_body(self.body),
             engine.law_of(self.law.code, self.law.parameters),
@@ -315,12 +331,12 @@ class Physics:
         )
         return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)
 
-    def _run_top(self, start: State, end_s: float, impacts: int) -> Run:
-        """The same of a loaded die."""
+    def _run_asymmetric(self, start: State, end_s: float, impacts: int) -> Run:
+        """The same for a loaded die."""
         until = Until() if end_s == np.inf else Until(time_s=end_s, impacts=impacts)
         result = self.throw(start, until)
-        struck = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
-        return Run(np.array(struck, int), result.landed_face)
+        vertices_hit = [impact.vertices[0] if impact.vertices else -1 for impact in result.throw.impacts]
+        return Run(np.array(vertices_hit, int), result.landed_face)
 
     def _packed(self, start: State) -> Array | None:
         """A start as the event loop takes it (13,); None where a vertex lies below the table."""
@@ -331,8 +347,8 @@ class Physics:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """Poses of a throw at the times of frames, as the track has them, with derivatives."""
+class ModelPoses:
+    """Modelled poses at the times of frames, on the track's clock and in its metres, with derivatives."""
 
     positions_m: Array
     """(n, 3)."""
@@ -340,24 +356,19 @@ class Course:
     """(n, 4) wxyz."""
     jacobian: Array
     """(n, 6, 12 + k) by the start (position, rotation vector, velocity, angular velocity) and the free parameters."""
-    way: Propagation
+    propagation: Propagation
     """On the true clock and in true metres."""
 
-    @property
-    def throw(self) -> Throw:
-        """On the true clock and in true metres."""
-        return self.way.throw
 
+def model_poses(physics: Physics, start: State, times_s: Array, vertices: tuple[int, ...]) -> ModelPoses:
+    """Poses of the throw through prescribed vertices at `times_s` (n,) on the track's clock.
 
-def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, ...]) -> Course:
-    """The throw through prescribed vertices as frames at `times_s` (n,) on the track's clock see it.
-
-    `start` is true: its time is that of the track times the clock scale.
+    `start` is in true units: its time is that of the track times the clock scale.
     """
     clock, length = physics.clock, physics.length
-    names = tuple(name for name in physics.free if name not in _OFF)
+    names = tuple(name for name in physics.free if name not in _NEUTRAL)
     passed = tuple("speed_scale_m_s" if name == "chi_fade_s_per_m" else name for name in names)
-    way = propagate(
+    propagation = propagate(
         physics.body,
         start,
         physics.law,
@@ -367,18 +378,17 @@ def course(physics: Physics, start: State, times_s: Array, vertices: tuple[int, 
         parameters=passed,
         drag_per_m=physics.values.get("drag_per_m", 0.0),
     )
-    columns = list(np.moveaxis(way.jacobian[:, :, :12], 2, 0))
-    by_name = dict(zip(names, np.moveaxis(way.jacobian[:, :, 12:], 2, 0), strict=True))
+    columns = list(np.moveaxis(propagation.jacobian[:, :, :12], 2, 0))
+    by_name = dict(zip(names, np.moveaxis(propagation.jacobian[:, :, 12:], 2, 0), strict=True))
     if "chi_fade_s_per_m" in by_name:
-        # The law is written in the speed scale, the inverse of the fade.
-        by_name["chi_fade_s_per_m"] = (
-            -by_name["chi_fade_s_per_m"] / max(physics.values["chi_fade_s_per_m"], _SLOW_FADE_S_PER_M) ** 2
-        )
+        # The law has the speed scale, the inverse of the fade.
+        fade = max(physics.values["chi_fade_s_per_m"], _MIN_FADE_S_PER_M)
+        by_name["chi_fade_s_per_m"] = -by_name["chi_fade_s_per_m"] / fade**2
     if "clock_scale" in physics.free:
-        by_name["clock_scale"] = times_s[:, None] * way.throw.rates(clock * times_s)
+        by_name["clock_scale"] = times_s[:, None] * propagation.throw.rates(clock * times_s)
     if "length_scale" in physics.free:
-        by_name["length_scale"] = np.hstack([way.positions_m / length, np.zeros((len(times_s), 3))])
+        by_name["length_scale"] = np.hstack([propagation.positions_m / length, np.zeros((len(times_s), 3))])
     jacobian = np.stack([*columns, *(by_name[name] for name in physics.free)], axis=2)
     if length != 1.0:
         jacobian[:, :3] *= length
-    return Course(length * way.positions_m, way.quaternions, jacobian, way)
+    return ModelPoses(length * propagation.positions_m, propagation.quaternions, jacobian, propagation)

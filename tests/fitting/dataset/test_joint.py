@@ -9,10 +9,10 @@ import pytest
 from throws import FPS, random_release, seen
 
 from diethrow.fitting.dataset.data_set import Entry, entry_of
-from diethrow.fitting.dataset.joint_effects import clock_before_bounces, load_before_bounces, refuted_by_flights
+from diethrow.fitting.dataset.joint_effects import clock_before_bounces, offset_before_bounces, refuted_by_flights
 from diethrow.fitting.dataset.joint_fit import JointFit, fit_jointly
 from diethrow.fitting.predict.prediction import simulated_poses
-from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.fitting.throw.physics import CENTRE_OF_MASS, Physics
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
@@ -21,7 +21,7 @@ from diethrow.tracking.track import TRACKED, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
 TRUTH = {"chi": 0.45, "mu": 0.25}
-LOAD_TRUTH = dict(zip(LOAD, (2e-4, 0.0, 8e-4), strict=True))
+LOAD_TRUTH = dict(zip(CENTRE_OF_MASS, (2e-4, 0.0, 8e-4), strict=True))
 COUNT = 10
 
 
@@ -100,7 +100,7 @@ def test_a_loaded_die_is_found_by_its_flights_and_by_what_they_foretell() -> Non
     throws = loaded_entries(8)
     truth = np.array(list(LOAD_TRUTH.values()))
     # Some 70 frames of 3 µs in each flight, through half a turn: 0.05 mm.
-    assert load_before_bounces(throws) == pytest.approx(truth, abs=5e-5)
+    assert offset_before_bounces(throws) == pytest.approx(truth, abs=5e-5)
     fit = fit_jointly(throws, CUBE, threads=2, effects=("friction", "loaded die"))
     assert {effect.name for effect in fit.chosen} == {"friction", "loaded die"}
     for name, value in LOAD_TRUTH.items():

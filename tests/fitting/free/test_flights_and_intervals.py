@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.intervals import correlation_length, profile_interval
-from diethrow.fitting.estimation.observations import sight, whiteners
-from diethrow.fitting.estimation.robust import condensed, huber, triangle
+from diethrow.fitting.estimation.intervals import correlation_time, profile_interval
+from diethrow.fitting.estimation.least_squares import compressed, huber, triangular_factor
+from diethrow.fitting.estimation.observations import observations_of, whiteners
 from diethrow.fitting.free.flights import fit_flights, flight_jacobian, left_jacobian, moved_state
 from diethrow.fitting.throw.landing import resting_face
 from diethrow.model.die.die import make_die
@@ -47,7 +47,7 @@ def test_free_flights_find_the_size_of_the_frames_errors() -> None:
     rng = np.random.default_rng(1)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=2)
     track, measured = seen(throw, rng, stated=0.5), roughly_measured(throw, rng)
-    free = fit_flights(sight(track, measured), measured)
+    free = fit_flights(observations_of(track, measured), measured)
     # From the medians of some 100 frames: the variance is known to 15 %.
     assert free.variance == pytest.approx(4.0, rel=0.3)
     assert free.outliers == 0
@@ -56,9 +56,9 @@ def test_free_flights_find_the_size_of_the_frames_errors() -> None:
 def test_frames_within_half_an_interval_of_an_impact_are_left_out() -> None:
     rng = np.random.default_rng(1)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=2)
-    sightings = sight(seen(throw, rng), throw)
+    observations = observations_of(seen(throw, rng), throw)
     for impact in throw.impacts:
-        assert np.abs(sightings.time_s - impact.time_s).min() >= 0.5 / 1500.0
+        assert np.abs(observations.time_s - impact.time_s).min() >= 0.5 / 1500.0
 
 
 def test_singular_and_missing_covariances_have_no_weight() -> None:
@@ -90,9 +90,9 @@ def test_condensed_rows_keep_all_squares_and_products(rows: int) -> None:
     rng = np.random.default_rng(rows)
     jacobian, residuals = rng.standard_normal((rows, 12)), rng.standard_normal(rows)
     whole = np.column_stack([jacobian, residuals])
-    few = condensed(residuals, jacobian)
+    few = compressed(residuals, jacobian)
     assert few.T @ few == pytest.approx(whole.T @ whole, abs=1e-12)
-    root = triangle(jacobian)
+    root = triangular_factor(jacobian)
     assert np.tril(root, -1) == pytest.approx(0.0)
     assert (np.diag(root) >= 0.0).all()
 
@@ -100,10 +100,10 @@ def test_condensed_rows_keep_all_squares_and_products(rows: int) -> None:
 def test_independent_residuals_count_fully_and_repeated_ones_once() -> None:
     rng = np.random.default_rng(3)
     flight = np.zeros(200, int)
-    assert correlation_length(rng.standard_normal((200, 6)), flight) < 1.15
+    assert correlation_time(rng.standard_normal((200, 6)), flight) < 1.15
     # Each value four times over: n values are worth n/4.
     repeated = np.repeat(rng.standard_normal((50, 6)), 4, axis=0)
-    assert correlation_length(repeated, flight) == pytest.approx(4.0, rel=0.25)
+    assert correlation_time(repeated, flight) == pytest.approx(4.0, rel=0.25)
 
 
 @pytest.mark.parametrize(("chi", "sigma"), [(0.5, 0.01), (0.99, 0.02), (1.0, 0.02), (0.01, 0.02), (0.0, 0.05)])

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from throws import initial_errors, random_release, seen
 
-from diethrow.fitting.predict.prediction import SURE, decided_at, foretell, simulated_poses
-from diethrow.fitting.predict.release_state import first_bounce_row, outset_before
+from diethrow.fitting.predict.prediction import DECISION_SHARE, decide, predict_track, simulated_poses
+from diethrow.fitting.predict.release_state import first_bounce_row, release_before
 from diethrow.fitting.results import Parameter
-from diethrow.fitting.throw.physics import LOAD, Physics
+from diethrow.fitting.throw.physics import CENTRE_OF_MASS, Physics
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL, Table
@@ -101,7 +101,7 @@ def test_the_state_does_not_know_what_comes_later() -> None:
     row = first_bounce_row(track, CUBE)
     later = track.position_m.copy()
     later[row:] += 0.05
-    one, other = outset_before(track, CUBE, row), outset_before(replace(track, position_m=later), CUBE, row)
+    one, other = release_before(track, CUBE, row), release_before(replace(track, position_m=later), CUBE, row)
     assert np.array_equal(one.state.position_m, other.state.position_m)
     assert np.array_equal(one.rows, other.rows)
 
@@ -110,9 +110,9 @@ def test_errors_of_the_state_are_those_that_it_states() -> None:
     ratios = []
     for seed in range(40):
         track, throw = filmed(seed=seed, noise=1.0)
-        outset = outset_before(track, CUBE, first_bounce_row(track, CUBE) - 3)
-        errors = initial_errors(outset.state, throw.at(outset.state.time_s))
-        ratios.append(errors @ np.linalg.solve(outset.covariance, errors) / 12.0)
+        estimated = release_before(track, CUBE, first_bounce_row(track, CUBE) - 3)
+        errors = initial_errors(estimated.state, throw.at(estimated.state.time_s))
+        ratios.append(errors @ np.linalg.solve(estimated.covariance, errors) / 12.0)
     # Frames err more along the line of sight than across, while one sigma is told for all axes: not χ² of twelve
     # degrees, yet the same mean of 1, here of 40 values that scatter by about 0.5.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)
@@ -121,8 +121,8 @@ def test_errors_of_the_state_are_those_that_it_states() -> None:
 def test_what_is_foretold_almost_without_noise_is_the_throw() -> None:
     track, throw = filmed(noise=1e-6)
     row = first_bounce_row(track, CUBE)
-    outset = outset_before(track, CUBE, row)
-    told = foretell(physics("friction"), track, outset)
+    estimated = release_before(track, CUBE, row)
+    told = predict_track(physics("friction"), track, estimated)
     assert told.tracked.all()
     # Two bounces on, an error of the state of 1e-10 m has grown some four hundredfold.
     until = np.searchsorted(track.time_s, throw.bounces[2].time_s)
@@ -133,10 +133,10 @@ def test_a_throw_that_is_over_is_decided_and_one_in_the_air_is_less_so() -> None
     track, throw = filmed(noise=1.0)
     parameters = {name: Parameter(value, None, None, None, False, False) for name, value in VALUES["friction"].items()}
     row = first_bounce_row(track, CUBE)
-    decision = decided_at(physics("friction"), parameters, track, row, draws=20)
+    decision = decide(physics("friction"), parameters, track, row, draws=20)
     landed = int(np.argmin(CUBE.solid.normals @ throw.at(0.35).rotation[2])) + 1
     assert decision.face == landed
-    assert decision.steps[-1].odds[landed] >= SURE
+    assert decision.steps[-1].odds[landed] >= DECISION_SHARE
     assert all(sum(s.odds.values()) + s.undecided == pytest.approx(1.0) for s in decision.steps)
 
 
@@ -144,9 +144,9 @@ def test_what_cannot_be_foretold_says_why() -> None:
     track, _ = filmed()
     row = first_bounce_row(track, CUBE)
     with pytest.raises(ValueError, match="wanted at least 3"):
-        outset_before(track, CUBE, 2)
+        release_before(track, CUBE, 2)
     with pytest.raises(ValueError, match="begin from another frame"):
-        outset_before(track, CUBE, row + 2)
+        release_before(track, CUBE, row + 2)
     flying = replace(track, status=np.where(np.arange(len(track)) < row - 1, track.status, "lost"))
     with pytest.raises(ValueError, match="never bounces"):
         first_bounce_row(flying, CUBE)
@@ -156,7 +156,7 @@ def test_what_cannot_be_foretold_says_why() -> None:
         first_bounce_row(replace(track, time_s=backwards), CUBE)
 
 
-LOADED = {**dict(zip(LOAD, (3e-4, -2e-4, 8e-4), strict=True)), "chi": 0.5}
+LOADED = {**dict(zip(CENTRE_OF_MASS, (3e-4, -2e-4, 8e-4), strict=True)), "chi": 0.5}
 
 
 @pytest.mark.parametrize("table", [LEVEL, Table(tilt_rad=0.05, downhill_rad=0.4)])
@@ -182,7 +182,7 @@ def test_a_loaded_die_that_rubs_ends_on_a_face_and_no_higher_than_it_fell() -> N
         assert rotations[-1, 2] @ CUBE.solid.normals[face] == pytest.approx(-1.0, abs=1e-8)
         # A die is left as standing still when it rocks no more than by hundredths of a milliradian.
         assert positions[-1, 2] == pytest.approx(0.008, abs=1e-6)
-        heights = positions[:, 2] + rotations[:, 2] @ np.array([LOADED[name] for name in LOAD])
+        heights = positions[:, 2] + rotations[:, 2] @ np.array([LOADED[name] for name in CENTRE_OF_MASS])
         potential = CUBE.mass_kg * GRAVITY_M_S2 * heights
         assert (potential <= energy_J(rubbing.body, release) + 1e-12).all()
 
@@ -193,9 +193,9 @@ def test_the_state_of_a_loaded_die_is_that_of_its_circling_centroid() -> None:
     throw = loaded.throw(release, Until(time_s=0.12)).throw
     track = seen(throw, np.random.default_rng(0), noise=1e-6)
     row = int(np.searchsorted(track.time_s, throw.impacts[0].time_s))
-    outset = outset_before(track, loaded.body, row)
-    true = throw.at(outset.state.time_s)
+    estimated = release_before(track, loaded.body, row)
+    true = throw.at(estimated.state.time_s)
     # Taken for a fair die it would be off by ω² s t, centimetres a second.
-    assert outset.state.velocity_m_s == pytest.approx(true.velocity_m_s, abs=1e-5)
-    assert outset.state.position_m == pytest.approx(true.position_m, abs=1e-7)
-    assert outset.poses(track.time_s[outset.rows])[0] == pytest.approx(track.position_m[outset.rows], abs=1e-6)
+    assert estimated.state.velocity_m_s == pytest.approx(true.velocity_m_s, abs=1e-5)
+    assert estimated.state.position_m == pytest.approx(true.position_m, abs=1e-7)
+    assert estimated.poses(track.time_s[estimated.rows])[0] == pytest.approx(track.position_m[estimated.rows], abs=1e-6)

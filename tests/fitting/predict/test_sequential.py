@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.predict.sequential import Estimate, estimates, physics_of_fit
+from diethrow.fitting.predict.sequential import Estimate, physics_of_fit, sequential_estimates
 from diethrow.fitting.results import Fit
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
@@ -25,7 +25,7 @@ def grown() -> tuple[tuple[Estimate, ...], Fit, Throw]:
     throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=3)
     track, measured = seen(throw, rng), roughly_measured(throw, rng)
     fit = fit_throw(track, measured, CUBE)
-    return estimates(track, measured, CUBE, fit), fit, measured
+    return sequential_estimates(track, measured, CUBE, fit), fit, measured
 
 
 def test_there_is_one_for_each_bounce_at_its_instant(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
@@ -65,7 +65,7 @@ def test_odds_are_shares_of_all_faces(grown: tuple[tuple[Estimate, ...], Fit, Th
 def test_a_throw_whose_bounces_are_not_explained_has_none(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
     rng = np.random.default_rng(2)
     throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=1)
-    assert estimates(seen(throw, rng), throw, CUBE, replace(grown[1], bounces_fitted=0)) == ()
+    assert sequential_estimates(seen(throw, rng), throw, CUBE, replace(grown[1], bounces_fitted=0)) == ()
 
 
 def test_the_physics_of_a_fit_has_its_values(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import sight
+from diethrow.fitting.estimation.observations import observations_of
 from diethrow.fitting.free.flights import fit_flights
-from diethrow.fitting.free.loaded_die import LOAD, load_in_flight
+from diethrow.fitting.free.loaded_die import CENTRE_OF_MASS, mass_offset_from_flights
 from diethrow.fitting.results import Fit
 from diethrow.fitting.throw.clock_and_scale import as_tracked
 from diethrow.fitting.throw.physics import EFFECTS, Physics
@@ -134,20 +134,20 @@ def test_a_loaded_die_is_told_and_its_centre_of_mass_found(seed: int) -> None:
     assert fit.chosen == ("smooth impact", "loaded die")
     assert fit.bounces_fitted == 3
     assert_inside(fit, "chi", 0.5, 1e-3)
-    for name, truth in zip(LOAD, centre, strict=True):
+    for name, truth in zip(CENTRE_OF_MASS, centre, strict=True):
         assert_inside(fit, name, truth, 2e-5)
 
 
 def test_free_flights_alone_tell_a_centre_of_mass() -> None:
     centre = np.array([1.2e-4, -0.8e-4, 1.4e-4])
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    load = load_in_flight(fit_flights(sight(track, measured), measured))
+    load = mass_offset_from_flights(fit_flights(observations_of(track, measured), measured))
     assert load is not None
     error = load.centre_of_mass_m - centre
     # Three numbers: chi-square exceeds 21 in one of ten thousand cases.
     assert error @ np.linalg.solve(load.covariance_m2, error) < 21.0
     # Of what a load of its own would gain in each flight, one in all of them lacks half a chi-square of three a flight.
-    assert load.agreed > 0.9
+    assert load.consistency > 0.9
 
 
 def test_a_flight_tracked_wrongly_is_not_taken_for_a_load() -> None:
@@ -155,23 +155,23 @@ def test_a_flight_tracked_wrongly_is_not_taken_for_a_load() -> None:
     shift = matrix_from_quat(fair.quaternion) @ np.array([2e-4, -1e-4, 3e-4])
     second = measured.flights_at(fair.time_s) == 1
     bent = replace(fair, position_m=fair.position_m - np.where(second[:, None], shift, 0.0))
-    load = load_in_flight(fit_flights(sight(bent, measured), measured))
+    load = mass_offset_from_flights(fit_flights(observations_of(bent, measured), measured))
     assert load is not None
-    assert load.agreed < 0.5
+    assert load.consistency < 0.5
     assert "loaded die" not in fit_throw(bent, measured, CUBE).chosen
 
 
 def test_flights_too_short_to_turn_leave_a_load_open() -> None:
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    few = sight(track, measured).where(np.arange(2))
-    assert load_in_flight(fit_flights(few, measured)) is None
+    few = observations_of(track, measured).where(np.arange(2))
+    assert mass_offset_from_flights(fit_flights(few, measured)) is None
 
 
 def test_a_die_that_is_no_spherical_top_is_simulated_with_smooth_impacts_only() -> None:
     physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("loaded die")
-    assert not physics.goes_with("friction")
-    assert physics.goes_with("tilted table")
-    assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").goes_with("loaded die")
+    assert not physics.is_compatible_with("friction")
+    assert physics.is_compatible_with("tilted table")
+    assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").is_compatible_with("loaded die")
 
 
 def test_the_kind_of_restitution_is_told_where_slip_stops() -> None:

@@ -20,7 +20,7 @@ from ...replay.pages import ReportDetails
 from ...tracking.check import Finding, contacts_of, fall_of, judge_throw, timing_of
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
-from .fit import growing, record_replay, run_fit, write_model, write_pages
+from .fit import estimate_sequentially, record_replay, run_fit, write_model, write_pages
 from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
 
 
@@ -62,7 +62,7 @@ def analyze(
             camera=tracking.cameras[0],
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=growing(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
+            estimates=estimate_sequentially(tracking.unbiased, tracking.measured, tracking.die, fit, progress, watch),
             notices=notices,
         )
         record_replay(folder, record, progress, watch)

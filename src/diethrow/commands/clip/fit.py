@@ -1,4 +1,4 @@
-"""commands.clip.fit."""
+"""The fitting stage: a track fitted by the model, and the parts of `analyze` that follow tracking."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ...files.throw_records import (
     write_simulated,
     write_vertices,
 )
-from ...fitting.predict import Estimate, estimates
+from ...fitting.predict import Estimate, sequential_estimates
 from ...fitting.results import Fit
 from ...fitting.throw import IntervalMethod, fit_throw
 from ...model.die import Die
@@ -65,7 +65,7 @@ def fit_track(
             fps=rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
-            estimates=growing(frames, measured, die, fit, progress, watch, table),
+            estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
             notices=smoothed_notices(track_path),
         )
         record_replay(folder, record, progress, watch)
@@ -84,12 +84,13 @@ def run_fit(
     intervals: IntervalMethod,
     table: ModelTable = LEVEL,
 ) -> Fit:
+    """The fit of a track whose flights are measured."""
     with watch.stage("fit"):
         progress("Fitting the model", 0, 0)
         return fit_throw(frames_in_flight(frames, measured), measured, die, table, intervals)
 
 
-def growing(
+def estimate_sequentially(
     frames: Track,
     measured: Throw,
     die: Die,
@@ -100,11 +101,11 @@ def growing(
 ) -> tuple[Estimate, ...]:
     with watch.stage("estimates"):
         progress("Bounce by bounce", 0, 0)
-        return estimates(frames_in_flight(frames, measured), measured, die, fit, table)
+        return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)
 
 
 def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
-    """fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
+    """Write fit.json and simulated.csv; without a fitted throw the latter has its rows and no numbers."""
     write_fit(folder / "fit.json", fit)
     if fit.throw is not None:
         simulated = simulated_track(fit.throw, frames.frame, frames.time_s)
@@ -117,6 +118,7 @@ def write_model(folder: Path, fit: Fit, frames: Track) -> Track:
 
 
 def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopwatch) -> None:
+    """Write replay.rrd, if there is room for it."""
     check_free_space(folder, _replay_bytes(record))
     with watch.stage("replay"):
         progress("Writing the replay", 0, 0)
@@ -126,7 +128,7 @@ def record_replay(folder: Path, record: Record, progress: Progress, watch: Stopw
 def write_pages(
     folder: Path, record: Record, account: ReportDetails, shown: Shown, progress: Progress, watch: Stopwatch
 ) -> None:
-    """The report, which tells the provenance, and the figures; then their time goes into the provenance, too."""
+    """Write the report, with the provenance, and the figures; then add their time to the provenance."""
     with watch.stage("report"):
         progress("Writing the report", 0, 0)
         replay = folder / "replay.rrd" if shown.embed_replay else None
@@ -137,6 +139,6 @@ def write_pages(
 
 
 def _replay_bytes(record: Record) -> int:
-    """More than a recording and a report take: 2 kB a frame beside the film, and a twentieth of its pixels."""
+    """An upper limit of a recording and a report: 2 kB a frame beside the film, and a twentieth of its pixels."""
     film = record.clip.width_px * record.clip.height_px * len(record.clip) // 20 if record.clip is not None else 0
     return MIN_FREE_BYTES + 2048 * len(record.track) + film

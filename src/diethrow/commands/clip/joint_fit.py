@@ -1,6 +1,6 @@
-"""Many tracks of one die on one table: what they share, written to one folder.
+"""Joint fit of several tracks of one die on one table, written to one folder.
 
-`fit.json` then holds `parameters`, `law`, `effects`, `chi_scatter`, `throws` with one entry a track, and `messages`.
+Its `fit.json` holds `parameters`, `law`, `effects`, `chi_scatter`, `throws` with one entry a track, and `messages`.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
 from ...files.tables import write_json
 from ...files.throw_records import covariance_path, read_track, write_vertices
-from ...fitting.dataset import Entry, Foretold, JointFit, entry_of, fit_jointly
+from ...fitting.dataset import Entry, JointFit, PredictedThrow, entry_of, fit_jointly
 from ...model.die import Die
 
 
 @dataclass(frozen=True, eq=False)
 class FitOfMany:
-    """A joint fit, as it was written to `folder`."""
+    """A joint fit as it was written to `folder`."""
 
     folder: Path
     fit: JointFit
@@ -44,12 +44,13 @@ def fit_tracks(
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> FitOfMany:
-    """Fit what several tracks share, and write it to the folder `out`.
+    """Fit the parameters that several tracks share, and write them to the folder `out`.
 
-    With an `executor`, one of its workers makes the fit, on so many threads; the numbers are the same.
+    With an `executor`, one of its workers makes the fit on `threads` threads; the numbers are the same.
 
-    Tracks without a bounce, with times that do not rise or with too few frames are left out and named. Raises RunError
-    where fewer than two remain, SceneError for a scene that cannot be fitted, OutputExistsError for a folder that exists.
+    Tracks without a bounce, with times that do not increase or with too few frames are left out and named. Raises
+    RunError if fewer than two remain, SceneError for a scene that cannot be fitted, OutputExistsError for a folder that
+    exists.
     """
     watch = Stopwatch()
     scene.still_table()
@@ -67,12 +68,11 @@ def fit_tracks(
             raise error
         with watch.stage("fit"):
             if executor is None:
-                fit = fit_jointly(
-                    entries,
-                    die,
-                    threads=threads,
-                    progress=lambda done, total: progress("Fitting all throws", done, total),
-                )
+
+                def steps(done: int, total: int) -> None:
+                    progress("Fitting all throws", done, total)
+
+                fit = fit_jointly(entries, die, threads=threads, progress=steps)
             else:
                 progress("Fitting all throws", 0, 0)
                 fit = executor.submit(fit_jointly, entries, die, threads=threads).result()
@@ -85,7 +85,7 @@ def fit_tracks(
 
 
 def joint_tables(fit: JointFit, left_out: Sequence[str] = ()) -> dict[str, Any]:
-    """The joint fit as JSON has it."""
+    """The joint fit as JSON."""
     return {
         "parameters": parameters_table(fit.parameters),
         "law": law_table(fit.parameters),
@@ -101,7 +101,7 @@ def joint_tables(fit: JointFit, left_out: Sequence[str] = ()) -> dict[str, Any]:
     }
 
 
-def _throw_table(throw: Foretold) -> dict[str, Any]:
+def _throw_table(throw: PredictedThrow) -> dict[str, Any]:
     return {
         "track": throw.name,
         "first_bounce_frame": throw.first_bounce_frame,
@@ -121,6 +121,6 @@ def _read(paths: Sequence[Path], die: Die, progress: Progress) -> tuple[list[Ent
         try:
             entries.append(entry_of(path.stem, read_track(path), die))
         except ValueError as error:
-            words = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
-            left_out.append(f"{path} is left out: {words}.")
+            reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
+            left_out.append(f"{path} is left out: {reason}.")
     return entries, tuple(left_out)

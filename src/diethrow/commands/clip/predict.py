@@ -1,7 +1,7 @@
-"""From the frames before some instant to the last: the throw foretold with the parameters of a fit.
+"""Predictions: from the frames before some instant to the last frame, with the parameters of a fit.
 
-Beside each CSV stands a JSON of the same name: from which frames the state was told, how far the track then is from what
-was foretold, the odds of each face bounce by bounce, and after which bounce they were settled (`decided`).
+Beside each CSV a JSON of the same name holds the frames in use, the error of the prediction, the odds of each face
+bounce by bounce, and the bounce after which the face is decided (`decided`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ...files.outputs import whole_file, whole_folder
 from ...files.scene import Scene
 from ...files.tables import write_json
 from ...files.throw_records import covariance_path, read_track, write_simulated
-from ...fitting.predict import Decision, Odds, Outset, decided_at, first_bounce_row, foretell, outset_before
+from ...fitting.predict import Decision, FaceOdds, ReleaseState, decide, first_bounce_row, predict_track, release_before
 from ...fitting.results import Parameter
 from ...fitting.throw import Physics
 from ...model.die import Die
@@ -33,18 +33,19 @@ FIRST_BOUNCE = "first-bounce"
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """One throw, foretold."""
+    """The prediction of one throw."""
 
     track: Path
     row: int
-    """Of the track: the first that the state does not know of."""
-    outset: Outset
+    """Row of the track: the first frame that the state does not use."""
+    release: ReleaseState
     simulated: Track
     position_error_m: float
-    """Mean over the frames from `row` on; NaN where none has a pose."""
+    """Mean over the frames from `row` on; NaN if none has a pose."""
     rotation_error_rad: float
+    """The same."""
     decision: Decision | None
-    """None where no odds were asked for."""
+    """None if no odds were asked for."""
 
 
 def predict_tracks(
@@ -58,11 +59,11 @@ def predict_tracks(
     force: bool = False,
     progress: Progress = silent,
 ) -> tuple[tuple[Prediction, ...], tuple[str, ...]]:
-    """Foretell every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write what came out.
+    """Predict every track from `from_frame` on, a frame number or FIRST_BOUNCE, and write the predictions.
 
-    One track: `out` is a CSV, and a JSON beside it. Several: a folder with both for each. Returns the predictions and a
-    sentence for what they leave out, effects of the fit and tracks that could not be foretold; raises RunError where
-    none could, ValueError for a fit that is none or a frame that is no number.
+    One track: `out` is a CSV, with a JSON beside it. Several: a folder with both for each. Returns the predictions and
+    a sentence for each effect of the fit and each track that is left out. Raises RunError if no track can be predicted,
+    ValueError for a file that is no fit or a frame that is no number.
     """
     physics, parameters = physics_of(fit_path, scene)
     if from_frame != FIRST_BOUNCE and not from_frame.isdecimal():
@@ -73,32 +74,32 @@ def predict_tracks(
             f"two tracks are called {max(names, key=names.count)}: wanted names that differ, one file each"
         )
     inputs = (scene.path, fit_path, *track_paths, *(p for p in map(covariance_path, track_paths) if p.exists()))
-    foretold = partial(_foretold, track_paths, physics, parameters, from_frame, draws, progress)
+    predicted = partial(_predicted, track_paths, physics, parameters, from_frame, draws, progress)
     if len(track_paths) == 1:
         beside = out.with_suffix(".json")
         with (
             whole_file(out, force=force, inputs=inputs) as csv_file,
             whole_file(beside, force=force, inputs=inputs) as json_file,
         ):
-            made, left_out = foretold()
+            made, left_out = predicted()
             _write(made[0], csv_file, json_file)
     else:
         with whole_folder(out, force=force, inputs=inputs) as folder:
-            made, left_out = foretold()
+            made, left_out = predicted()
             for one in made:
                 _write(one, folder / f"{one.track.stem}.csv", folder / f"{one.track.stem}.json")
     return tuple(made), (*_notices(physics), *left_out)
 
 
 def _notices(physics: Physics) -> tuple[str, ...]:
-    """What of the fit has no part in a prediction."""
+    """Effects of the fit that predictions leave out."""
     drag = physics.values.get("drag_per_m", 0.0)
     if not drag:
         return ()
     return (f"The air drag of the fit, {drag:.3g} per metre, is left out: throws are simulated in a vacuum.",)
 
 
-def _foretold(
+def _predicted(
     paths: Sequence[Path],
     physics: Physics,
     parameters: dict[str, Parameter],
@@ -106,10 +107,10 @@ def _foretold(
     draws: int,
     progress: Progress,
 ) -> tuple[list[Prediction], list[str]]:
-    """Every track that can be foretold, and a sentence for each that cannot."""
+    """Every track that can be predicted, and a sentence for each that cannot."""
     made, left_out = [], []
     for k, path in enumerate(paths):
-        progress("Foretelling the throws", k, len(paths))
+        progress("Predicting the throws", k, len(paths))
         try:
             made.append(predict(path, physics, parameters, from_frame, draws))
         except ValueError as error:
@@ -120,29 +121,31 @@ def _foretold(
 
 
 def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from_frame: str, draws: int) -> Prediction:
-    """One throw. Raises ValueError for a track that cannot be foretold from there, with the reason."""
+    """The prediction of one throw. Raises ValueError, with the reason, for a track that cannot be predicted from
+    there.
+    """
     track = read_track(path)
     row = first_bounce_row(track, physics.die) if from_frame == FIRST_BOUNCE else _row_of(track, int(from_frame))
-    outset = outset_before(track, physics.body, row)
-    simulated = foretell(physics, track, outset)
-    seen = track.tracked & simulated.tracked
-    seen[:row] = False
-    off = track.position_m[seen] - simulated.position_m[seen]
-    turned = rotation_between(simulated.quaternion[seen], track.quaternion[seen])
-    decision = decided_at(physics, parameters, track, row, draws=draws) if draws else None
+    release = release_before(track, physics.body, row)
+    simulated = predict_track(physics, track, release)
+    compared = track.tracked & simulated.tracked
+    compared[:row] = False
+    off = track.position_m[compared] - simulated.position_m[compared]
+    turned = rotation_between(simulated.quaternion[compared], track.quaternion[compared])
+    decision = decide(physics, parameters, track, row, draws=draws) if draws else None
     return Prediction(
         path,
         row,
-        outset,
+        release,
         simulated,
-        float(np.linalg.norm(off, axis=1).mean()) if seen.any() else float("nan"),
-        float(np.linalg.norm(turned, axis=1).mean()) if seen.any() else float("nan"),
+        float(np.linalg.norm(off, axis=1).mean()) if compared.any() else float("nan"),
+        float(np.linalg.norm(turned, axis=1).mean()) if compared.any() else float("nan"),
         decision,
     )
 
 
 def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Parameter]]:
-    """Die, table and law of a fit. Raises ValueError for a parameter that means nothing here."""
+    """Die, table and law of a fit. Raises ValueError for a parameter that throws do not have."""
     parameters, restitution = read_parameters(fit_path)
     physics = Physics(scene.given_die(), Table(), {"chi": 0.0}, restitution=restitution)
     values = {}
@@ -150,7 +153,7 @@ def physics_of(fit_path: Path, scene: Scene) -> tuple[Physics, dict[str, Paramet
         try:
             low, high = physics.bounds(name)
         except KeyError:
-            raise ValueError(f"{fit_path}: parameters.{name} is no parameter of a throw here") from None
+            raise ValueError(f"{fit_path}: parameters.{name} is not a parameter of a throw") from None
         assert parameter.value is not None
         if not low <= parameter.value <= high:
             raise ValueError(f"{fit_path}: parameters.{name}.value = {parameter.value}; wanted {low:g} to {high:g}")
@@ -164,7 +167,9 @@ def _row_of(track: Track, frame: int) -> int:
     """The first row of a track with this frame number or a later one."""
     later = np.flatnonzero(track.frame >= frame)
     if not len(later):
-        raise ValueError(f"--from-frame {frame} lies behind the last frame, {int(track.frame[-1])}")
+        raise ValueError(
+            f"--from-frame {frame} lies behind the last frame, {int(track.frame[-1])}; wanted a frame of the track"
+        )
     return int(later[0])
 
 
@@ -180,15 +185,15 @@ def _continuous(track: Track) -> Track:
 
 
 def prediction_table(made: Prediction) -> dict[str, Any]:
-    """A prediction as JSON has it."""
-    outset, decision = made.outset, made.decision
+    """A prediction as JSON."""
+    release, decision = made.release, made.decision
     return {
         "track": made.track,
         "from_frame": int(made.simulated.frame[made.row]),
-        "frames_used": len(outset.rows),
-        "sigma_m": outset.sigma_m,
-        "sigma_rad": outset.sigma_rad,
-        "state": state_table(outset.state, outset.covariance),
+        "frames_used": len(release.rows),
+        "sigma_m": release.sigma_m,
+        "sigma_rad": release.sigma_rad,
+        "state": state_table(release.state, release.covariance),
         "position_error_m": made.position_error_m,
         "rotation_error_rad": made.rotation_error_rad,
         "odds": None if decision is None else [_odds_table(step) for step in decision.steps],
@@ -198,7 +203,7 @@ def prediction_table(made: Prediction) -> dict[str, Any]:
     }
 
 
-def _odds_table(step: Odds) -> dict[str, Any]:
+def _odds_table(step: FaceOdds) -> dict[str, Any]:
     return {
         "bounces": step.bounces,
         "t_s": step.time_s,
@@ -209,23 +214,21 @@ def _odds_table(step: Odds) -> dict[str, Any]:
 
 
 def summary(made: Sequence[Prediction], die: Die) -> list[str]:
-    """What came out, in a few lines."""
-    edge = float(np.linalg.norm(np.diff(die.solid.vertices[die.solid.edges[0]], axis=0)))
-    position = 100.0 * np.nanmean([m.position_error_m for m in made]) / edge
+    """The outcome in a few lines."""
+    position = 100.0 * np.nanmean([m.position_error_m for m in made]) / die.solid.edge_m
     turned = np.degrees(np.nanmean([m.rotation_error_rad for m in made]))
-    lines = [
-        f"{len(made)} throws foretold; they miss by {position:.3g} % of the edge and {turned:.3g} degrees, in the mean over "
-        "throws and over their frames"
-        if len(made) > 1
-        else f"foretold from frame {made[0].simulated.frame[made[0].row]} on, the throw misses by {position:.3g} % of the edge "
-        f"and {turned:.3g} degrees in the mean over its frames"
-    ]
+    error = f"{position:.3g} % of the edge and {turned:.3g} degrees"
+    if len(made) > 1:
+        lines = [f"{len(made)} throws predicted; mean error over throws and frames: {error}"]
+    else:
+        frame = made[0].simulated.frame[made[0].row]
+        lines = [f"throw predicted from frame {frame} on; mean error over its frames: {error}"]
     decisions = [m.decision for m in made if m.decision is not None]
     if len(made) == 1 and decisions:
         lines += _odds_lines(decisions[0])
     elif decisions:
         before = sum(d.bounces == 0 for d in decisions)
-        lines.append(f"the landed face is decided before the first bounce in {before} of {len(decisions)} throws")
+        lines.append(f"the landing face is decided before the first bounce in {before} of {len(decisions)} throws")
     return lines
 
 
@@ -235,7 +238,7 @@ def _odds_lines(decision: Decision) -> list[str]:
         odds = "  ".join(f"{face}: {share:.2f}" for face, share in step.odds.items() if share > 0.0)
         lines.append(f"{step.bounces:>13}   {step.time_s:.4f}   {odds}")
     if decision.face is None:
-        lines.append("no face has the odds for good before the frames end")
+        lines.append("no face becomes certain before the last frame")
     else:
         when = f"after bounce {decision.bounces}" if decision.bounces else "before the first bounce"
         lines.append(f"face {decision.face} is decided {when}")

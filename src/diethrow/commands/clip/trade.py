@@ -38,10 +38,10 @@ from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
-from ...fitting.estimation import sight, whiteners
+from ...fitting.estimation import observations_of, whiteners
 from ...fitting.free import common_restitution, fit_flights, measure_bounces, moved_state
 from ...fitting.results import Fit, Parameter
-from ...fitting.throw import LEVEL_OF_INTERVALS, IntervalMethod, fit_throw
+from ...fitting.throw import INTERVAL_LEVEL, IntervalMethod, fit_throw
 from ...model.die import Die, die_symmetries
 from ...model.ensembles import ThrowSetup, stepped_landings
 from ...model.laws import SmoothImpact
@@ -372,12 +372,12 @@ def _by_throw(method: IntervalMethod) -> Callable[[Track, Throw, Die], Parameter
 
 def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
     """χ from the normal velocities at each bounce, without an impact law."""
-    free = fit_flights(sight(track, measured), measured)
-    common = common_restitution(measure_bounces(die, free, measured.impacts), level=LEVEL_OF_INTERVALS)
+    free = fit_flights(observations_of(track, measured), measured)
+    common = common_restitution(measure_bounces(die, free, measured.impacts), level=INTERVAL_LEVEL)
     if common is None:
         return None
     value, low, high = common
-    return Parameter(value, max(low, 0.0), min(high, 1.0), LEVEL_OF_INTERVALS, True, False)
+    return Parameter(value, max(low, 0.0), min(high, 1.0), INTERVAL_LEVEL, True, False)
 
 
 def _again(finest: Run, draws: int) -> Iterator[Track]:

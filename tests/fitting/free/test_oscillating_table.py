@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen
 
-from diethrow.fitting.estimation.observations import sight
+from diethrow.fitting.estimation.observations import observations_of
 from diethrow.fitting.free.flights import fit_flights
-from diethrow.fitting.free.shaken_table import SHAKE, shakes_seen
+from diethrow.fitting.free.oscillating_table import TABLE_MOTION, table_motion_candidates
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL, SmoothImpact, Table
@@ -37,7 +37,7 @@ def test_the_motion_of_a_table_is_found_where_nothing_was_said_of_it(seed: int) 
     fit = fit_throw(*thrown_on(SHAKEN, seed), CUBE)
     assert fit.chosen == ("smooth impact", "oscillating table")
     assert fit.bounces_fitted == 5
-    truths = {"chi": 0.6, **dict(zip(SHAKE, (1.1e-3, 34.0, 0.4), strict=True))}
+    truths = {"chi": 0.6, **dict(zip(TABLE_MOTION, (1.1e-3, 34.0, 0.4), strict=True))}
     for name, truth in truths.items():
         found = fit.parameters[name]
         assert found.value is not None
@@ -61,10 +61,12 @@ def test_a_motion_that_the_scene_states_needs_no_parameter() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_bounces_on_a_table_at_rest_show_no_motion(seed: int) -> None:
     track, measured = thrown_on(LEVEL, seed)
-    assert shakes_seen(CUBE, fit_flights(sight(track, measured), measured), measured.impacts) == []
+    assert (
+        table_motion_candidates(CUBE, fit_flights(observations_of(track, measured), measured), measured.impacts) == []
+    )
 
 
 def test_three_bounces_are_too_few_to_tell_a_motion() -> None:
     track, measured = thrown_on(SHAKEN, 5)
-    free = fit_flights(sight(track, measured), measured)
-    assert shakes_seen(CUBE, free, measured.impacts[:3]) == []
+    free = fit_flights(observations_of(track, measured), measured)
+    assert table_motion_candidates(CUBE, free, measured.impacts[:3]) == []

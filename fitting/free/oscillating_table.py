@@ -1,12 +1,12 @@
-"""What the bounces of a throw say of a table that oscillates along its normal, before any throw is fitted to it.
+"""An oscillating table: the motion along its normal that the bounces of a throw show, before any throw is fitted.
 
-Between two flights that meet, the corner touches the table where the table then is, and leaves it with the velocity that
-the table has: at the instant t of a bounce, with h the height of the touching point and u, u' its vertical velocities,
+Where two flights meet, the corner touches the table at the height of the table and leaves it with the table's velocity
+added. At the instant t of a bounce, with h the height of the contact point and u, u' its vertical velocities,
 
     h = a sin ωt + b cos ωt,    u' - V = -χ (u - V),    V = ω (a cos ωt - b sin ωt).
 
-For a given ω and χ both are linear in a and b: the frequencies that a throw can tell apart are gone through, and the best
-few are where a fit begins. A table at rest shows in the heights, and nothing is then gone through.
+For a given ω and χ both are linear in a and b. All frequencies that a throw can distinguish are tried, and the best few
+start a fit. If the heights show a table at rest, no frequency is tried.
 """
 
 from __future__ import annotations
@@ -25,44 +25,61 @@ from .impulses import contact_arm, normal_velocity
 
 Array = NDArray[np.float64]
 
-SHAKE = ("table_amplitude_m", "table_frequency_hz", "table_phase_rad")
+TABLE_MOTION = ("table_amplitude_m", "table_frequency_hz", "table_phase_rad")
+"""Names of the parameters of an oscillating table."""
 
 _AT_REST_M = 2e-4
-"""Height at a touch below which it is that of a table at rest: what flights of a dozen frames err."""
+"""Height at a touch below which the table is at rest: the error of flights of a dozen frames."""
 
-_HEIGHT_M, _SPEED_M_S = 5e-5, 0.02
-"""By which heights and velocities count beside each other."""
+_SIGMA_HEIGHT_M = 5e-5
+"""Weight of heights."""
 
-_FEWEST_BOUNCES = 4
-"""Two numbers each, for four unknowns: of three bounces some motion explains what a wrong die does, too."""
+_SIGMA_SPEED_M_S = 0.02
+"""Weight of velocities."""
 
-_FASTEST_HZ = 200.0
-_STARTS, _APART = 3, 0.1
-"""Starts given, and the turn of the table over a throw, as part of a period, by which frequencies are apart."""
+_MIN_BOUNCES = 4
+"""Two numbers each, for four unknowns: with three bounces some motion also explains what a wrong die does."""
+
+_MAX_FREQUENCY_HZ = 200.0
+"""Highest frequency tried."""
+
+_MIN_CYCLES = 0.25
+"""Lowest frequency tried, in cycles over the bounces."""
+
+_FREQUENCY_STEP = 0.1
+"""Step between frequencies, in cycles over the bounces."""
+
+_CANDIDATES = 3
+"""Motions returned."""
+
+_ITERATIONS = 4
+"""Alternations between χ and the motion of one frequency."""
 
 
-def shakes_seen(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> list[dict[str, float]]:
-    """Values of amplitude, frequency, phase and χ from which a fit may find the motion of the table, the likeliest first;
-    none where the bounces show a table at rest, or are too few."""
+def table_motion_candidates(die: Die, free: FreeFlights, impacts: Sequence[Impact]) -> list[dict[str, float]]:
+    """Values of amplitude, frequency, phase and χ from which a fit may find the motion of the table, the best first;
+    none where the bounces show a table at rest, or are too few.
+    """
     pairs = zip(impacts, free.flights, free.flights[1:], strict=False)
     seen = [
         _touch(die, before.flight, after.flight, impact)
         for impact, before, after in pairs
         if before is not None and after is not None and impact.contact == "vertex" and len(impact.vertices) == 1
     ]
-    if len(seen) < _FEWEST_BOUNCES:
+    if len(seen) < _MIN_BOUNCES:
         return []
     times, heights, before_m_s, after_m_s = np.array(seen).T
     if np.abs(heights).max() < _AT_REST_M:
         return []
     touches, span = (times, heights, before_m_s, after_m_s), float(np.ptp(times))
-    frequencies = np.arange(0.25 / span, _FASTEST_HZ, _APART / span)
+    frequencies = np.arange(_MIN_CYCLES / span, _MAX_FREQUENCY_HZ, _FREQUENCY_STEP / span)
     found = [_best_motion(f, *touches) for f in frequencies]
     costs = np.array([cost for cost, _ in found])
-    # The bottoms of the valleys, the deepest first.
+    # Local minima, the deepest first.
     inner = np.flatnonzero((costs[1:-1] <= costs[:-2]) & (costs[1:-1] <= costs[2:])) + 1
     return [
-        _best_near(frequencies[k - 1], frequencies[k + 1], touches) for k in inner[np.argsort(costs[inner])][:_STARTS]
+        _best_near(frequencies[k - 1], frequencies[k + 1], touches)
+        for k in inner[np.argsort(costs[inner])][:_CANDIDATES]
     ]
 
 
@@ -73,7 +90,9 @@ def _best_near(low_hz: float, high_hz: float, touches: tuple[Array, Array, Array
 
 
 def _touch(die: Die, before: Flight, after: Flight, impact: Impact) -> tuple[float, float, float, float]:
-    """Instant, height [m] of the touching point, and its vertical velocities before and after, where the flights meet."""
+    """Instant, height [m] of the contact point, and its vertical velocities before and after, where the flights
+    meet.
+    """
     instant = impact.time_s
     for _ in range(3):
         one, other = before.at(instant), after.at(instant)
@@ -91,18 +110,18 @@ def _touch(die: Die, before: Flight, after: Flight, impact: Impact) -> tuple[flo
 def _best_motion(
     frequency_hz: float, times: Array, heights: Array, before: Array, after: Array
 ) -> tuple[float, dict[str, float]]:
-    """The motion of one frequency nearest to the touches, and what it leaves."""
+    """The motion of one frequency nearest to the touches: its cost, and its values."""
     rate = 2.0 * np.pi * frequency_hz
     places = np.stack([np.sin(rate * times), np.cos(rate * times)], 1)
     speeds = rate * np.stack([places[:, 1], -places[:, 0]], 1)
     motion = np.linalg.lstsq(places, heights, rcond=None)[0]
     chi = 0.5
-    for _ in range(4):
+    for _ in range(_ITERATIONS):
         table = speeds @ motion
         chi = float(np.clip(-((after - table) @ (before - table)) / ((before - table) @ (before - table)), 0.0, 1.0))
-        matrix = np.vstack([places / _HEIGHT_M, (1.0 + chi) * speeds / _SPEED_M_S])
-        right = np.concatenate([heights / _HEIGHT_M, (after + chi * before) / _SPEED_M_S])
+        matrix = np.vstack([places / _SIGMA_HEIGHT_M, (1.0 + chi) * speeds / _SIGMA_SPEED_M_S])
+        right = np.concatenate([heights / _SIGMA_HEIGHT_M, (after + chi * before) / _SIGMA_SPEED_M_S])
         motion = np.linalg.lstsq(matrix, right, rcond=None)[0]
     left = right - matrix @ motion
     values = (float(np.hypot(*motion)), frequency_hz, float(np.arctan2(motion[1], motion[0])))
-    return float(left @ left), {"chi": chi, **dict(zip(SHAKE, values, strict=True))}
+    return float(left @ left), {"chi": chi, **dict(zip(TABLE_MOTION, values, strict=True))}
