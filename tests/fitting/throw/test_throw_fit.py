@@ -310,7 +310,7 @@ def test_a_throw_of_many_bounces_is_fitted_as_far_as_doubles_carry_and_says_so()
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.9, impacts=12)
     fit = fit_throw(seen(throw, rng), roughly_measured(throw, rng), CUBE)
     assert 5 <= fit.bounces_fitted < 12
-    assert any(f"explains {fit.bounces_fitted} of 12 bounces" in m and "doubles" in m for m in fit.messages)
+    assert any(f"explains {fit.bounces_fitted} of 12 bounces" in m and "double precision" in m for m in fit.messages)
     assert fit.chosen == ("smooth impact",)
     chi = fit.parameters["chi"]
     assert chi.low is not None
