@@ -57,7 +57,7 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
 
     def land(block: Array) -> NDArray[np.int64]:
         landed = np.empty((len(block), 3), np.int64)
-        settings = engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
+        settings = precision.packed
         law = engine.law_of(engine.SMOOTH, np.array([chi]))
         engine.land_many(body_of(CUBE), law, engine.LEVEL, settings, block, 10_000_000, landed)
         return landed[:, 0]

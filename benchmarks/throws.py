@@ -160,7 +160,7 @@ def land(die: Die, chi: float, starts: Array, precision: Precision = EXACT) -> C
         body_of(die),
         engine.law_of(law.code, law.parameters),
         engine.LEVEL,
-        engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad),
+        precision.packed,
         starts,
         IMPACT_CAP,
         landed,
@@ -334,7 +334,7 @@ def changed(one: Counts, other: Counts) -> str:
 def ends(chi: float, starts: Array, precision: Precision) -> list[tuple[float, Array]]:
     """Time [s] and state (13,) of the last event of each throw of the cube."""
     body, law = body_of(CUBE), engine.law_of(engine.SMOOTH, np.array([chi]))
-    fine = engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
+    fine = precision.packed
     results = []
     for start in starts:
         _, _, _, time_s, state, _, _ = engine.run_throw(

@@ -1,7 +1,16 @@
-"""The rigid-impact die: solids, exact flight, impacts, and throws simulated event by event.
+"""The rigid-impact model of a thrown die: exact flight, impacts, held contact, and throws simulated event by event.
 
-die = make_die("cube", edge_m=0.02, mass_kg=0.016)
-result = throw_die(die, release, SmoothImpact(chi=0.5))
+    die = make_die("cube", edge_m=0.02, mass_kg=0.016)
+    result = throw_die(die, release, SmoothImpact(chi=0.5))
+
+- `die`: what a die is: its solid, mass, inertia, rounded corners and symmetries.
+- `laws`: impact laws, and the table.
+- `throw`: the values of a throw, its simulation from release to rest, and its derivatives.
+- `ensembles`: many throws (odds, basins, predictability), and the growth of errors in one (chaos).
+- `engine`: the compiled kernels below them, on plain numbers and arrays.
+
+Beside these, `rotations` has the quaternions, `world` the acceleration of gravity, and `compiled` the way in which kernels are
+compiled and cached. The model knows nothing of footage: tracking and fitting rest on it.
 """
 
 from .die import Die as Die

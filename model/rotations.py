@@ -1,8 +1,8 @@
 """Rotations as unit quaternions `wxyz` that take body axes to world axes.
 
-Thin, vectorised functions over `scipy.spatial.transform.Rotation`, so that every other module has one spelling
-and one order of components. The paper's Euler angles (ψ, ϑ, φ; Kapitaniak et al., Chaos 22, 047504, Eq. 5) are the
-intrinsic z-x-z sequence: R = Rz(ψ) Rx(ϑ) Rz(φ).
+These are thin, vectorised functions over `scipy.spatial.transform.Rotation`, so that the whole package has one order of
+components. The paper's Euler angles (ψ, ϑ, φ; Kapitaniak et al., Chaos 22, 047504, Eq. 5) are the intrinsic z-x-z
+sequence: R = Rz(ψ) Rx(ϑ) Rz(φ).
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def rotvec_from_quat(quaternion: ArrayLike) -> Array:
 
 
 def quat_multiply(left: ArrayLike, right: ArrayLike) -> Array:
-    """Hamilton products (..., 4): first `right`, then `left`. Keeps the sign, unlike scipy's composition."""
+    """Hamilton products (..., 4): the rotation `right`, then `left`. The sign is kept, unlike in scipy's composition."""
     a, b = np.broadcast_arrays(np.asarray(left, float), np.asarray(right, float))
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
@@ -66,16 +66,16 @@ def quat_conjugate(quaternion: ArrayLike) -> Array:
 
 
 def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
-    """Rotation vectors (..., 3) [rad, world axes] that take orientation `start` to `end`: end = exp(v) start."""
+    """Rotation vectors v (..., 3) [rad, world axes] from the quaternions `start` to `end`: end = exp(v) start."""
     return rotvec_from_quat(quat_multiply(end, quat_conjugate(start)))
 
 
 def continuous_sign(quaternions: ArrayLike) -> Array:
-    """The same rotations (n, 4) with signs chosen so that neighbours never differ by a flip; NaN rows stay."""
+    """The same rotations (n, 4), with signs such that neighbours have a positive scalar product; NaN rows stay."""
     q = np.array(quaternions, float)
     known = np.flatnonzero(np.isfinite(q).all(axis=1))
-    turns = (q[known[1:]] * q[known[:-1]]).sum(1) < 0
-    flipped = known[1:][np.cumsum(turns) % 2 == 1]
+    sign_changes = (q[known[1:]] * q[known[:-1]]).sum(1) < 0
+    flipped = known[1:][np.cumsum(sign_changes) % 2 == 1]
     q[flipped] = -q[flipped]
     return q
 
@@ -88,7 +88,7 @@ def quat_from_euler(euler_rad: ArrayLike) -> Array:
 
 
 def euler_from_quat(quaternion: ArrayLike) -> Array:
-    """The paper's Euler angles (..., 3) ψ, ϑ, φ [rad]. At ϑ = 0 and π only ψ ± φ is determined; φ is then 0."""
+    """The paper's Euler angles (..., 3) ψ, ϑ, φ [rad]. At ϑ = 0 and π only ψ ± φ is determined, and φ is set to 0."""
     q = np.asarray(quaternion, float)
     with warnings.catch_warnings():
         # scipy warns at ϑ = 0 and π and sets the third angle to zero, which is the convention stated above.

@@ -1,8 +1,8 @@
 """What a die is: its solid, mass, inertia, rounded corners and symmetries.
 
-`make_die` gives one of the five isohedral dice, `die_from_solid` and `loaded_die` any other; all others take a `Die`. `Solid`
-holds the sharp polyhedron, `inner_vertices` the corners under the rounding. The symmetry rotations serve whatever compares
-the orientations of an unmarked die.
+`make_die` gives one of the five isohedral dice, `die_from_solid` and `loaded_die` any other; all others take a `Die`.
+`Solid` holds the sharp polyhedron, `inner_vertices` the corners under the rounding. The symmetry rotations serve
+whatever compares the orientations of an unmarked die.
 """
 
 from .die import MAX_CORNER_RADIUS_FRACTION as MAX_CORNER_RADIUS_FRACTION

@@ -1,8 +1,8 @@
 """A die: a solid with mass, rounded corners and marks, homogeneous or loaded.
 
-`make_die` gives the five isohedral dice, `die_from_solid` any convex solid, `loaded_die` a solid with a point mass in it. A
-die whose inertia is the same about every axis, with its centre of mass at the centroid, is a spherical top: one number says
-how its mass is spread, and it turns at a constant rate in flight. All others carry an inertia tensor.
+`make_die` gives the five isohedral dice, `die_from_solid` any convex solid, `loaded_die` a solid with a point mass in
+it. A die whose inertia is the same about every axis, with its centre of mass at the centroid, is a spherical top: one
+number says how its mass is spread, and it turns at a constant rate in flight. All others carry an inertia tensor.
 """
 
 from __future__ import annotations

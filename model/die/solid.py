@@ -1,11 +1,12 @@
 """Convex polyhedra: vertices, faces, edges, inertia, and the inner polyhedron of a body with rounded corners.
 
-The five isohedral dice are homogeneous and sharp, and therefore spherical tops (Kapitaniak et al., Chaos 22, 047504, 2012):
-their inertia tensor is a multiple of the identity. It is integrated over the volume rather than typed in, and the tests
-compare it with the paper's formulas. Any other convex solid can be a die as well, the paper's truncated dipyramids among them.
+The five isohedral dice are homogeneous and sharp, and therefore spherical tops (Kapitaniak et al., Chaos 22, 047504,
+2012): their inertia tensor is a multiple of the identity. It is integrated over the volume rather than typed in, and
+the tests compare it with the paper's formulas. Any other convex solid can be a die as well, the paper's truncated
+dipyramids among them.
 
-The body frame has its origin at the centroid. Face k carries the number k + 1. On the cube opposite faces add up to seven,
-and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
+The body frame has its origin at the centroid. Face k carries the number k + 1. On the cube opposite faces add up to
+seven, and 1, 2, 3 turn counter-clockwise round their common corner (the Western, right-handed die).
 """
 
 from __future__ import annotations

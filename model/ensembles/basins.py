@@ -1,9 +1,9 @@
 """Basins of attraction: the face that a die lands on, over a plane of initial conditions.
 
-Two of the ten initial conditions of the paper span the plane, the others stay fixed (Kapitaniak et al., Chaos 22,
-047504, 2012, Fig. 6: z0 against ω_η). A pixel is the throw from its centre. The coordinates of a pixel are computed
-exactly, as fractions of the decimals that bound the window, and rounded once: so a zoom shows the very throws of a
-finer map of the whole, pixel for pixel, wherever the pixels coincide.
+Two of the ten initial conditions of the paper span the plane, and the others are fixed (Kapitaniak et al., Chaos 22,
+047504, 2012, Fig. 6: z0 against ω_η). Each pixel is one throw, from the conditions at its centre. Its coordinates are
+computed exactly, as fractions of the decimals that bound the window, and rounded once. A zoom therefore shows the same
+throws as a finer map of the whole, pixel for pixel, wherever the pixels coincide.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from .releases import CONDITIONS, states_of
 Array = NDArray[np.float64]
 
 FIG_6_CONDITIONS = {"z0": 0.3, "psi": 0.3, "theta": 1.2, "phi": 0.6}
-"""What the paper's Fig. 6 keeps fixed; every other condition is zero. z0 serves where it is no axis."""
+"""The fixed conditions of the paper's Fig. 6; all others are zero. z0 is used if it is not an axis."""
 
 MAX_PIXELS = 400_000_000
-"""Of one map: beyond them its arrays fill an ordinary machine's memory."""
+"""Largest number of pixels of one map: beyond it the arrays exceed the memory of an ordinary machine."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """One of CONDITIONS, from `low` to `high`, in so many pixels."""
+    """One of CONDITIONS, from `low` to `high`, divided into pixels."""
 
     name: str
     low: float
@@ -42,14 +42,14 @@ class Axis:
         if self.name not in CONDITIONS:
             raise ValueError(f"axis {self.name!r}: wanted one of {', '.join(CONDITIONS)}")
         if not (np.isfinite([self.low, self.high]).all() and self.low < self.high):
-            raise ValueError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower one first")
+            raise ValueError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower bound first")
         if self.pixels < 1:
             raise ValueError(f"{self.name} in {self.pixels} pixels: wanted 1 or more")
 
     @property
     def centres(self) -> Array:
-        """(pixels,) coordinates of the pixels' centres, each the double nearest to the exact value."""
-        # repr() gives the decimals that a user wrote, and those are what a window and its zoom have in common.
+        """(pixels,) coordinates of the pixel centres, each the double nearest to the exact value."""
+        # repr() gives the decimals that the user wrote, which a window and its zoom have in common.
         low, high = Fraction(repr(float(self.low))), Fraction(repr(float(self.high)))
         step = (high - low) / (2 * self.pixels)
         return np.array([float(low + (2 * k + 1) * step) for k in range(self.pixels)])
@@ -57,16 +57,16 @@ class Axis:
 
 @dataclass(frozen=True)
 class Window:
-    """A part of a plane of initial conditions."""
+    """A rectangle in a plane of initial conditions."""
 
     x: Axis
     y: Axis
     fixed: Mapping[str, float] = field(default_factory=lambda: dict(FIG_6_CONDITIONS))
-    """Values of the other CONDITIONS; what is not named is zero."""
+    """Values of the other CONDITIONS; those not named are zero."""
 
     def __post_init__(self) -> None:
         if self.x.name == self.y.name:
-            raise ValueError(f"axes {self.x.name} and {self.y.name}: wanted two different ones")
+            raise ValueError(f"axes {self.x.name} and {self.y.name}: wanted two different axes")
         for name, value in self.fixed.items():
             if name not in CONDITIONS:
                 raise ValueError(f"fixed condition {name!r}: wanted one of {', '.join(CONDITIONS)}")
@@ -74,7 +74,7 @@ class Window:
                 raise ValueError(f"{name} = {value}: wanted a finite number")
         if self.x.pixels * self.y.pixels > MAX_PIXELS:
             raise ValueError(
-                f"{self.x.pixels} × {self.y.pixels} pixels: wanted at most {MAX_PIXELS}; map it in parts, by zooms"
+                f"{self.x.pixels} × {self.y.pixels} pixels: wanted at most {MAX_PIXELS}; map it in parts, as zooms"
             )
 
     def states(self, points: Array) -> Array:
@@ -88,7 +88,7 @@ class Window:
 
 
 def map_rows(
-    stage: ThrowSetup,
+    setup: ThrowSetup,
     window: Window,
     *,
     first: int = 0,
@@ -97,32 +97,32 @@ def map_rows(
     threads: int = 1,
     executor: Executor | None = None,
 ) -> Iterator[tuple[int, int, Landings]]:
-    """Throw from every pixel, `rows` rows at a time; yields (i, j, landings of rows i to j - 1, x running fastest).
+    """Throw from every pixel, `rows` rows at a time; yields (i, j, landings of rows i to j - 1, x varying fastest).
 
-    `first` is the row to begin with, `after` the number of impacts at which the lowest face is noted; `threads` and
+    `first` is the row to begin with, and `after` the number of impacts at which the lowest face is recorded. `threads` and
     `executor` are those of `chunks_in_order`.
     """
     xs, ys = window.x.centres, window.y.centres
     yield from chunks_in_order(
-        partial(landings_of_rows, stage, window, xs, ys, after), first, len(ys), rows, threads, executor
+        partial(landings_of_rows, setup, window, xs, ys, after), first, len(ys), rows, threads, executor
     )
 
 
-def landings_of_rows(stage: ThrowSetup, window: Window, xs: Array, ys: Array, after: int, i: int, j: int) -> Landings:
-    """The throws from all pixels of rows i to j - 1, of centres `xs` (columns,) and `ys` (rows,), x running fastest."""
+def landings_of_rows(setup: ThrowSetup, window: Window, xs: Array, ys: Array, after: int, i: int, j: int) -> Landings:
+    """The throws from all pixels of rows i to j - 1, with centres `xs` (columns,) and `ys` (rows,), x varying fastest."""
     points = np.stack(np.broadcast_arrays(xs, ys[i:j, None]), axis=-1).reshape(-1, 2)
-    return stage.throw(window.states(points), after)
+    return setup.throw(window.states(points), after)
 
 
 def final_configurations(
-    stage: ThrowSetup, window: Window, points: Array, after: int | None = None
+    setup: ThrowSetup, window: Window, points: Array, after: int | None = None
 ) -> NDArray[np.int64]:
     """The final configuration (n,) of throws from points (n, 2) of the plane, as one number each.
 
-    The number of the face that the die lands on, or, where it lands on none, minus one less the index of its ending.
-    With `after`, the number of the face that is lowest at that impact instead.
+    It is the number of the face on which the die lands, or -1 minus the index of the ending if it lands on none. With
+    `after`, it is the number of the lowest face at that impact instead.
     """
-    landings = stage.throw(window.states(points), after or 0)
+    landings = setup.throw(window.states(points), after or 0)
     if after is not None:
         return landings.lowest[:, after]
     return np.where(landings.face > 0, landings.face, -1 - landings.ending)

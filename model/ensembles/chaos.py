@@ -1,34 +1,33 @@
-"""Chaos: how errors grow in a throw, whether double precision decides its face, and the largest Lyapunov exponent.
+"""Chaos: growth of errors in a throw, decidability of its face in double precision, and the largest Lyapunov exponent.
 
-**Growth.** A small disturbance δ of position, orientation (rotation vector), velocity and angular velocity is carried
-along by the derivative of the exact motion: through flight in closed form, through an impact by its saltation matrix
-(`tangent`; on a table that moves the height and velocity of the vertex are those relative to it, and the instant shifts
-by δt = -δh/u, u the relative velocity), through held contact by central differences of the integration, which keeps the
-disturbed vertices on the table. Laws without derivatives are differenced in the same way. Lengths are measured by the
-circumradius R, times by √(R/g), angles in radians; the exponents do not depend on that choice.
+**Growth.** The derivative of the exact motion propagates a small disturbance δ of position, orientation (rotation
+vector), velocity and angular velocity. Flight has a closed form, and an impact has its saltation matrix
+(`throw.tangent`). On an oscillating table the height and velocity of the vertex are those relative to it, and the
+instant shifts by δt = -δh/u, with u the relative velocity. Held contact uses central differences of the integration,
+which keeps the disturbed vertices on the table; laws without derivatives are differenced in the same way. Lengths are
+measured in circumradii R, times in √(R/g), angles in radians. The exponents do not depend on that choice.
 
-**Exponents.** λ = lim (1/t) Σ log |δ_k⁺|/|δ_(k-1)⁺|, the disturbance brought back to length 1 at every impact (Benettin,
-Galgani, Giorgilli, Strelcyn, Meccanica 15, 9, 1980). At χ = 1 the motion is Hamiltonian: the twelve exponents are pairs
-±λ. Any vertex impact contracts the volume by χ², so their sum is 2 log χ an impact. Below χ = 1 on a table at rest
-every throw ends, after finitely many impacts or infinitely many in finite time: growth is finite, and an exponent in
-the sense of the limit does not exist.
+**Exponents.** λ = lim (1/t) Σ log |δ_k⁺|/|δ_(k-1)⁺|, with the disturbance rescaled to length 1 at every impact
+(Benettin, Galgani, Giorgilli, Strelcyn, Meccanica 15, 9, 1980). At χ = 1 the motion is Hamiltonian: the twelve
+exponents are pairs ±λ. Every vertex impact contracts the volume by χ², so the sum of the exponents is 2 log χ an
+impact. Below χ = 1 on a table at rest every throw ends, after finitely many impacts or infinitely many in finite time.
+The growth is then finite, and an exponent in the sense of the limit does not exist.
 
-**What double precision decides.** Errors come from the start, from rounding at every event, from the height at which a
-touch was found, and from the steps of held contact. They are carried along as columns E of disturbances of which E Eᵀ
-is the covariance. A throw is undecidable at its precision
+**Decidability.** Errors come from the release, from rounding at every event, from the height at which a touch was
+found, and from the steps of held contact. They are propagated as columns E of disturbances with the covariance E Eᵀ. A
+throw is not decidable at its precision
 
-- once the error has grown to 0.05 in the units above: where two neighbours part, as over an edge, the error between
-  them passes that size first;
-- where another vertex, falling, may have touched before the one that did (the error of the difference of their
-  instants, three times over, bridges it), and the throw with the other order of impacts, which is followed with its own
-  errors, does not land on the same face. Where the order makes a difference below 1e-4 it is added to the errors;
-- where a vertex passed the table so closely that the error lets it touch: the largest impulse that it can then have got
-  is added to the errors;
-- where its energy is so close to what the deciding edge needs that the error bridges it;
-- and where it stands balanced.
+- if the error has grown to 0.05 in the units above: two neighbours that separate, as over an edge, have an error of
+  that size between them first;
+- if another falling vertex may have touched before the one that did, because three times the error of the difference of
+  their instants covers it, and the throw with the other order of impacts, followed with its own errors, does not land
+  on the same face. If the order makes a difference below 1e-4, it is added to the errors;
+- if its energy is so close to what the deciding edge needs that the error covers the difference;
+- and if it stands balanced.
 
-The derivative of a touch, 1/u, has no bound for the faintest bounces; a touch is taken to be late by no more than the
-time in which the vertex falls the height of its error.
+If a vertex passed the table so closely that the error lets it touch, the largest impulse that it can then have received
+is added to the errors. The derivative of a touch, 1/u, has no bound for the faintest bounces. A touch is therefore
+assumed late by no more than the time in which the vertex falls the height of its error.
 """
 
 from __future__ import annotations
@@ -43,34 +42,57 @@ from .. import engine
 from ..die import Die
 from ..engine import derivatives
 from ..laws import LEVEL, ImpactLaw, Table
-from ..throw import BOUNCING_CAP, EXACT, IMPACT_CAP, Ending, Precision, State, body_of, checked_release
-from ..throw import ENDINGS as _ENDINGS
+from ..throw import (
+    BOUNCING_CAP,
+    ENDINGS,
+    EXACT,
+    IMPACT_CAP,
+    Ending,
+    Precision,
+    State,
+    body_of,
+    checked_release,
+    is_endless,
+)
 
 Array = NDArray[np.float64]
 
-_UNIT = 2.220446049250313e-16
-_ENDLESS = np.iinfo(np.int64).max
-_LEAVES_OFF = (engine.IMPACT_CAP, engine.TIMED_OUT, engine.TIME_REACHED)
-"""Endings that say nothing of where the die would land."""
+NEIGHBOUR_DISTANCE = 1e-6
+"""Distance of the first orbit from the others, in units of R and √(R/g): far above rounding, and small enough that all orbits
+have the same energy and ω_z."""
+
+MAX_BLOCKS = 20
+"""Blocks of an orbit for the standard error of an exponent."""
+
+MIN_BLOCK_IMPACTS = 50
+"""Least number of impacts in a block, so that blocks are nearly independent."""
+
+MAX_LOG10_GROWTH = 300.0
+"""Largest reported growth, as a power of ten: the range of double precision."""
+
+_UNIT = float(np.finfo(float).eps)
+_NO_LIMIT = np.iinfo(np.int64).max
+_UNFINISHED = (engine.IMPACT_CAP, engine.TIMED_OUT, engine.TIME_REACHED)
+"""Endings that do not show where the die would land."""
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorGrowth:
-    """By how much a throw magnifies small disturbances of its release."""
+    """The factor by which a throw magnifies small disturbances of its release."""
 
     times_s: Array
     """(k,) instants of the events: impacts, and changes of held contact."""
     vertices: NDArray[np.int64]
-    """(k,) the vertex that strikes; -1 where the contact only changes."""
+    """(k,) the vertex that strikes; -1 if only the contact changes."""
     log10_growth: Array
-    """(k,) of the factor by which the worst disturbance of the release has grown right after each event, its size
-    measured with lengths by the circumradius and times by √(R/g)."""
+    """(k,) log10 of the largest growth of any disturbance of the release, right after each event, with lengths in
+    circumradii and times in √(R/g)."""
     ending: Ending
 
     @property
     def at_end(self) -> float:
-        """The factor after the last event; 1 where there is none."""
-        return float(10.0 ** min(self.log10_growth[-1], 300.0)) if len(self.log10_growth) else 1.0
+        """The factor after the last event; 1 if there is none."""
+        return float(10.0 ** min(self.log10_growth[-1], MAX_LOG10_GROWTH)) if len(self.log10_growth) else 1.0
 
     @property
     def at_impacts(self) -> Array:
@@ -80,18 +102,18 @@ class ErrorGrowth:
 
 @dataclass(frozen=True)
 class Decidability:
-    """Whether a throw, as it was computed, can be trusted with its outcome."""
+    """Whether the outcome of a computed throw is certain at its precision."""
 
     decidable: bool
     error_growth: float
     """Factor by which an error of the release has grown at the decision."""
     error_m: float
-    """[m] error of the state at the decision, times the circumradius; where the throw is undecidable, at the event at
-    which that was found."""
+    """[m] error of the state in units of the circumradius, times the circumradius: at the decision, or at the event at
+    which the throw was found not decidable."""
     margin: float
-    """How many times larger all errors might have been before another outcome could not be ruled out; 1 or less: it
-    cannot be."""
+    """Factor by which all errors could be larger before another outcome is possible; at 1 or less one is possible now."""
     sentence: str
+    """The same in words, for the user."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +122,19 @@ class LyapunovExponents:
 
     per_second: float
     per_second_error: float
-    """Standard error: of the mean over the orbits, or over blocks of them, whichever is larger."""
+    """Standard error: from the scatter of orbits, or of blocks of them, whichever is larger."""
     per_impact: float
     per_impact_error: float
     per_unit: float
-    """Per √(a/g), a the edge of the solid."""
+    """Per √(a/g), with a the edge of the solid."""
     per_unit_error: float
     impacts: int
-    """Counted, of each orbit, after those that were left out at its beginning."""
+    """Impacts of each orbit that count, after those left out at its beginning."""
     left_out: int
     logs: Array
-    """(orbits, impacts) logarithm of the growth since the impact before."""
+    """(orbits, impacts) natural logarithm of the growth since the previous impact."""
     times_s: Array
-    """(orbits, impacts) since the last impact that was left out."""
+    """(orbits, impacts) time [s] since the last impact that was left out."""
 
 
 def error_growth(
@@ -124,9 +146,9 @@ def error_growth(
     precision: Precision = EXACT,
     impacts: int | None = None,
 ) -> ErrorGrowth:
-    """The growth of disturbances along a throw, to its decision, or to a number of impacts.
+    """The growth of disturbances along a throw, until its face is decided or a number of impacts is reached.
 
-    A throw that never ends is left after `simulate.BOUNCING_CAP` impacts. Raises ValueError as `throw_die` does.
+    A throw that never ends is stopped after BOUNCING_CAP impacts. Raises ValueError as `throw_die` does.
     """
     body, plane, start = body_of(die), table.plane, checked_release(die, release, table)
     packed = engine.law_of(law.code, law.parameters)
@@ -134,11 +156,11 @@ def error_growth(
         body,
         packed,
         plane,
-        _packed(precision),
+        precision.packed,
         start,
         float(release.time_s),
         np.inf,
-        _ENDLESS if impacts is None else impacts,
+        _NO_LIMIT if impacts is None else impacts,
         impacts is None,
         _cap(law, table),
         True,
@@ -153,7 +175,7 @@ def error_growth(
 def decidable_in_double_precision(
     die: Die, release: State, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
 ) -> Decidability:
-    """Whether double precision, at this setting of the simulator, decides the outcome of a throw.
+    """Whether the outcome of a throw is certain in double precision, at this precision of the simulation.
 
     The release is taken as exact to the last bit. Raises ValueError as `throw_die` does.
     """
@@ -162,14 +184,14 @@ def decidable_in_double_precision(
         body,
         engine.law_of(law.code, law.parameters),
         plane,
-        _packed(precision),
+        precision.packed,
         start,
         float(release.time_s),
         release_error(start[None], body.radius),
         _cap(law, table),
     )
     grown = error_growth(die, release, law, table=table, precision=precision).at_end
-    decidable = bool(margin > 1.0) and (face >= 0 or code not in _LEAVES_OFF)
+    decidable = bool(margin > 1.0) and (face >= 0 or code not in _UNFINISHED)
     ending = _ending(code, law, table)
     sentence = _sentence(decidable, ending, int(impacts), grown, float(margin))
     return Decidability(decidable, grown, float(error) * body.radius, float(margin), sentence)
@@ -178,10 +200,10 @@ def decidable_in_double_precision(
 def decidable_in_double_precision_many(
     die: Die, starts: Array, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Array]:
-    """Throws from packed starts (n, 13), as the kernels have them, each with its decidability.
+    """Throws from packed starts (n, 13), as the kernels take them, each with its decidability.
 
-    Returns (n, 3): face row or -1, impacts, code of the ending; (n,) whether double precision decides it; (n,) margins.
-    Runs without the interpreter's lock, so that threads may share the work.
+    Returns (n, 3) row of the face or -1, number of impacts, code of the ending; (n,) whether the outcome is certain in double
+    precision; (n,) margins as in `Decidability`. It runs without the interpreter's lock, so threads may share the work.
     """
     body, starts = body_of(die), np.ascontiguousarray(starts, float)
     landed, figures = np.empty((len(starts), 3), np.int64), np.empty((len(starts), 2))
@@ -189,19 +211,19 @@ def decidable_in_double_precision_many(
         body,
         engine.law_of(law.code, law.parameters),
         table.plane,
-        _packed(precision),
+        precision.packed,
         starts,
         release_error(starts, body.radius),
         _cap(law, table),
         landed,
         figures,
     )
-    decidable = (figures[:, 1] > 1.0) & ((landed[:, 0] >= 0) | ~np.isin(landed[:, 2], _LEAVES_OFF))
+    decidable = (figures[:, 1] > 1.0) & ((landed[:, 0] >= 0) | ~np.isin(landed[:, 2], _UNFINISHED))
     return landed, decidable, figures[:, 1]
 
 
 def release_error(starts: Array, radius_m: float) -> Array:
-    """Rounding (12,) of releases (n, 13): position, rotation vector, velocity, angular velocity; of the largest."""
+    """Rounding (12,) of releases (n, 13): position, rotation vector, velocity, angular velocity, of the largest release."""
     largest = np.abs(starts).max(0) if len(starts) else np.zeros(13)
     error = np.empty(12)
     error[:3] = _UNIT * (largest[2] + radius_m)
@@ -226,16 +248,16 @@ def largest_lyapunov_exponent(
 ) -> LyapunovExponents:
     """The largest Lyapunov exponent of the motion that begins with `start`, from `orbits` orbits of `impacts` each.
 
-    The orbits begin 1e-6 (in units of R and √(R/g)) apart from each other, so that they share energy and ω_z and, where
-    the motion is chaotic, nothing else once the first `left_out` impacts are over. Raises ValueError for a motion that
-    ends: χ < 1 on a table at rest, or a die that comes to lie on a table that oscillates.
+    The orbits begin NEIGHBOUR_DISTANCE apart, so they share energy and ω_z. If the motion is chaotic they are independent
+    otherwise once the first `left_out` impacts are over. Raises ValueError for a motion that ends: χ < 1 on a table at rest,
+    or a die that comes to lie on an oscillating table.
     """
     if impacts < 2 or orbits < 1 or left_out < 0:
-        raise ValueError(f"impacts = {impacts}, orbits = {orbits}, left_out = {left_out}: wanted 2, 1, 0 or more")
+        raise ValueError(f"impacts = {impacts}, orbits = {orbits}, left_out = {left_out}: wanted at least 2, 1 and 0")
     if not table.moves and law.parameters[0] < 1.0:
         raise ValueError(
-            f"chi = {law.parameters[0]:g} on a table at rest: every throw ends, and has no exponent but only a finite "
-            "growth; wanted chi = 1 or a table that oscillates"
+            f"chi = {law.parameters[0]:g} on a table at rest: every throw ends, with a finite growth and no exponent; "
+            "wanted chi = 1 or an oscillating table"
         )
     body, packed = body_of(die), checked_release(die, start, table)
     streams = np.random.SeedSequence(seed).spawn(orbits)
@@ -247,15 +269,15 @@ def largest_lyapunov_exponent(
             body,
             engine.law_of(law.code, law.parameters),
             table.plane,
-            _packed(precision),
+            precision.packed,
             _nearby(packed, body, table, rng) if k else packed,
             float(start.time_s),
-            _columns(rng, 1) * derivatives.scales_of(body, table.plane)[:, None],
+            _random_direction(rng) * derivatives.scales_of(body, table.plane)[:, None],
             *run,
         )
         if reached < left_out + impacts:
             raise ValueError(
-                f"the die bounced only {reached} times ({_ENDINGS[code].value}); wanted {left_out + impacts} impacts; try a "
+                f"the die bounced only {reached} times ({ENDINGS[code].value}); wanted {left_out + impacts} impacts; try a "
                 "stronger oscillation or a larger chi"
             )
         before = run[1][left_out - 1] if left_out else float(start.time_s)
@@ -266,7 +288,7 @@ def largest_lyapunov_exponent(
 
 
 def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> LyapunovExponents:
-    """The exponents of logged growth (orbits, impacts) and the instants [s] of the impacts since the beginning."""
+    """The exponents of the logged growth (orbits, impacts) with the times (orbits, impacts) [s] of its impacts."""
     per_second, second_error = _ratio(logs, np.diff(times_s, axis=1, prepend=0.0))
     per_impact, impact_error = _ratio(logs, np.ones_like(logs))
     unit = float(np.sqrt(die.solid.edge_m / engine.LEVEL.g))
@@ -285,59 +307,54 @@ def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> Lyapun
 
 
 def _ratio(logs: Array, spans: Array) -> tuple[float, float]:
-    """Σ logs / Σ spans with its standard error: the larger one of that from orbits and that from blocks of them."""
+    """Σ logs / Σ spans with its standard error, the larger one of that from orbits and that from blocks of them."""
     ratio = float(logs.sum() / spans.sum())
-    rest = logs - ratio * spans  # of mean zero: the error of a ratio, to the first order
-    orbits, n = rest.shape
-    blocks = [part.sum(1) for part in np.array_split(rest, max(2, min(20, n // 50)), axis=1)]
-    sums = np.concatenate(blocks)
-    errors = [sums.std(ddof=1) * np.sqrt(len(sums))]
+    residuals = logs - ratio * spans  # of mean zero: the error of a ratio, to first order
+    orbits, n = residuals.shape
+    count = max(2, min(MAX_BLOCKS, n // MIN_BLOCK_IMPACTS))
+    blocks = np.concatenate([part.sum(1) for part in np.array_split(residuals, count, axis=1)])
+    errors = [blocks.std(ddof=1) * np.sqrt(len(blocks))]
     if orbits > 1:
-        errors.append(rest.sum(1).std(ddof=1) * np.sqrt(orbits))
+        errors.append(residuals.sum(1).std(ddof=1) * np.sqrt(orbits))
     return ratio, float(max(errors) / spans.sum())
 
 
-def _columns(rng: np.random.Generator, count: int) -> Array:
-    """Disturbances (12, count) in random directions."""
-    return np.asarray(rng.normal(size=(12, count)))
+def _random_direction(rng: np.random.Generator) -> Array:
+    """A disturbance (12, 1) in a random direction."""
+    return np.asarray(rng.normal(size=(12, 1)))
 
 
 def _nearby(start: Array, body: engine.Body, table: Table, rng: np.random.Generator) -> Array:
-    """A start (13,) some 1e-6 away, and no nearer to the table."""
+    """A start (13,) at NEIGHBOUR_DISTANCE, whose lowest vertex is no lower."""
     moved = np.empty(13)
-    direction = _columns(rng, 1) * derivatives.scales_of(body, table.plane)[:, None]
-    derivatives.displaced(start, direction, 0, 1e-6, moved)
-    drop = np.min([engine.clearance(vertex, moved, 0.0) for vertex in body.vertices])
+    direction = _random_direction(rng) * derivatives.scales_of(body, table.plane)[:, None]
+    derivatives.displaced(start, direction, 0, NEIGHBOUR_DISTANCE, moved)
+    lowest = np.min([engine.clearance(vertex, moved, 0.0) for vertex in body.vertices])
     before = np.min([engine.clearance(vertex, start, 0.0) for vertex in body.vertices])
-    moved[2] += max(0.0, before - drop)
+    moved[2] += max(0.0, before - lowest)
     return moved
 
 
-def _packed(precision: Precision) -> engine.Precision:
-    return engine.Precision(precision.contact_tolerance_m, precision.slowest_bounce, precision.step_turn_rad)
-
-
-def _endless(law: ImpactLaw, table: Table) -> bool:
-    return bool(law.parameters[0] >= 1.0 or table.moves)
-
-
 def _cap(law: ImpactLaw, table: Table) -> int:
-    """Impacts after which a throw is left, as `throw_die` does."""
-    return BOUNCING_CAP if _endless(law, table) else IMPACT_CAP
+    """Impacts after which a throw is stopped, as by `throw_die`."""
+    return BOUNCING_CAP if is_endless(law, table) else IMPACT_CAP
 
 
 def _ending(code: int, law: ImpactLaw, table: Table) -> Ending:
-    return Ending.BOUNCING if code == engine.IMPACT_CAP and _endless(law, table) else _ENDINGS[code]
+    """How a throw ended, from the code of the kernels."""
+    return Ending.BOUNCING if code == engine.IMPACT_CAP and is_endless(law, table) else ENDINGS[code]
 
 
 def _sentence(decidable: bool, ending: Ending, impacts: int, grown: float, margin: float) -> str:
-    """What throw.json says."""
+    """The message for the user."""
     magnified = f"{impacts} impacts magnify an error of the release {grown:.1e} times"
     if ending is Ending.BALANCED:
-        return "Double precision does not decide this throw: the die stands balanced, and any neighbour of it falls."
+        return "This throw is not decidable in double precision: the die stands balanced, and any neighbouring state falls."
     if decidable:
         room = "no error matters" if margin == np.inf else f"errors {margin:.1e} times as large would not change it"
-        return f"Double precision decides this throw: {magnified}, and {room}."
+        return f"This throw is decidable in double precision: {magnified}, and {room}."
     if margin > 1.0:
-        return f"Whether double precision decides this throw is open, since it was left before its end: {magnified}."
-    return f"Double precision does not decide this throw: {magnified}, and rounding may have chosen its end."
+        return (
+            f"Decidability in double precision is unknown, because the throw was stopped before its end: {magnified}."
+        )
+    return f"This throw is not decidable in double precision: {magnified}, and rounding may have chosen its outcome."

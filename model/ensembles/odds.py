@@ -1,4 +1,15 @@
-"""model.ensembles.odds."""
+"""The odds of the faces: counts of many throws, with intervals.
+
+**What is counted.** The face on which each throw is decided, or how else it ended, because dice that spin for ever and
+dice that were stopped while bouncing land on no face. Also the face that is lowest at the k-th impact, or at the end of
+a throw of fewer impacts: Kapitaniak et al. (Chaos 22, 047504, 2012) report odds after a stated number of bounces. All
+counts are whole numbers, whose sum does not depend on order. So a tally that was stopped can be continued, and memory
+does not grow with the number of throws.
+
+**Intervals.** Of a count k of n throws, Wilson's (J. Am. Stat. Assoc. 22, 209, 1927): the probabilities p from which
+k/n differs by no more than a multiple of their standard error √(p (1 - p)/n). It stays within 0 to 1 and has its
+nominal coverage for small counts as well.
+"""
 
 from __future__ import annotations
 
@@ -6,49 +17,48 @@ from collections.abc import Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass, fields
 from functools import partial
-from math import sqrt
-from statistics import NormalDist
+from math import cos
 from typing import Any
 
 import numpy as np
 
-from .landings import ENDING_OF_INDEX, Indices, Landings, ThrowSetup, check_releases, chunks_in_order, drawn_states
-from .releases import BLOCK, Conditions
+from .landings import ENDING_OF_INDEX, Indices, Landings, ThrowSetup, chunks_in_order
+from .releases import BLOCK, Conditions, drawn_states
 
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """Counts of an ensemble, all whole numbers; n is the number of faces of the die."""
+    """Counts of an ensemble; n is the number of faces of the die."""
 
     throws: int
-    """How many throws were made: the first so many of the seed."""
+    """Number of throws made, the first ones of the seed."""
     landed: Indices
-    """(n,) of each face, in the order of their numbers."""
+    """(n,) throws that landed on each face, in the order of the face numbers."""
     endings: Indices
-    """(endings,) in the order of ENDING_OF_INDEX."""
+    """(endings,) throws of each ending, in the order of ENDING_OF_INDEX."""
     lowest: Indices
-    """(1 + after, n) how often each face was the lowest at release and at each impact."""
+    """(1 + after, n) throws in which each face was the lowest at release and at each impact."""
     as_start: Indices
-    """(1 + after,) how often that was the face that was lowest at release."""
+    """(1 + after,) throws in which the lowest face was the one that was lowest at release."""
     as_landed: Indices
-    """(1 + after,) how often it was the face that the die landed on."""
+    """(1 + after,) throws in which the lowest face was the one on which the die landed."""
     landed_as_start: int
-    """How often the die landed on the face that was lowest at release."""
+    """Throws that landed on the face that was lowest at release."""
     impacts: int
-    """Of all throws together."""
+    """Of all throws in total."""
     most_impacts: int
-    """Of one throw."""
+    """Largest number of impacts of one throw."""
 
     @classmethod
-    def nothing(cls, faces: int, after: int) -> Tally:
-        """The tally of no throw."""
+    def empty(cls, faces: int, after: int) -> Tally:
+        """The tally of no throws."""
         row = np.zeros(after + 1, np.int64)
         endings, table = np.zeros(len(ENDING_OF_INDEX), np.int64), np.zeros((after + 1, faces), np.int64)
         return cls(0, table[0].copy(), endings, table, row, row.copy(), 0, 0, 0)
 
     @classmethod
     def of(cls, landings: Landings, faces: int) -> Tally:
-        """The tally of some throws."""
+        """The tally of landings."""
         start, lowest = landings.lowest[:, :1], landings.lowest
         by_face = [np.bincount(column, minlength=faces + 1)[1:] for column in lowest.T]
         return cls(
@@ -77,7 +87,7 @@ class Tally:
 
 @dataclass(frozen=True)
 class Share:
-    """A count out of so many, with Wilson's interval of the probability behind it."""
+    """A count of a total, with Wilson's interval of the probability."""
 
     count: int
     of: int
@@ -85,32 +95,35 @@ class Share:
 
     @property
     def value(self) -> float:
-        """The share itself; NaN of nothing."""
+        """The share itself; NaN for a total of 0."""
         return self.count / self.of if self.of else float("nan")
 
     @property
     def interval(self) -> tuple[float, float]:
-        """Lower and upper bound; 0 and 1 where there was nothing."""
-        return wilson_interval(self.count, self.of, self.level)
+        """Lower and upper bound; 0 and 1 for a total of 0. Raises ValueError for a count that is not within the total."""
+        # Imported here, because a command that only throws one die would wait 0.5 s for it.
+        from scipy.stats import binomtest
+
+        if self.of == self.count == 0:
+            return 0.0, 1.0
+        bounds = binomtest(self.count, self.of).proportion_ci(self.level, method="wilson")
+        return float(bounds.low), float(bounds.high)
 
 
-def wilson_interval(count: int, of: int, level: float = 0.95) -> tuple[float, float]:
-    """Wilson's score interval (low, high) of a probability, from `count` successes `of` so many trials."""
-    if not (0 <= count <= of and 0.0 < level < 1.0):
-        raise ValueError(f"{count} of {of} at level {level}: wanted 0 <= count <= of, and a level between 0 and 1")
-    if of == 0:
-        return 0.0, 1.0
-    z = NormalDist().inv_cdf(0.5 + 0.5 * level)
-    p, z2 = count / of, z * z / of
-    middle, half = p + 0.5 * z2, sqrt(z2 * (p * (1.0 - p) + 0.25 * z2))
-    # The exact bounds at the ends, where the subtraction would leave a rounding error.
-    low = 0.0 if count == 0 else (middle - half) / (1.0 + z2)
-    high = 1.0 if count == of else (middle + half) / (1.0 + z2)
-    return low, high
+def check_releases(setup: ThrowSetup, conditions: Conditions) -> None:
+    """Raise ValueError for conditions that could release the die below the table."""
+    lowest_m = conditions.lowest_m(setup.die)
+    height = lowest_m * cos(setup.table.tilt_rad) - (setup.table.amplitude_m if setup.table.moves else 0.0)
+    radius = setup.die.solid.circumradius
+    if not height >= radius:
+        raise ValueError(
+            f"releases from a height of {lowest_m:.6g} m: a vertex of the die is up to {radius:.6g} m below its centre, and "
+            "would begin below the table; wanted a higher lowest release"
+        )
 
 
 def tally_throws(
-    stage: ThrowSetup,
+    setup: ThrowSetup,
     conditions: Conditions,
     throws: int,
     seed: int,
@@ -123,23 +136,24 @@ def tally_throws(
 ) -> Iterator[Tally]:
     """Throw `throws` times and yield the tally so far after every chunk; the last is the tally of all.
 
-    `begun` is a tally of the same ensemble to go on from. `chunk`, `threads` and `executor` (see `chunks_in_order`) change the
-    speed, never a count. Raises ValueError for conditions that could release the die below the table.
+    `begun` is a tally of the same ensemble to continue. `chunk`, `threads` and `executor` (see `chunks_in_order`) change the
+    speed, never a count. Raises ValueError for conditions that could release the die below the table, and for numbers below 1
+    (`after`: below 0).
     """
-    check_releases(stage, conditions)
+    check_releases(setup, conditions)
     if throws < 1 or chunk < 1 or threads < 1 or after < 0:
         raise ValueError(
-            f"throws = {throws}, chunk = {chunk}, threads = {threads}, after = {after}: wanted 1 or more, after 0 or more"
+            f"throws = {throws}, chunk = {chunk}, threads = {threads}, after = {after}: wanted 1 or more, and 0 or more for after"
         )
-    tally = Tally.nothing(len(stage.die.solid.faces), after) if begun is None else begun
-    work = partial(tally_of, stage, conditions, seed, after)
+    tally = Tally.empty(len(setup.die.solid.faces), after) if begun is None else begun
+    work = partial(tally_of, setup, conditions, seed, after)
     yield tally
     for _, _, part in chunks_in_order(work, tally.throws, throws, chunk, threads, executor):
         tally += part
         yield tally
 
 
-def tally_of(stage: ThrowSetup, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
-    """The tally of throws number `first` to `end` - 1 of a seed alone."""
-    states = drawn_states(conditions, stage.die, seed, first, end)
-    return Tally.of(stage.throw(states, after), len(stage.die.solid.faces))
+def tally_of(setup: ThrowSetup, conditions: Conditions, seed: int, after: int, first: int, end: int) -> Tally:
+    """The tally of throws number `first` to `end` - 1 of a seed."""
+    states = drawn_states(conditions, setup.die, seed, first, end)
+    return Tally.of(setup.throw(states, after), len(setup.die.solid.faces))

@@ -1,4 +1,9 @@
-"""model.ensembles.releases."""
+"""Releases of an ensemble: how initial conditions are drawn, and how they become states.
+
+**Reproducible.** Throw number k of a seed is the same throw whatever the number of threads, the size of the chunks or
+the number of throws. Random numbers are drawn in blocks of BLOCK throws, block b with a Philox generator of its own
+(Salmon et al., SC11, 2011) seeded by (seed, b).
+"""
 
 from __future__ import annotations
 
@@ -15,18 +20,18 @@ from ..die import Die
 Array = NDArray[np.float64]
 
 BLOCK = 4096
-"""Throws that share one generator. Part of what a seed means: another number gives other throws."""
+"""Throws that share one generator. It is part of what a seed means: another number gives other throws."""
 
 CONDITIONS = ("z0", "psi", "theta", "phi", "vx", "vy", "vz", "omega_xi", "omega_eta", "omega_zeta")
-"""The paper's initial conditions: height [m], Euler angles [rad], velocity [m/s], body-frame spin [rad/s]. The table
-looks the same everywhere, so x0 and y0 are left out."""
+"""The paper's initial conditions: height [m], Euler angles [rad], velocity [m/s], body-frame spin [rad/s]. Nothing depends
+on x0 and y0, so they are left out."""
 
 
 class Conditions(Protocol):
-    """How releases are drawn."""
+    """A distribution of releases."""
 
     def lowest_m(self, die: Die) -> float:
-        """The lowest height [m] at which it may release the die's centre."""
+        """The lowest height [m] of the die's centre at release."""
         ...
 
     def states(self, die: Die, count: int, random: np.random.Generator) -> Array:
@@ -38,7 +43,7 @@ class Conditions(Protocol):
 class PaperConditions:
     """As in Kapitaniak et al. (2012): z0 uniform (there in [15 a, 20 a]), Euler angles uniform in [0, 2π], no velocity.
 
-    Angles drawn so are not uniform over orientations: they prefer the body's ζ axis near the vertical.
+    Such angles are not uniform over orientations: the body's ζ axis is near the vertical too often.
     """
 
     omega_body_rad_s: tuple[float, float, float]
@@ -51,7 +56,7 @@ class PaperConditions:
         _check_range("height_m", self.height_m)
 
     def lowest_m(self, die: Die) -> float:
-        """[m]"""
+        """As `Conditions.lowest_m`."""
         return self.height_m[0]
 
     def states(self, die: Die, count: int, random: np.random.Generator) -> Array:
@@ -67,18 +72,18 @@ class PaperConditions:
 
 @dataclass(frozen=True)
 class UniformConditions:
-    """Orientation uniform over all rotations, a spin of given size in a uniform direction, no velocity."""
+    """Orientation uniform over all rotations, a spin of given magnitude in a uniform direction, no velocity."""
 
     spin_rad_s: float
     height_m: tuple[float, float]
-    """Range of the centre, uniform within."""
+    """Range of the height of the centre, uniform within."""
 
     def __post_init__(self) -> None:
         _check_finite("spin_rad_s", (self.spin_rad_s,))
         _check_range("height_m", self.height_m)
 
     def lowest_m(self, die: Die) -> float:
-        """[m]"""
+        """As `Conditions.lowest_m`."""
         return self.height_m[0]
 
     def states(self, die: Die, count: int, random: np.random.Generator) -> Array:
@@ -93,6 +98,16 @@ class UniformConditions:
         return states
 
 
+def drawn_states(conditions: Conditions, die: Die, seed: int, first: int, end: int) -> Array:
+    """Releases (end - first, 13) number `first` to `end` - 1 of a seed, the same for every split into ranges."""
+    parts = []
+    for block in range(first // BLOCK, -(-end // BLOCK)):
+        random = np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=(block,))))
+        states = conditions.states(die, BLOCK, random)
+        parts.append(states[max(first - block * BLOCK, 0) : end - block * BLOCK])
+    return np.concatenate(parts) if parts else np.empty((0, 13))
+
+
 def states_of(numbers: Array) -> Array:
     """Releases (n, 13), in world axes, of the paper's initial conditions (n, 10) in the order of CONDITIONS."""
     states = np.zeros((len(numbers), 13))
@@ -101,11 +116,13 @@ def states_of(numbers: Array) -> Array:
 
 
 def _check_finite(name: str, values: tuple[float, ...]) -> None:
+    """Raise ValueError, naming the quantity, unless all values are finite."""
     if not np.isfinite(values).all():
         raise ValueError(f"{name} = {values}: wanted finite numbers")
 
 
 def _check_range(name: str, values: tuple[float, float]) -> None:
+    """Raise ValueError, naming the quantity, unless it is a finite range."""
     _check_finite(name, values)
     if values[0] > values[1]:
         raise ValueError(f"{name} = {values}: wanted the lower bound first")
@@ -113,7 +130,7 @@ def _check_range(name: str, values: tuple[float, float]) -> None:
 
 @compiled
 def _fill_states(numbers: Array, states: Array) -> None:
-    """Number by number, so that a release does not depend on those beside it in the last bit."""
+    """Element by element, so that a release does not depend on its neighbours in the array, not even in the last bit."""
     for k in range(numbers.shape[0]):
         psi, theta, phi = 0.5 * numbers[k, 1], 0.5 * numbers[k, 2], 0.5 * numbers[k, 3]
         # R = Rz(ψ) Rx(ϑ) Rz(φ)

@@ -1,14 +1,14 @@
-"""Throws in fixed time steps, as general physics engines make them: what events are measured against.
+"""Throws in fixed time steps, as general physics engines compute them: a comparison for the event-driven simulation.
 
-Each step of length h carries the die freely (v += h g, then x += h v, the symplectic Euler method; the orientation turns
-by h ω). Then the lowest vertex, if it has come below the table and still sinks, gets the paper's smooth impulse, again and
-again until none of those below sinks; and the die is lifted out of the table. An impact is so late by up to h, and with
-the wrong arm: the error of a throw falls as h, until rounding sets in. A throw ends when the energy no longer carries the
-die over an edge of its lowest face, exactly as in `simulate`.
+In each step of length h the die moves freely (v += h g, then x += h v, the symplectic Euler method; the orientation
+turns by h ω). Then the lowest vertex, if it is below the table and still sinks, receives the paper's smooth impulse,
+repeatedly until no vertex below the table sinks, and the die is lifted out of the table. An impact is late by up to h
+and has the wrong arm, so the error of a throw is proportional to h until rounding dominates. A throw ends when its
+energy no longer suffices to lift the die over an edge of its lowest face, exactly as in `throw.simulate`.
 
-The state may be kept in single precision: it is then rounded after every step, as an engine that stores float32 does.
+The state can be kept in single precision. It is then rounded after every step, as by an engine that stores float32.
 
-Smooth impacts of a spherical top on a level table at rest; everything else is asked of `simulate`.
+Only smooth impacts of a sharp spherical top on a level table at rest.
 """
 
 from __future__ import annotations
@@ -26,18 +26,21 @@ from ..world import GRAVITY_M_S2
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-MOST_STEPS = 10_000_000
-"""Steps after which a throw is given up: 10 s in steps of a microsecond."""
+MAX_STEPS = 10_000_000
+"""Steps after which a throw is stopped without a face: 10 s in steps of a microsecond."""
+
+IMPULSES_PER_VERTEX = 4
+"""Impulses in one step, for each vertex of the die, after which the step ends even if a vertex below the table still sinks."""
 
 
 def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, single: bool = False) -> Indices:
     """Numbers (n,) of the faces on which throws from `starts` (n, 13) land, in steps of `step_s` [s]; 0 for none.
 
     A start is position [m], quaternion wxyz, velocity [m/s] and angular velocity [rad/s], world axes. `single` keeps the
-    state in float32. Raises ValueError for a die, a χ or a step that this method does not have.
+    state in float32. Raises ValueError for a loaded or rounded die, a χ outside 0 to 1, and a step that is not above 0.
     """
     if not die.is_spherical_top or die.corner_radius_m > 0.0:
-        raise ValueError(f"a {die.solid.name} that is loaded or rounded: wanted a sharp spherical top, or `throw_die`")
+        raise ValueError(f"a {die.solid.name} that is loaded or rounded: wanted a sharp spherical top; use throw_die")
     if not 0.0 <= chi <= 1.0:
         raise ValueError(f"chi = {chi}: wanted 0 to 1")
     if not (np.isfinite(step_s) and step_s > 0.0):
@@ -71,30 +74,30 @@ def _step_many(
     states: Array,
     landed: Indices,
 ) -> None:
-    """Every row of `states` (n, 13) stepped until its face is decided; `inertia` per mass [m²]."""
+    """Step every row of `states` (n, 13) until its face is decided; `inertia` is per mass [m²]."""
     arms = np.empty((vertices.shape[0], 3))
     for k in range(states.shape[0]):
         landed[k] = 0
         state = states[k]
-        for _ in range(MOST_STEPS):
-            _carry(state, h, g)
-            _arms(vertices, state, arms)
-            _bounce(arms, state, chi, inertia)
-            face = _decided(plumb_normals, barrier_heights, state, inertia, g)
+        for _ in range(MAX_STEPS):
+            _move_freely(state, h, g)
+            _lever_arms(vertices, state, arms)
+            _apply_impulses(arms, state, chi, inertia)
+            face = _decided_face(plumb_normals, barrier_heights, state, inertia, g)
             if face >= 0:
                 landed[k] = face + 1
                 break
 
 
 @compiled
-def _carry(state: Array, h: float, g: float) -> None:
+def _move_freely(state: Array, h: float, g: float) -> None:
     """Free motion over one step."""
     state[9] -= h * g
     for j in range(3):
         state[j] += h * state[7 + j]
     x, y, z = 0.5 * h * state[10], 0.5 * h * state[11], 0.5 * h * state[12]
     w, a, b, c = state[3], state[4], state[5], state[6]
-    # One step of the half turn, brought back to unit length: engines do the same.
+    # A first-order step of the quaternion, normalised, as engines do.
     w, a, b, c = (
         w - x * a - y * b - z * c,
         a + x * w + y * c - z * b,
@@ -106,7 +109,7 @@ def _carry(state: Array, h: float, g: float) -> None:
 
 
 @compiled
-def _arms(vertices: Array, state: Array, arms: Array) -> None:
+def _lever_arms(vertices: Array, state: Array, arms: Array) -> None:
     """Vertices (n, 3) from the centre, in world axes."""
     w, x, y, z = state[3], state[4], state[5], state[6]
     for i in range(vertices.shape[0]):
@@ -118,10 +121,10 @@ def _arms(vertices: Array, state: Array, arms: Array) -> None:
 
 
 @compiled
-def _bounce(arms: Array, state: Array, chi: float, inertia: float) -> None:
-    """Smooth impulses, per mass, on the vertices below the table that sink, the lowest first; then the die is lifted."""
+def _apply_impulses(arms: Array, state: Array, chi: float, inertia: float) -> None:
+    """Apply smooth impulses to the sinking vertices below the table, the lowest first, then lift the die out of the table."""
     deepest = 0.0
-    for _ in range(4 * arms.shape[0]):
+    for _ in range(IMPULSES_PER_VERTEX * arms.shape[0]):
         lowest, at = 0.0, -1
         for i in range(arms.shape[0]):
             height = state[2] + arms[i, 2]
@@ -140,8 +143,8 @@ def _bounce(arms: Array, state: Array, chi: float, inertia: float) -> None:
 
 
 @compiled
-def _decided(plumb_normals: Array, barrier_heights: Array, state: Array, inertia: float, g: float) -> int:
-    """Row of the face that the die can no longer leave, or -1; see `simulate`."""
+def _decided_face(plumb_normals: Array, barrier_heights: Array, state: Array, inertia: float, g: float) -> int:
+    """Row of the face that the die can no longer leave, or -1; see `throw.simulate`."""
     turning = inertia * (state[10] * state[10] + state[11] * state[11])
     energy = g * state[2] + 0.5 * (state[9] * state[9] + turning)
     if energy >= g * barrier_heights.max():

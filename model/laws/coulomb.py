@@ -1,4 +1,4 @@
-"""Impacts with Coulomb friction."""
+"""The impact with Coulomb friction, and the three kinds of restitution that end it."""
 
 from __future__ import annotations
 
@@ -11,26 +11,30 @@ from .. import engine
 from .impact_law import Array, check_restitution
 
 Restitution = Literal["newton", "poisson", "stronge"]
-_ENDINGS: dict[str, int] = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
+
+_RESTITUTION_CODES: dict[str, int] = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
 
 
 @dataclass(frozen=True)
 class CoulombImpact:
-    """Coulomb friction integrated along the normal impulse (Routh, Dynamics of a System of Rigid Bodies I, 1905,
-    ch. 5; Keller, J. Appl. Mech. 53, 1, 1986): the slip turns, may stop, stick, or set out again another way, while
-    the normal impulse grows. The equations stand above.
+    """Coulomb friction integrated along the normal impulse (Routh, Dynamics of a System of Rigid Bodies I, 1905, ch. 5;
+    Keller, J. Appl. Mech. 53, 1, 1986).
 
-    Holds for hard bodies that touch in a point: the impact is over before the die has moved, the tangential compliance
-    of the contact is small (a superball's is not), and μ is one number for sticking and sliding. Restitution ends it:
+    While the normal impulse grows, the slip turns, may stop, may stick, and may start again in another direction. The
+    equations and their solution are those of `engine/slip.py`.
+
+    The law holds for hard bodies that touch in a point. The impact is over before the die has moved, the tangential
+    compliance of the contact is small (a superball's is not), and one μ serves for sticking and sliding. The impact ends by
+    one of three kinds of restitution:
 
     - "stronge", energetic (Stronge, Proc. R. Soc. A 431, 169, 1990; Impact Mechanics, 2000): the work of the normal
-      force in restitution is χ² of what it took in compression. Never creates energy.
+      force in restitution is χ² times its work in compression. It never creates energy.
     - "poisson", kinetic: the impulse in restitution is χ times that in compression.
-    - "newton", kinematic: the normal velocity u goes to -χ u.
+    - "newton", kinematic: the normal velocity u becomes -χ u.
 
-    The three agree where the slip keeps its direction (Batlle, J. Appl. Mech. 63, 168, 1996), and at μ = 0, where all are
-    `SmoothImpact`. Where it stops or turns on the way, Newton's can create energy (Kane & Levinson, Dynamics, 1985):
-    in 2 % of random impacts, up to more than there was. Poisson's did in none of 10⁶.
+    The three agree if the slip keeps its direction (Batlle, J. Appl. Mech. 63, 168, 1996). At μ = 0 all of them are
+    `SmoothImpact`. If the slip stops or turns, Newton's can create energy (Kane & Levinson, Dynamics, 1985): in 2 % of
+    random impacts, up to more than there was. Poisson's did so in none of 10⁶.
     """
 
     chi: float
@@ -43,8 +47,9 @@ class CoulombImpact:
         check_restitution(self.chi)
         if not (np.isfinite(self.mu) and self.mu >= 0.0):
             raise ValueError(f"mu = {self.mu}: wanted a coefficient of friction, 0 or more and finite")
-        if self.restitution not in _ENDINGS:
-            raise ValueError(f"restitution = {self.restitution!r}: wanted one of {', '.join(map(repr, _ENDINGS))}")
+        if self.restitution not in _RESTITUTION_CODES:
+            known = ", ".join(map(repr, _RESTITUTION_CODES))
+            raise ValueError(f"restitution = {self.restitution!r}: wanted one of {known}")
 
     @property
     def code(self) -> int:
@@ -53,5 +58,5 @@ class CoulombImpact:
 
     @property
     def parameters(self) -> Array:
-        """(3,) χ, μ, ending."""
-        return np.array([self.chi, self.mu, _ENDINGS[self.restitution]], float)
+        """(3,) χ, μ, kind of restitution."""
+        return np.array([self.chi, self.mu, _RESTITUTION_CODES[self.restitution]], float)

@@ -1,4 +1,4 @@
-"""The smooth impact: no friction, so the impulse is vertical."""
+"""The smooth impact: without friction, so that the impulse is vertical."""
 
 from __future__ import annotations
 
@@ -14,12 +14,15 @@ from .impact_law import Array, check_restitution
 class SmoothImpact:
     """The smooth impact of a vertex (Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 6 to 8), for any χ in [0, 1].
 
-    Nothing rubs, so the impulse is vertical, and the vertical velocity u of the vertex goes to -χ u:
-    S = -(1 + χ) u / (1/m + (r_x² + r_y²)/J). The horizontal velocity and ω_z never change.
+    The vertical velocity u of the vertex becomes -χ u, by the vertical impulse
+
+        S = -(1 + χ) u / (1/m + (r_x² + r_y²)/J).
+
+    The horizontal velocity and ω_z never change.
     """
 
     chi: float
-    """Coefficient of restitution: 0 for a vertex that stays down, 1 for an impact that keeps the energy."""
+    """Coefficient of restitution: 0 for a vertex that stays down, 1 for an impact that conserves energy."""
 
     def __post_init__(self) -> None:
         check_restitution(self.chi)

@@ -1,9 +1,19 @@
-"""model.throw."""
+"""One throw: its values, its simulation from release to rest, and its derivatives.
 
-from .asymmetric_throw import asymmetric_body_of as asymmetric_body_of
+`State`, `Flight`, `Impact` and `Throw` are the values that every stage shares, whether a throw was measured or
+simulated. `throw_die` follows a die event by event. `propagate` gives the poses of a throw with their derivatives by
+its start and by parameters of die, law and table, for fits. `body_of` and the packed states are for callers of
+`model.engine`.
+"""
+
+from .body import RELEASE_DEPTH_TOLERANCE as RELEASE_DEPTH_TOLERANCE
+from .body import asymmetric_body_of as asymmetric_body_of
 from .body import body_of as body_of
+from .body import checked_release as checked_release
 from .body import kernel_states as kernel_states
+from .body import packed_state as packed_state
 from .body import touching_vertices as touching_vertices
+from .body import unpacked_state as unpacked_state
 from .body import world_poses as world_poses
 from .held_contact import HeldContact as HeldContact
 from .motion import Flight as Flight
@@ -19,9 +29,7 @@ from .simulate import Ending as Ending
 from .simulate import Precision as Precision
 from .simulate import ThrowResult as ThrowResult
 from .simulate import Until as Until
-from .simulate import checked_release as checked_release
+from .simulate import is_endless as is_endless
 from .simulate import throw_die as throw_die
 from .tangent import Propagation as Propagation
 from .tangent import propagate as propagate
-from .touch import packed_state as packed_state
-from .touch import unpacked_state as unpacked_state

@@ -1,19 +1,18 @@
-"""Derivatives of the throw of a die that is no spherical top; `tangent` has the method, this what is different.
+"""Derivatives of the throw of an asymmetric die: what differs from `tangent`, which has the method.
 
-The kernel (`tops.run_asymmetric_tangent`) has the centre of mass, the attitude and the angular momentum L, which is constant in
-flight. With W = R I⁻¹ Rᵀ, so that ω = W L, a turn δ of the attitude obeys
+The kernel (`engine.asymmetric.run_asymmetric_tangent`) follows the centre of mass, the attitude and the angular
+momentum L, which is constant in flight. With W = R I⁻¹ Rᵀ, so that ω = W L, a turn δ of the attitude obeys
 
-    δω = δ × ω + W (δL - δ × L),    δ' = δω - δ × ω = W (δL - δ × L),
+    δω = δ × ω + W (δL - δ × L),    δ' = δω - δ × ω = W (δL - δ × L).
 
-linear equations with the same step and the same method as the attitude itself. At an impact, with the lever t = r × ẑ,
-S = -(1 + χ) u/(1/m + t·W t) and ΔL = S t, where δ(t·W t) = 2 δt·W t + 2 t·(δ × W t).
+These linear equations are integrated with the same steps and the same method as the attitude itself. At an impact, with
+the lever t = r × ẑ, S = -(1 + χ) u/(1/m + t·W t) and ΔL = S t, where δ(t·W t) = 2 δt·W t + 2 t·(δ × W t).
 
-From the state of the centroid, where everything else counts from: with s the centre of mass in the body, a = R s and
-K = R I Rᵀ,
+Everything else counts from the state of the centroid. With s the centre of mass in body axes, a = R s and K = R I Rᵀ,
 
     p + a,    v + ω × a,    L = K ω;    δL = K δω + δ × L - K (δ × ω).
 
-When s changes by δs, the centre of mass moves by R δs and, in principal axes, every corner by -δs. The tensor stays.
+If s changes by δs, the centre of mass moves by R δs, and every corner by -δs in the kernel's axes. The tensor stays.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,112 +31,84 @@ from ..engine import asymmetric
 from ..laws import Table
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from ..world import GRAVITY_M_S2
-from . import asymmetric_throw
-from .history import asymmetric_impacts, rotated_state
+from .body import asymmetric_body_of, centre_of_mass_state, centroid_state, packed_state, unpacked_state
+from .history import asymmetric_impacts, states_after_events
 from .motion import Flight, State, Throw
-from .touch import packed_state, unpacked_state
 
 Array = NDArray[np.float64]
 
-SHIFTS = {
+CENTRE_OF_MASS_AXES = {
     "centre_of_mass_x_m": np.array([1.0, 0.0, 0.0]),
     "centre_of_mass_y_m": np.array([0.0, 1.0, 0.0]),
     "centre_of_mass_z_m": np.array([0.0, 0.0, 1.0]),
 }
 """Body axes along which the centre of mass moves, by parameter."""
 
-_top = lru_cache(maxsize=16)(asymmetric_throw.asymmetric_body_of)
-"""A fit asks for the same die again and again."""
+CACHED_BODIES = 16
+"""Dice whose kernel records are kept, because a fit asks for the same die again and again."""
+
+_body = lru_cache(maxsize=CACHED_BODIES)(asymmetric_body_of)
 
 
-def run_tangent(
-    die: Die,
-    parameters: Sequence[str],
-    law: engine.Law,
-    plane: engine.Plane,
-    air: engine.Vacuum | engine.Air,
-    start: Array,
-    start_time: float,
-    times: Array,
-    sequence: NDArray[np.int64],
-    free: bool,
-    impact_cap: int,
-    seed: Array,
-    sources: engine.ParameterDerivatives,
+class TangentRun(NamedTuple):
+    """The arguments of the tangent kernels after the body, in their order."""
+
+    law: engine.Law
+    plane: engine.Plane
+    air: engine.Vacuum | engine.Air
+    start: Array
+    """(13,) packed, in the table's axes."""
+    start_time_s: float
+    times_s: Array
+    """(n,) ascending."""
+    vertices: NDArray[np.int64]
+    """(k,) prescribed; not used if the first touch counts."""
+    takes_first_touch: bool
+    impact_cap: int
+    start_jacobian: Array
+    """(12, 12 + m) derivatives of the packed start by the start in world axes and the parameters."""
+    parameter_derivatives: engine.ParameterDerivatives
+
+
+def run_asymmetric_tangent(
+    die: Die, parameters: Sequence[str], run: TangentRun
 ) -> tuple[int, Array, Array, Array, Array]:
-    """As `kernels.run_tangent`, in and out in terms of the centroid and ω. The log alone is that of `tops.AsymmetricThrow`."""
-    if law.code != engine.SMOOTH:
+    """As `engine.derivatives.run_tangent`, with input and output of the centroid and ω. The log is that of `AsymmetricThrow`.
+
+    Raises ValueError for a law with friction, and for drag.
+    """
+    if run.law.code != engine.SMOOTH:
         raise ValueError(
-            f"impact law {law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
+            f"impact law {run.law.code} on a {die.solid.name} that is no spherical top: wanted the smooth impact; "
             "use SmoothImpact, or a die with one moment of inertia and no parameter of its centre of mass"
         )
-    if isinstance(air, engine.Air):
+    if isinstance(run.air, engine.Air):
         raise ValueError(
             f"drag_per_m on a {die.solid.name} that is no spherical top: wanted no drag; leave it out, or use a die with "
             "one moment of inertia and no parameter of its centre of mass"
         )
-    top, turn = _top(die)
-    axes = matrix_from_quat(turn)
-    first = packed_state(asymmetric_throw.centre_of_mass_state(die, unpacked_state(start, start_time)))
-    first[3:7] = quat_multiply(first[3:7], turn)
+    body, body_from_principal = _body(die)
+    by_parameter = run.parameter_derivatives
+    start = packed_state(centre_of_mass_state(die, unpacked_state(run.start, run.start_time_s)))
+    start[3:7] = quat_multiply(start[3:7], body_from_principal)
     code, poses, jacobian, log, impact_jacobian = asymmetric.run_asymmetric_tangent(
-        top,
-        law,
-        plane,
-        first,
-        start_time,
-        times,
-        sequence,
-        free,
-        impact_cap,
-        _of_centre(die, parameters, start, seed, sources),
-        sources._replace(vertices=sources.vertices @ axes),
+        body,
+        run.law,
+        run.plane,
+        start,
+        run.start_time_s,
+        run.times_s,
+        run.vertices,
+        run.takes_first_touch,
+        run.impact_cap,
+        _jacobian_of_centre(die, parameters, run),
+        by_parameter._replace(vertices=by_parameter.vertices @ matrix_from_quat(body_from_principal)),
     )
-    poses[:, 3:] = quat_multiply(poses[:, 3:], quat_conjugate(turn))
+    poses[:, 3:] = quat_multiply(poses[:, 3:], quat_conjugate(body_from_principal))
     log[:, 4] += die.corner_radius_m
-    log[:, 5:9] = quat_multiply(log[:, 5:9], quat_conjugate(turn))
+    log[:, 5:9] = quat_multiply(log[:, 5:9], quat_conjugate(body_from_principal))
     _to_centroid(die, parameters, poses, jacobian)
     return code, poses, jacobian, log, impact_jacobian
-
-
-def _of_centre(
-    die: Die, parameters: Sequence[str], start: Array, seed: Array, sources: engine.ParameterDerivatives
-) -> Array:
-    """Derivatives (12, 12 + m) of centre of mass, attitude, its velocity and L, from those of the centroid and ω."""
-    rotation, omega = matrix_from_quat(start[3:7]), start[10:13]
-    tensor = rotation @ _tensor(die) @ rotation.T
-    spinning, levering = cross_matrix(omega), cross_matrix(rotation @ _shift(die))
-    out = seed.copy()
-    out[:3] -= levering @ seed[3:6]
-    out[6:9] -= levering @ seed[9:12] + spinning @ levering @ seed[3:6]
-    out[9:12] = tensor @ seed[9:12] + (tensor @ spinning - cross_matrix(tensor @ omega)) @ seed[3:6]
-    for column, name in enumerate(parameters, 12):
-        if name in SHIFTS:
-            out[:3, column] += rotation @ SHIFTS[name]
-            out[6:9, column] += spinning @ rotation @ SHIFTS[name]
-    out[9:12, 12:] += np.outer(omega, sources.inertia)
-    return out
-
-
-def _to_centroid(die: Die, parameters: Sequence[str], poses: Array, jacobian: Array) -> None:
-    """Poses (n, 7) and derivatives (n, 6, 12 + m) of the centre of mass become those of the centroid, in place."""
-    rotations = matrix_from_quat(poses[:, 3:])
-    arms = rotations @ _shift(die)
-    poses[:, :3] -= arms
-    jacobian[:, :3] += cross_matrix(arms) @ jacobian[:, 3:]
-    for column, name in enumerate(parameters, 12):
-        if name in SHIFTS:
-            jacobian[:, :3, column] -= rotations @ SHIFTS[name]
-
-
-def _shift(die: Die) -> Array:
-    """(3,) [m] of the centre of mass from the centroid, body axes."""
-    return np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m
-
-
-def _tensor(die: Die) -> Array:
-    """(3, 3) [kg m²], body axes."""
-    return die.inertia_kg_m2 * np.eye(3) if die.inertia_tensor_kg_m2 is None else die.inertia_tensor_kg_m2
 
 
 def cross_matrix(vectors: Array) -> Array:
@@ -147,50 +119,75 @@ def cross_matrix(vectors: Array) -> Array:
     return out
 
 
+def _jacobian_of_centre(die: Die, parameters: Sequence[str], run: TangentRun) -> Array:
+    """Derivatives (12, 12 + m) of centre of mass, attitude, its velocity and L, from those of the centroid and ω."""
+    rotation, omega = matrix_from_quat(run.start[3:7]), run.start[10:13]
+    tensor = rotation @ die.tensor_kg_m2 @ rotation.T
+    cross_omega, cross_arm = cross_matrix(omega), cross_matrix(rotation @ die.centre_of_mass_offset_m)
+    given = run.start_jacobian
+    out = given.copy()
+    out[:3] -= cross_arm @ given[3:6]
+    out[6:9] -= cross_arm @ given[9:12] + cross_omega @ cross_arm @ given[3:6]
+    out[9:12] = tensor @ given[9:12] + (tensor @ cross_omega - cross_matrix(tensor @ omega)) @ given[3:6]
+    for column, name in enumerate(parameters, 12):
+        if name in CENTRE_OF_MASS_AXES:
+            out[:3, column] += rotation @ CENTRE_OF_MASS_AXES[name]
+            out[6:9, column] += cross_omega @ rotation @ CENTRE_OF_MASS_AXES[name]
+    out[9:12, 12:] += np.outer(omega, run.parameter_derivatives.inertia)
+    return out
+
+
+def _to_centroid(die: Die, parameters: Sequence[str], poses: Array, jacobian: Array) -> None:
+    """Turn poses (n, 7) and derivatives (n, 6, 12 + m) of the centre of mass into those of the centroid, in place."""
+    rotations = matrix_from_quat(poses[:, 3:])
+    arms = rotations @ die.centre_of_mass_offset_m
+    poses[:, :3] -= arms
+    jacobian[:, :3] += cross_matrix(arms) @ jacobian[:, 3:]
+    for column, name in enumerate(parameters, 12):
+        if name in CENTRE_OF_MASS_AXES:
+            jacobian[:, :3, column] -= rotations @ CENTRE_OF_MASS_AXES[name]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class AsymmetricFlight(Flight):
-    """Free flight of a die that is no spherical top; before and after it, where the same motion would lead."""
+    """Free flight of an asymmetric die; before and after it the same motion is extrapolated."""
 
     die: Die
-    table: Table
 
     def at(self, time_s: float) -> State:
         """The state at any instant."""
-        centre = asymmetric_throw.centre_of_mass_state(self.die, self.start)
+        centre = centre_of_mass_state(self.die, self.start)
         delay = time_s - self.start.time_s
         position = centre.position_m + centre.velocity_m_s * delay
         position[2] -= 0.5 * GRAVITY_M_S2 * delay**2
         velocity = centre.velocity_m_s - np.array([0.0, 0.0, GRAVITY_M_S2 * delay])
         quaternion = self._quaternions(np.array([delay]))[0]
         before, after = matrix_from_quat(centre.quaternion), matrix_from_quat(quaternion)
-        momentum = before @ _tensor(self.die) @ before.T @ centre.omega_rad_s
-        omega = after @ np.linalg.solve(_tensor(self.die), after.T @ momentum)
-        return asymmetric_throw.centroid_state(self.die, State(time_s, position, quaternion, velocity, omega))
+        momentum = before @ self.die.tensor_kg_m2 @ before.T @ centre.omega_rad_s
+        omega = after @ np.linalg.solve(self.die.tensor_kg_m2, after.T @ momentum)
+        return centroid_state(self.die, State(time_s, position, quaternion, velocity, omega))
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
         """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
-        centre = asymmetric_throw.centre_of_mass_state(self.die, self.start)
+        centre = centre_of_mass_state(self.die, self.start)
         delays = np.atleast_1d(np.asarray(times_s, float)) - self.start.time_s
         positions = centre.position_m + np.outer(delays, centre.velocity_m_s)
         positions[:, 2] -= 0.5 * GRAVITY_M_S2 * delays**2
         quaternions = self._quaternions(delays)
-        return positions - matrix_from_quat(quaternions) @ _shift(self.die), quaternions
+        return positions - matrix_from_quat(quaternions) @ self.die.centre_of_mass_offset_m, quaternions
 
     def _quaternions(self, delays: Array) -> Array:
-        """Attitudes (n, 4) that many seconds after the start."""
-        top, turn = _top(self.die)
+        """Attitudes (n, 4) at times (n,) [s] after the start."""
+        body, body_from_principal = _body(self.die)
         packed = packed_state(self.start)
-        packed[3:7] = quat_multiply(packed[3:7], turn)
-        return quat_multiply(asymmetric.attitudes_in_flight(top, packed, delays), quat_conjugate(turn))
+        packed[3:7] = quat_multiply(packed[3:7], body_from_principal)
+        attitudes = asymmetric.attitudes_in_flight(body, packed, delays)
+        return quat_multiply(attitudes, quat_conjugate(body_from_principal))
 
 
 def throw_from_flights(die: Die, start: State, table: Table, log: Array, end_s: float) -> Throw:
-    """The Throw of a start and a log of impacts, as `run_tangent` returns it."""
-    after = [
-        asymmetric_throw.centroid_state(die, unpacked_state(np.concatenate([row[2:9], row[15:21]]), row[0]))
-        for row in log
-    ]
-    starts = [start, *(rotated_state(state, table.world_from_table) if table.tilt_rad else state for state in after)]
+    """The Throw of a start and a log of impacts, as `run_asymmetric_tangent` returns it."""
+    starts = [start, *states_after_events(die, table, log)]
     ends = [*(float(t) for t in log[:, 0]), end_s]
-    flights = tuple(AsymmetricFlight(start=s, end_s=e, die=die, table=table) for s, e in zip(starts, ends, strict=True))
+    flights = tuple(AsymmetricFlight(start=s, end_s=e, die=die) for s, e in zip(starts, ends, strict=True))
     return Throw(flights, asymmetric_impacts(die, table, log, flights))

@@ -1,8 +1,8 @@
 """The values of a throw: states, flights, impacts, and the throw itself.
 
-A throw is a list of flights joined by impacts, whether a camera saw it or the model made it. In flight the motion is
-exact: a parabola for the centre and a constant angular velocity in world axes, because the dice are spherical tops
-(Kapitaniak et al., Chaos 22, 047504, 2012, Eqs 1 to 4).
+A throw is a list of flights joined by impacts, whether it was measured or simulated. The flight of a spherical top is
+exact: its centre moves on a parabola, and its angular velocity is constant in world axes (Kapitaniak et al., Chaos 22,
+047504, 2012, Eqs 1 to 4).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """A die at one instant, in world axes (z up, the table at rest is z = 0)."""
+    """A die at one instant, in world axes: z is up, and a level table at rest is z = 0."""
 
     time_s: float
     position_m: Array
@@ -41,16 +41,20 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """Exact motion under gravity alone from the instant of `start` until `end_s`; its counterpart is `contact.HeldContact`."""
+    """Motion between two impacts, from the instant of `start` until `end_s`: free flight of a spherical top under gravity.
+
+    Subclasses move otherwise: `HeldContact` on the table, `AsymmetricMotion` and `AsymmetricFlight` with any inertia,
+    `DraggedFlight` in air.
+    """
 
     start: State
     end_s: float
     covariance: Array | None = None
-    """(12, 12) of `start` where it was measured: position [m], rotation vector [rad], velocity [m/s] and angular
-    velocity [rad/s], world axes, R_true = exp(δ) R. None for a modelled flight."""
+    """(12, 12) of a measured `start`: position [m], rotation vector [rad], velocity [m/s] and angular velocity [rad/s],
+    world axes, R_true = exp(δ) R. None for a simulated flight."""
 
     def at(self, time_s: float) -> State:
-        """The state at any instant; outside the flight, where the same motion would lead."""
+        """The state at any instant; before and after the flight its motion is extrapolated."""
         dt = time_s - self.start.time_s
         positions, quaternions = self.poses(np.array([time_s]))
         velocity = self.start.velocity_m_s - np.array([0.0, 0.0, GRAVITY_M_S2 * dt])
@@ -74,28 +78,28 @@ class Flight:
 
 @dataclass(frozen=True, eq=False)
 class Impact:
-    """One bounce on the table, measured or modelled. What is not known is NaN."""
+    """One impact on the table, measured or simulated. Unknown numbers are NaN."""
 
     time_s: float
     contact: str
-    """`vertex`, `edge`, `face`, or `unresolved`; and `held` where nothing strikes and the die only begins to press on
-    other vertices than before, or on none (modelled throws alone)."""
+    """`vertex`, `edge`, `face` or `unresolved`. In simulated throws also `held`: nothing strikes, and the set of vertices that
+    carry the die changes, or becomes empty."""
     vertices: tuple[int, ...]
-    """Indices of the vertices that touch; empty when unresolved. Of `held`: those held from then on."""
+    """Indices of the vertices that touch; empty when unresolved. For `held`, the vertices held from then on."""
     point_m: Array
     """(2,) x and y of the contact on the table."""
     impulse_N_s: Array
     """(3,) on the die, world axes."""
     normal_velocity_before_m_s: float
-    """Of the contact point, along +z: negative."""
+    """Of the contact point, relative to the table along its normal: negative."""
     normal_velocity_after_m_s: float
     energy_before_J: float
-    """Kinetic and potential, the table as zero height."""
+    """Kinetic and potential energy, zero at the height of the table."""
     energy_after_J: float
     lowest_face_before: int
-    """Number (1, 2, …) of the face that looked down most half-way through the flight that led here."""
+    """Number (1, 2, …) of the face that points down most, half-way through the flight before."""
     lowest_face_after: int
-    """The same, half-way through the flight that follows."""
+    """The same, half-way through the flight after."""
     sigma_time_s: float = np.nan
     chi: float = np.nan
     """Apparent restitution: -(normal velocity after) / (normal velocity before)."""
@@ -119,15 +123,15 @@ class Throw:
 
     @property
     def bounces(self) -> tuple[Impact, ...]:
-        """The impacts in which something strikes."""
+        """The impacts in which a vertex, edge or face strikes the table."""
         return tuple(impact for impact in self.impacts if impact.contact != "held")
 
     def flight_at(self, time_s: float) -> int:
-        """Index of the flight that holds this instant; before the release the first, after the end the last."""
+        """Index of the flight at this instant: the first before the release, the last after the end."""
         return int(self.flights_at(time_s))
 
     def flights_at(self, times_s: ArrayLike) -> NDArray[np.int64]:
-        """(n,) the same of many instants."""
+        """Indices (n,) of the flights at times (n,) [s]."""
         return np.searchsorted([impact.time_s for impact in self.impacts], times_s, side="right")
 
     def at(self, time_s: float) -> State:
@@ -140,8 +144,8 @@ class Throw:
         which = self.flights_at(times)
         positions, quaternions = np.empty((len(times), 3)), np.empty((len(times), 4))
         for k in np.unique(which):
-            mine = which == k
-            positions[mine], quaternions[mine] = self.flights[k].poses(times[mine])
+            rows = which == k
+            positions[rows], quaternions[rows] = self.flights[k].poses(times[rows])
         return positions, quaternions
 
     def rates(self, times_s: ArrayLike) -> Array:
@@ -149,19 +153,31 @@ class Throw:
         times = np.asarray(times_s, float)
         which, rates = self.flights_at(times), np.empty((len(times), 6))
         for k in np.unique(which):
-            mine = which == k
-            rates[mine] = self.flights[k].rates(times[mine])
+            rows = which == k
+            rates[rows] = self.flights[k].rates(times[rows])
         return rates
 
 
+def rotated_state(state: State, rotation: Array) -> State:
+    """The same state in other axes. `rotation` (4,) wxyz takes the old axes to the new."""
+    matrix = matrix_from_quat(rotation)
+    return State(
+        state.time_s,
+        matrix @ state.position_m,
+        quat_multiply(rotation, state.quaternion),
+        matrix @ state.velocity_m_s,
+        matrix @ state.omega_rad_s,
+    )
+
+
 def energy_J(die: Die, state: State) -> float:
-    """Kinetic plus potential energy [J], zero for a die whose centre of mass rests at the height of the table."""
+    """Kinetic plus potential energy [J], zero for a die at rest with its centre of mass at the height of the table."""
     position, v, w = state.position_m, state.velocity_m_s, state.omega_rad_s
     if die.is_spherical_top:
-        turning = die.inertia_kg_m2 * float(w @ w)
+        rotational = die.inertia_kg_m2 * float(w @ w)
     else:
         spin = state.rotation.T @ w
-        turning = float(spin @ np.asarray(die.inertia_tensor_kg_m2) @ spin)
-        arm = state.rotation @ (np.zeros(3) if die.centre_of_mass_m is None else die.centre_of_mass_m)
+        rotational = float(spin @ die.tensor_kg_m2 @ spin)
+        arm = state.rotation @ die.centre_of_mass_offset_m
         position, v = position + arm, v + np.cross(w, arm)
-    return 0.5 * (die.mass_kg * float(v @ v) + turning) + die.mass_kg * GRAVITY_M_S2 * float(position[2])
+    return 0.5 * (die.mass_kg * float(v @ v) + rotational) + die.mass_kg * GRAVITY_M_S2 * float(position[2])

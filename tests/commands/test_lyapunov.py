@@ -80,4 +80,3 @@ def test_a_throw_says_whether_double_precision_decides_it(tmp_path: Path) -> Non
     assert told["error_growth"] > 1.0
     assert 0.0 < told["error_m"] < 1e-4
     assert told["margin"] > 1.0
-    assert told["messages"][-1].startswith("Double precision decides this throw")

@@ -20,7 +20,7 @@ from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.files.work_file import WorkFile
 from diethrow.model.ensembles.basins import Axis
 from diethrow.model.ensembles.landings import ENDING_OF_INDEX
-from diethrow.model.ensembles.odds import Share, Tally, wilson_interval
+from diethrow.model.ensembles.odds import Share, Tally
 from diethrow.model.throw.simulate import Ending
 from diethrow.replay.elements.colours import BOUNCING_COLOUR, FACE_COLOURS, NO_RELEASE_COLOUR, SPINNING_COLOUR
 from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
@@ -74,7 +74,7 @@ def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
         for impact in series["at_impact"]:
             assert sum(face["count"] for face in impact["lowest"]) == 300
         first = series["landed"][0]
-        assert (first["low"], first["high"]) == wilson_interval(first["count"], 300)
+        assert (first["low"], first["high"]) == Share(first["count"], 300).interval
     with (out / "odds.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     by_face = [int(row["count"]) for row in rows if row["quantity"] == "landed" and row["chi"] == "0.2"]

@@ -1,4 +1,4 @@
-"""The far ends of everything: sizes, masses, spins, heights, times, poses, restitutions, and input that cannot be."""
+"""Simulated throws at extreme sizes, masses, spins, heights, times, poses, restitutions and table frequencies."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +20,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.held_contact import HeldContact
 from diethrow.model.throw.motion import State, energy_J
-from diethrow.model.throw.simulate import Ending, Precision, ThrowResult, Until, throw_die
+from diethrow.model.throw.simulate import Ending, ThrowResult, Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 
 G = GRAVITY_M_S2
@@ -76,12 +76,12 @@ MAKERS: dict[str, Callable[[float, float], Die]] = {
 }
 TABLES = {
     "at rest": lambda s: Table(),
-    "leaning": lambda s: Table(tilt_rad=0.3, downhill_rad=1.1),
-    "shaking": lambda s: Table(amplitude_m=1e-3 * s, frequency_hz=32.0 / np.sqrt(s), phase_rad=0.4),
+    "tilted": lambda s: Table(tilt_rad=0.3, downhill_rad=1.1),
+    "oscillating": lambda s: Table(amplitude_m=1e-3 * s, frequency_hz=32.0 / np.sqrt(s), phase_rad=0.4),
 }
 LAWS: dict[str, Callable[[float, float], ImpactLaw]] = {
     "smooth": lambda chi, s: SmoothImpact(chi),
-    "rubbing": lambda chi, s: CoulombImpact(chi, 0.3),
+    "friction": lambda chi, s: CoulombImpact(chi, 0.3),
     "by speed": lambda chi, s: RestitutionBySpeed(SmoothImpact(chi), 0.5 * np.sqrt(s)),
 }
 
@@ -107,7 +107,7 @@ LENGTH, MASS = 2.0**-6, 2.0**-6
 
 
 def dimensionless(result: ThrowResult, s: float, m: float) -> np.ndarray:
-    """All that is told of the impacts and of the states after them, (impacts, 23): lengths in units of s/64 m, times in
+    """Numbers of the impacts and of the states after them, (impacts, 23): lengths in units of s/64 m, times in
     those of √s/8 s (about √(R/g) and less), masses in those of m/64 kg."""
     s, m, root = s * LENGTH, m * MASS, np.sqrt(s * LENGTH)
     rows = []
@@ -122,8 +122,8 @@ def dimensionless(result: ThrowResult, s: float, m: float) -> np.ndarray:
     return np.array(rows)
 
 
-def told(result: ThrowResult) -> tuple:
-    """What has no unit anyway."""
+def discrete_results(result: ThrowResult) -> tuple:
+    """The results without a unit."""
     return result.ending, result.landed_face, [(i.contact, i.vertices) for i in result.throw.impacts]
 
 
@@ -144,7 +144,7 @@ def test_a_throw_in_millimetres_is_the_throw_in_metres(make, law, table, chi):
     expected = dimensionless(one, 1.0, 1.0)
     for s in (1e-3, 1e3):
         other = thrown(MAKERS[make], law, table, chi, s, s**3, until)
-        assert told(other) == told(one)
+        assert discrete_results(other) == discrete_results(one)
         np.testing.assert_allclose(dimensionless(other, s, s**3), expected, rtol=1e-9, atol=1e-9)
 
 
@@ -152,14 +152,14 @@ def test_a_throw_in_millimetres_is_the_throw_in_metres(make, law, table, chi):
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("chi", [0.0, 0.5])
 def test_powers_of_two_scale_a_whole_throw_bit_for_bit(make, law, chi):
-    """Nowhere in the model does a length, a time or a mass stand on its own: such a one would break the equality."""
+    """A length, time or mass that is fixed anywhere in the model would break the equality."""
     if not possible(law, make):
         return
     one = thrown(MAKERS[make], law, "at rest", chi, 1.0, 1.0, Until())
     expected = dimensionless(one, 1.0, 1.0)
     for s, m in ((4.0**5, 2.0**30), (4.0**-5, 2.0**-40), (1.0, 2.0**20)):
         other = thrown(MAKERS[make], law, "at rest", chi, s, m, Until())
-        assert told(other) == told(one)
+        assert discrete_results(other) == discrete_results(one)
         np.testing.assert_array_equal(dimensionless(other, s, m), expected)
 
 
@@ -169,7 +169,7 @@ def test_a_mass_scales_impulses_and_energies_and_nothing_else(make, law, mass):
     one = thrown(MAKERS[make], law, "at rest", 0.5, 1.0, 1.0, Until(impacts=4))
     m = mass / 0.016
     other = thrown(MAKERS[make], law, "at rest", 0.5, 1.0, m, Until(impacts=4))
-    assert told(other) == told(one)
+    assert discrete_results(other) == discrete_results(one)
     # Four impacts multiply the rounding of the inertia.
     np.testing.assert_allclose(dimensionless(other, 1.0, m), dimensionless(one, 1.0, 1.0), rtol=1e-9, atol=1e-9)
 
@@ -244,7 +244,7 @@ def test_a_die_released_on_the_table_strikes_at_once_with_the_impulse_of_that_ve
     ("what", "speed"), [("vertex", 0.0), ("vertex", -0.3), ("edge", -0.3), ("face", 0.0), ("face", -0.3)]
 )
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-def test_a_die_released_on_the_table_comes_to_an_end_that_it_may_have(die, what, chi, speed):
+def test_a_die_released_on_the_table_rests_or_balances(die, what, chi, speed):
     release, _ = on(die, what, speed)
     result = throw_die(die, release, SmoothImpact(chi))
     assert result.ending in ((Ending.RESTED,) if what == "face" else (Ending.RESTED, Ending.BALANCED))
@@ -284,11 +284,11 @@ def test_all_vertices_of_a_face_within_a_femtosecond(die, chi, tilt):
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-def test_a_spin_of_a_picoradian_a_second_is_no_spin(die, chi):
+def test_a_spin_of_a_picoradian_a_second_acts_as_no_spin(die, chi):
     release = replace(random_release(np.random.default_rng(93), die, clearance_m=0.02), omega_rad_s=STILL)
     slow = replace(release, omega_rad_s=np.array([0.6e-12, 0.0, 0.8e-12]))
     histories = [throw_die(die, r, SmoothImpact(chi), until=Until(impacts=2)) for r in (release, slow)]
-    assert told(histories[0]) == told(histories[1])
+    assert discrete_results(histories[0]) == discrete_results(histories[1])
     still, turning = (dimensionless(r, 1.0, 1.0) for r in histories)
     # It turns the die by 6e-14 and changes ω by 1e-12, which two impacts grow by some ten each.
     np.testing.assert_allclose(turning, still, atol=3e-10)
@@ -298,7 +298,7 @@ def test_a_spin_of_a_picoradian_a_second_is_no_spin(die, chi):
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.5, 1.0])
-def test_a_die_that_spins_at_ten_thousand_radians_a_second_touches_first_where_it_does_first(die, chi):
+def test_no_touch_is_missed_at_ten_thousand_radians_a_second(die, chi):
     """1600 turns a second. No sample of its fall, 300 a turn, lies below the table, and the touch is a touch."""
     for seed in range(3):
         release = random_release(np.random.default_rng(94 + seed), die, spin_rad_s=1e4, clearance_m=0.05)
@@ -384,7 +384,7 @@ def test_a_grazing_vertex_strikes_with_the_velocity_that_its_depth_gives_it(die,
 
 @each_die
 @pytest.mark.parametrize("depth", [-1e-12, -1e-15, 0.0, 1e-17])
-def test_a_vertex_that_passes_the_table_by_less_than_rounding_hardly_feels_it(die, depth):
+def test_a_vertex_that_passes_the_table_by_less_than_rounding_changes_little(die, depth):
     """A touch at 1e-17 m below would have 4e-8 m/s: whether it happens is rounding, what follows is the same to that."""
     release, lowest = grazing(die, depth)
     for law in (SmoothImpact(0.0), SmoothImpact(1.0), CoulombImpact(0.5, 0.3)):
@@ -411,7 +411,7 @@ def test_at_the_poles_of_the_euler_angles_only_the_sum_or_difference_of_the_othe
     for theta, sign in ((0.0, 1), (np.pi, -1)):
         one, two = throw(0.7, theta, 0.4), throw(0.7 + sign * 0.4, theta, 0.0)
         if any(omega):
-            assert told(one) == told(two)
+            assert discrete_results(one) == discrete_results(two)
             # Rounding of 1e-16, grown by three impacts.
             np.testing.assert_allclose(quat_free(one), quat_free(two), atol=1e-9)
         else:
@@ -430,21 +430,21 @@ def quat_free(result: ThrowResult) -> np.ndarray:
 
 @pytest.mark.parametrize("chi", [0.0, 0.5])
 @pytest.mark.parametrize("theta", [0.0, 1e-5, np.pi - 1e-5, np.pi])
-def test_the_papers_nearly_flat_release_rests_without_spin_on_the_face_that_looked_down(theta, chi):
+def test_the_papers_nearly_flat_release_without_spin_rests_on_its_lowest_face(theta, chi):
     """Its angle of 1e-5, and the poles themselves: a cube that is dropped flat from 1 mm does not turn over."""
     die = DICE["cube"]
     turn = quat_from_euler([0.001, theta, 0.0001])
     release = clear(die, State(0.0, STILL, turn, np.array([0.6, 0.0, 0.0]), STILL), 1e-3)
     result = throw_die(die, release, SmoothImpact(chi))
-    looked_down = int(np.argmin(die.solid.normals @ matrix_from_quat(turn)[2])) + 1
-    assert (result.ending, result.landed_face) == (Ending.RESTED, looked_down)
+    lowest = int(np.argmin(die.solid.normals @ matrix_from_quat(turn)[2])) + 1
+    assert (result.ending, result.landed_face) == (Ending.RESTED, lowest)
 
 
 # ---- long flights and high drops -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("edge", "fall", "up"), [(1e-4, 50.0, 0.0), (0.02, 1.0, 9.81e6 / 2)])
-def test_a_flight_however_long_is_no_top_that_was_given_up(edge, fall, up):
+def test_a_long_flight_is_not_mistaken_for_a_spinning_die(edge, fall, up):
     """Grains of 0.1 mm dropped from 50 m, and a cube that flies for a million seconds, still strike the table."""
     omega = np.array([0.0, 0.3, 0.1])
     release = State(0.0, np.array([0, 0, fall]), LEVEL_POSE, np.array([0, 0, up]), omega)
@@ -455,7 +455,7 @@ def test_a_flight_however_long_is_no_top_that_was_given_up(edge, fall, up):
 
 
 @each_die
-def test_a_flight_of_a_million_seconds_ends_when_and_how_its_parabola_and_its_turn_say(die):
+def test_a_flight_of_a_million_seconds_follows_its_parabola_and_its_rotation_to_the_end(die):
     up, spin = 9.81e6 / 2, 0.3
     quaternion = with_down(die.solid.normals[0])
     state = State(0.0, STILL, quaternion, np.array([0.0, 0.0, up]), spin * UP)
@@ -473,7 +473,7 @@ def test_a_flight_of_a_million_seconds_ends_when_and_how_its_parabola_and_its_tu
 
 
 @each_die
-def test_a_die_that_rests_does_so_for_a_million_seconds_and_drifts_as_nothing_stops_it(die):
+def test_a_die_at_rest_stays_on_its_face_for_a_million_seconds_and_drifts_without_friction(die):
     release = random_release(np.random.default_rng(96), die, spin_rad_s=5.0, clearance_m=0.01)
     result = throw_die(die, release, SmoothImpact(0.3), until=Until(time_s=1e6))
     end = result.end
@@ -503,7 +503,7 @@ def test_a_die_dropped_from_a_kilometre_with_spin_lands_with_the_energy_of_its_f
 
 
 @pytest.mark.parametrize("chi", [0.2, 0.5, 0.8])
-def test_a_ball_like_drop_keeps_step_with_a_table_of_ten_thousand_hertz(chi):
+def test_a_die_on_its_tip_bounces_in_step_with_a_table_of_ten_thousand_hertz(chi):
     """Twenty periods T a bounce: A ω cos p = (1 - χ)/(1 + χ) g · 20 T/2 at the phase p of every impact."""
     die, rate, period = exact_octahedron(), 2e4 * np.pi, 20e-4
     needed = (1 - chi) / (1 + chi) * G * period / 2
@@ -520,35 +520,35 @@ def test_a_ball_like_drop_keeps_step_with_a_table_of_ten_thousand_hertz(chi):
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_ten_thousand_hertz_of_nothing_is_a_table_at_rest_bit_for_bit(make):
+def test_ten_thousand_hertz_without_amplitude_is_a_table_at_rest_bit_for_bit(make):
     die = MAKERS[make](0.02, 0.016)
     release = clear(die, random_release(np.random.default_rng(98), die), 0.05)
     tables = (Table(), Table(amplitude_m=0.0, frequency_hz=1e4, phase_rad=1.0))
     one, two = (throw_die(die, release, SmoothImpact(0.5), table=t) for t in tables)
-    assert told(one) == told(two)
+    assert discrete_results(one) == discrete_results(two)
     np.testing.assert_array_equal(dimensionless(one, 1.0, 1.0), dimensionless(two, 1.0, 1.0))
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_a_table_that_trembles_by_a_femtometre_is_a_table_at_rest(make):
+def test_an_amplitude_of_a_femtometre_is_a_table_at_rest(make):
     """1e-15 m at 1e4 Hz, 6e-11 m/s, 4e-6 of g: two impacts see 1e-10 of it."""
     die = MAKERS[make](0.02, 0.016)
     release = clear(die, random_release(np.random.default_rng(98), die), 0.05)
     tables = (Table(), Table(amplitude_m=1e-15, frequency_hz=1e4))
     one, two = (throw_die(die, release, SmoothImpact(0.5), until=Until(impacts=2), table=t) for t in tables)
-    assert told(one) == told(two)
+    assert discrete_results(one) == discrete_results(two)
     rows = [np.delete(dimensionless(r, 1.0, 1.0), 2, axis=1) for r in (one, two)]
     np.testing.assert_allclose(*rows, atol=1e-7)
 
 
-# ---- the other paths: loaded and rounded dice, friction -------------------------------------------------------------
+# ---- loaded and rounded dice, friction -------------------------------------------------------------
 
 
 OTHERS = {
     "rounded": lambda edge, mass: (rounded(edge, mass), SmoothImpact),
     "loaded": lambda edge, mass: (loaded(edge, mass), SmoothImpact),
-    "rubbing": lambda edge, mass: (make_die("cube", edge, mass), lambda chi: CoulombImpact(chi, 0.3)),
-    "rounded and rubbing": lambda edge, mass: (rounded(edge, mass), lambda chi: CoulombImpact(chi, 0.3)),
+    "with friction": lambda edge, mass: (make_die("cube", edge, mass), lambda chi: CoulombImpact(chi, 0.3)),
+    "rounded, with friction": lambda edge, mass: (rounded(edge, mass), lambda chi: CoulombImpact(chi, 0.3)),
 }
 each_other = pytest.mark.parametrize("other", OTHERS.values(), ids=OTHERS.keys())
 
@@ -556,7 +556,7 @@ each_other = pytest.mark.parametrize("other", OTHERS.values(), ids=OTHERS.keys()
 @each_other
 @pytest.mark.parametrize(("edge", "mass"), [(1e-4, 1e-9), (0.02, 0.016), (10.0, 1e3)])
 @pytest.mark.parametrize("chi", [0.0, 0.5, 0.9])
-def test_every_die_comes_to_an_end_at_every_size_and_never_gains_energy(other, edge, mass, chi):
+def test_every_throw_ends_at_every_size_and_never_gains_energy(other, edge, mass, chi):
     die, law = other(edge, mass)
     spin = 5.0 / np.sqrt(edge)
     release = random_release(np.random.default_rng(99), die, spin_rad_s=spin, clearance_m=2 * edge)
@@ -564,24 +564,24 @@ def test_every_die_comes_to_an_end_at_every_size_and_never_gains_energy(other, e
     result = throw_die(die, release, law(chi))
     assert result.ending in (Ending.RESTED, Ending.SPINNING, Ending.SPUN_LONG)
     ends = [energy_J(die, f.at(t)) for f in result.throw.flights for t in (f.start.time_s, f.end_s)]
-    # Held contact with friction is followed by steps of low order.
+    # Held contact with friction is integrated by steps of low order.
     assert np.diff(ends).max() <= (1e-6 if isinstance(law(chi), CoulombImpact) else 1e-10) * ends[0]
 
 
 @each_other
 @pytest.mark.parametrize("spin", [0.0, 1e-12, 1e4])
 @pytest.mark.parametrize("chi", [0.0, 1.0])
-def test_every_die_strikes_and_leaves_as_its_law_says_at_every_spin(other, spin, chi):
+def test_every_die_obeys_its_impact_law_at_every_spin(other, spin, chi):
     die, law = other(0.02, 0.016)
     release = clear(die, random_release(np.random.default_rng(100), die, spin_rad_s=spin), 0.02)
-    # A loaded die at 1e4 rad/s is followed through ten thousand steps a second of flight.
+    # A loaded die at 1e4 rad/s takes ten thousand steps for a second of flight.
     impacts = throw_die(die, release, law(chi), until=Until(impacts=1 if spin > 1.0 else 5)).throw.bounces
     for impact in impacts:
         u, v = impact.normal_velocity_before_m_s, impact.normal_velocity_after_m_s
         if isinstance(law(chi), SmoothImpact):
             assert v == pytest.approx(-chi * u, abs=1e-12 * (1 + abs(u)))
             assert impact.energy_after_J == pytest.approx(impact.energy_before_J, rel=1e-13) or chi < 1
-        # A rub only takes: 1e-13 of the energy is rounding.
+        # Friction only removes energy; 1e-13 of it is rounding.
         assert impact.energy_after_J <= impact.energy_before_J * (1 + 1e-13)
         assert v >= -1e-12 * abs(u)
 
@@ -626,121 +626,10 @@ def test_boundless_friction_sticks_and_vanishing_friction_is_the_smooth_impact(c
         np.testing.assert_allclose(slip, 0.0, atol=1e-12)
 
 
-# ---- input that cannot be --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: Table(tilt_rad=np.nan), "tilt_rad = nan: wanted a finite number"),
-        (lambda: Table(phase_rad=np.inf), "phase_rad = inf: wanted a finite number"),
-        (lambda: Table(frequency_hz=-np.inf), "frequency_hz = -inf: wanted a finite number"),
-        (lambda: Table(tilt_rad=1.6), r"tilt_rad = 1\.6: wanted radians, at most 1\.5"),
-        (lambda: Table(amplitude_m=-1e-3, frequency_hz=5.0), r"amplitude_m = -0\.001.*turn the phase by pi"),
-        (lambda: Until(time_s=np.nan), "time_s = nan: wanted a finite time"),
-        (lambda: Until(impacts=-1), "impacts = -1: wanted 0 or more"),
-        (lambda: Precision(contact_tolerance_m=-1e-12), "contact_tolerance_m = -1e-12"),
-        (lambda: Precision(slowest_bounce=np.nan), "slowest_bounce = nan"),
-        (lambda: Precision(step_turn_rad=0.0), r"step_turn_rad = 0\.0"),
-        (lambda: SmoothImpact(np.nan), "chi = nan: wanted a coefficient of restitution from 0 to 1"),
-        (lambda: SmoothImpact(-1e-9), "chi = -1e-09"),
-        (lambda: CoulombImpact(0.5, np.nan), "mu = nan: wanted a coefficient of friction"),
-        (lambda: CoulombImpact(0.5, 0.1, "plastic"), "restitution = 'plastic': wanted one of 'newton'"),
-        (lambda: RestitutionBySpeed(SmoothImpact(0.5), np.inf), "speed_scale_m_s = inf: wanted a finite speed"),
-        (lambda: RestitutionBySpeed(SmoothImpact(0.5), 1.0, np.nan), "exponent = nan: wanted 0 or more"),
-        (lambda: make_die("ball", 0.02, 0.016), "shape = 'ball': wanted one of tetrahedron"),
-        (lambda: make_die("cube", -0.02, 0.016), r"edge_m = -0\.02: wanted a finite number above 0"),
-        (lambda: make_die("cube", np.inf, 0.016), "edge_m = inf: wanted a finite number above 0"),
-        (lambda: make_die("cube", 0.02, 0.0), r"mass_kg = 0\.0: wanted a finite number above 0"),
-        (lambda: make_die("cube", 0.02, 0.016, inertia_kg_m2=np.nan), "inertia_kg_m2 = nan"),
-        (lambda: make_die("cube", 0.02, 0.016, corner_radius_m=np.nan), "corner_radius_m = nan: wanted 0 or more"),
-        (lambda: loaded_die(isohedral_solid("cube", 0.02), 0.016, np.nan, STILL), "load_kg = nan: wanted a finite"),
-    ],
-)
-def test_settings_that_cannot_be_are_refused_with_their_name_and_value(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
-
-
-@pytest.mark.parametrize("make", ["cube", "rounded cube"])
-@pytest.mark.parametrize("table", [Table(), Table(tilt_rad=0.1)], ids=["level", "leaning"])
-@pytest.mark.parametrize(
-    ("field", "value", "said"),
-    [
-        ("position_m", [0.0, np.nan, 0.1], "position_m = .*wanted 3 finite numbers"),
-        ("position_m", [0.0, 0.0, -1.0], "position_m = .*below the table; raise the die"),
-        ("quaternion", [0.5, 0.5, 0.5, 0.6], "quaternion of length 1.05.*unit quaternion wxyz"),
-        ("quaternion", [0.0, 0.0, 0.0, 0.0], "quaternion of length 0: wanted a unit quaternion"),
-        ("velocity_m_s", [np.inf, 0.0, 0.0], "velocity_m_s = .*wanted 3 finite numbers"),
-        ("omega_rad_s", [0.0, 0.0, np.nan], "omega_rad_s = .*wanted 3 finite numbers"),
-        ("time_s", np.nan, "time_s = nan"),
-        ("time_s", 2.0, r"until time_s = 1\.0: wanted a time after the release at 2\.0 s"),
-    ],
-)
-def test_a_release_that_no_die_has_is_refused_on_every_path(make, table, field, value, said):
-    die = MAKERS[make](0.02, 0.016)
-    good = replace(random_release(np.random.default_rng(103), die, clearance_m=0.3), time_s=0.0)
-    bad = replace(good, **{field: value if field == "time_s" else np.array(value)})
-    with pytest.raises(ValueError, match=said):
-        throw_die(die, bad, SmoothImpact(0.5), table=table, until=Until(time_s=1.0))
-
-
 @each_die
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.0])
-def test_a_die_at_rest_on_an_edge_but_for_rounding_stands_or_falls_and_is_no_top(die, yaw):
+def test_a_die_at_rest_on_an_edge_to_rounding_rests_or_balances(die, yaw):
     for edge in die.solid.edges:
         turn = quat_multiply(quat_from_rotvec(yaw * UP), with_down(die.solid.vertices[edge].sum(0)))
         release = clear(die, State(0.0, STILL, turn, STILL, STILL), 0.0)
         assert throw_die(die, release, SmoothImpact(0.0)).ending in (Ending.RESTED, Ending.BALANCED)
-
-
-@pytest.mark.parametrize("table", [Table(), Table(tilt_rad=0.1)], ids=["level", "leaning"])
-@pytest.mark.parametrize(
-    ("field", "value", "said"),
-    [
-        ("quaternion", [0.0, 0.0, 0.0, 0.0], "quaternion of length 0: wanted a unit quaternion"),
-        ("velocity_m_s", [np.inf, 0.0, 0.0], "velocity_m_s = .*wanted 3 finite numbers"),
-        ("omega_rad_s", [0.0, 0.0, np.nan], "omega_rad_s = .*wanted 3 finite numbers"),
-    ],
-)
-def test_a_release_that_no_die_has_is_refused_of_a_loaded_die_too(table, field, value, said):
-    die = MAKERS["loaded cube"](0.02, 0.016)
-    good = replace(random_release(np.random.default_rng(103), die, clearance_m=0.3), time_s=0.0)
-    with pytest.raises(ValueError, match=said):
-        throw_die(die, replace(good, **{field: np.array(value)}), SmoothImpact(0.5), table=table)
-
-
-@pytest.mark.parametrize(
-    ("make", "said"),
-    [
-        (lambda: Until(impacts=np.nan), "impacts = nan"),
-        (lambda: Until(impacts=2.5), r"impacts = 2\.5"),
-        (lambda: RestitutionBySpeed(RestitutionBySpeed(SmoothImpact(0.5), 1.0), 1.0), "law = RestitutionBySpeed"),
-        # A body inside the die's sphere has no more than 2/3 m R² about every axis.
-        (lambda: make_die("cube", 0.02, 0.016, corner_radius_m=0.0099), "at most 0.95 of the inscribed radius"),
-        (lambda: make_die("cube", 0.02, 0.016, inertia_kg_m2=1e9), r"inertia_kg_m2 = 1000000000\.0"),
-    ],
-)
-def test_more_settings_that_cannot_be_are_refused(make, said):
-    with pytest.raises(ValueError, match=said):
-        make()
-
-
-@pytest.mark.parametrize(
-    ("field", "value"),
-    [("velocity_m_s", [0.0, 0.0, -1e100]), ("velocity_m_s", [1e300, 0.0, 0.0])],
-)
-def test_numbers_beyond_what_doubles_can_follow_are_refused_by_their_own_name(field, value):
-    die = DICE["cube"]
-    good = random_release(np.random.default_rng(103), die, clearance_m=0.3)
-    with pytest.raises(ValueError, match=field):
-        throw_die(die, replace(good, **{field: np.array(value)}), SmoothImpact(0.5))
-
-
-def test_a_table_so_fast_that_its_phase_is_lost_is_no_division_by_zero():
-    die = DICE["cube"]
-    release = random_release(np.random.default_rng(5), die)
-    with pytest.raises(ValueError, match="frequency_hz"):
-        throw_die(
-            die, release, SmoothImpact(0.5), table=Table(amplitude_m=1e-6, frequency_hz=1e12), until=Until(impacts=3)
-        )

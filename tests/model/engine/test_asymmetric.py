@@ -13,7 +13,8 @@ from diethrow.model.die.solid import convex_solid, isohedral_solid, truncated_di
 from diethrow.model.engine.types import IMPACTS_REACHED, LEVEL, RESTED, SPINNING, TIME_REACHED, Law, Plane, SmoothLaw
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
-from diethrow.model.throw.asymmetric_throw import centre_of_mass_state, centroid_state, throw_asymmetric_die
+from diethrow.model.throw.asymmetric_throw import throw_asymmetric_die
+from diethrow.model.throw.body import centre_of_mass_state, centroid_state
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import throw_die
 from diethrow.model.world import GRAVITY_M_S2

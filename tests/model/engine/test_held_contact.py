@@ -14,8 +14,7 @@ from diethrow.model.laws import CoulombImpact, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw import body
 from diethrow.model.throw.held_contact import HeldContact
-from diethrow.model.throw.history import rotated_state
-from diethrow.model.throw.motion import State, energy_J
+from diethrow.model.throw.motion import State, energy_J, rotated_state
 from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from diethrow.model.die.die import make_die
-from diethrow.model.ensembles.landings import ThrowSetup, drawn_states
-from diethrow.model.ensembles.releases import UniformConditions
+from diethrow.model.ensembles.landings import ThrowSetup
+from diethrow.model.ensembles.releases import UniformConditions, drawn_states
 from diethrow.model.ensembles.stepping import stepped_landings
 from diethrow.model.laws import SmoothImpact
 

@@ -1,4 +1,4 @@
-"""Laws of an impact, asked of every impact law."""
+"""Conservation laws and kinematics that hold for every impact law."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_throws import DICE, random_release
 
-from diethrow.model.laws import CoulombImpact, RestitutionBySpeed, SmoothImpact
+from diethrow.model.laws import CoulombImpact, FrictionBySpeed, RestitutionBySpeed, SmoothImpact
 from diethrow.model.rotations import matrix_from_quat, quat_from_euler
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import Until, throw_die
@@ -14,17 +14,19 @@ from diethrow.model.throw.touch import Touch, impulse_N_s, next_touch
 
 SMOOTH = [SmoothImpact(chi) for chi in (0.0, 0.1, 0.5, 0.9, 1.0)]
 NEWTON = [CoulombImpact(0.5, 0.3, "newton"), CoulombImpact(1.0, 0.1, "newton")]
-LOSING = [
+DISSIPATIVE = [
     *SMOOTH,
     CoulombImpact(0.5, 0.2),
     CoulombImpact(0.0, 1.5),
     CoulombImpact(0.8, 0.3, "poisson"),
     RestitutionBySpeed(SmoothImpact(0.9), 0.2),
     RestitutionBySpeed(CoulombImpact(0.9, 0.2), 0.2),
+    FrictionBySpeed(CoulombImpact(0.5, 0.4), 0.3),
+    FrictionBySpeed(RestitutionBySpeed(CoulombImpact(0.9, 0.4), 0.2), 0.3),
 ]
-LAWS = [*LOSING, *NEWTON]
+LAWS = [*DISSIPATIVE, *NEWTON]
 each_law = pytest.mark.parametrize("law", LAWS, ids=str)
-each_losing_law = pytest.mark.parametrize("law", LOSING, ids=str)
+each_dissipative_law = pytest.mark.parametrize("law", DISSIPATIVE, ids=str)
 each_kinematic_law = pytest.mark.parametrize("law", [*SMOOTH, *NEWTON], ids=str)
 each_smooth_law = pytest.mark.parametrize("law", SMOOTH, ids=str)
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
@@ -42,7 +44,7 @@ def impacts_of(die, law, seed: int):
             yield impact, throw.flights[k].at(impact.time_s), throw.flights[k + 1].start
 
 
-@each_losing_law
+@each_dissipative_law
 @each_die
 def test_an_impact_never_adds_energy(die, law):
     for impact, before, after in impacts_of(die, law, 31):
@@ -107,7 +109,7 @@ def test_the_vector_form_solves_the_equations_of_the_paper(die, law):
 
 @each_smooth_law
 @each_die
-def test_the_vector_form_is_that_of_the_paper_in_euler_angles(die, law):
+def test_the_vector_form_equals_the_paper_in_euler_angles(die, law):
     """Eqs 6 to 8 in the paper's own variables: z-x-z Euler angles ψ, ϑ, φ and the body components ω_ξ, ω_η, ω_ζ.
 
     The vertical in body axes is k = (sin ϑ sin φ, sin ϑ cos φ, cos ϑ), so that with S vertical at (ξ, η, ζ)
@@ -123,7 +125,7 @@ def test_the_vector_form_is_that_of_the_paper_in_euler_angles(die, law):
         k_xi, k_eta, k_zeta = np.sin(theta) * np.sin(phi), np.sin(theta) * np.cos(phi), np.cos(theta)
         levers = np.array([eta * k_zeta - zeta * k_eta, zeta * k_xi - xi * k_zeta, xi * k_eta - eta * k_xi])
         v = rise + body @ levers
-        if v > 0.0:  # the vertex shall come down
+        if v > 0.0:  # the vertex must come down
             rise, body, v = -rise, -body, -v
         S = -(1.0 + law.chi) * v / (1.0 / die.mass_kg + levers @ levers / die.inertia_kg_m2)
 

@@ -168,5 +168,5 @@ def test_what_cannot_be_propagated_is_refused_by_name():
         propagate(die, start, CHI, [np.nan])
     with pytest.raises(ValueError, match="below the table"):
         propagate(die, disturbed(start, np.eye(13)[2] * -2.0), CHI, times)
-    with pytest.raises(ValueError, match="bounces crowd together"):
+    with pytest.raises(ValueError, match="bounces follow each other"):
         propagate(die, start, 0.0, [start.time_s + 3.0])

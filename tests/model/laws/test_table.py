@@ -1,4 +1,4 @@
-"""Tables that lean or shake: the level one is a special case, and no touch of a moving one is missed."""
+"""Tilted and oscillating tables: a level table at rest is a special case, and no touch of an oscillating one is missed."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -18,11 +18,11 @@ from diethrow.model.world import GRAVITY_M_S2
 
 G = GRAVITY_M_S2
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
-LEANING = Table(tilt_rad=0.4, downhill_rad=1.1)
+TILTED = Table(tilt_rad=0.4, downhill_rad=1.1)
 
 
 def turned(state: State, table: Table) -> State:
-    """The same state relative to a leaning table as this one relative to the level table."""
+    """The same state relative to a tilted table as this one relative to the level table."""
     turn = table.world_from_table
     matrix = matrix_from_quat(turn)
     return State(
@@ -34,7 +34,7 @@ def turned(state: State, table: Table) -> State:
     )
 
 
-def same_history(one, two) -> None:
+def assert_same_history(one, two) -> None:
     """The same impacts and ends to the last bit."""
     assert one.ending is two.ending
     assert one.landed_face == two.landed_face
@@ -47,38 +47,38 @@ def same_history(one, two) -> None:
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.6])
-def test_a_table_that_shakes_by_nothing_or_never_is_the_table_at_rest_bit_for_bit(die, chi):
+def test_a_table_without_amplitude_or_frequency_is_the_table_at_rest_bit_for_bit(die, chi):
     rng = np.random.default_rng(81)
     for table in (Table(amplitude_m=0.0, frequency_hz=50.0, phase_rad=1.0), Table(amplitude_m=0.01, phase_rad=1.0)):
         release = random_release(rng, die)
-        same_history(*(throw_die(die, release, SmoothImpact(chi), table=t) for t in (LEVEL, table)))
-    no_lean = Table(tilt_rad=0.0, downhill_rad=2.0)
-    same_history(*(throw_die(die, release, SmoothImpact(chi), table=t) for t in (LEVEL, no_lean)))
+        assert_same_history(*(throw_die(die, release, SmoothImpact(chi), table=t) for t in (LEVEL, table)))
+    no_tilt = Table(tilt_rad=0.0, downhill_rad=2.0)
+    assert_same_history(*(throw_die(die, release, SmoothImpact(chi), table=t) for t in (LEVEL, no_tilt)))
 
 
 @each_die
-def test_a_leaning_table_is_a_level_one_under_weaker_gravity_and_a_pull_downhill(die):
+def test_a_tilted_table_is_a_level_one_under_weaker_gravity_and_a_pull_downhill(die):
     """Normal motion with g cos α: the throw in the table's axes is the level throw with that gravity, slower by √cos α;
     along the table it gains g sin α t²/2, which touches nothing else."""
     release = random_release(np.random.default_rng(82), die, spin_rad_s=20.0, clearance_m=0.05)
-    slower = np.sqrt(np.cos(LEANING.tilt_rad))
+    slower = np.sqrt(np.cos(TILTED.tilt_rad))
     weak = replace(release, velocity_m_s=slower * release.velocity_m_s, omega_rad_s=slower * release.omega_rad_s)
     level = throw_die(die, release, SmoothImpact(0.4), until=Until(impacts=6))
-    start = turned(weak, LEANING)
-    leaning = throw_die(die, start, SmoothImpact(0.4), until=Until(impacts=6), table=LEANING)
-    assert [i.vertices for i in leaning.throw.impacts] == [i.vertices for i in level.throw.impacts]
-    after = np.array([[i.time_s - release.time_s for i in r.throw.impacts] for r in (level, leaning)])
+    start = turned(weak, TILTED)
+    tilted = throw_die(die, start, SmoothImpact(0.4), until=Until(impacts=6), table=TILTED)
+    assert [i.vertices for i in tilted.throw.impacts] == [i.vertices for i in level.throw.impacts]
+    after = np.array([[i.time_s - release.time_s for i in r.throw.impacts] for r in (level, tilted)])
     # Rounding of 1e-15, grown by six impacts.
     np.testing.assert_allclose(slower * after[1], after[0], rtol=1e-9)
-    matrix = matrix_from_quat(LEANING.world_from_table)
+    matrix = matrix_from_quat(TILTED.world_from_table)
     time = 0.5 * (after[1][2] + after[1][3])
-    there = leaning.throw.at(release.time_s + time)
+    there = tilted.throw.at(release.time_s + time)
     along = matrix.T @ there.position_m
     expected = (
         release.position_m[:2]
         + slower * release.velocity_m_s[:2] * time
         # The way down of the table is the world's downhill direction, dipped below the horizon: x of an untwisted table.
-        + 0.5 * G * np.sin(LEANING.tilt_rad) * time**2 * np.array([np.cos(1.1), np.sin(1.1)])
+        + 0.5 * G * np.sin(TILTED.tilt_rad) * time**2 * np.array([np.cos(1.1), np.sin(1.1)])
     )
     np.testing.assert_allclose(along[:2], expected, atol=1e-13)
     normal = level.throw.at(release.time_s + slower * time).position_m[2]
@@ -86,10 +86,10 @@ def test_a_leaning_table_is_a_level_one_under_weaker_gravity_and_a_pull_downhill
 
 
 @each_die
-def test_an_elastic_throw_on_a_leaning_table_keeps_its_energy_in_world_axes_and_touches_in_its_plane(die):
-    release = turned(random_release(np.random.default_rng(83), die, clearance_m=0.05), LEANING)
-    result = throw_die(die, release, SmoothImpact(1.0), until=Until(impacts=60), table=LEANING)
-    normal = matrix_from_quat(LEANING.world_from_table)[:, 2]
+def test_an_elastic_throw_on_a_tilted_table_keeps_its_energy_in_world_axes_and_touches_it_in_its_plane(die):
+    release = turned(random_release(np.random.default_rng(83), die, clearance_m=0.05), TILTED)
+    result = throw_die(die, release, SmoothImpact(1.0), until=Until(impacts=60), table=TILTED)
+    normal = matrix_from_quat(TILTED.world_from_table)[:, 2]
     assert normal[2] == pytest.approx(np.cos(0.4))
     assert normal[:2] @ [np.cos(1.1), np.sin(1.1)] == pytest.approx(np.sin(0.4))
     ends = [energy_J(die, f.at(t)) for f in result.throw.flights for t in (f.start.time_s, f.end_s)]
@@ -111,13 +111,13 @@ def kinetic(die, result) -> list[float]:
 
 
 @each_die
-def test_held_contact_on_a_leaning_table_stays_in_its_plane_and_obeys_the_energy_in_world_axes(die):
+def test_held_contact_on_a_tilted_table_stays_in_its_plane_and_obeys_the_energy_in_world_axes(die):
     rng, seen = np.random.default_rng(84), 0
-    normal = matrix_from_quat(LEANING.world_from_table)[:, 2]
+    normal = matrix_from_quat(TILTED.world_from_table)[:, 2]
     while seen < 3:
-        release = turned(random_release(rng, die, spin_rad_s=10.0, clearance_m=0.01), LEANING)
+        release = turned(random_release(rng, die, spin_rad_s=10.0, clearance_m=0.01), TILTED)
         until = Until(time_s=release.time_s + 0.5)
-        for held in throw_die(die, release, SmoothImpact(0.0), until=until, table=LEANING).throw.flights:
+        for held in throw_die(die, release, SmoothImpact(0.0), until=until, table=TILTED).throw.flights:
             if not isinstance(held, HeldContact) or held.end_s - held.start.time_s < 1e-3:
                 continue
             states = [held.at(t) for t in np.linspace(held.start.time_s, held.end_s, 10)]
@@ -130,7 +130,7 @@ def test_held_contact_on_a_leaning_table_stays_in_its_plane_and_obeys_the_energy
             seen += 1
 
 
-SHAKES = [(1.0, 0.05), (25.0, 1e-3), (150.0, 1e-4), (2000.0, 1e-5), (1e4, 1e-6), (1e4, 1e-3)]
+OSCILLATIONS = [(1.0, 0.05), (25.0, 1e-3), (150.0, 1e-4), (2000.0, 1e-5), (1e4, 1e-6), (1e4, 1e-3)]
 
 
 def relative_heights(die, release: State, table: Table, dt: np.ndarray) -> np.ndarray:
@@ -141,8 +141,8 @@ def relative_heights(die, release: State, table: Table, dt: np.ndarray) -> np.nd
     return heights - (table.amplitude_m * np.sin(phase))[:, None]
 
 
-@pytest.mark.parametrize(("frequency", "amplitude"), SHAKES)
-def test_the_first_touch_of_a_shaking_table_is_the_one_that_dense_sampling_finds(frequency, amplitude):
+@pytest.mark.parametrize(("frequency", "amplitude"), OSCILLATIONS)
+def test_the_first_touch_of_a_oscillating_table_is_the_one_that_dense_sampling_finds(frequency, amplitude):
     rng = np.random.default_rng(85)
     for shape in DICE:
         die = DICE[shape]
@@ -174,7 +174,7 @@ def test_the_first_touch_of_a_shaking_table_is_the_one_that_dense_sampling_finds
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.5, 1.0])
-def test_an_impact_on_a_shaking_table_reverses_the_velocity_relative_to_it(die, chi):
+def test_an_impact_on_a_oscillating_table_reverses_the_velocity_relative_to_it(die, chi):
     rng = np.random.default_rng(86)
     table = Table(amplitude_m=2e-3, frequency_hz=30.0, phase_rad=0.3)
     release = random_release(rng, die, clearance_m=0.02)
@@ -204,7 +204,7 @@ def exact_octahedron():
 
 
 @pytest.mark.parametrize(("chi", "frequency"), [(0.2, 30.0), (0.5, 60.0), (0.8, 100.0)])
-def test_a_die_on_its_tip_bounces_in_step_with_the_table_where_a_ball_does(chi, frequency):
+def test_a_die_on_its_tip_bounces_in_step_with_the_table_as_a_ball_does(chi, frequency):
     """One bounce a period T: landing and leaving at the phase p with relative velocities ∓g T/(1 + χ), so that the table's
     own velocity there is A ω cos p = (1 - χ)/(1 + χ) g T/2 (Guckenheimer & Holmes, Nonlinear Oscillations, 1983, 2.4)."""
     die = exact_octahedron()
@@ -226,7 +226,7 @@ def test_a_die_on_its_tip_bounces_in_step_with_the_table_where_a_ball_does(chi, 
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.3])
-def test_a_die_comes_to_rest_on_a_table_that_shakes_too_weakly_to_throw_it_up(die, chi):
+def test_a_die_comes_to_rest_on_a_table_that_oscillates_too_weakly_to_throw_it_up(die, chi):
     """A (2πf)² = 0.9 g; afterwards the face stays down and the die moves with the table."""
     weak = Table(amplitude_m=0.9 * G / (2 * np.pi * 20) ** 2, frequency_hz=20.0)
     release = random_release(np.random.default_rng(87), die, spin_rad_s=5.0, clearance_m=0.01)
@@ -241,7 +241,7 @@ def test_a_die_comes_to_rest_on_a_table_that_shakes_too_weakly_to_throw_it_up(di
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-def test_a_die_flat_on_a_shaking_table_is_thrown_up_where_the_table_falls_faster_than_it(die, chi):
+def test_a_die_flat_on_a_oscillating_table_is_thrown_up_when_the_table_falls_faster_than_it(die, chi):
     """A ω² = 2 g: it leaves at the phase p with A ω² sin p = g, flies with the velocity it had, and lands again."""
     frequency = 20.0
     rate = 2 * np.pi * frequency
@@ -291,22 +291,22 @@ def test_whole_periods_of_the_clock_and_whole_turns_of_the_phase_change_nothing(
 
 @each_die
 def test_a_turn_of_the_throw_about_the_vertical_with_the_slope_turns_the_result(die):
-    release = turned(random_release(np.random.default_rng(89), die, clearance_m=0.02), LEANING)
+    release = turned(random_release(np.random.default_rng(89), die, clearance_m=0.02), TILTED)
     turn = quat_from_rotvec([0.0, 0.0, 0.8])
     matrix = matrix_from_quat(turn)
     other = State(
         release.time_s, matrix @ release.position_m, quat_multiply(turn, release.quaternion),
         matrix @ release.velocity_m_s, matrix @ release.omega_rad_s,
     )  # fmt: skip
-    slope = replace(LEANING, downhill_rad=LEANING.downhill_rad + 0.8)
+    slope = replace(TILTED, downhill_rad=TILTED.downhill_rad + 0.8)
     until = Until(impacts=4)
-    one = throw_die(die, release, SmoothImpact(0.5), until=until, table=LEANING)
+    one = throw_die(die, release, SmoothImpact(0.5), until=until, table=TILTED)
     two = throw_die(die, other, SmoothImpact(0.5), until=until, table=slope)
     assert [i.vertices for i in one.throw.impacts] == [i.vertices for i in two.throw.impacts]
     np.testing.assert_allclose(two.end.position_m, matrix @ one.end.position_m, atol=1e-10)
 
 
-def test_energy_on_a_shaking_table_changes_only_by_impacts_and_by_the_work_of_the_table():
+def test_energy_on_a_oscillating_table_changes_only_by_impacts_and_by_the_work_of_the_table():
     """In flight it is kept, whatever the table does."""
     die = DICE["cube"]
     table = Table(amplitude_m=1e-3, frequency_hz=60.0)
@@ -317,7 +317,7 @@ def test_energy_on_a_shaking_table_changes_only_by_impacts_and_by_the_work_of_th
 
 
 def test_a_tilt_turns_the_kernels_gravity_and_keeps_its_size():
-    plane = LEANING.plane
+    plane = TILTED.plane
     assert np.hypot(np.hypot(plane.gx, plane.gy), plane.g) == pytest.approx(G, rel=1e-15)
     assert plane.g == pytest.approx(G * np.cos(0.4), rel=1e-15)
     assert np.arctan2(plane.gy, plane.gx) == pytest.approx(1.1, rel=1e-14)
