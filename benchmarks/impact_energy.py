@@ -1,11 +1,11 @@
-"""Energy of impacts with friction, over random ones: `python benchmarks/impact_energy.py [impacts] [seed]`.
+"""Energy of random impacts with friction: `python benchmarks/impact_energy.py [impacts] [seed]`.
 
-Random dice of the five shapes and two extremes (a rod and a disc of a hundred times the inertia about one axis as about
-another), a random corner at a random orientation, χ uniform in [0, 1] and exactly 0 or 1 in a tenth each, μ uniform in
-[0, 5] and below 0.01 in a tenth, slips from 1e-3 to 1e3 times the normal velocity. The change of energy is taken
-relative to the kinetic energy before the impact that the contact can reach, cᵀM⁻¹c/2: the strictest reference, the whole
-kinetic energy is larger. Prints, for each restitution: how often energy was created (by more than 1e-12), the largest
-change (negative: every impact lost energy), and the time of an impact.
+Random dice of the five shapes and two extreme bodies (a rod and a disc, with a hundred times the inertia about one axis as
+about another), and a random corner at a random orientation. χ is uniform in [0, 1], and exactly 0 or 1 in a tenth of the
+impacts each. μ is uniform in [0, 5], and below 0.01 in a tenth. The slip is 1e-3 to 1e3 times the normal velocity. The
+change of energy is relative to the kinetic energy before the impact that the contact can reach, cᵀM⁻¹c/2, which is the
+strictest reference because the whole kinetic energy is larger. Prints, for each kind of restitution: how often energy was
+created (by more than 1e-12), the largest change (negative: every impact lost energy), and the time of an impact.
 """
 
 from __future__ import annotations
@@ -20,22 +20,20 @@ from numpy.typing import NDArray
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
 from diethrow.model.die.solid import SHAPES
+from diethrow.model.rotations import matrix_from_quat
 
 Array = NDArray[np.float64]
-ENDINGS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
+RESTITUTIONS = {"newton": engine.NEWTON, "poisson": engine.POISSON, "stronge": engine.STRONGE}
 BODIES = (*SHAPES, "rod", "disc")
+
+CREATED = 1e-12
+"""Relative gain of energy above which an impact created energy rather than rounding."""
 
 
 def random_rotations(rng: np.random.Generator, count: int) -> Array:
     """(count, 3, 3), uniform."""
     q = rng.normal(size=(count, 4))
-    w, x, y, z = (q / np.linalg.norm(q, axis=1)[:, None]).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), 2, 0)
+    return matrix_from_quat(q / np.linalg.norm(q, axis=1)[:, None])
 
 
 def random_matrices(rng: np.random.Generator, body: str, count: int) -> Array:
@@ -51,7 +49,7 @@ def random_matrices(rng: np.random.Generator, body: str, count: int) -> Array:
     return np.asarray(np.eye(3) / die.mass_kg - cross @ inverse @ cross)
 
 
-@njit  # not cached: a cache in this file would not see an edit of the kernel
+@njit  # not cached, because a cache of this file would not see an edit of the kernel
 def impulses(six: Array, chi: Array, mu: Array, ending: int, velocity: Array, out: Array) -> None:
     """Impulses (n, 3) of n impacts into `out`."""
     for i in range(six.shape[0]):
@@ -77,7 +75,7 @@ def main(count: int, seed: int) -> None:
     dice = np.arange(n) < len(SHAPES) * each
     print(f"{n} impacts, seed {seed}")
     print(f"{'restitution':12} {'created energy':>15} {'of dice alone':>14} {'largest':>10} {'of dice':>10} {'µs':>6}")
-    for name, ending in ENDINGS.items():
+    for name, ending in RESTITUTIONS.items():
         out = np.empty((n, 3))
         impulses(six[:1], chi[:1], mu[:1], ending, velocity[:1], out[:1])
         began = time.perf_counter()
@@ -85,7 +83,7 @@ def main(count: int, seed: int) -> None:
         spent = time.perf_counter() - began
         after = velocity + np.einsum("nij,nj->ni", matrices, out)
         change = 0.5 * np.sum(out * (velocity + after), axis=1) / reach
-        created = change > 1e-12
+        created = change > CREATED
         print(
             f"{name:12} {created.mean():15.4%} {created[dice].mean():14.4%} {change.max():10.2e} "
             f"{change[dice].max():10.2e} {spent / n * 1e6:6.2f}"

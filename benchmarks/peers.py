@@ -1,31 +1,31 @@
 """The event-driven throw beside general physics engines: `python benchmarks/peers.py`, with the engines installed
-(`pip install mujoco==4.0.0 dartpy==6.20.0`); one that is not is left out, with a line.
+(`pip install mujoco==4.0.0 dartpy==6.20.0`); an engine that is not installed is left out, with a line.
 
-The same throws in all of them: a sharp cube of 2 cm and 16 g, released at rest 0.3 m above the table, uniformly turned,
-with 40 rad/s about a uniformly random axis; nothing rubs. A throw ends, in every engine, as soon as the die has too
-little energy to leave its lowest face (looked up every 16 ms of the motion). Two tables:
+All throw the same: a sharp cube of 2 cm and 16 g, released at rest 0.3 m above the table, uniformly turned, with 40 rad/s
+about a uniformly random axis, without friction. In every engine a throw ends as soon as the die has too little energy to
+leave its lowest face (checked every 16 ms of the motion). Two tables:
 
-speed        throws a second, by the CPU time of one core, at χ 0.5: ours and the engines by turns, so that a busy
-             machine weighs on all alike. The ratio ours : engine is taken in each round; the median and the range are
-             printed. Compiling ours and building the engines' worlds is not counted.
-agreement    at χ 0.1, as the engine's step shrinks: throws that land on the same face as ours (chance: 17 %), with the
-             Wilson 95 % interval; and the errors, median and 90th percentile over the throws, of the height of the
+speed        throws a second, by the CPU time of one core, at χ 0.5. diethrow and the engines take turns, so that a busy
+             machine affects all alike. The ratio diethrow : engine is taken in each round, and its median and range are
+             printed. Compiling diethrow and building the engines' worlds is not counted.
+agreement    at χ 0.1, as the engine's step shrinks: throws that land on the same face as in diethrow (chance: 17 %), with
+             the Wilson 95 % interval; and the errors, median and 90th percentile over the throws, of the height of the
              centre and of the orientation shortly after the first, second and third vertex struck the table (at the
              next multiple of 2 ms that is at least 1 ms later).
 
-How the engines are set up, each as near to a rigid impact without friction and with the restitution χ as it comes:
-DART     has a restitution, so it gets χ. It drops rebounds slower than 0.1 units of length a second, and lets none
-         exceed 100; its unit is χ × 5 cm, so that impacts below 5 mm/s are dead and those up to 5 m/s, more than any
-         vertex of these throws has, are whole. Bodies never fall asleep. Everything else as it comes.
-MuJoCo   has none. Its contact is a spring and a damper, and with an impedance of nearly 1 (solimp) they set the
-         acceleration of the vertex whatever its arm and the die's mass. A soft spring lets the die turn during the
-         contact; one that is too stiff for the step makes the rebound depend on where in the step the vertex met the
+Each engine is set up as near as possible to a rigid impact without friction and with the restitution χ:
+DART     has a restitution, so it gets χ. It suppresses rebounds slower than 0.1 units of length a second, and limits them
+         to 100. Its unit of length is χ × 5 cm, so that impacts below 5 mm/s do not rebound, and those up to 5 m/s, more
+         than any vertex of these throws has, rebound fully. Bodies never fall asleep. All else is the default.
+MuJoCo   has no restitution. Its contact is a spring and a damper, and with an impedance of nearly 1 (solimp) they set the
+         acceleration of the vertex, whatever its arm and the die's mass. A soft spring lets the die turn during the
+         contact. With one that is too stiff for the step, the rebound depends on where in the step the vertex met the
          table. Both errors are about equal, and shrink, with an angular frequency of 300/s at 1 ms (a contact of some
          ten steps) that grows as the step's power -2/3. The damping is the one with which the cube, dropped onto a
          vertex, rises with χ times its speed, on average over eight drops spread over a step. No friction (condim 1).
-Both change the velocity before the place (semi-implicit Euler); they are released with the velocity of half a step
-earlier, which makes their parabola the exact one. Released plainly, they would miss it by g × time × step / 2: by more
-than 1 mm where the die first strikes at a step of 1 ms.
+Both change the velocity before the position (semi-implicit Euler). They are released with the velocity of half a step
+earlier, which makes their parabola the exact one. Otherwise they would miss it by g × time × step / 2: by more than 1 mm
+at the first impact, with a step of 1 ms.
 """
 
 from __future__ import annotations
@@ -47,6 +47,7 @@ from scipy.stats import binomtest
 
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
+from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import (
     matrix_from_quat,
@@ -58,7 +59,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.body import body_of
 from diethrow.model.throw.motion import State, Throw
-from diethrow.model.throw.simulate import IMPACT_CAP, Until, throw_die
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
@@ -66,19 +67,24 @@ Array = NDArray[np.float64]
 DIE = make_die("cube", 0.02, 0.016)
 BODY = body_of(DIE)
 HEIGHT_M, SPIN_RAD_S = 0.3, 40.0
-COARSEST_S = 1e-3
-"""[s] MuJoCo's usual step; the finer ones are this halved again and again."""
+COARSEST_STEP_S = 1e-3
+"""[s] MuJoCo's default step; the finer steps halve it repeatedly."""
 
-LOOK_S = 0.016
-"""[s] of motion between two looks at whether the die can still leave its face."""
-LONGEST_S = 8.0
-"""[s] of motion after which an engine's throw is left, landed on no face."""
-GRID_S, LATER_S = 0.002, 0.001
-"""[s] states are compared at multiples of the first, at least the second after a strike."""
+CHECK_INTERVAL_S = 0.016
+"""[s] of motion between two checks whether the die can still leave its face."""
+
+MAX_DURATION_S = 8.0
+"""[s] of motion after which an engine's throw is stopped, landed on no face."""
+
+COMPARISON_GRID_S = 0.002
+"""[s] States are compared at multiples of this time, which every step divides."""
+
+COMPARISON_DELAY_S = 0.001
+"""[s] Least delay of a comparison after an impact, so that a contact of finite duration is over."""
 
 
-class Engine(Protocol):
-    """One die above one table."""
+class PeerEngine(Protocol):
+    """A general physics engine with one die above one table."""
 
     step_s: float
 
@@ -118,7 +124,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def installed(names: Sequence[str]) -> dict[str, MakeEngine]:
-    """Those of the engines that can be imported; a line for each that cannot."""
+    """The engines that can be imported; a line is printed for each that cannot."""
     found = {}
     for name in names:
         make, module = ENGINES[name]
@@ -146,12 +152,12 @@ def releases(count: int, seed: int) -> Array:
 
 
 def print_speed(engines: dict[str, MakeEngine], chi: float, rounds: int, starts: Array) -> None:
-    """Throws a second of each engine at 1 ms beside ours."""
+    """Throws a second of each engine at 1 ms, and of diethrow."""
     began = time.perf_counter()
     our_faces(starts[:2], chi)
     compiled_s = time.perf_counter() - began
-    worlds = {name: make(chi, COARSEST_S) for name, make in engines.items()}
-    many = np.tile(starts, (100, 1))  # about as long as theirs take
+    worlds = {name: make(chi, COARSEST_STEP_S) for name, make in engines.items()}
+    many = np.tile(starts, (100, 1))  # takes about as long as the engines do
     ours: list[float] = []
     theirs: dict[str, list[float]] = {name: [] for name in worlds}
     for _ in range(rounds):
@@ -160,9 +166,9 @@ def print_speed(engines: dict[str, MakeEngine], chi: float, rounds: int, starts:
             seconds = cpu_seconds(partial(landed_faces, world, starts))
             theirs[name].append(len(starts) / seconds)
     print(
-        f"\nThrows a second on one core, χ {chi:g}, engines at {COARSEST_S * 1e3:g} ms; median (range) of {rounds} rounds"
+        f"\nThrows a second on one core, χ {chi:g}, engines at {COARSEST_STEP_S * 1e3:g} ms; median (range) of {rounds} rounds"
     )
-    print(f"{'':14}{'throws/s':>26}   ours is faster by")
+    print(f"{'':14}{'throws/s':>26}   diethrow is faster by")
     print(f"{'diethrow':14}{spread(ours):>26}   (compiled or loaded in {compiled_s:.1f} s before)")
     for name, rates in theirs.items():
         print(f"{name:14}{spread(rates):>26}   {spread([a / b for a, b in zip(ours, rates, strict=True)])}")
@@ -181,21 +187,16 @@ def spread(values: Sequence[float]) -> str:
 
 
 def our_faces(starts: Array, chi: float) -> NDArray[np.int64]:
-    """(n,) rows of the faces on which the throws land."""
-    law = SmoothImpact(chi)
-    landed = np.empty((len(starts), 3), np.int64)
-    engine.land_many(
-        BODY, engine.law_of(law.code, law.parameters), engine.LEVEL, engine.FINE, starts, IMPACT_CAP, landed
-    )
-    return landed[:, 0]
+    """Numbers (n,) of the faces on which the throws of diethrow land."""
+    return ThrowSetup(DIE, SmoothImpact(chi)).throw(starts).face
 
 
-def landed_faces(engine: Engine, starts: Array) -> list[int]:
-    """Rows of the faces on which an engine's throws land, -1 for none in time."""
+def landed_faces(peer: PeerEngine, starts: Array) -> list[int]:
+    """Numbers of the faces on which an engine's throws land; 0 for none in time."""
     faces = []
     for start in starts:
-        engine.release(half_a_step_earlier(start, engine.step_s))
-        faces.append(face_at_rest(engine))
+        peer.release(half_a_step_earlier(start, peer.step_s))
+        faces.append(face_at_rest(peer))
     return faces
 
 
@@ -206,19 +207,19 @@ def half_a_step_earlier(start: Array, step_s: float) -> Array:
     return earlier
 
 
-def face_at_rest(engine: Engine) -> int:
-    """Follow an engine until the die cannot leave its lowest face; its row, or -1 for none in time."""
-    steps = round(LOOK_S / engine.step_s)
+def face_at_rest(peer: PeerEngine) -> int:
+    """Run an engine until the die cannot leave its lowest face; the number of that face, or 0 for none in time."""
+    steps = round(CHECK_INTERVAL_S / peer.step_s)
     law = engine.law_of(engine.SMOOTH, np.array([0.0]))
-    for _ in range(round(LONGEST_S / LOOK_S)):
-        engine.advance(steps)
-        state = engine.state()
-        # The centre falls through every barrier before the die rests, and this looks at less than the whole energy.
+    for _ in range(round(MAX_DURATION_S / CHECK_INTERVAL_S)):
+        peer.advance(steps)
+        state = peer.state()
+        # Cheap, and necessary: the decision needs at least this part of the energy to be below the barrier.
         if 0.5 * state[9] ** 2 + GRAVITY_M_S2 * state[2] < GRAVITY_M_S2 * BODY.radius:
             face = engine.decided_face(BODY, law, engine.LEVEL, state)
             if face >= 0:
-                return int(face)
-    return -1
+                return int(face) + 1
+    return 0
 
 
 # --- agreement --------------------------------------------------------------------------------------------------------
@@ -226,12 +227,12 @@ def face_at_rest(engine: Engine) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """One of our throws, as far as it is compared."""
+    """A throw of diethrow, as far as it is compared."""
 
     face: int | None
-    """Row of the landed face."""
+    """Number of the landed face; None if it is not decided."""
     states: tuple[State, ...]
-    """Shortly after the first, second and third vertex struck; fewer where fewer did."""
+    """Shortly after the first, second and third vertex struck; fewer if fewer did."""
 
 
 def print_agreement(engines: dict[str, MakeEngine], chi: float, halvings: int, starts: Array) -> None:
@@ -243,20 +244,20 @@ def print_agreement(engines: dict[str, MakeEngine], chi: float, halvings: int, s
         print(f"{'':41}" + "".join(f"{f'error after vertex {k} [mm; °]':>33}" for k in (1, 2, 3)))
         print(head + 3 * f"{'median, 90 %; median, 90 %':>33}")
         for k in range(halvings + 1):
-            print(agreement_row(make(chi, COARSEST_S / 2**k), starts, truths), flush=True)
+            print(agreement_row(make(chi, COARSEST_STEP_S / 2**k), starts, truths), flush=True)
 
 
 def our_throw(start: Array, chi: float) -> Truth:
-    """Throw one by ours."""
+    """One throw of diethrow."""
     release = State(0.0, start[:3], start[3:7], start[7:10], start[10:])
-    result = throw_die(DIE, release, SmoothImpact(chi), until=Until(time_s=LONGEST_S))
+    result = throw_die(DIE, release, SmoothImpact(chi), until=Until(time_s=MAX_DURATION_S))
     times = strike_times_s(result.throw)
-    face = None if result.landed_face is None else result.landed_face - 1
-    return Truth(face, tuple(result.throw.at(np.ceil((t + LATER_S) / GRID_S) * GRID_S) for t in times[:3]))
+    compared = (np.ceil((t + COMPARISON_DELAY_S) / COMPARISON_GRID_S) * COMPARISON_GRID_S for t in times[:3])
+    return Truth(result.landed_face, tuple(result.throw.at(t) for t in compared))
 
 
 def strike_times_s(throw: Throw) -> list[float]:
-    """The instants [s] at which a vertex strikes that has not struck before."""
+    """The instants [s] of the first impact of each vertex, in order."""
     first: dict[int, float] = {}
     for bounce in throw.bounces:
         for vertex in bounce.vertices:
@@ -264,24 +265,24 @@ def strike_times_s(throw: Throw) -> list[float]:
     return sorted(first.values())
 
 
-def agreement_row(engine: Engine, starts: Array, truths: Sequence[Truth]) -> str:
-    """One step of one engine."""
+def agreement_row(peer: PeerEngine, starts: Array, truths: Sequence[Truth]) -> str:
+    """The row of one engine at one step."""
     errors: list[list[tuple[float, float]]] = [[], [], []]
     same = 0
     began = time.process_time()
     for start, truth in zip(starts, truths, strict=True):
-        engine.release(half_a_step_earlier(start, engine.step_s))
+        peer.release(half_a_step_earlier(start, peer.step_s))
         done = 0
         for k, ours in enumerate(truth.states):
-            steps = round(ours.time_s / engine.step_s)
-            engine.advance(steps - done)
+            steps = round(ours.time_s / peer.step_s)
+            peer.advance(steps - done)
             done = steps
-            errors[k].append(state_error(engine.state(), ours))
-        same += face_at_rest(engine) == truth.face
+            errors[k].append(state_error(peer.state(), ours))
+        same += face_at_rest(peer) == truth.face
     rate = len(starts) / (time.process_time() - began)
     wilson = binomtest(same, len(starts)).proportion_ci(method="wilson")
     share = f"{same / len(starts):.1%} ({wilson.low:.0%} to {wilson.high:.0%})"
-    return f"{engine.step_s * 1e6:9.4g} {rate:9.3g} {share:>21}" + "".join(f"{error_text(e):>33}" for e in errors)
+    return f"{peer.step_s * 1e6:9.4g} {rate:9.3g} {share:>21}" + "".join(f"{error_text(e):>33}" for e in errors)
 
 
 def state_error(theirs: Array, ours: State) -> tuple[float, float]:
@@ -308,7 +309,7 @@ class Mujoco:
         self._model = self._mujoco.MjModel.from_xml_string(mujoco_world(step_s))
         self._data = self._mujoco.MjData(self._model)
         frequency, ratio = contact_frequency(step_s), mujoco_damping(chi, step_s) if damping is None else damping
-        # Below zero they are the stiffness and the damping themselves.
+        # Negative values are the stiffness and the damping themselves.
         self._model.geom_solref[:] = -(frequency**2), -2.0 * ratio * frequency
 
     def release(self, state: Array) -> None:
@@ -319,17 +320,17 @@ class Mujoco:
         self._data.qvel[3:] = state[10:] @ matrix_from_quat(state[3:7])
 
     def advance(self, steps: int) -> None:
-        """As `Engine`."""
+        """As `PeerEngine`."""
         self._mujoco.mj_step(self._model, self._data, nstep=steps)
 
     def state(self) -> Array:
-        """As `Engine`."""
+        """As `PeerEngine`."""
         qpos, qvel = self._data.qpos, self._data.qvel
         return np.concatenate([qpos, qvel[:3], matrix_from_quat(qpos[3:7]) @ qvel[3:]])
 
 
 def mujoco_world(step_s: float) -> str:
-    """The world as MuJoCo reads it; the spring and damper of the contact are set afterwards."""
+    """The MuJoCo model; spring and damper of the contact are set afterwards."""
     half, inertia = 0.5 * DIE.solid.edge_m, DIE.inertia_kg_m2
     return f"""<mujoco>
       <option timestep="{step_s!r}" gravity="0 0 {-GRAVITY_M_S2}"/>
@@ -350,7 +351,7 @@ def contact_frequency(step_s: float) -> float:
 
 def mujoco_damping(chi: float, step_s: float) -> float:
     """The damping ratio at which the cube rises from drops onto a vertex with χ times its speed."""
-    # With more the damper alone would turn the velocity round within a step.
+    # With more damping the damper alone would reverse the velocity within a step.
     low, high = 0.0, 0.5 / (contact_frequency(step_s) * step_s)
     for _ in range(20):
         middle = 0.5 * (low + high)
@@ -358,21 +359,21 @@ def mujoco_damping(chi: float, step_s: float) -> float:
     return 0.5 * (low + high)
 
 
-def mean_rebound(engine: Engine) -> float:
+def mean_rebound(peer: PeerEngine) -> float:
     """The restitution of drops onto a vertex at 2 m/s that meet the table at eight instants within a step."""
-    return float(np.mean([rebound(engine, (k + 0.5) / 8) for k in range(8)]))
+    return float(np.mean([rebound(peer, (k + 0.5) / 8) for k in range(8)]))
 
 
-def rebound(engine: Engine, phase: float) -> float:
+def rebound(peer: PeerEngine, phase: float) -> float:
     """The restitution of a drop onto a vertex at 2 m/s that meets the table after a part of a step."""
     speed, radius = 2.0, DIE.solid.circumradius
     upright = quat_multiply(quat_from_rotvec([acos(1.0 / sqrt(3.0)), 0.0, 0.0]), quat_from_rotvec([0.0, 0.0, pi / 4]))
-    height = radius + phase * speed * engine.step_s
-    engine.release(np.concatenate([[0.0, 0.0, height], upright, [0.0, 0.0, -speed], [0.0, 0.0, 0.0]]))
-    engine.advance(1)
-    for _ in range(round(0.1 / engine.step_s)):
-        engine.advance(1)
-        state = engine.state()
+    height = radius + phase * speed * peer.step_s
+    peer.release(np.concatenate([[0.0, 0.0, height], upright, [0.0, 0.0, -speed], [0.0, 0.0, 0.0]]))
+    peer.advance(1)
+    for _ in range(round(0.1 / peer.step_s)):
+        peer.advance(1)
+        state = peer.state()
         if state[2] > radius:
             return sqrt(state[9] ** 2 + 2.0 * GRAVITY_M_S2 * (state[2] - radius)) / speed
     return 0.0
@@ -405,19 +406,19 @@ class Dart:
         self._world.addSkeleton(table)
 
     def release(self, state: Array) -> None:
-        """As `Engine`."""
+        """As `PeerEngine`."""
         self._world.reset()
         self._die.setPositions(np.concatenate([rotvec_from_quat(state[3:7]), state[:3] / self._unit_m]))
         self._die.setVelocities(np.concatenate([state[10:], state[7:10] / self._unit_m]))
 
     def advance(self, steps: int) -> None:
-        """As `Engine`."""
+        """As `PeerEngine`."""
         step = self._world.step
         for _ in range(steps):
             step()
 
     def state(self) -> Array:
-        """As `Engine`."""
+        """As `PeerEngine`."""
         pose, body = self._body.getWorldTransform(), self._body
         quaternion = quat_from_matrix(np.asarray(pose.rotation()))
         position, velocity = (
@@ -428,7 +429,7 @@ class Dart:
 
 
 def add_box(dart: Any, body: Any, sides: Sequence[float], chi: float) -> Any:
-    """Give a body of DART a box without friction. Two that meet multiply their restitutions."""
+    """Give a DART body a box without friction. The restitution of a contact is the product of the two."""
     node = body.createShapeNode(dart.dynamics.BoxShape(sides))
     node.createCollisionAspect()
     surface = node.createDynamicsAspect()
@@ -437,11 +438,11 @@ def add_box(dart: Any, body: Any, sides: Sequence[float], chi: float) -> Any:
     return node
 
 
-MakeEngine = Callable[[float, float], Engine]
+MakeEngine = Callable[[float, float], PeerEngine]
 """From χ and a step [s]."""
 
 ENGINES: dict[str, tuple[MakeEngine, str]] = {"MuJoCo": (Mujoco, "mujoco"), "DART": (Dart, "dartpy")}
-"""By name: how to make one, and its module."""
+"""By name: its class, and the module that it needs."""
 
 if __name__ == "__main__":
     sys.exit(main())

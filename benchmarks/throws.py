@@ -1,24 +1,24 @@
 """Speed and exactness of simulated throws: `python benchmarks/throws.py`, some minutes; `--help` lists the parts.
 
-Unless a table says otherwise, a throw is the sharp cube of 2 cm and 16 g, released at rest 0.3 m above the table,
-uniformly turned, with 40 rad/s about a uniformly random axis, smooth impacts, until its face is decided. The other
-dice have the cube's volume and mass.
+Unless a table says otherwise, a throw is the sharp cube of 2 cm and 16 g, released at rest 0.3 m above the table, uniformly
+turned, with 40 rad/s about a uniformly random axis, with smooth impacts, until its face is decided. The other dice have the
+cube's volume and mass.
 
 speed       throws a second by χ: on one core by CPU time, and with threads over blocks of 1024 throws by the clock. One
             thread and several take turns on the same throws, and the ratio is taken within each round. Medians and
-            ranges. On a machine that does other things besides, the threads do not get all cores: how many they had
-            is printed too, and no ratio can be larger. Compiling is timed apart, in a process without a cache.
+            ranges. On a busy machine the threads do not get all cores: how many they had is printed too, and no ratio
+            can be larger. Compilation is timed separately, in a process without a cache.
 dice        throws a second on one core for the five dice, and impacts a throw.
-root        throws whose landed face changes when a vertex touches from 1e-11 m on instead of 1e-13 m; from 1e-13 m
-            instead of rounding alone; and when the last bit of the release height flips, which no setting can undo.
-            `benchmarks/decidability.py` asks whether those throws say so themselves.
+root        throws whose landed face changes if a vertex touches at 1e-11 m instead of 1e-13 m; at 1e-13 m instead of
+            rounding alone; and if the last bit of the release height flips, which no setting can undo.
+            `benchmarks/decidability.py` checks whether those throws are found not decidable.
 switch      the same for the speed below which a vertex is held instead of bouncing on [√(g R)], against the finest,
             with the throws a second. Then the differences of the last orientation, median and 99th percentile over
             the throws that end at the same event: a setting that changes no more than the last bit does costs nothing.
 turn        the same for the step of the integration of held contact [rad].
 energy      largest relative error of the energy after 1e5 impacts at χ = 1, over some throws of each die.
-endings     how throws end, for each die and χ, over rougher releases than the others: up to 1 m above the table, up to
-            2 m/s in each direction, up to 100 rad/s. The cap on impacts must never be what ends them.
+endings     how throws end, for each die and χ, over more varied releases than the others: up to 1 m above the table, up
+            to 2 m/s in each direction, up to 100 rad/s. The cap on impacts must never be what ends them.
 """
 
 from __future__ import annotations
@@ -42,38 +42,41 @@ from scipy.spatial import ConvexHull
 from diethrow.model import engine
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX, ThrowSetup
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.body import body_of
-from diethrow.model.throw.simulate import EXACT, IMPACT_CAP, Precision
+from diethrow.model.throw.simulate import EXACT, IMPACT_CAP, Ending, Precision
 
 Array = NDArray[np.float64]
 Counts = NDArray[np.int64]
 
-EDGE_M, MASS_KG = 0.02, 0.016
-HEIGHT_M, SPIN_RAD_S = 0.3, 40.0
+EDGE_M = 0.02
+MASS_KG = 0.016
+HEIGHT_M = 0.3
+SPIN_RAD_S = 40.0
 CHIS = (0.9, 0.7, 0.5, 0.3, 0.1, 0.0)
 SETTING_CHIS = (0.7, 0.5, 0.3, 0.1, 0.0)
-"""Above, nothing is held before the face is decided."""
+"""Above 0.7 nothing is held before the face is decided."""
 BLOCK = 1024
 SWITCHES = (1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)
 TURNS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
 ENERGY_IMPACTS = 100_000
-FEW = 1000
+COMPARED_THROWS = 1000
 """Throws whose last orientations are compared."""
 SAME_EVENT_S = 1e-4
-"""[s] last events nearer than this are taken for the same."""
+"""[s] Last events nearer in time than this count as the same."""
 ENDINGS = {
-    "rest": engine.RESTED,
-    "spinning": engine.SPINNING,
-    "spun long": engine.TIMED_OUT,
-    "balanced": engine.BALANCED,
-    "cap": engine.IMPACT_CAP,
+    "rest": Ending.RESTED,
+    "spinning": Ending.SPINNING,
+    "spun long": Ending.SPUN_LONG,
+    "balanced": Ending.BALANCED,
+    "cap": Ending.IMPACT_CAP,
 }
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """How much is thrown."""
+    """Numbers of throws."""
 
     throws: int
     """For each figure of speed and of exactness."""
@@ -86,7 +89,7 @@ class Sizes:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the parts asked for; the exit status is 1 where a throw ended at the cap."""
+    """Print the requested parts; the exit status is 1 if a throw ended at the cap."""
     parts = {
         "speed": print_speed,
         "dice": print_dice,
@@ -108,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.error(f"no part {unknown[0]!r}: wanted some of {', '.join(parts)}")
     sizes = Sizes(chosen.throws, chosen.endings, chosen.rounds, chosen.threads, chosen.seed)
-    land(CUBE, 0.5, releases(2, 0))  # compiles, or loads what was compiled before
+    land(CUBE, 0.5, releases(2, 0))  # compiles the kernels, or loads them from the cache
     capped = [parts[part](sizes) for part in chosen.parts or parts]
     return 1 if any(capped) else 0
 
@@ -153,22 +156,12 @@ def directions(rng: np.random.Generator, count: int, size: int) -> Array:
 
 
 def land(die: Die, chi: float, starts: Array, precision: Precision = EXACT) -> Counts:
-    """(n, 3) face, impacts and ending of every throw, on this thread."""
-    law = SmoothImpact(chi)
-    landed = np.empty((len(starts), 3), np.int64)
-    engine.land_many(
-        body_of(die),
-        engine.law_of(law.code, law.parameters),
-        engine.LEVEL,
-        precision.packed,
-        starts,
-        IMPACT_CAP,
-        landed,
-    )
-    return landed
+    """(n, 3) number of the face or 0, impacts, and index of the ending of every throw, on this thread."""
+    landings = ThrowSetup(die, SmoothImpact(chi), precision=precision).throw(starts)
+    return np.stack([landings.face, landings.impacts, landings.ending], axis=1)
 
 
-# The first throws without a cache, less the same again.
+# The first throws without a cache, less the time of the same throws again.
 COMPILE = """
 import throws, time
 times = []
@@ -194,7 +187,7 @@ def compile_seconds() -> float:
 
 @dataclass(frozen=True)
 class Timed:
-    """Some throws on some threads."""
+    """The rates of some throws on some threads."""
 
     by_clock: float
     """Throws a second."""
@@ -204,12 +197,12 @@ class Timed:
 
     @property
     def cores(self) -> float:
-        """How many cores the threads had, on average."""
+        """Number of cores that the threads had, on average."""
         return self.by_clock / self.by_cpu
 
 
 def timed(die: Die, chi: float, starts: Array, threads: int, precision: Precision = EXACT) -> Timed:
-    """Throw all, in blocks, on so many threads."""
+    """Throw all, in blocks, on a number of threads."""
     began, began_cpu = time.perf_counter(), time.process_time()
     landed = land_on_threads(die, chi, starts, precision, threads)
     clock_s, cpu_s = time.perf_counter() - began, time.process_time() - began_cpu
@@ -267,7 +260,7 @@ def spread(values: Sequence[float], digits: int = 0) -> str:
 
 
 def print_root(sizes: Sizes) -> bool:
-    """How many faces hang on the tolerance of the touch."""
+    """Faces that depend on the contact tolerance."""
     starts = releases(sizes.throws, sizes.seed)
     print(f"\nroot: throws of {sizes.throws} whose landed face changes with the tolerance of the touch")
     print(f"{'χ':>4} {'1e-13 to 1e-11 m':>18} {'rounding to 1e-13 m':>20} {'last bit of the height':>24}")
@@ -283,25 +276,25 @@ def print_root(sizes: Sizes) -> bool:
 
 
 def print_switch(sizes: Sizes) -> bool:
-    """What hangs on the speed at which vertices are held, and what it costs."""
+    """Faces that depend on the speed at which vertices are held, and its cost."""
     print_settings("switch", [(f"{switch:g}", replace(EXACT, slowest_bounce=switch)) for switch in SWITCHES], sizes)
     return False
 
 
 def print_turn(sizes: Sizes) -> bool:
-    """What hangs on the step of held contact, and what it costs."""
+    """Faces that depend on the step of held contact, and its cost."""
     print_settings("turn", [(f"{turn:g}", replace(EXACT, step_turn_rad=turn)) for turn in TURNS], sizes)
     return False
 
 
 def print_settings(name: str, settings: Sequence[tuple[str, Precision]], sizes: Sizes) -> None:
-    """Both tables of a setting, the first of which is the finest."""
+    """Both tables of a setting; the first value is the finest."""
     starts = releases(sizes.throws, sizes.seed)
     heads = [head for head, _ in settings]
     print(f"\n{name}: throws of {len(starts)} whose landed face changes from that at {heads[0]}; throws a CPU second")
     print(f"{'χ':>4} {'last bit':>9}" + "".join(f"{head:>15}" for head in heads))
     for chi in SETTING_CHIS:
-        # The settings by turns, so that a machine that grows busy slows all of them.
+        # The settings take turns, so that a busy machine slows all of them.
         rounds = [[timed(CUBE, chi, starts, 1, setting) for _, setting in settings] for _ in range(sizes.rounds)]
         flipped = land(CUBE, chi, last_bit_flipped(starts), settings[0][1])
         finest = rounds[0][0].landed
@@ -312,10 +305,13 @@ def print_settings(name: str, settings: Sequence[tuple[str, Precision]], sizes: 
         print(f"{chi:4.1f} {changed(finest, flipped):>9}" + "".join(f"{cell:>15}" for cell in cells), flush=True)
     print(f"\n{name}: angle [rad] between the last orientation and that at {heads[0]}; median, 99 %")
     print(f"{'χ':>4} {'last bit':>17}" + "".join(f"{head:>17}" for head in heads[1:]))
-    few = starts[:FEW]
+    compared = starts[:COMPARED_THROWS]
     for chi in SETTING_CHIS:
-        finest = ends(chi, few, settings[0][1])
-        others = [ends(chi, last_bit_flipped(few), settings[0][1]), *(ends(chi, few, s) for _, s in settings[1:])]
+        finest = ends(chi, compared, settings[0][1])
+        others = [
+            ends(chi, last_bit_flipped(compared), settings[0][1]),
+            *(ends(chi, compared, s) for _, s in settings[1:]),
+        ]
         print(f"{chi:4.1f}" + "".join(f"{apart(finest, other):>17}" for other in others), flush=True)
 
 
@@ -327,7 +323,7 @@ def last_bit_flipped(starts: Array) -> Array:
 
 
 def changed(one: Counts, other: Counts) -> str:
-    """Share of throws that land on another face, or on none instead of one."""
+    """Share of throws that land on another face, or on a face in one case only."""
     return f"{np.mean(one[:, 0] != other[:, 0]):.3%}"
 
 
@@ -358,7 +354,7 @@ def apart(ones: Sequence[tuple[float, Array]], others: Sequence[tuple[float, Arr
 
 
 def print_energy(sizes: Sizes) -> bool:
-    """What rounding does to the energy where no impact takes any."""
+    """The error of the energy from rounding, with elastic impacts."""
     starts = releases(5, sizes.seed)
     print(f"\nenergy: largest relative error after {ENERGY_IMPACTS} impacts at χ = 1, {len(starts)} throws of each die")
     for shape in SHAPES:
@@ -367,7 +363,7 @@ def print_energy(sizes: Sizes) -> bool:
 
 
 def energy_error(die: Die, start: Array) -> float:
-    """Relative change of kinetic and potential energy, the table as zero height."""
+    """Relative change of kinetic and potential energy, zero at the height of the table."""
     law = engine.law_of(engine.SMOOTH, np.array([1.0]))
     fine = engine.FINE
     _, impacts, _, _, state, _, _ = engine.run_throw(
@@ -385,7 +381,7 @@ def energy_J(die: Die, state: Array) -> float:
 
 
 def print_endings(sizes: Sizes) -> bool:
-    """How throws of all dice end. Whether any ended at the cap."""
+    """How throws of all dice end; True if any ended at the cap."""
     print(
         f"\nendings: of {sizes.endings} rough throws of each die and χ [%]; the most impacts of one; throws a CPU second"
     )
@@ -396,10 +392,10 @@ def print_endings(sizes: Sizes) -> bool:
         starts = rough_releases(die, sizes.endings, sizes.seed)
         for chi in CHIS:
             run = timed(die, chi, starts, sizes.threads)
-            count = np.bincount(run.landed[:, 2], minlength=9)
-            assert sum(count[code] for code in ENDINGS.values()) == sizes.endings
-            capped |= bool(count[engine.IMPACT_CAP])
-            shares = "".join(f"{100 * count[code] / sizes.endings:10.3f}" for code in ENDINGS.values())
+            count = {name: int((run.landed[:, 2] == ENDING_OF_INDEX.index(e)).sum()) for name, e in ENDINGS.items()}
+            assert sum(count.values()) == sizes.endings
+            capped |= count["cap"] > 0
+            shares = "".join(f"{100 * number / sizes.endings:10.3f}" for number in count.values())
             most, rate = run.landed[:, 1].max(), run.by_cpu
             print(f"{shape:13} {chi:4.1f}{shares}{most:10d}{rate:10.0f}", flush=True)
     return capped

@@ -1,4 +1,4 @@
-"""Rotations: quaternions, matrices, rotation vectors and the paper's Euler angles say the same thing."""
+"""Rotations: quaternions, matrices, rotation vectors and the paper's Euler angles agree."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ from diethrow.model.rotations import (
 )
 
 ANGLES_RAD = (0.0, 1e-12, 1e-7, 1e-3, 1.0, np.pi - 1e-7, np.pi)
-"""Zero, where sin θ/θ needs care, small turns, and both sides of where the rotation vector turns over."""
+"""Zero, where sin θ/θ needs care, small turns, and both sides of the angle at which the rotation vector reverses."""
 
 
 def some_quaternions(n: int = 50) -> np.ndarray:
@@ -26,7 +26,7 @@ def some_quaternions(n: int = 50) -> np.ndarray:
     return np.array([random_quaternion(rng) for _ in range(n)])
 
 
-def test_matrices_of_quaternions_are_rotations_and_lead_back():
+def test_matrices_of_quaternions_are_rotations_and_convert_back():
     q = some_quaternions()
     m = matrix_from_quat(q)
     # A few products of numbers of size one.
@@ -47,7 +47,7 @@ def test_products_of_quaternions_are_products_of_matrices():
 
 
 @pytest.mark.parametrize("angle", ANGLES_RAD)
-def test_rotation_vectors_come_back(angle):
+def test_rotation_vectors_convert_back(angle):
     axis = np.array([2.0, -1.0, 2.0]) / 3.0
     back = rotvec_from_quat(quat_from_rotvec(angle * axis))
     # At π both ends of the axis mean the same rotation.
@@ -72,7 +72,7 @@ def test_euler_angles_are_turns_about_z_then_x_then_z_of_the_turned_body():
 
 
 @pytest.mark.parametrize("theta", [0.0, 1e-9, 1e-7, 1e-3, 1.2, np.pi / 2, np.pi - 1e-7, np.pi])
-def test_euler_angles_lead_back_to_the_orientation_even_at_the_gimbal(theta):
+def test_euler_angles_convert_back_to_the_orientation_even_at_the_gimbal(theta):
     q = quat_from_euler([0.3, theta, -2.1])
     back = quat_from_euler(euler_from_quat(q))
     # Within 1e-7 of the gimbal scipy may fold ϑ into it: then the orientation is off by up to that angle.
@@ -81,11 +81,11 @@ def test_euler_angles_lead_back_to_the_orientation_even_at_the_gimbal(theta):
         np.testing.assert_allclose(euler_from_quat(q), [0.3, theta, -2.1], atol=1e-12)
 
 
-def test_a_gimbal_gives_the_undetermined_angle_zero_without_a_warning():
+def test_at_a_gimbal_the_undetermined_angle_is_zero_without_a_warning():
     np.testing.assert_allclose(euler_from_quat(quat_from_euler([0.3, 0.0, 0.4])), [0.7, 0.0, 0.0], atol=1e-12)
 
 
-def test_continuous_sign_changes_no_rotation_and_never_flips_even_across_lost_rows():
+def test_continuous_sign_changes_no_rotation_and_never_flips_even_across_nan_rows():
     times = np.linspace(0.0, 2.0, 60)
     q = quat_from_rotvec(np.outer(times, [3.0, -7.0, 5.0]))
     flipped = q * np.where(np.arange(60) % 3 == 0, -1.0, 1.0)[:, None]

@@ -13,7 +13,7 @@ from diethrow.model.world import GRAVITY_M_S2
 RNG_SEED = 7
 
 
-def test_the_centre_flies_a_parabola_and_the_die_turns_evenly():
+def test_the_centre_follows_a_parabola_and_the_die_turns_at_a_constant_rate():
     release = random_release(np.random.default_rng(RNG_SEED), DICE["cube"])
     flight = Flight(release, release.time_s + 0.3)
     dt = np.linspace(-0.1, 0.3, 40)
@@ -25,7 +25,7 @@ def test_the_centre_flies_a_parabola_and_the_die_turns_evenly():
     np.testing.assert_allclose(steps, np.tile(release.omega_rad_s, (39, 1)), rtol=1e-11, atol=1e-11)
 
 
-def test_a_flight_keeps_energy_and_angular_velocity_and_can_be_taken_up_anywhere():
+def test_a_flight_keeps_energy_and_angular_velocity_and_can_restart_at_any_instant():
     die = DICE["octahedron"]
     release = random_release(np.random.default_rng(RNG_SEED + 1), die)
     flight = Flight(release, release.time_s + 0.2)
@@ -57,7 +57,7 @@ def test_a_throw_is_continuous_in_pose_across_its_impacts():
         np.testing.assert_allclose(rotation_between(throw.at(time).quaternion, quaternions[k]), 0, atol=1e-12)
 
 
-def test_a_world_turn_of_the_start_turns_the_flight_with_it():
+def test_rotating_the_start_rotates_the_flight():
     release = random_release(np.random.default_rng(4), DICE["cube"], spin_rad_s=0.0)
     turn = quat_from_rotvec([0.1, -0.2, 0.3])
     end = Flight(release, 1.0).at(release.time_s + 0.1)

@@ -1,4 +1,4 @@
-"""Whole throws: symmetries, conservation, and honest ends."""
+"""Whole throws: symmetries, conservation laws, endings and limits."""
 
 from itertools import pairwise
 
@@ -73,7 +73,7 @@ def test_turning_and_shifting_the_throw_on_the_table_turns_and_shifts_the_result
 
 
 @pytest.mark.parametrize("shape", list(DICE))
-def test_a_larger_heavier_die_thrown_to_scale_does_the_same_more_slowly(shape):
+def test_a_throw_scaled_in_size_and_mass_is_the_same_throw_more_slowly(shape):
     """Gravity sets the only scale: lengths by s, times and velocities by √s, spins by 1/√s; the mass drops out."""
     small, s = DICE[shape], 64.0
     large = make_die(shape, 0.02 * s, 7.0)
@@ -142,7 +142,7 @@ def test_the_lowest_faces_of_an_impact_are_those_half_way_through_its_flights(di
 
 @each_die
 @pytest.mark.parametrize("chi", [0.5, 0.9])
-def test_a_decided_face_stays_the_lowest_however_long_the_die_rattles_on(die, chi):
+def test_a_decided_face_stays_the_lowest_until_the_die_is_at_rest(die, chi):
     rng = np.random.default_rng(47)
     decided = 0
     for _ in range(12):
@@ -180,7 +180,7 @@ def test_a_die_with_just_too_much_energy_is_undecided_and_with_just_too_little_i
 
 @pytest.mark.parametrize("chi", [0.0, 0.01, 0.3, 0.7, 0.95, 0.999])
 @each_die
-def test_every_throw_that_loses_energy_comes_to_rest_or_spins_on(die, chi):
+def test_every_throw_that_loses_energy_comes_to_rest_or_spins(die, chi):
     rng = np.random.default_rng(49)
     for spin in (0.0, 40.0, 1000.0):
         result = throw_die(die, random_release(rng, die, spin_rad_s=spin, clearance_m=0.05), SmoothImpact(chi))
@@ -189,7 +189,7 @@ def test_every_throw_that_loses_energy_comes_to_rest_or_spins_on(die, chi):
 
 
 @pytest.mark.parametrize("chi", [0.0, 0.5, 1.0])
-def test_a_die_dropped_flat_or_laid_on_the_table_ends_too(chi):
+def test_a_die_dropped_flat_or_laid_on_the_table_ends_at_rest(chi):
     die = DICE["cube"]
     for height in (0.01, 0.0101, 0.1):
         release = State(0.0, np.array([0, 0, height]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
@@ -204,7 +204,7 @@ def release_flat(height_m: float) -> State:
     return State(0.0, np.array([0, 0, height_m]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
 
 
-def test_a_throw_stops_at_the_time_or_the_impact_asked_for():
+def test_a_throw_stops_at_the_requested_time_or_impact():
     die = DICE["cube"]
     release = random_release(np.random.default_rng(50), die)
     whole = throw_die(die, release, SmoothImpact(0.8), until=Until(impacts=6))
@@ -216,7 +216,7 @@ def test_a_throw_stops_at_the_time_or_the_impact_asked_for():
     np.testing.assert_allclose(cut.end.position_m, whole.throw.at(time).position_m, atol=1e-14)
 
 
-def test_a_throw_that_never_rests_says_so(monkeypatch):
+def test_a_throw_that_never_rests_ends_as_bouncing(monkeypatch):
     monkeypatch.setattr(simulate, "BOUNCING_CAP", 30)
     die = DICE["cube"]
     result = throw_die(die, random_release(np.random.default_rng(51), die), SmoothImpact(1.0))
@@ -231,7 +231,7 @@ def test_the_same_release_gives_the_same_throw_to_the_last_bit():
     np.testing.assert_array_equal(one.end.quaternion, two.end.quaternion)
 
 
-def test_the_release_is_not_changed():
+def test_a_throw_does_not_change_its_release():
     die = DICE["cube"]
     release = random_release(np.random.default_rng(53), die)
     copies = [release.position_m.copy(), release.quaternion.copy(), release.velocity_m_s.copy()]
@@ -255,11 +255,11 @@ def test_euler_angles_and_a_spin_in_the_body_frame_release_the_die_of_the_paper(
     assert 0.3 - 0.7 * t - 0.5 * GRAVITY_M_S2 * t * t == pytest.approx(reach, abs=1e-5)
 
 
-def test_a_release_below_the_table_or_a_limit_before_it_is_refused():
+def test_a_release_below_the_table_or_a_limit_before_it_raises():
     die = DICE["cube"]
-    with pytest.raises(ValueError, match=r"lies 0\.001 m below the table; raise the die"):
+    with pytest.raises(ValueError, match=r"0\.001 m below the table"):
         throw_die(die, release_flat(0.009), SmoothImpact(0.5))
-    with pytest.raises(ValueError, match="wanted a time after the release"):
+    with pytest.raises(ValueError, match="until time_s"):
         throw_die(die, release_flat(0.1), SmoothImpact(0.5), until=Until(time_s=-1.0))
     with pytest.raises(ValueError, match="time_s = inf"):
         Until(time_s=np.inf)

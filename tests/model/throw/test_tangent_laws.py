@@ -136,7 +136,7 @@ def names_of(law) -> tuple[str, ...]:
 
 @each_law
 @pytest.mark.parametrize("die", ROUNDED.values(), ids=ROUNDED.keys())
-def test_derivatives_by_start_and_parameters_are_those_that_differences_approach(die, law):
+def test_derivatives_by_start_and_parameters_agree_with_differences(die, law):
     # Friction's own differences leave 1e-10 of each impact, and three impacts multiply errors a thousandfold.
     of_table = tuple(name for name in PARAMETERS if name.startswith(("table", "tilt")))
     names = (*names_of(law), "corner_radius_m", "inertia_kg_m2", *of_table)
@@ -151,7 +151,7 @@ def test_derivatives_on_a_level_table_at_rest_need_no_corner_radius():
 
 @pytest.mark.parametrize("table", [LEVEL, SWAYING], ids=["level", "swaying"])
 @pytest.mark.parametrize("name", TOPS)
-def test_derivatives_of_tops_are_those_that_differences_approach(name, table):
+def test_derivatives_of_asymmetric_dice_agree_with_differences(name, table):
     die = TOPS[name]
     names = ("chi", *OF_CENTRE)
     if name in ("fair", "off centre"):
@@ -165,7 +165,7 @@ def test_derivatives_of_tops_are_those_that_differences_approach(name, table):
 
 
 @pytest.mark.parametrize("law", [LAWS["smooth"], LAWS["stronge"]], ids=["smooth", "stronge"])
-def test_derivatives_through_the_air_are_those_that_differences_approach(law):
+def test_derivatives_with_drag_agree_with_differences(law):
     names = (*names_of(law), "corner_radius_m", "tilt_x_rad", "tilt_y_rad", "table_amplitude_m", "drag_per_m")
     assert_derivatives((ROUNDED["cube"], law, SWAYING, 0.2), names, 7, 2e-6, impacts=2)
 
@@ -173,7 +173,7 @@ def test_derivatives_through_the_air_are_those_that_differences_approach(law):
 @each_law
 @pytest.mark.parametrize("table", [LEVEL, SWAYING], ids=["level", "swaying"])
 @pytest.mark.parametrize("die", [ROUNDED["cube"], make_die("icosahedron", 0.02, 0.016)], ids=["rounded", "sharp"])
-def test_the_throw_of_the_event_loop_comes_back(die, table, law):
+def test_the_propagated_throw_is_the_throw_of_the_event_loop(die, table, law):
     model = (die, law, table, 0.0)
     start, vertices, times = a_throw(model, 7, 3)
     throw = throw_die(die, start, law, until=Until(impacts=3), table=table).throw
@@ -189,7 +189,7 @@ def test_the_throw_of_the_event_loop_comes_back(die, table, law):
 
 
 @pytest.mark.parametrize("name", ["loaded", "dipyramid", "off centre"])
-def test_the_throw_of_a_top_comes_back(name):
+def test_the_propagated_throw_of_an_asymmetric_die_is_the_throw_of_the_event_loop(name):
     model = (TOPS[name], LAWS["smooth"], SWAYING, 0.0)
     start, vertices, times = a_throw(model, 7, 3)
     throw = throw_die(TOPS[name], start, LAWS["smooth"], until=Until(impacts=3), table=SWAYING).throw
@@ -204,7 +204,7 @@ def test_the_throw_of_a_top_comes_back(name):
         np.testing.assert_allclose(at_impact.omega_rad_s, result.throw.flights[1].start.omega_rad_s, rtol=1e-9)
 
 
-def test_a_fair_die_asked_for_its_centre_of_mass_flies_as_it_did():
+def test_a_derivative_by_the_centre_of_mass_does_not_change_the_throw_of_a_fair_die():
     die = ROUNDED["cube"]
     model = (die, LAWS["smooth"], SWAYING, 0.0)
     start, vertices, times = a_throw(model, 7, 3)
@@ -215,7 +215,7 @@ def test_a_fair_die_asked_for_its_centre_of_mass_flies_as_it_did():
     np.testing.assert_allclose(asked.jacobian[:, :, :13], plain.jacobian, atol=relative)
 
 
-def test_flight_against_drag_is_that_of_another_integrator():
+def test_flight_with_drag_agrees_with_another_integrator():
     model = (ROUNDED["cube"], LAWS["smooth"], LEVEL, 0.5)
     start, vertices, _ = a_throw(model, 7, 1)
     start = replace(start, velocity_m_s=np.array([0.3, 0.0, 1.5]))  # up first, and slow at the top
@@ -233,7 +233,7 @@ def test_flight_against_drag_is_that_of_another_integrator():
     np.testing.assert_allclose(flight.at(span[1]).velocity_m_s, expected[3:], atol=1e-10)
 
 
-def test_air_that_does_not_brake_changes_nothing():
+def test_air_with_zero_drag_changes_nothing():
     model = (ROUNDED["cube"], LAWS["stronge"], SWAYING, 0.0)
     start, vertices, times = a_throw(model, 7, 3)
     for given in (vertices, None):
@@ -255,7 +255,7 @@ def test_air_that_does_not_brake_changes_nothing():
     ],
 )
 @pytest.mark.parametrize("chi", [0.0, 0.5])
-def test_the_gradient_of_an_impulse_is_that_of_larger_differences_on_every_course_of_the_slip(mu, contact, chi):
+def test_the_gradient_of_an_impulse_agrees_with_larger_differences_for_every_kind_of_slip(mu, contact, chi):
     mass, inertia, arm = 0.016, 1.07e-6, (0.006, -0.003, -0.012)
     gradient, law = np.empty((3, 10)), engine.RoughLaw(engine.COULOMB, np.array([chi, mu, float(engine.STRONGE)]))
     found = engine.impulse_gradient(law, mass, inertia, arm, np.array(contact), np.ones(2), gradient)
@@ -294,16 +294,16 @@ def test_parameters_that_do_not_act_have_columns_of_zeros():
     assert not skewed.jacobian[:, :, 12].any()
 
 
-def test_parameters_and_air_that_no_throw_has_are_refused_by_name():
+def test_unknown_parameters_and_negative_drag_raise_and_name_the_value():
     model = (ROUNDED["cube"], LAWS["smooth"], LEVEL, 0.0)
     start, vertices, times = a_throw(model, 7, 1)
     with pytest.raises(ValueError, match=r"parameters = \['colour'\]: wanted each once, of chi, mu"):
         run(model, start, times, vertices, ("colour",))
     with pytest.raises(ValueError, match=r"parameters = \['chi', 'chi'\]"):
         run(model, start, times, vertices, ("chi", "chi"))
-    with pytest.raises(ValueError, match=r"drag_per_m = -1\.0: wanted 0 or more"):
+    with pytest.raises(ValueError, match=r"drag_per_m = -1\.0"):
         run((*model[:3], -1.0), start, times, vertices)
-    with pytest.raises(ValueError, match=r"impact law 1 on a cube .* wanted the smooth impact"):
+    with pytest.raises(ValueError, match="impact law 1 on a cube"):
         run((TOPS["loaded"], LAWS["stronge"], LEVEL, 0.0), start, times, vertices)
-    with pytest.raises(ValueError, match="drag_per_m on a cube that is no spherical top"):
+    with pytest.raises(ValueError, match="drag_per_m on a cube"):
         run((TOPS["loaded"], LAWS["smooth"], LEVEL, 0.1), start, times, vertices)

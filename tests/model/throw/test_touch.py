@@ -1,4 +1,4 @@
-"""The first touch is never missed, whatever the spin and however slight the dip."""
+"""The search for the first touch misses none, at any spin and any depth."""
 
 import numpy as np
 import pytest
@@ -63,7 +63,7 @@ def test_the_touch_is_the_first_crossing_that_dense_sampling_finds(shape):
 
 
 @pytest.mark.parametrize("depth_m", [1e-6, 1e-9, 1e-12])
-def test_a_grazing_dip_is_found_and_a_grazing_miss_is_passed(depth_m):
+def test_a_grazing_touch_is_found_and_a_grazing_miss_is_passed(depth_m):
     die, rng = DICE["cube"], np.random.default_rng(23)
     grazes = 0
     while grazes < 12:
@@ -88,7 +88,7 @@ def test_a_grazing_dip_is_found_and_a_grazing_miss_is_passed(depth_m):
         grazes += 1
 
 
-def test_a_die_that_only_falls_touches_when_the_closed_form_says():
+def test_a_die_without_spin_touches_at_the_time_of_the_closed_form():
     die = DICE["icosahedron"]
     release = random_release(np.random.default_rng(24), die, spin_rad_s=0.0, clearance_m=0.3)
     v = release.velocity_m_s[2]
@@ -121,7 +121,7 @@ def on_one_vertex(spin_rad_s: float, velocity_m_s: float) -> State:
 
 @pytest.mark.parametrize("spin", [0.0, 5.0, 400.0])
 @pytest.mark.parametrize("speed", [1e-6, 1e-2, 1.0])
-def test_a_vertex_that_has_just_left_the_table_moves_on(spin, speed):
+def test_a_vertex_that_has_just_left_the_table_does_not_touch_again_at_once(spin, speed):
     touch = next_touch(DICE["cube"], on_one_vertex(spin, speed))
     assert touch.state.time_s > 0
     # Without spin the flight is that of a stone.
@@ -137,12 +137,12 @@ def test_a_vertex_at_rest_touches_if_it_accelerates_down_and_leaves_if_the_spin_
 
 
 @pytest.mark.parametrize("below_m", [1e-17, 1e-15, 1e-12])
-def test_a_vertex_left_slightly_below_the_table_by_rounding_moves_on_when_it_rises(below_m):
+def test_a_rising_vertex_that_rounding_left_below_the_table_does_not_touch(below_m):
     touch = next_touch(DICE["cube"], raised(on_one_vertex(5.0, 0.1), -below_m))
     assert touch.state.time_s > 1e-3
 
 
-def test_a_part_of_the_flight_can_be_left_out_and_its_end_given():
+def test_the_search_can_skip_the_first_part_of_a_flight_and_end_at_a_given_time():
     die = DICE["cube"]
     release = random_release(np.random.default_rng(27), die)
     touch = next_touch(die, release)
@@ -155,7 +155,7 @@ def test_a_part_of_the_flight_can_be_left_out_and_its_end_given():
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "said"),
+    ("field", "value", "named"),
     [
         ("position_m", [0.0, np.nan, 0.1], "position_m = .*wanted 3 finite numbers"),
         ("velocity_m_s", [0.0, 0.0], "velocity_m_s = .*wanted 3 finite numbers"),
@@ -164,8 +164,8 @@ def test_a_part_of_the_flight_can_be_left_out_and_its_end_given():
         ("time_s", np.nan, "time_s = nan"),
     ],
 )
-def test_a_state_that_no_die_has_is_refused_by_name(field, value, said):
+def test_an_impossible_state_raises_and_names_the_field(field, value, named):
     good = random_release(np.random.default_rng(28), DICE["cube"])
     fields = {k: getattr(good, k) for k in ("time_s", "position_m", "quaternion", "velocity_m_s", "omega_rad_s")}
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=named):
         next_touch(DICE["cube"], State(**{**fields, field: np.asarray(value) if field != "time_s" else value}))
