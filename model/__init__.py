@@ -10,7 +10,7 @@
 - `engine`: the compiled kernels below them, on plain numbers and arrays.
 
 Beside these, `rotations` has the quaternions, `world` the acceleration of gravity, and `compiled` the way in which kernels are
-compiled and cached. The model knows nothing of footage: tracking and fitting rest on it.
+compiled and cached. The model does not use footage; tracking and fitting import it.
 """
 
 from .die import Die as Die

@@ -1,4 +1,4 @@
-"""What the event loop asks of an impact law: one impulse for each vertex that strikes the table.
+"""The interface of an impact law: one impulse for each vertex that strikes the table.
 
 An impact is instantaneous. The die keeps its place, and an impulse S acts at the vertex, at r from the centre:
 
