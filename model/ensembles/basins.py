@@ -42,7 +42,7 @@ class Axis:
         if self.name not in CONDITIONS:
             raise ValueError(f"axis {self.name!r}: wanted one of {', '.join(CONDITIONS)}")
         if not (np.isfinite([self.low, self.high]).all() and self.low < self.high):
-            raise ValueError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower bound first")
+            raise ValueError(f"{self.name} from {self.low} to {self.high}: wanted finite bounds, the lower one first")
         if self.pixels < 1:
             raise ValueError(f"{self.name} in {self.pixels} pixels: wanted 1 or more")
 

@@ -118,7 +118,7 @@ def check_releases(setup: ThrowSetup, conditions: Conditions) -> None:
     if not height >= radius:
         raise ValueError(
             f"releases from a height of {lowest_m:.6g} m: a vertex of the die is up to {radius:.6g} m below its centre, and "
-            "would begin below the table; wanted a higher lowest release"
+            "could begin below the table; wanted a higher lowest release"
         )
 
 
