@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from ...model.die import Die
 from ...tracking.camera import Camera
-from ...tracking.check import Finding, Sight, Verdict
+from ...tracking.check import Finding, TrackedPart, Verdict
 from ...tracking.footage import Clip
 from ..elements import IMPACT, MEASURED, SIMULATED, hex_colour, motion_of
 from ..figures import corner_heights, edges_on_frame
@@ -32,17 +32,20 @@ HEADLINES = {
 
 
 def check_page(
-    title: str, findings: tuple[Finding, ...], sights: Sequence[tuple[Sight | None, Clip, Camera]], die: Die
+    title: str,
+    findings: tuple[Finding, ...],
+    tracked_parts: Sequence[tuple[TrackedPart | None, Clip, Camera]],
+    die: Die,
 ) -> str:
     """The page as HTML: the findings, and what each camera shows."""
     parts = [f"<h1>{escape(title)}</h1>", _summary(findings), findings_table(findings)]
-    for k, (sight, clip, camera) in enumerate(sights):
-        if sight is not None and sight.track.tracked.any():
-            suffix = f" of camera {k + 1}" if len(sights) > 1 else ""
+    for k, (part, clip, camera) in enumerate(tracked_parts):
+        if part is not None and part.track.tracked.any():
+            suffix = f" of camera {k + 1}" if len(tracked_parts) > 1 else ""
             parts += [
                 f"<h2>Tracked frames{suffix}</h2>",
-                _frames(sight, clip, camera, die),
-                _heights(sight, die),
+                _frames(part, clip, camera, die),
+                _heights(part, die),
             ]
     return whole_page(title, parts, OWN_STYLE)
 
@@ -69,8 +72,8 @@ def _summary(findings: tuple[Finding, ...]) -> str:
     )
 
 
-def _frames(sight: Sight, clip: Clip, camera: Camera, die: Die) -> str:
-    motion = motion_of("measured", sight.track, sight.throw)
+def _frames(part: TrackedPart, clip: Clip, camera: Camera, die: Die) -> str:
+    motion = motion_of("measured", part.track, part.throw)
     chosen = motion.frame[np.unique(np.linspace(0, len(motion.frame) - 1, SHOWN_FRAMES).astype(int))]
     with drawing((WIDE, WIDE * clip.height_px / clip.width_px / SHOWN_FRAMES + 0.25)) as figure:
         for ax, frame in zip(figure.subplots(1, SHOWN_FRAMES, squeeze=False)[0], chosen, strict=False):
@@ -82,8 +85,8 @@ def _frames(sight: Sight, clip: Clip, camera: Camera, die: Die) -> str:
     return captioned(address, "Frames of the clip with the measured edges of the die.")
 
 
-def _heights(sight: Sight, die: Die) -> str:
-    track, impacts = sight.track, sight.throw.impacts if sight.throw is not None else ()
+def _heights(part: TrackedPart, die: Die) -> str:
+    track, impacts = part.track, part.throw.impacts if part.throw is not None else ()
 
     def draw(ax: Axes) -> Axes:
         poses = track.time_s, track.position_m, track.quaternion

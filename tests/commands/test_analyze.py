@@ -97,7 +97,7 @@ def test_the_report_states_provenance_and_checks(folder: Path) -> None:
     text = (folder / "report.html").read_text(encoding="utf-8")
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     assert all(file["sha256"] in text for file in origin["inputs"])
-    assert "The die falls with" in text
+    assert "The die accelerates" in text
     assert "The die bounces at z =" in text
 
 

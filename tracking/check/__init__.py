@@ -1,11 +1,15 @@
-"""tracking.check."""
+"""What a clip offers before it is tracked, and what a finished track says about scale, clock and camera.
 
-from .clip_quality import Preflight as Preflight
-from .clip_quality import Sight as Sight
-from .clip_quality import contacts_of as contacts_of
-from .clip_quality import fall_of as fall_of
-from .clip_quality import preflight as preflight
-from .clip_quality import timing_of as timing_of
+`clip_quality` measures a clip on a few tracked frames, `gravity` the acceleration of the die in flight. `verdicts` judges both
+with a sentence and a number for each respect, for `diethrow check` and for the report of an analysis.
+"""
+
+from .clip_quality import ClipQuality as ClipQuality
+from .clip_quality import TrackedPart as TrackedPart
+from .clip_quality import contact_heights as contact_heights
+from .clip_quality import fall_of_correlated_frames as fall_of_correlated_frames
+from .clip_quality import frame_timing as frame_timing
+from .clip_quality import measure_clip_quality as measure_clip_quality
 from .gravity import fall_notices as fall_notices
 from .gravity import measure_fall as measure_fall
 from .verdicts import Finding as Finding

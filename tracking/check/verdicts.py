@@ -1,16 +1,16 @@
-"""What `preflight` measured, judged: good, doubtful or bad, in words, with what to change.
+"""Judges the quality of a clip: a verdict (good, doubtful or bad) in every respect, what was measured, and what to change.
 
-The limits, and what they rest on:
+The limits and their reasons:
 
-- pixels across: the error of a pose in pixels hardly depends on the die's size, so that its rotation goes with one over the
-  size; at 50 px a cube's single pose is good to some tenths of a degree, at 25 px to a degree;
-- motion blur: the edge model includes it; above 1 px the step of an edge is flatter than the lens makes it, above 6 px
-  (a full-frame exposure at 2 mm a frame) neighbouring edges run into each other;
-- corners: an estimate of their radius is off by a sixth of it, which a caliper is not;
-- lens blur: below 0.3 px edges alias, above 1.5 px a focus was missed;
-- gravity and direction: calibrated cameras and measured edges come to a per cent and half a degree; a doubtful value is one
-  that the measurement cannot tell from a good one either;
-- table: bounces happen at z = 0; half a millimetre is what a depth error of a calibration to a thousandth leaves.
+- pixels: the error of a pose in pixels hardly depends on the die's size, so the error of its rotation goes with one over the
+  size. A cube of 50 px gives single poses good to some tenths of a degree, one of 25 px to a degree;
+- motion blur: the edge model includes it. Above 1 px it flattens an edge more than the lens does. Above 6 px (a full-frame
+  exposure at 2 mm a frame) neighbouring edges run into each other;
+- corners: an estimate of their radius is off by a sixth of it, a caliper by less;
+- lens blur: below 0.3 px edges alias; above 1.5 px the lens is out of focus;
+- scale and vertical: calibrated cameras and measured edges reach one per cent and half a degree. A value is doubtful where the
+  measurement cannot distinguish it from a good one;
+- table: bounces happen at z = 0. A calibration to one thousandth leaves a depth error of half a millimetre.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
-from .clip_quality import Backdrop, Preflight, Sight, Timing
+from ..footage import REPEATED
+from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
 from .gravity import Fall, fall_notices
 
 Array = NDArray[np.float64]
@@ -41,64 +42,104 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One respect in which a clip was looked at."""
+    """The verdict on a clip in one respect."""
 
     name: str
     verdict: Verdict
     measured: str
-    """A sentence."""
+    """What was measured, as a sentence."""
     advice: str = ""
-    """What to change; empty where nothing is to be."""
+    """What to change; empty where nothing needs to."""
     values: Mapping[str, float | None] = field(default_factory=dict)
     """The numbers, with the unit in each name."""
 
 
-ENOUGH_PX, FEWEST_PX = 50.0, 25.0
-LITTLE_MOTION_PX, MOST_MOTION_PX = 1.0, 6.0
-SHARP_PX, SOFT_PX, UNSHARP_PX = 0.3, 1.5, 2.5
-FAR_STEP_PX = 25.0
-"""Shift of a corner between frames: further, the next pose is guessed rather than predicted."""
-SOME_GLARE, MUCH_GLARE = 0.002, 0.05
-"""Share of the die's pixels at full scale."""
-DARK = 0.15
+GOOD_SIZE_PX = 50.0
+"""Smallest size of the die with rotations good to some tenths of a degree."""
+MIN_SIZE_PX = 25.0
+"""Smallest size of the die with rotations good to a degree."""
+SMALL_MOTION_BLUR_PX = 1.0
+"""Largest motion blur that flattens an edge less than the lens does."""
+MAX_MOTION_BLUR_PX = 6.0
+"""Largest motion blur at which neighbouring edges stay apart."""
+ALIASING_BLUR_PX = 0.3
+"""Largest lens blur at which edges alias."""
+SOFT_BLUR_PX = 1.5
+"""Largest lens blur of a focused lens."""
+MAX_LENS_BLUR_PX = 2.5
+"""Largest lens blur with which a clip is worth tracking."""
+MAX_SHIFT_PX = 25.0
+"""Shift of a corner between frames; with a larger one the next pose is hardly predicted."""
+SOME_SATURATION = 0.002
+"""Share of the die's pixels at full scale that the robust estimate bears."""
+MAX_SATURATION = 0.05
+"""Share of the die's pixels at full scale with which whole edges are lost."""
+MIN_BRIGHTNESS = 0.15
 """Brightest level as a share of full scale, below which rounding and read noise cost precision."""
-CLEAN_BACKDROP, FOREIGN_BACKDROP = 0.02, 0.15
-"""Share of pixels that differ from the background nearly always: some are of a lamp that moved, many of a camera that did."""
-OFFSET_SIGMAS, OFFSET_GREY = 2.0, 2.0
-"""By how much the light of the clip may differ from that of the background."""
-EXACT_SHARE, FAIR_SHARE = 0.01, 0.05
-"""Of g, and so of the edge."""
-LEVEL_RAD, TILTED_RAD = np.radians(0.5), np.radians(2.0)
-AT_TABLE_M, NEAR_TABLE_M = 0.5e-3, 2e-3
+SMALL_DIFFERENCE = 0.02
+"""Share of the pixels that nearly always differ from the background; more of them are of a lamp that moved."""
+MAX_DIFFERENCE = 0.15
+"""The same; more of them are of a camera that moved."""
+OFFSET_SIGMAS = 2.0
+"""Largest good difference in light between clip and background, in standard deviations of the noise."""
+OFFSET_GREY = 2.0
+"""The same in grey levels, where the noise is smaller."""
+GOOD_SCALE = 0.01
+"""Share of g, and so of the edge, that calibrated cameras and measured edges reach."""
+MAX_SCALE_ERROR = 0.05
+"""Share of g beyond which the scale is wrong."""
+GOOD_TILT_RAD = np.radians(0.5)
+"""Angle to the vertical that calibrated cameras reach."""
+MAX_TILT_RAD = np.radians(2.0)
+"""Angle beyond which the vertical is wrong."""
+GOOD_HEIGHT_M = 0.5e-3
+"""Height of the bounces that a calibration to one thousandth leaves."""
+MAX_HEIGHT_M = 2e-3
+"""Height of the bounces beyond which the table is wrong."""
 TWO_SIDED_95 = 1.96
+"""Half width of a 95 % interval, in standard errors."""
 CERTAIN = 1.5
-"""Times the half width of a 95 % interval beyond which chance is no excuse: three sigmas, one case in three hundred."""
-UNEVEN_STEPS = 0.02
-"""Deviation of a step between frames from the usual one."""
+"""Half widths of a 95 % interval beyond which a deviation is not chance: three standard errors, one case in three hundred."""
+MAX_UNEVEN_SHARE = 0.02
+"""Largest good deviation of a step between frames from the median step."""
+MAX_EXPOSURE_MISMATCH = 0.1
+"""Share by which the exposures of scene and file may differ: headers round it."""
+MAX_LOST_SHARE = 0.1
+"""Largest share of lost frames among the tracked and lost ones that is good."""
+
+Values = dict[str, float | None]
 
 
 def judge(
-    seen: Preflight, die: Die, exposure_s: float | None, rounding: CornerRounding = CornerRounding.GIVEN
+    quality: ClipQuality, die: Die, exposure_s: float | None, rounding: CornerRounding = CornerRounding.GIVEN
 ) -> tuple[Finding, ...]:
-    """Every finding about a clip; `exposure_s` is the scene's, and `rounding` whether it gives the corners' radius."""
-    findings = [_timing(seen.timing, exposure_s), _background(seen.backdrop), _light(seen.backdrop, seen.sight)]
-    sight = seen.sight
-    if sight is None:
-        advice = "look at the clip, the background and [die]; a [start] by hand may help"
-        return (*findings, Finding("die", Verdict.BAD, f"No die could be followed: {seen.trouble}.", advice))
-    findings += [_followed(sight), _size(sight), _motion_blur(sight), _lens_blur(sight)]
+    """Every finding on a clip; `exposure_s` is the scene's, and `rounding` says whether it gives the radius of the corners."""
+    findings = [
+        _timing(quality.timing, exposure_s),
+        _background(quality.background_match),
+        _light(quality.background_match, quality.tracked_part),
+    ]
+    tracked_part = quality.tracked_part
+    if tracked_part is None:
+        advice = "check the clip, the background and [die]; a manual initial pose ([start]) may help"
+        return (*findings, Finding("die", Verdict.BAD, f"No die could be tracked: {quality.failure}.", advice))
+    findings += [_tracking(tracked_part), _size(tracked_part), _motion_blur(tracked_part), _lens_blur(tracked_part)]
     if rounding is not CornerRounding.GIVEN:
-        findings.append(_corners(sight))
-    findings += [_scale(sight.fall, die), _vertical(sight.fall), _table(sight.contact_m, sight.contact_sigma_m)]
+        findings.append(_corners(tracked_part))
+    findings += [
+        _scale(tracked_part.fall, die),
+        _vertical(tracked_part.fall),
+        _table(tracked_part.contact_height_m, tracked_part.contact_sigma_m),
+    ]
     return tuple(findings)
 
 
 def judge_throw(
-    timing: Timing, fall: Fall | None, contacts: tuple[Array, Array], die: Die, exposure_s: float | None
+    timing: FrameTiming, fall: Fall | None, contacts: tuple[Array, Array], die: Die, exposure_s: float | None
 ) -> tuple[Finding, ...]:
-    """What a finished track tells of timing and calibration; `contacts` are heights (k,) [m] and their sigmas (k,).
+    """Findings on timing and calibration from a finished track; `contacts` are heights (k,) [m] and their sigmas (k,).
 
-    Wrong poses on a few frames bend a fall, too: it is called bad only where it is so by far (`fall_notices`).
+    Wrong poses on a few frames change a fall as well, so it is bad only where it is far off (`fall_notices`).
     """
     by_fall = [_scale(fall, die), _vertical(fall)]
     if not fall_notices(fall):
@@ -106,156 +147,170 @@ def judge_throw(
     return _timing(timing, exposure_s), *by_fall, _table(*contacts)
 
 
-def _timing(timing: Timing, exposure_s: float | None) -> Finding:
+def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
     values = {
         "rate_hz": timing.rate_hz,
         "file_rate_hz": timing.file_rate_hz,
         "playback_hz": timing.playback_hz,
         "largest_uneven_share": timing.uneven_share,
     }
-    copies = [told for told in timing.notices if "exact copies" in told]
-    told = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
+    copies = [notice for notice in timing.notices if REPEATED in notice]
+    measured = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
     if timing.file_rate_hz is not None:
-        told += ", the rate that the file carries"
+        measured += ", the rate that the file declares"
     elif timing.playback_hz is not None:
-        told += f" by the scene; the file itself only says to play {timing.playback_hz:g} a second"
+        measured += f" by the scene; the file declares only a playback rate of {timing.playback_hz:g} frames/s"
     else:
-        told += " by the scene; the file carries no rate"
+        measured += " by the scene; the file declares no rate"
     if copies:
-        advice = "frames were dropped and filled in; export the clip again, or leave them out by clip.exclude"
-        return Finding("timing", Verdict.BAD, f"{told}. {copies[0]}", advice, values)
-    if timing.uneven_share > UNEVEN_STEPS or timing.notices:
+        advice = "the software filled in dropped frames; export the clip again, or exclude these frames (clip.exclude)"
+        return Finding("timing", Verdict.BAD, f"{measured}. {copies[0]}", advice, values)
+    if timing.uneven_share > MAX_UNEVEN_SHARE or timing.notices:
         rest = " ".join(timing.notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
         return Finding(
-            "timing", Verdict.DOUBTFUL, f"{told}. {rest}", "look whether these times are the camera's", values
+            "timing", Verdict.DOUBTFUL, f"{measured}. {rest}", "check whether these times are the camera's", values
         )
     mine, theirs = exposure_s, timing.file_exposure_s
-    if mine is not None and theirs is not None and abs(mine - theirs) > 0.1 * theirs:
-        told += f"; the exposure is {1e6 * theirs:.4g} µs by the file and {1e6 * mine:.4g} µs by the scene"
-        return Finding("timing", Verdict.DOUBTFUL, told + ".", f"set clip.exposure_s = {theirs:.4g}", values)
-    return Finding("timing", Verdict.GOOD, f"{told}, evenly spaced.", "", values)
+    if mine is not None and theirs is not None and abs(mine - theirs) > MAX_EXPOSURE_MISMATCH * theirs:
+        measured += f"; the exposure is {1e6 * theirs:.4g} µs by the file and {1e6 * mine:.4g} µs by the scene"
+        return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {theirs:.4g}", values)
+    return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
 
 
-def _background(drop: Backdrop) -> Finding:
+def _background(match: BackgroundMatch) -> Finding:
     values = {
-        "noise_grey": drop.noise_grey,
-        "offset_grey": drop.offset_grey,
-        "differing_share": drop.differing_share,
+        "noise_grey": match.noise_grey,
+        "offset_grey": match.offset_grey,
+        "differing_share": match.differing_share,
     }
-    whose = "The background, estimated from the clip," if drop.estimated else "The background"
-    told = (
-        f"{whose} differs from the clip on {100 * drop.differing_share:.2g} % of the pixels, on nearly every frame, and by "
-        f"{drop.offset_grey:+.2g} grey levels in the median; noise {drop.noise_grey:.2g} grey levels."
+    whose = "The background, estimated from the clip," if match.estimated else "The background"
+    measured = (
+        f"{whose} differs from nearly every frame on {100 * match.differing_share:.2g} % of the pixels, and by "
+        f"{match.offset_grey:+.2g} grey levels in the median; the noise is {match.noise_grey:.2g} grey levels."
     )
-    if drop.differing_share > FOREIGN_BACKDROP:
-        advice = "the camera or something in view has moved since: take the background again, or leave it out"
-        return Finding("background", Verdict.BAD, told, advice, values)
-    if drop.differing_share > CLEAN_BACKDROP or abs(drop.offset_grey) > max(
-        OFFSET_SIGMAS * drop.noise_grey, OFFSET_GREY
+    if match.differing_share > MAX_DIFFERENCE:
+        advice = "the camera or something in view has moved: take the background again, or leave it out"
+        return Finding("background", Verdict.BAD, measured, advice, values)
+    if match.differing_share > SMALL_DIFFERENCE or abs(match.offset_grey) > max(
+        OFFSET_SIGMAS * match.noise_grey, OFFSET_GREY
     ):
-        advice = "the light or the camera may have changed; take the background right before or after the throw"
-        return Finding("background", Verdict.DOUBTFUL, told, advice, values)
-    return Finding("background", Verdict.GOOD, told, "", values)
+        advice = "the light or the camera may have changed: take the background just before or after the throw"
+        return Finding("background", Verdict.DOUBTFUL, measured, advice, values)
+    return Finding("background", Verdict.GOOD, measured, "", values)
 
 
-def _light(drop: Backdrop, sight: Sight | None) -> Finding:
-    share = sight.saturated_share if sight is not None else None
-    values = {"saturated_share": share, "brightest_share": drop.brightest_share}
-    told = f"The brightest pixels reach {100 * drop.brightest_share:.3g} % of full scale"
-    told += "." if share is None else f"; at full scale are {100 * share:.2g} % of those round the die, at the worst."
-    if share is not None and share > SOME_GLARE:
-        verdict = Verdict.BAD if share > MUCH_GLARE else Verdict.DOUBTFUL
+def _light(match: BackgroundMatch, tracked_part: TrackedPart | None) -> Finding:
+    share = tracked_part.saturated_share if tracked_part is not None else None
+    values = {"saturated_share": share, "brightest_share": match.brightest_share}
+    measured = f"The brightest pixels reach {100 * match.brightest_share:.3g} % of full scale"
+    measured += (
+        "." if share is None else f"; on the worst frame {100 * share:.2g} % of those around the die are saturated."
+    )
+    if share is not None and share > SOME_SATURATION:
+        verdict = Verdict.BAD if share > MAX_SATURATION else Verdict.DOUBTFUL
         return Finding(
-            "light", verdict, told, "expose shorter, close the aperture, or move the lamp that glares", values
+            "light",
+            verdict,
+            measured,
+            "shorten the exposure, close the aperture, or move the lamp that makes the glare",
+            values,
         )
-    if drop.brightest_share < DARK:
-        return Finding("light", Verdict.DOUBTFUL, told, "more light: the levels of the sensor are hardly used", values)
-    return Finding("light", Verdict.GOOD, told, "", values)
+    if match.brightest_share < MIN_BRIGHTNESS:
+        return Finding(
+            "light", Verdict.DOUBTFUL, measured, "use more light: most levels of the sensor are unused", values
+        )
+    return Finding("light", Verdict.GOOD, measured, "", values)
 
 
-def _followed(sight: Sight) -> Finding:
-    track = sight.track
+def _tracking(tracked_part: TrackedPart) -> Finding:
+    track = tracked_part.track
     known, lost = int(track.tracked.sum()), int((track.status == "lost").sum())
-    bounces = len(sight.throw.impacts) if sight.throw is not None else 0
-    told = f"Of {len(track)} frames that were tried, {known} show the pose and {lost} were lost; {bounces} bounces."
+    bounces = len(tracked_part.throw.impacts) if tracked_part.throw is not None else 0
+    measured = f"Of {len(track)} frames, {known} were tracked and {lost} were lost; {bounces} bounces were found."
     values = {"tracked": float(known), "lost": float(lost), "bounces": float(bounces)}
     if known < lost:
-        return Finding("die", Verdict.BAD, told, "look at [die], the background, and what hides the die", values)
-    if known < 9 * lost:
-        return Finding("die", Verdict.DOUBTFUL, told, "look what hides the die on the frames that were lost", values)
-    return Finding("die", Verdict.GOOD, told, "", values)
+        return Finding("die", Verdict.BAD, measured, "check [die], the background, and what hides the die", values)
+    if lost > MAX_LOST_SHARE * (known + lost):
+        return Finding("die", Verdict.DOUBTFUL, measured, "check what hides the die on the lost frames", values)
+    return Finding("die", Verdict.GOOD, measured, "", values)
 
 
-def _size(sight: Sight) -> Finding:
-    low, high = sight.across_px
-    told = f"The die is {low:.0f} to {high:.0f} px across."
+def _size(tracked_part: TrackedPart) -> Finding:
+    low, high = tracked_part.diameter_px
+    measured = f"The die has a size of {low:.0f} to {high:.0f} px."
     values = {"least_across_px": low, "most_across_px": high}
-    if low < FEWEST_PX:
-        return Finding("pixels", Verdict.BAD, told, "go nearer, or use a longer lens or more pixels", values)
-    if low < ENOUGH_PX:
-        advice = "rotations will be known to tenths of a degree at best; go nearer, or use a longer lens"
-        return Finding("pixels", Verdict.DOUBTFUL, told, advice, values)
-    return Finding("pixels", Verdict.GOOD, told, "", values)
-
-
-def _motion_blur(sight: Sight) -> Finding:
-    values = {"shift_px": sight.shift_px}
-    if sight.motion_blur_px is None:
-        told = (
-            f"The fastest corner moves {sight.shift_px:.2g} px a frame; how much of it is blur the scene does not say."
-        )
-        return Finding("motion blur", Verdict.DOUBTFUL, told, "give clip.exposure_s", values)
-    usual, most = sight.motion_blur_px
-    values |= {"median_px": usual, "p95_px": most}
-    told = f"The fastest corner is blurred over {usual:.2g} px in the median and {most:.2g} px at the most (95 %)"
-    told += f", and moves {sight.shift_px:.2g} px a frame."
-    if most > MOST_MOTION_PX:
-        return Finding("motion blur", Verdict.BAD, told, "expose shorter, with more light", values)
-    if sight.shift_px > FAR_STEP_PX:
+    if low < MIN_SIZE_PX:
         return Finding(
-            "motion blur", Verdict.DOUBTFUL, told, "more frames a second: the die moves far between two", values
+            "pixels", Verdict.BAD, measured, "move the camera nearer, or use a longer lens or more pixels", values
         )
-    if most > LITTLE_MOTION_PX:
-        advice = (
-            f"it is modelled, yet costs precision; {LITTLE_MOTION_PX / most:.2g} times the exposure would leave 1 px"
-        )
-        return Finding("motion blur", Verdict.DOUBTFUL, told, advice, values)
-    return Finding("motion blur", Verdict.GOOD, told, "", values)
+    if low < GOOD_SIZE_PX:
+        advice = "rotations will be known to tenths of a degree at best; move the camera nearer, or use a longer lens"
+        return Finding("pixels", Verdict.DOUBTFUL, measured, advice, values)
+    return Finding("pixels", Verdict.GOOD, measured, "", values)
 
 
-def _lens_blur(sight: Sight) -> Finding:
-    blur = sight.lens_blur_px
-    told = f"The lens spreads an edge with a standard deviation of {blur:.2g} px."
-    values = {"lens_blur_px": blur}
-    if blur > UNSHARP_PX:
-        return Finding("sharpness", Verdict.BAD, told, "focus on the die, or close the aperture", values)
-    if blur > SOFT_PX:
-        return Finding("sharpness", Verdict.DOUBTFUL, told, "focus on the die, or close the aperture", values)
-    if blur <= SHARP_PX:
-        advice = "edges alias at this; a trace of defocus makes them more exact"
-        return Finding("sharpness", Verdict.DOUBTFUL, told, advice, values)
-    return Finding("sharpness", Verdict.GOOD, told, "", values)
-
-
-def _corners(sight: Sight) -> Finding:
-    found = sight.corners
-    if found is None or found.radius_m == 0.0:
-        return Finding("corners", Verdict.GOOD, "The corners look sharp, or nearly so.", "", {"corner_radius_m": 0.0})
-    radius, sigma = found.radius_m, found.sigma_m
-    told = f"The corners look rounded, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
-    advice = (
-        f"measure it and write it as die.corner_radius_m, or write {radius:.2g}; left out, tracking estimates it again"
+def _motion_blur(tracked_part: TrackedPart) -> Finding:
+    values = {"shift_px": tracked_part.shift_px}
+    if tracked_part.motion_blur_px is None:
+        measured = f"The fastest corner moves {tracked_part.shift_px:.2g} px a frame; the motion blur is unknown without exposure."
+        return Finding("motion blur", Verdict.DOUBTFUL, measured, "give clip.exposure_s", values)
+    usual, most = tracked_part.motion_blur_px
+    values |= {"median_px": usual, "p95_px": most}
+    measured = (
+        f"The motion blur of the fastest corner is {usual:.2g} px in the median and {most:.2g} px at the most (95 %)"
     )
+    measured += f"; it moves {tracked_part.shift_px:.2g} px a frame."
+    if most > MAX_MOTION_BLUR_PX:
+        return Finding("motion blur", Verdict.BAD, measured, "shorten the exposure and use more light", values)
+    if tracked_part.shift_px > MAX_SHIFT_PX:
+        return Finding(
+            "motion blur",
+            Verdict.DOUBTFUL,
+            measured,
+            "record more frames a second: the die moves far from one to the next",
+            values,
+        )
+    if most > SMALL_MOTION_BLUR_PX:
+        advice = (
+            f"it is modelled but costs precision; {SMALL_MOTION_BLUR_PX / most:.2g} times the exposure would leave 1 px"
+        )
+        return Finding("motion blur", Verdict.DOUBTFUL, measured, advice, values)
+    return Finding("motion blur", Verdict.GOOD, measured, "", values)
+
+
+def _lens_blur(tracked_part: TrackedPart) -> Finding:
+    blur = tracked_part.lens_blur_px
+    measured = f"The lens spreads an edge with a standard deviation of {blur:.2g} px."
+    values = {"lens_blur_px": blur}
+    if blur > MAX_LENS_BLUR_PX:
+        return Finding("sharpness", Verdict.BAD, measured, "focus on the die, or close the aperture", values)
+    if blur > SOFT_BLUR_PX:
+        return Finding("sharpness", Verdict.DOUBTFUL, measured, "focus on the die, or close the aperture", values)
+    if blur <= ALIASING_BLUR_PX:
+        advice = "edges this sharp alias; a slight defocus makes them more exact"
+        return Finding("sharpness", Verdict.DOUBTFUL, measured, advice, values)
+    return Finding("sharpness", Verdict.GOOD, measured, "", values)
+
+
+def _corners(tracked_part: TrackedPart) -> Finding:
+    found = tracked_part.corners
+    if found is None or found.radius_m == 0.0:
+        return Finding(
+            "corners", Verdict.GOOD, "The pictures show sharp corners, or nearly so.", "", {"corner_radius_m": 0.0}
+        )
+    radius, sigma = found.radius_m, found.sigma_m
+    measured = f"The pictures show rounded corners, with a radius of {1e3 * radius:.2f} ± {1e3 * sigma:.2f} mm (standard error)."
+    advice = f"measure it and set die.corner_radius_m, or set {radius:.2g}; without it tracking estimates it again"
     values: dict[str, float | None] = {"corner_radius_m": radius, "sigma_corner_radius_m": sigma}
-    return Finding("corners", Verdict.DOUBTFUL, told, advice, values)
+    return Finding("corners", Verdict.DOUBTFUL, measured, advice, values)
 
 
 NO_FALL = "No flight was long enough to measure the fall."
-LONGER = "let the clip show more of the fall before the first bounce"
+LONGER = "record more of the fall before the first bounce"
 
 
 def _scale(fall: Fall | None, die: Die) -> Finding:
-    """The size of the acceleration, as an edge: with an edge k times the true one the die falls with k g."""
+    """The size of the acceleration, in terms of the edge: with an edge k times the true one the die falls with k g."""
     if fall is None:
         return Finding("scale", Verdict.DOUBTFUL, NO_FALL, LONGER)
     size = float(np.linalg.norm(fall.acceleration_m_s2))
@@ -269,20 +324,20 @@ def _scale(fall: Fall | None, die: Die) -> Finding:
         "edge_from_fall_m": found,
         "edge_from_fall_half_width_m": half,
     }
-    told = (
-        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), where gravity is {GRAVITY_M_S2:g}: its edge would be "
+    measured = (
+        f"The die falls with {size:.4g} ± {wide:.2g} m/s² (95 %), and gravity is {GRAVITY_M_S2:g}: its edge would be "
         f"{1e3 * found:.4g} ± {1e3 * half:.2g} mm, the scene says {1e3 * edge:.4g} mm."
     )
     off, doubt = abs(share - 1.0), wide / size
-    if off <= max(EXACT_SHARE, doubt) and doubt <= FAIR_SHARE:
-        return Finding("scale", Verdict.GOOD, told, "", values)
-    if off <= CERTAIN * doubt and doubt > EXACT_SHARE:
-        return Finding("scale", Verdict.DOUBTFUL, told, f"the fall is too short to tell; {LONGER}", values)
+    if off <= max(GOOD_SCALE, doubt) and doubt <= MAX_SCALE_ERROR:
+        return Finding("scale", Verdict.GOOD, measured, "", values)
+    if off <= CERTAIN * doubt and doubt > GOOD_SCALE:
+        return Finding("scale", Verdict.DOUBTFUL, measured, f"the fall is too short to decide; {LONGER}", values)
     advice = (
-        f"die.edge_m {share:.4g} times, or clip.fps {np.sqrt(share):.4g} times what the scene says would put it right; "
-        "or the focal length of [camera] is not that of this clip"
+        f"multiply die.edge_m by {share:.4g} or clip.fps by {np.sqrt(share):.4g} if one of them is wrong; else calibrate "
+        "again: [camera] may have another focal length than this clip"
     )
-    return Finding("scale", Verdict.BAD if off > FAIR_SHARE else Verdict.DOUBTFUL, told, advice, values)
+    return Finding("scale", Verdict.BAD if off > MAX_SCALE_ERROR else Verdict.DOUBTFUL, measured, advice, values)
 
 
 def _vertical(fall: Fall | None) -> Finding:
@@ -293,36 +348,37 @@ def _vertical(fall: Fall | None) -> Finding:
     tilt = float(np.arctan2(np.linalg.norm(a[:2]), -a[2]))
     aside = a[:2] / max(float(np.linalg.norm(a[:2])), 1e-12)
     wide = TWO_SIDED_95 * float(np.sqrt(aside @ fall.covariance[:2, :2] @ aside)) / GRAVITY_M_S2
-    told = f"The die falls {np.degrees(tilt):.2g} ± {np.degrees(wide):.2g}° (95 %) off the vertical of [camera]."
+    measured = f"The die falls at {np.degrees(tilt):.2g} ± {np.degrees(wide):.2g}° (95 %) to the vertical of [camera]."
     values: dict[str, float | None] = {"tilt_rad": tilt, "tilt_half_width_rad": wide}
-    if tilt <= max(LEVEL_RAD, wide) and wide <= TILTED_RAD:
-        return Finding("vertical", Verdict.GOOD, told, "", values)
-    if tilt <= CERTAIN * wide and wide > LEVEL_RAD:
-        return Finding("vertical", Verdict.DOUBTFUL, told, f"the fall is too short to tell; {LONGER}", values)
-    advice = "calibrate again with the board flat on the table, and look whether the table is level"
-    return Finding("vertical", Verdict.BAD if tilt > TILTED_RAD else Verdict.DOUBTFUL, told, advice, values)
+    if tilt <= max(GOOD_TILT_RAD, wide) and wide <= MAX_TILT_RAD:
+        return Finding("vertical", Verdict.GOOD, measured, "", values)
+    if tilt <= CERTAIN * wide and wide > GOOD_TILT_RAD:
+        return Finding("vertical", Verdict.DOUBTFUL, measured, f"the fall is too short to decide; {LONGER}", values)
+    advice = "calibrate again with the board flat on the table, and check that the table is level"
+    return Finding("vertical", Verdict.BAD if tilt > MAX_TILT_RAD else Verdict.DOUBTFUL, measured, advice, values)
 
 
-def _table(contact_m: Array, contact_sigma_m: Array) -> Finding:
+def _table(contact_height_m: Array, contact_sigma_m: Array) -> Finding:
     """The height of the contacts."""
-    if not len(contact_m):
-        told = "No bounce was resolved on the frames at hand, so the table's height was not measured."
-        return Finding("table", Verdict.DOUBTFUL, told, "look at a bounce in the replay of the whole clip")
-    middle = float(np.median(contact_m))
+    if not len(contact_height_m):
+        measured = "No bounce was resolved on these frames, so the height of the table was not measured."
+        return Finding("table", Verdict.DOUBTFUL, measured, "check a bounce in the replay of the whole clip")
+    middle = float(np.median(contact_height_m))
     # Errors of depth are common to all contacts, so their mean is no better than one of them.
     wide = TWO_SIDED_95 * float(np.median(contact_sigma_m))
-    told = f"The die bounces at z = {1e3 * middle:+.2g} ± {1e3 * wide:.2g} mm (95 %, {len(contact_m)} bounces)."
+    measured = (
+        f"The die bounces at z = {1e3 * middle:+.2g} ± {1e3 * wide:.2g} mm (95 %, {len(contact_height_m)} bounces)."
+    )
     values: dict[str, float | None] = {"contact_m": middle, "contact_half_width_m": wide}
-    if abs(middle) <= max(AT_TABLE_M, wide):
-        return Finding("table", Verdict.GOOD, told, "", values)
+    if abs(middle) <= max(GOOD_HEIGHT_M, wide):
+        return Finding("table", Verdict.GOOD, measured, "", values)
     advice = (
-        "translation_m of [camera] puts the table elsewhere, by the board's thickness perhaps; or die.edge_m or "
-        "corner_radius_m is wrong"
+        "correct translation_m of [camera], by the thickness of the board perhaps, or die.edge_m or corner_radius_m"
     )
     return Finding(
         "table",
-        Verdict.BAD if abs(middle) > max(NEAR_TABLE_M, CERTAIN * wide) else Verdict.DOUBTFUL,
-        told,
+        Verdict.BAD if abs(middle) > max(MAX_HEIGHT_M, CERTAIN * wide) else Verdict.DOUBTFUL,
+        measured,
         advice,
         values,
     )

@@ -15,4 +15,5 @@ from .frame_blocks import Rows as Rows
 from .images import read_picture as read_picture
 from .photron import is_photron as is_photron
 from .reader import MAX_PIXELS as MAX_PIXELS
+from .reader import REPEATED as REPEATED
 from .reader import Frame as Frame

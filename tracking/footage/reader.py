@@ -27,6 +27,8 @@ MAX_PIXELS = 2**26
 """Largest frame accepted [px], several times that of any high-speed camera; a header that declares more is broken."""
 MAX_FRAMES = 2**24
 """Most frames accepted: with more of them the times alone fill the memory."""
+REPEATED = "exact copies of the one before"
+"""Words of the notice on repeated frames, by which others recognise it."""
 MAX_LISTED = 8
 """Most frame numbers that a notice lists."""
 
@@ -115,7 +117,7 @@ class Footage(ABC):
         names = ", ".join(map(str, repeated[:MAX_LISTED])) + (", ..." if len(repeated) > MAX_LISTED else "")
         return (
             *self._static_notices,
-            f"{self.path.name}: {len(repeated)} of {len(self)} frames are exact copies of the one before ({names}): "
+            f"{self.path.name}: {len(repeated)} of {len(self)} frames are {REPEATED} ({names}): "
             "dropped frames may have been filled in.",
         )
 

@@ -17,7 +17,7 @@ from ...files.tables import read_json
 from ...fitting.throw import IntervalMethod
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails
-from ...tracking.check import Finding, contacts_of, fall_of, judge_throw, timing_of
+from ...tracking.check import Finding, contact_heights, fall_of_correlated_frames, frame_timing, judge_throw
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
 from .fit import estimate_sequentially, record_replay, run_fit, write_model, write_pages
@@ -74,12 +74,12 @@ def analyze(
 
 
 def _findings(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:
-    """Timing of the first camera's clip; scale, vertical and table height from the flights and bounces of the whole throw."""
+    """Timing of the first camera's clip; scale, vertical and table height from the flights and bounces of the throw."""
     clip = tracking.clips[0]
     return judge_throw(
-        timing_of(clip, clip.notices),
-        fall_of(tracking.frames, tracking.measured),
-        contacts_of(tracking.measured, tracking.die),
+        frame_timing(clip, clip.notices),
+        fall_of_correlated_frames(tracking.frames, tracking.measured),
+        contact_heights(tracking.measured, tracking.die),
         tracking.die,
         scene.clip.exposure_s,
     )

@@ -11,7 +11,7 @@ from ...files.scene import Scene, View
 from ...files.settings import SceneError
 from ...files.tables import write_json
 from ...replay.pages import check_page
-from ...tracking.check import Finding, Preflight, Sight, Verdict, judge, preflight
+from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge, measure_clip_quality
 from ...tracking.footage import Clip, open_clip
 from ...tracking.pose import ManualInitialisation
 from .track import check_scene, input_paths, open_background, open_footage
@@ -23,7 +23,7 @@ class Check:
 
     findings: tuple[Finding, ...]
     """With several cameras each finding names its camera: `pixels, camera 2`."""
-    measured: tuple[Preflight, ...]
+    measured: tuple[ClipQuality, ...]
     """One per camera."""
 
     @property
@@ -44,11 +44,11 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
         check, clips = _check(scene, watch)
         write_json(folder / "check.json", _record(check))
-        sights = [
-            (measured.sight, clip, view.camera)
+        tracked_parts = [
+            (measured.tracked_part, clip, view.camera)
             for measured, clip, view in zip(check.measured, clips, scene.views(), strict=True)
         ]
-        page = check_page(scene.path.resolve().parent.name, check.findings, sights, scene.die)
+        page = check_page(scene.path.resolve().parent.name, check.findings, tracked_parts, scene.die)
         (folder / "check.html").write_text(page, encoding="utf-8")
         write_provenance(
             folder / "provenance.json",
@@ -75,7 +75,7 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
     return Check(tuple(findings), tuple(measured)), clips
 
 
-def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> Preflight:
+def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> ClipQuality:
     """Measurements on the clip of one camera."""
     background = open_background(scene, view, clip)
 
@@ -84,7 +84,7 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
         return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
 
     try:
-        return preflight(
+        return measure_clip_quality(
             clip,
             view.camera,
             scene.die,
@@ -100,7 +100,7 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
 
 
 def _record(check: Check) -> dict[str, object]:
-    tried = [_frames_tried(measured.sight) for measured in check.measured]
+    tried = [_frames_tried(measured.tracked_part) for measured in check.measured]
     return {
         "verdict": max((finding.verdict for finding in check.findings), key=list(Verdict).index).value,
         "frames_tried": tried[0] if len(tried) == 1 else tried,
@@ -117,5 +117,5 @@ def _record(check: Check) -> dict[str, object]:
     }
 
 
-def _frames_tried(sight: Sight | None) -> list[int] | None:
-    return None if sight is None else [int(sight.track.frame[0]), int(sight.track.frame[-1]) + 1]
+def _frames_tried(tracked_part: TrackedPart | None) -> list[int] | None:
+    return None if tracked_part is None else [int(tracked_part.track.frame[0]), int(tracked_part.track.frame[-1]) + 1]
