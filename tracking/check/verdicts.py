@@ -252,7 +252,7 @@ def _size(tracked_part: TrackedPart) -> Finding:
 def _motion_blur(tracked_part: TrackedPart) -> Finding:
     values = {"shift_px": tracked_part.shift_px}
     if tracked_part.motion_blur_px is None:
-        measured = f"The fastest corner moves {tracked_part.shift_px:.2g} px a frame; the motion blur is unknown without exposure."
+        measured = f"The fastest corner moves {tracked_part.shift_px:.2g} px a frame; its blur needs the exposure."
         return Finding("motion blur", Verdict.DOUBTFUL, measured, "give clip.exposure_s", values)
     usual, most = tracked_part.motion_blur_px
     values |= {"median_px": usual, "p95_px": most}

@@ -72,7 +72,7 @@ def test_times_of_the_clock_win_over_the_declared_rate(tmp_path: Path) -> None:
     for fps in (None, 1500.0, 1500.1):
         # Fixed point has 2e-10 s; a stated rate within a thousandth is taken for rounding.
         np.testing.assert_allclose(open_clip(path, fps=fps).times_s, np.arange(9) / 1500, atol=1e-6)
-    with pytest.raises(ValueError, match=r"fps = 15000 and the time stamps say 1500 frames/s"):
+    with pytest.raises(ValueError, match=r"fps = 15000 .*time stamps.* 1500"):
         open_clip(path, fps=15000)
 
 
@@ -103,10 +103,10 @@ def test_a_stamp_that_cannot_be_follows_the_others_and_is_named(tmp_path: Path) 
 def test_a_file_without_times_has_the_declared_rate_and_one_without_either_needs_the_scene(tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, timed=False)
     np.testing.assert_allclose(open_clip(path).times_s, np.arange(9) / 1500, rtol=1e-15)
-    with pytest.raises(ValueError, match=r"fps = 1000 and the header says 1500 frames/s"):
+    with pytest.raises(ValueError, match=r"fps = 1000 .*header.* 1500"):
         open_clip(path, fps=1000)
     path = write_cine(tmp_path / "y.cine", FRAMES, stored_bits=12, timed=False, times_s=np.zeros(9), rate_hz=0)
-    with pytest.raises(ValueError, match="give the recording rate as fps"):
+    with pytest.raises(ValueError, match="fps"):
         open_clip(path)
     assert open_clip(path, fps=1500).times_s[1] == pytest.approx(1 / 1500)
 

@@ -117,7 +117,7 @@ def test_frames_outside_the_film_are_index_errors_and_ranges_outside_are_refused
     form, path, _ = film
     clip = open_clip(path, fps=form.fps)
     for k in (-1, COUNT):
-        with pytest.raises(IndexError, match=f"frame {k} was asked for"):
+        with pytest.raises(IndexError, match=f"frame {k}"):
             clip.frame(k)
     for wrong in ((0, COUNT + 1), (5, 5), (-1, 4)):
         with pytest.raises(ValueError, match=rf"the file has {COUNT}"):
@@ -130,9 +130,9 @@ def test_a_missing_or_impossible_rate_is_refused_where_the_file_has_none(film: t
         assert open_clip(path).metadata()["record_rate_hz"] == 1500.0
         return
     assert open_clip(path, fps=form.fps).metadata()["record_rate_hz"] is None
-    with pytest.raises(ValueError, match="give the recording rate as fps"):
+    with pytest.raises(ValueError, match="fps"):
         open_clip(path)
-    with pytest.raises(ValueError, match="must be above 0"):
+    with pytest.raises(ValueError, match="above 0"):
         open_clip(path, fps=0.0)
 
 
@@ -187,7 +187,7 @@ def test_what_is_no_film_ends_in_one_sentence_that_names_it(
 
 
 def test_a_clip_that_does_not_exist_is_said_to_be_missing(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="there is no such clip"):
+    with pytest.raises(FileNotFoundError, match="no such clip"):
         open_clip(tmp_path / "none.avi", fps=1500)
     with pytest.raises(ValueError, match="no pictures there"):
         open_clip(tmp_path / "none_*.png", fps=1500)

@@ -38,7 +38,7 @@ def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "p", FRAMES)
     cv2.imwrite(str(folder / "frame_7.png"), FRAMES[0][:, :-2])
     clip = open_clip(folder, fps=1500)
-    with pytest.raises(ValueError, match=r"frame_7\.png: the picture is 62 × 48 px"):
+    with pytest.raises(ValueError, match=r"frame_7\.png: .*62 × 48 px"):
         clip.frame(6)
 
 
@@ -77,7 +77,7 @@ def test_a_tiff_that_is_cut_off_gives_its_whole_pages_and_says_so(kept: float, t
 
 def test_pixels_that_are_no_whole_numbers_are_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "x.tif", FRAMES.astype(np.float32))
-    with pytest.raises(ValueError, match="pixels of the kind float32"):
+    with pytest.raises(ValueError, match="float32"):
         open_clip(tmp_path / "x.tif", fps=1500)
 
 
@@ -101,9 +101,9 @@ def test_a_background_of_another_size_or_depth_is_refused(tmp_path: Path) -> Non
     cv2.imwrite(str(small), FRAMES[0][:40])
     cv2.imwrite(str(deep), FRAMES[0].astype(np.uint16) << 8)
     np.testing.assert_array_equal(load_background(right, clip), FRAMES[0])
-    with pytest.raises(ValueError, match=r"small\.png: the background is 64 × 40 px and the clip 64 × 48"):
+    with pytest.raises(ValueError, match=r"small\.png: .*64 × 40 px.*64 × 48"):
         load_background(small, clip)
-    with pytest.raises(ValueError, match=r"deep\.png: the background has 16-bit levels"):
+    with pytest.raises(ValueError, match=r"deep\.png: .*16-bit"):
         load_background(deep, clip)
     with pytest.raises(FileNotFoundError, match="no such background picture"):
         load_background(tmp_path / "none.png", clip)

