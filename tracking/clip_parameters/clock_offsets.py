@@ -119,8 +119,10 @@ def estimate_clock_offsets(
 
 
 def rig_at(rig: CameraRig, seconds: Array, position_m: Array, motion: Array) -> CameraRig:
-    """The cameras moved to where they would have to stand to see, at the time of the first one, what they see
-    `seconds` (cameras,) later: for a die at `position_m` (3,) with `motion` (6,), velocity and angular velocity."""
+    """The poses from which synchronous cameras would see what the cameras see `seconds` (cameras,) later.
+
+    They hold for a die at `position_m` (3,) with `motion` (6,), velocity and angular velocity.
+    """
     rotations, translations = rig.rotation.copy(), rig.translation.copy()
     for view, late_s in enumerate(seconds[rig.camera]):
         turn = matrix_from_quat(quat_from_rotvec(late_s * motion[3:]))

@@ -2,10 +2,10 @@
 
 Unknowns are the initial state of each flight (12 numbers), WARPS for each marked face, the lens blur, the height of
 the table, and the time of each impact. The pixels give the normal equations of single frames. A texture's warps
-represent what learning it again from other poses would change, so that a step goes to where poses and textures agree,
-and not only to where the poses agree with textures that they have placed themselves. Flights meet at their impacts,
-and at an impact on one vertex they obey the law of impacts (`joint_flights`). Marks determine the distance of the die
-by its rotation and its fall, but less accurately than the table does, which its corner touches.
+represent the change from learning it again at other poses. A step therefore goes to where poses and textures agree,
+and not to where the poses agree with textures that they have placed themselves. Flights meet at their impacts, and at
+an impact on one vertex they obey the law of impacts (`flight_chain`). Marks determine the distance of the die by its
+rotation and its fall, but less accurately than the table does, which its corner touches.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from .textures import FlightPoses, FrameWindow, SurfaceMarks, faces_of, flight_p
 Array = NDArray[np.float64]
 
 PRIOR_WARP = 0.02
-"""Standard deviation of a texture's warps, in units of the die's edge: several times what the worst edges misplace it
-by."""
+"""Standard deviation of a texture's warps, in units of the die's edge: several times the misplacement by the worst
+edges."""
 PRIOR_BLUR_TEXEL2 = 1.0
 """Standard deviation of a texture's blur, a variance."""
 PRIOR_LENS_BLUR_PX = 0.3
@@ -48,7 +48,7 @@ LEAST_BLUR_PX = 0.3
 MOST_BLUR_PX = 4.0
 """Largest lens blur: beyond it marks are invisible."""
 LEAST_BLUR_RATIO = 0.7
-"""Least ratio of the lens blurs after and before one step."""
+"""Least ratio of the lens blurs after and before one step, whose equations are linear in it."""
 MOST_BLUR_RATIO = 1.4
 """Largest ratio of the lens blurs after and before one step."""
 JUNCTION_SIGMA_M = 1e-5
@@ -97,9 +97,10 @@ class ImpactConstraint:
 def impact_constraints(
     windows: list[FrameWindow], throw: Throw, vertex_impacts: Sequence[VertexImpact | None]
 ) -> list[ImpactConstraint]:
-    """The constraints from the impacts of a throw, of laws `vertex_impacts` (impacts,), on the flights that have windows.
+    """The constraints from the impacts of a throw on the flights that have windows.
 
-    An impact constrains both flights beside it, or one if the other is too short to have windows.
+    `vertex_impacts` (impacts,) are the laws of the impacts, None for one that was not at one vertex. An impact constrains
+    both flights beside it, or one if the other is too short to have windows.
     """
     adjusted, out = {window.flight for window in windows}, []
     for k, (impact, vertex_impact) in enumerate(zip(throw.impacts, vertex_impacts, strict=True)):
@@ -237,8 +238,8 @@ def _impact_equations(flights: Sequence[Flight], impact: ImpactConstraint) -> tu
     """Rows and right side, in sigmas, by the initial states of the impact's flights (12 each), its time, and the
     table's height.
 
-    Two flights meet (6 rows), and obey the vertex_impact if there is one (4 rows). The corner of one flight alone touches
-    the table (1 row).
+    Two flights meet (6 rows), and obey the law of an impact on one vertex (4 rows). The corner of one flight alone
+    touches the table (1 row).
     """
     t, beside = impact.time_s, [flights[k] for k in impact.flights]
     states, transitions = [flight.at(t) for flight in beside], [transition_matrix(flight, t) for flight in beside]
@@ -254,10 +255,8 @@ def _impact_equations(flights: Sequence[Flight], impact: ImpactConstraint) -> tu
     gap = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
     velocity_change = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
     sigma = np.array([JUNCTION_SIGMA_M] * 3 + [JUNCTION_SIGMA_RAD] * 3)
-    meet = (
-        np.hstack([transitions[0][:6], -transitions[1][:6], -velocity_change[:, None], np.zeros((6, 1))])
-        / sigma[:, None]
-    )
+    columns = [transitions[0][:6], -transitions[1][:6], -velocity_change[:, None], np.zeros((6, 1))]
+    meet = np.hstack(columns) / sigma[:, None]
     return np.vstack([meet, rows]), np.concatenate([gap / sigma, right])
 
 

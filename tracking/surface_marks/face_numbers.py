@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ...model.die import Die, Solid, numbered_solid, symmetry_rotations
-from .textures import FaceGrid, SurfaceMarks
+from .textures import SPLINE_TEXELS, FaceGrid, SurfaceMarks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -50,6 +50,8 @@ LEFT_HANDED_PRIOR = 0.01
 """Prior probability that a die described as a Western one is left-handed."""
 LEAST_CONTRAST = 0.1
 """Least share of the paint's light that a mark takes away or adds."""
+CONTRAST_PERCENTILES = (1.0, 99.0)
+"""Of the differences from the paint, between which those of marks lie: single texels may be wrong."""
 LEAST_PROBABILITY = 0.95
 """Least posterior probability of a numbering that is reported."""
 FEWEST_COUNTED = 2
@@ -185,7 +187,7 @@ def _spots(marks: SurfaceMarks, face: int) -> Mask | None:
     if known.sum() < KNOWN_SHARE * flat.sum():
         return None
     difference = np.where(known, texture - np.median(texture[known]), 0.0)
-    darkest, lightest = np.percentile(difference[known], [1.0, 99.0])
+    darkest, lightest = np.percentile(difference[known], CONTRAST_PERCENTILES)
     difference, contrast = (-difference, -darkest) if -darkest > lightest else (difference, lightest)
     if marks.noise_grey[face] == 0.0 or contrast < LEAST_CONTRAST:
         return np.zeros_like(known)
@@ -197,7 +199,7 @@ def _flat_part(grid: FaceGrid, face: int) -> Mask:
     corners = grid.corners[face, : grid.counts[face]] / grid.texel_m + 0.5 * (grid.size - 1)
     picture = np.zeros((grid.size, grid.size), np.uint8)
     cv2.fillConvexPoly(picture, np.rint(corners).astype(np.int32), 1)
-    return cv2.erode(picture, np.ones((5, 5), np.uint8), borderValue=0).astype(bool)
+    return cv2.erode(picture, np.ones((SPLINE_TEXELS, SPLINE_TEXELS), np.uint8), borderValue=0).astype(bool)
 
 
 def _numbering(counts: list[PipCount | None], solid: Solid) -> FaceNumbers:
@@ -231,7 +233,7 @@ def _numbering(counts: list[PipCount | None], solid: Solid) -> FaceNumbers:
     return FaceNumbers(
         tuple(int(n) for n in numberings[best]),
         probability,
-        f"Pips were counted on {read} of 6 faces, those of a {hand} die (probability {probability:.3f}).",
+        f"Pips were counted on {read} of 6 faces; the die is {hand} (probability {probability:.3f}).",
     )
 
 

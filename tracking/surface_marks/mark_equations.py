@@ -78,7 +78,7 @@ class Equations(NamedTuple):
     """(faces, WARPS + SHARED_PARAMETERS, 6 + WARPS + SHARED_PARAMETERS + 1) for the warps of each face's texture and
     the lens blur [px], the rows of their normal matrix: by pose (6), by themselves, and the right side."""
     stats: Any
-    """(faces, 3) pixels seen, pixels used, and noise [grey]."""
+    """(faces, 3) pixels in view, pixels used, and noise [grey]."""
 
 
 class PoseRows(NamedTuple):
@@ -339,8 +339,8 @@ def refine_rows(
     marks.
     """
     reach = hypot(faces.offsets[0], hypot(faces.corners[0, 0, 0], faces.corners[0, 0, 1]))
-    Hk, g = np.zeros((6, 6)), np.zeros(6)
-    equations = Equations(Hk, g, np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3)))
+    H, g = np.zeros((6, 6)), np.zeros(6)
+    equations = Equations(H, g, np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3)))
     A, y, step, moved = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     workspace = new_workspace(WORKSPACE_PIXELS, faces.coefficients.shape[1])
     for k in range(which.shape[0]):
@@ -354,24 +354,24 @@ def refine_rows(
                 here[j] = there[j]
         p, R, velocity, omega = rows.position[k].copy(), rows.rotation[k].copy(), rows.velocity[k], rows.omega[k]
         edge_information, edge_gradient = rows.edge_information[k], rows.edge_gradient[k]
-        seen = False
+        solved = False
         moved[:] = 0.0
         for _ in range(GAUSS_NEWTON_STEPS):
             frame = Frame(image, x0, y0, p, R, velocity, omega)
             mark_equations(frame, optics, faces, WITHOUT_WARPS, workspace, equations)
-            seen = Hk[0, 0] > 0.0
-            if not seen:
+            solved = H[0, 0] > 0.0
+            if not solved:
                 break
             for i in range(6):
                 y[i] = g[i] / variance_factor + edge_gradient[i]
                 for j in range(6):
-                    Hk[i, j] /= variance_factor
-                    A[i, j] = Hk[i, j] + edge_information[i, j]
+                    H[i, j] /= variance_factor
+                    A[i, j] = H[i, j] + edge_information[i, j]
                     y[i] -= edge_information[i, j] * moved[j]
             for i in range(6):
                 A[i, i] *= 1.0 + RELATIVE_DAMPING
-            seen = solve_positive(A, POSE_PARAMETERS, y, step)
-            if not seen:
+            solved = solve_positive(A, POSE_PARAMETERS, y, step)
+            if not solved:
                 break
             gained = 0.0
             for i in range(6):
@@ -385,8 +385,8 @@ def refine_rows(
                 break
         for i in range(6):
             for j in range(6):
-                rows.mark_information[k, i, j] = Hk[i, j] if seen else 0.0
-        if seen:
+                rows.mark_information[k, i, j] = H[i, j] if solved else 0.0
+        if solved:
             for i in range(3):
                 rows.position[k, i] = p[i]
                 for j in range(3):

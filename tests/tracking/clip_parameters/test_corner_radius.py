@@ -76,11 +76,11 @@ def round_frames(radius_m: float, count: int = FEW) -> SampledFrames:
 def test_a_sharp_die_has_radius_zero(shape: str) -> None:
     die = DICE[shape]
     view = STUDIO.view(die)
-    seen = sampled(lambda state, rng: photograph(STUDIO, die, state, rng), MANY, error=1.0)
-    gain, sigma = rounding_gain(view, seen, compared_radius_px(view))
+    frames = sampled(lambda state, rng: photograph(STUDIO, die, state, rng), MANY, error=1.0)
+    gain, sigma = rounding_gain(view, frames, compared_radius_px(view))
     assert gain < -3.0 * sigma  # the penalty for the two more intensities of a rounded edge, and a little more
-    assert not is_rounded(view, seen.some)
-    free = radius_by_free_poses(view, seen)
+    assert not is_rounded(view, frames.some)
+    free = radius_by_free_poses(view, frames)
     assert free is not None
     assert free.radius_m == 0.0
 
@@ -94,20 +94,20 @@ def test_a_sharp_die_out_of_focus_is_not_taken_for_rounded(shape: str, blur_px: 
         setting.view(die), sampled(lambda at, rng: photograph(setting, die, at, rng), MANY, error=1.0).some
     )
     ball = replace(CUBE, corner_radius_m=1.5 * blur_px / PX_PER_M)
-    seen = sampled(lambda at, rng: photograph_rounded(setting, ball, at, rng), FEW)
-    assert is_rounded(setting.view(CUBE), seen.some)
+    frames = sampled(lambda at, rng: photograph_rounded(setting, ball, at, rng), FEW)
+    assert is_rounded(setting.view(CUBE), frames.some)
 
 
 # From half a pixel, a little less than the lens blur, to a die that is nearly a ball: 0.6 to 9 pixels.
 @pytest.mark.parametrize("radius_m", [0.15e-3, 0.6e-3, 2.5e-3])
 def test_the_radius_of_a_rounded_die_is_found_within_its_error(radius_m: float) -> None:
-    seen, view = round_frames(radius_m), STUDIO.view(CUBE)
+    frames, view = round_frames(radius_m), STUDIO.view(CUBE)
     # Half a pixel is distinguished from none by more frames than these.
-    assert is_rounded(view, seen.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
-    free = radius_by_free_poses(view, seen)
+    assert is_rounded(view, frames.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
+    free = radius_by_free_poses(view, frames)
     assert free is not None
     assert abs(free.radius_m - radius_m) < 2.0 * free.sigma_m
-    found = radius_on_flights(view, seen, free.radius_m)
+    found = radius_on_flights(view, frames, free.radius_m)
     assert found is not None
     assert abs(found.radius_m - radius_m) < 2.0 * found.sigma_m
     assert found.sigma_m < free.sigma_m  # known poses determine it better than free ones
@@ -130,11 +130,11 @@ def test_light_on_the_bevels_moves_a_rounded_die_by_little_more_than_its_standar
 
 
 def test_flights_that_the_pictures_contradict_give_no_radius() -> None:
-    seen = round_frames(0.6e-3)
-    wrong = replace(seen, position_m=seen.position_m + np.array([1e-3, 0.0, 0.0]))
+    frames = round_frames(0.6e-3)
+    wrong = replace(frames, position_m=frames.position_m + np.array([1e-3, 0.0, 0.0]))
     assert radius_on_flights(STUDIO.view(CUBE), wrong, 0.6e-3) is None
     none = replace(
-        seen, pictures=(), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)), motion=np.zeros((0, 6))
+        frames, pictures=(), position_m=np.zeros((0, 3)), rotation=np.zeros((0, 3, 3)), motion=np.zeros((0, 6))
     )
     assert radius_on_flights(STUDIO.view(CUBE), none, 0.6e-3) is None
     assert radius_by_free_poses(STUDIO.view(CUBE), none) is None
@@ -239,25 +239,25 @@ def sharp_tracked(rounding: CornerRounding) -> TrackedClip:
 
 def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> None:
     """Not one bit of the poses differs."""
-    asked, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
-    assert asked.corners is None
-    assert asked.die is CUBE
-    assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
-    assert np.array_equal(asked.track.covariance, given.track.covariance, equal_nan=True)
+    tested, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
+    assert tested.corners is None
+    assert tested.die is CUBE
+    assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
+    assert np.array_equal(tested.track.covariance, given.track.covariance, equal_nan=True)
 
 
 def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracker, "_corners_at_sight", lambda *_: CornerRadius(5e-3, 0.5e-3))
-    asked, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
-    assert asked.corners is None
-    assert np.array_equal(asked.track.position_m, given.track.position_m, equal_nan=True)
+    tested, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
+    assert tested.corners is None
+    assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
 
 
 @pytest.mark.parametrize(
     ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
 )
 def test_a_radius_with_which_the_die_is_lost_is_discarded(frames: int, borne_out: bool, better: bool) -> None:
-    seen, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
-    seen.known[:frames] = True
-    trial = tracker._Trial(1e-3, STUDIO.view(CUBE), seen, borne_out, corners)
+    poses, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
+    poses.known[:frames] = True
+    trial = tracker._Trial(1e-3, STUDIO.view(CUBE), poses, borne_out, corners)
     assert tracker._better_than_sharp([trial], 100) is better

@@ -38,11 +38,11 @@ def states(count: int, seed: int) -> list[State]:
 
 def at_poses(some: list[State]) -> ClipPoses:
     """The poses of a die at rest, one a frame."""
-    seen = ClipPoses.empty(len(some))
-    seen.known[:] = True
-    seen.position_m[:], seen.rotation[:] = [s.position_m for s in some], [s.rotation for s in some]
-    seen.motion[:] = 0.0
-    return seen
+    poses = ClipPoses.empty(len(some))
+    poses.known[:] = True
+    poses.position_m[:], poses.rotation[:] = [s.position_m for s in some], [s.rotation for s in some]
+    poses.motion[:] = 0.0
+    return poses
 
 
 @cache
@@ -63,10 +63,10 @@ def view_with_light(gloss_grey: float) -> View:
 def test_faces_predict_the_brightness_of_any_normal() -> None:
     light = view_with_light(0.0).light[0]
     assert light[LIGHT_TERMS + 1] > 0.0
-    sight = STUDIO.camera.rotation[2]
+    axis = STUDIO.camera.rotation[2]
     normals = np.random.default_rng(3).normal(size=(500, 3))
     normals /= np.linalg.norm(normals, axis=1)[:, None]
-    normals = normals[normals @ sight < 0.0]  # visible ones, up to the contour
+    normals = normals[normals @ axis < 0.0]  # visible ones, up to the contour
     true = 115.0 + 90.0 * np.maximum(normals @ LIGHT, 0.0)
     predicted = normal_monomials(normals) @ light[:LIGHT_TERMS]
     scale = predicted @ true / (predicted @ predicted)
@@ -131,11 +131,11 @@ def turning(turn_rad: float) -> list[State]:
 
 def test_faces_of_several_paints_make_the_light_uncertain() -> None:
     """Their greys are no function of the normal."""
-    alike, several = (
+    one_paint, several_paints = (
         estimated(states(LEARNED, 1), np.array(paint)) for paint in ([1.0] * 6, [1.0, 0.6, 0.8, 0.5, 1.0, 0.7])
     )
-    assert 0.0 < alike[-1] < 0.1 * 115.0
-    assert not several.any() or several[-1] > 2.0 * alike[-1]
+    assert 0.0 < one_paint[-1] < 0.1 * 115.0
+    assert not several_paints.any() or several_paints[-1] > 2.0 * one_paint[-1]
 
 
 def test_a_die_that_hardly_turns_makes_the_light_uncertain() -> None:

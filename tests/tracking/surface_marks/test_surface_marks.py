@@ -110,7 +110,7 @@ def test_the_covariance_of_a_flight_includes_the_placement_of_the_marks() -> Non
     assert np.trace(marks.shared_covariance[0][:3, :3]) > 0.05 * np.trace(C[:3, :3])
 
 
-@pytest.mark.parametrize("frames_after", [5, 2], ids=["both flights seen", "one flight seen"])
+@pytest.mark.parametrize("frames_after", [5, 2], ids=["both flights adjusted", "one flight adjusted"])
 def test_an_impact_on_the_table_determines_the_distance(frames_after: int) -> None:
     throw = struck(frames_after)
     vertex, t = throw.impacts[0].vertices[0], throw.impacts[0].time_s
@@ -138,11 +138,11 @@ def test_an_impact_on_the_table_determines_the_distance(frames_after: int) -> No
 
 
 def test_the_common_error_of_edges_is_distinguished_from_that_of_single_frames() -> None:
-    honest, _, _ = learned(marked_film(), np.zeros(6))
-    assert honest is not None
+    unbiased, _, _ = learned(marked_film(), np.zeros(6))
+    assert unbiased is not None
     # The edges of both have the same noise of single frames, 2 mrad, which is 0.03 mm at the die's border. What
     # COMMON adds is 0.1 mm there by its turn, and 0.05 mm by its shift and by its distance.
-    assert honest.contour_m < 1e-5
+    assert unbiased.contour_m < 1e-5
     assert 3e-5 < learned_marks()[0].contour_m < 1.5e-4
 
 
