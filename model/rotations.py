@@ -70,6 +70,13 @@ def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
     return rotvec_from_quat(quat_multiply(end, quat_conjugate(start)))
 
 
+def cross_matrix(vectors: Array) -> Array:
+    """Matrices [v]× (..., 3, 3) of vectors v (..., 3): [v]× w = v × w."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+
+
 def continuous_sign(quaternions: ArrayLike) -> Array:
     """The same rotations (n, 4), with signs such that neighbours have a positive scalar product; NaN rows stay."""
     q = np.array(quaternions, float)

@@ -22,7 +22,6 @@ from .least_squares import times_inverse as times_inverse
 from .least_squares import triangular_factor as triangular_factor
 from .observations import Observations as Observations
 from .observations import covariance_root as covariance_root
-from .observations import cross_matrices as cross_matrices
 from .observations import observations_of as observations_of
 from .observations import pose_errors as pose_errors
 from .observations import whitened as whitened

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import rotation_between
+from ...model.rotations import cross_matrix, rotation_between
 from ...model.throw import Throw
 from ...tracking.track import Track
 
@@ -135,17 +135,10 @@ def whitened_jacobian(observations: Observations, errors: Array, jacobian: Array
     A modelled pose turned by δ leaves log(exp(e) exp(-δ)) = e - J⁻¹ δ, with J⁻¹ = 1 + [e]×/2 + [e]×²/12 + O(e⁴) the
     inverse right Jacobian. For the 0.5 rad of the worst initial guess the next term is 1e-4.
     """
-    cross = cross_matrices(errors[:, 3:])
+    cross = cross_matrix(errors[:, 3:])
     turn = np.eye(3) + cross / 2.0 + cross @ cross / 12.0
     observed = np.concatenate([jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
     return -observations.whitener @ observed
-
-
-def cross_matrices(vectors: Array) -> Array:
-    """[v]× (..., 3, 3) of vectors (..., 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    o = np.zeros_like(x)
-    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
 
 
 def covariance_root(covariance: Array) -> Array:

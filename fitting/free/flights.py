@@ -16,14 +16,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
 from ..estimation import (
     HUBER_THRESHOLD,
     MEDIAN_SQUARE,
     Observations,
-    cross_matrices,
     huber,
     levenberg_marquardt,
     pose_errors,
@@ -166,7 +165,7 @@ def left_jacobian(rotvecs: Array) -> Array:
     """J (..., 3, 3) with exp(v + δ) = exp(J δ) exp(v) for small δ."""
     angle = np.linalg.norm(rotvecs, axis=-1)[..., None, None]
     safe = np.where(angle > _SMALL_ANGLE_RAD, angle, 1.0)
-    cross = cross_matrices(rotvecs)
+    cross = cross_matrix(rotvecs)
     first = np.where(angle > _SMALL_ANGLE_RAD, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2, 0.5)
     second = np.where(angle > _SMALL_ANGLE_RAD, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)

@@ -29,7 +29,7 @@ from .. import engine
 from ..die import Die
 from ..engine import asymmetric
 from ..laws import Table
-from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
+from ..rotations import cross_matrix, matrix_from_quat, quat_conjugate, quat_multiply
 from ..world import GRAVITY_M_S2
 from .body import asymmetric_body_of, centre_of_mass_state, centroid_state, packed_state, unpacked_state
 from .history import asymmetric_impacts, states_after_events
@@ -109,14 +109,6 @@ def run_asymmetric_tangent(
     log[:, 5:9] = quat_multiply(log[:, 5:9], quat_conjugate(body_from_principal))
     _to_centroid(die, parameters, poses, jacobian)
     return code, poses, jacobian, log, impact_jacobian
-
-
-def cross_matrix(vectors: Array) -> Array:
-    """Matrices (..., 3, 3) that take a vector to the cross product of `vectors` (..., 3) with it."""
-    out = np.zeros((*vectors.shape, 3))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., i, j], out[..., j, i] = -vectors[..., k], vectors[..., k]
-    return out
 
 
 def _jacobian_of_centre(die: Die, parameters: Sequence[str], run: TangentRun) -> Array:

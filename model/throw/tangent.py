@@ -65,11 +65,10 @@ from .. import engine
 from ..die import Die, inner_vertices
 from ..engine import derivatives
 from ..laws import LEVEL, ImpactLaw, SmoothImpact, Table
-from ..rotations import matrix_from_quat, quat_multiply
+from ..rotations import cross_matrix, matrix_from_quat, quat_multiply
 from .asymmetric_tangent import (
     CENTRE_OF_MASS_AXES,
     TangentRun,
-    cross_matrix,
     run_asymmetric_tangent,
     throw_from_flights,
 )

@@ -6,6 +6,7 @@ from random_throws import random_quaternion
 
 from diethrow.model.rotations import (
     continuous_sign,
+    cross_matrix,
     euler_from_quat,
     matrix_from_quat,
     quat_conjugate,
@@ -95,3 +96,9 @@ def test_continuous_sign_changes_no_rotation_and_never_flips_even_across_nan_row
     assert known.sum() == 57
     assert (np.sum(steady[known][1:] * steady[known][:-1], axis=1) > 0).all()
     np.testing.assert_array_equal(np.abs(steady[known]), np.abs(flipped[known]))
+
+
+def test_the_cross_matrix_of_a_vector_takes_another_to_their_cross_product():
+    rng = np.random.default_rng(9)
+    v, w = rng.normal(size=(2, 5, 4, 3))
+    np.testing.assert_allclose((cross_matrix(v) @ w[..., None])[..., 0], np.cross(v, w), atol=1e-15)
