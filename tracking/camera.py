@@ -1,6 +1,10 @@
 """A calibrated camera, in OpenCV's conventions.
 
-x_cam = rotation · X_world + translation; pixel centres at integers; distortion k1 k2 p1 p2 k3 (Brown-Conrady).
+x_cam = rotation · X_world + translation, and with x = x_cam / z_cam, y = y_cam / z_cam and r² = x² + y² (Brown-Conrady)
+
+    x' = x (1 + k1 r² + k2 r⁴ + k3 r⁶) + 2 p1 x y + p2 (r² + 2 x²)
+    y' = y (1 + k1 r² + k2 r⁴ + k3 r⁶) + p1 (r² + 2 y²) + 2 p2 x y
+    pixel = matrix (x', y', 1), with pixel centres at integers.
 """
 
 from __future__ import annotations
@@ -33,11 +37,11 @@ class Camera:
     rotation: Array
     """(3, 3) world to camera."""
     translation_m: Array
-    """(3,) position of the world's origin in the camera."""
+    """(3,) position of the world's origin in camera axes."""
 
     @property
     def centre_m(self) -> Array:
-        """(3,) of the optical centre, in the world."""
+        """(3,) [m] optical centre, in world axes."""
         return np.asarray(-self.rotation.T @ self.translation_m)
 
     def project(self, points_m: ArrayLike) -> Array:

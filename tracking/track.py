@@ -1,4 +1,4 @@
-"""The table of poses: what tracking knows about the die on every frame."""
+"""The pose of the die on every frame of a clip, with its covariance: the result of tracking."""
 
 from __future__ import annotations
 
@@ -9,8 +9,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-TRACKED, LOST, ABSENT = "tracked", "lost", "absent"
-"""Status of a frame: the pose is known; the die is in view but its pose is not known; no die is in view."""
+TRACKED = "tracked"
+"""Status of a frame whose pose is known."""
+LOST = "lost"
+"""Status of a frame on which the die is in view and its pose unknown."""
+ABSENT = "absent"
+"""Status of a frame without the die in view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,17 +34,16 @@ class Track:
     status: NDArray[np.str_]
     """(n,) TRACKED, LOST or ABSENT."""
     lean: Array | None = None
-    """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour that is taken a pixel too far out all round;
-    NaN where it is not known, None where no frame has it."""
+    """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour one pixel too far out all round: the Jacobian of the
+    bias common to all frames. NaN where it is unknown, None where no frame has it."""
     shared: Array | None = None
-    """(n, 6, 6) covariance of what all frames err alike because the marks on the faces lie where they were learned; part of
-    no frame's own. None where no marks were used."""
+    """(n, 6, 6) covariance of the error common to all frames because the marks on the faces were learned; not part of
+    `covariance`. None where no marks were used."""
     own: Array | None = None
-    """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are found, where `covariance` has come to say
-    more (`bounces.calibrated`); None where `covariance` is that. In no file."""
+    """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are segmented. None where `covariance` is that and
+    was not calibrated by the residuals of the flights (`tracking.throw.calibrated`). In no file."""
     contour_sigma_px: float = 0.0
-    """One sigma of what the contour may lie too far out on all frames besides: of a radius of the corners that is not known
-    but estimated from the pictures."""
+    """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
 
     @property
     def tracked(self) -> NDArray[np.bool_]:

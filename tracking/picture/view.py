@@ -81,8 +81,8 @@ class View:
         floor_grey = max(0.5, 0.5 * self.noise_grey, self.rounding_grey / sqrt(12.0))
         return RefinementSettings(
             self.exposure_s, self.blur_px, floor_grey, self.noise_grey, LOOSE_REACH * reach,
-            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.enough, 0.0, 1, False,
-            quality.judging_pixels, quality.band_px, self.rounding_grey, STRIP_SHARE,
+            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.min_gain, 0.0, 1, False,
+            quality.region_pixels, quality.band_px, self.rounding_grey, STRIP_SHARE,
             self.light,
         )  # fmt: skip
 
@@ -93,7 +93,7 @@ class View:
         steps = self.quality.tracking_steps * (1 if self.die.corner_radius_m == 0.0 else 2)
         return self.settings._replace(
             fine_steps=steps,
-            settled_px=self.quality.settled_px,
+            settled_px=self.quality.min_step_px,
             stride=self.quality.tracking_stride,
             strip_share=FOLLOWED_STRIP_SHARE,
         )

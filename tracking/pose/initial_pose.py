@@ -96,7 +96,7 @@ def _found_about(view: View, images: NDArray[np.float32], blobs: list[Blob]) -> 
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
-    apart = _apart(view, found)[: view.quality.starts]
+    apart = _apart(view, found)[: view.quality.max_initial_poses]
     kept = apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + WORSE]
     return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in kept]
 

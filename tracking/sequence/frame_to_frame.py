@@ -216,7 +216,7 @@ class FrameTracker:
             float(np.clip(4.0 * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
         )
         loose = settings.loose_m, settings.loose_rad
-        rivals = islice(self._rivals(expected, time_s), self.view.quality.rivals)
+        rivals = islice(self._rivals(expected, time_s), self.view.quality.max_hypotheses)
         for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in rivals)):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,

@@ -58,7 +58,7 @@ class EdgeRefinement:
     def along(self, throw: Throw) -> EdgeRefinement:
         """The same from flights so sure that a step which hardly leaves them is the last: what is left of the way to what the
         pixels of a frame say, about a tenth, is error rather than motion."""
-        return replace(self, throw=throw, settled_px=self.view.quality.settled_px)
+        return replace(self, throw=throw, settled_px=self.view.quality.min_step_px)
 
     def see(self, rows: Mask, reached: Callable[[int], None]) -> ClipPoses:
         """Some frames (n,) of the clip, refined; the others are not known. `reached` is called with how far it is."""

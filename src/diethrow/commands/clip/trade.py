@@ -83,14 +83,14 @@ WORK: tuple[tuple[str, Quality], ...] = (
     ("every pixel line in the first pass, not every second", replace(STANDARD, tracking_stride=1)),
     ("every fourth pixel line", replace(STANDARD, tracking_stride=4)),
     ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
-    ("200 pixels score a pose, not 800", replace(STANDARD, judging_pixels=200)),
-    ("2500 pixels", replace(STANDARD, judging_pixels=2500)),
-    ("1 initial pose, not up to 24", replace(STANDARD, starts=1)),
-    ("6 initial poses", replace(STANDARD, starts=6)),
-    ("no further hypothesis at a break of the motion, not all", replace(STANDARD, rivals=0)),
-    ("6 hypotheses", replace(STANDARD, rivals=6)),
+    ("200 pixels score a pose, not 800", replace(STANDARD, region_pixels=200)),
+    ("2500 pixels", replace(STANDARD, region_pixels=2500)),
+    ("1 initial pose, not up to 24", replace(STANDARD, max_initial_poses=1)),
+    ("6 initial poses", replace(STANDARD, max_initial_poses=6)),
+    ("no further hypothesis at a break of the motion, not all", replace(STANDARD, max_hypotheses=0)),
+    ("6 hypotheses", replace(STANDARD, max_hypotheses=6)),
     ("2 steps per frame, not 4", replace(STANDARD, fine_steps=2)),
-    ("8 steps", replace(STANDARD, fine_steps=8, enough=1e-3)),
+    ("8 steps", replace(STANDARD, fine_steps=8, min_gain=1e-3)),
 )
 """The standard quality with one number changed."""
 
