@@ -29,20 +29,20 @@ class Quality:
     min_gain: float
     """[squared sigmas], of all six numbers of a pose together. A step that gains less is the last; it leaves about a tenth."""
     min_step_px: float
-    """A step that moves no point of the die by more than this is the last as well, during frame-to-frame tracking and along flights
-    that marks have made much more certain than a frame. What it leaves, about a tenth, biases poses towards their prediction:
-    along other flights, final poses would scatter by less than their errors."""
+    """A step that moves no point of the die by more than this is the last as well, during frame-to-frame tracking and along
+    flights that marks have made much more certain than a frame. What it leaves, about a tenth, biases poses towards their
+    prediction: along other flights, final poses would scatter by less than their errors."""
     band_px: float
-    """Least half-width of the band of pixels about an edge. The two grey levels beside an edge are unknown. This costs 35 % of the
-    information on its place in a band of 3.5 px, and 15 % in one of 8 px. With 8 px, poses of faces of one grey err by 5 % less;
-    on wood, cork and paint they err by more, because their grain is not noise."""
+    """Least half-width of the band of pixels about an edge. The two grey levels beside an edge are unknown. This costs 35 % of
+    the information on its place in a band of 3.5 px, and 15 % in one of 8 px. With 8 px, poses of faces of one grey err by 5 %
+    less; on wood, cork and paint they err by more, because their grain is not noise."""
     region_pixels: int
     """Pixels on which the cost of a whole pose is computed, faces and surroundings."""
     max_initial_poses: int
     """Most initial poses that are tracked and compared over the first frames."""
     max_hypotheses: int
-    """Most hypotheses that are tested on a frame that the motion so far does not explain: bounces, on each low corner with several
-    strengths, then turns about the last pose. No die has as many as 128."""
+    """Most hypotheses that are tested on a frame that the motion so far does not explain: bounces, on each low corner with
+    several strengths, then turns about the last pose. No die has as many as 128."""
     second_pass: bool
     """Refine every frame again from its flight, which also recovers frames that the first pass lost."""
     marks: bool

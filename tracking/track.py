@@ -40,8 +40,8 @@ class Track:
     """(n, 6, 6) covariance of the error common to all frames because the marks on the faces were learned; not part of
     `covariance`. None where no marks were used."""
     own: Array | None = None
-    """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are segmented. None where `covariance` is that and
-    was not calibrated by the residuals of the flights (`tracking.throw.calibrated`). In no file."""
+    """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are segmented. None where `covariance` is that
+    and was not calibrated by the residuals of the flights (`tracking.throw.calibrated`). In no file."""
     contour_sigma_px: float = 0.0
     """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
 
