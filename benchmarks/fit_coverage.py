@@ -1,11 +1,11 @@
-"""How often the fit's intervals hold: `python benchmarks/fit_coverage.py [throws] [--worst] [--out FILE.json]`.
+"""Coverage of the fit's intervals: `python benchmarks/fit_coverage.py [throws] [--worst] [--out FILE.json]`.
 
 Simulated tracks with χ from 0.1 to 0.95 and one to four bounces, of cubes, tetrahedra and icosahedra in turn, at three
-levels of noise (a quarter of, equal to and four times `tests/helpers/throws.py`'s: 0.02 mm across and 0.15 mm along the line of
-sight, 0.1 degrees). A row a level, for χ and for each kind of initial condition (position, rotation vector, velocity,
-angular velocity): the share of 95 % intervals that hold the truth, and their mean width over that of the Cramér-Rao bound
-at the truth, with the stated covariances and the true vertices. Then the effects chosen although no throw shows any,
-bounces explained of all, tracks that determined nothing, and seconds of processor time a fit.
+levels of noise: a quarter of, equal to and four times that of `tests/helpers/throws.py` (0.02 mm across and 0.15 mm along
+the line of sight, 0.1 degrees). One row a level, for χ and for each kind of initial condition: the share of 95 % intervals
+that contain the truth, and their mean width over that of the Cramér-Rao bound at the truth, with the stated covariances and
+the true vertices. Then the effects accepted although no throw has any, bounces explained of all, tracks that determine
+nothing, and processor time a fit.
 """
 
 from __future__ import annotations
@@ -51,15 +51,15 @@ def bound(track: Track, throw: Throw, die: Die, chi: float, explained: int, time
     observations = observations.where(observations.flight <= explained)
     physics = Physics(die, LEVEL, {"chi": chi})
     vertices = tuple(impact.vertices[0] for impact in throw.impacts[:explained])
-    way = model_poses(physics, throw.flights[0].at(time_s), observations.time_s, vertices)
-    errors = pose_errors(observations, way.positions_m, way.quaternions)
-    jacobian = whitened_jacobian(observations, errors, way.jacobian).reshape(-1, 13)
+    modelled = model_poses(physics, throw.flights[0].at(time_s), observations.time_s, vertices)
+    errors = pose_errors(observations, modelled.positions_m, modelled.quaternions)
+    jacobian = whitened_jacobian(observations, errors, modelled.jacobian).reshape(-1, 13)
     scale = np.linalg.norm(jacobian, axis=0)
     return np.linalg.norm(np.linalg.inv(np.linalg.qr(jacobian / scale, mode="r")), axis=1) / scale
 
 
 def one(seed: int, noise: float) -> dict[str, object] | None:
-    """One throw: which intervals hold, and their widths over the bound; None where the track determines no χ."""
+    """One throw: which intervals contain the truth, and their widths over the bound; None if χ is not determined."""
     rng = np.random.default_rng([seed, int(100 * noise)])  # another throw at each level
     die, chi = DICE[seed % 3], rng.uniform(0.1, 0.95)
     throw = true_throw(die, random_release(die, rng), chi, impacts=int(rng.integers(1, 5)))
@@ -83,30 +83,30 @@ def one(seed: int, noise: float) -> dict[str, object] | None:
         "explained": fit.bounces_fitted,
         "bounces": len(throw.impacts),
         "seconds": seconds,
-        "misses_by_sigmas": float((found.value - chi) / sigma[12]),
+        "error_sigmas": float((found.value - chi) / sigma[12]),
     }
 
 
 def study(throws: int, noise: float, pool: ProcessPoolExecutor, worst: bool) -> dict[str, object]:
-    """All throws of one level of noise, and what is printed of them."""
+    """All throws of one level of noise: prints the summary and returns the results."""
     results = [r for r in pool.map(one, range(throws), [noise] * throws, chunksize=5) if r is not None]
     chi = np.array([r["chi"] for r in results])
     widths = np.array([r["chi_width"] for r in results])
     state, state_width = np.array([r["state"] for r in results]), np.array([r["state_width"] for r in results])
     print(f"noise {noise:g}: {len(results)} of {throws} tracks determine chi")
     print(
-        f"  chi               holds {100 * chi.mean():5.1f} %   width {widths.mean():.3f} (median {np.median(widths):.3f})"
+        f"  chi               covers {100 * chi.mean():5.1f} %   width {widths.mean():.3f} (median {np.median(widths):.3f})"
     )
     for k, kind in enumerate(KINDS):
         part = slice(3 * k, 3 * k + 3)
-        print(f"  {kind:17} holds {100 * state[:, part].mean():5.1f} %   width {state_width[:, part].mean():.3f}")
+        print(f"  {kind:17} covers {100 * state[:, part].mean():5.1f} %   width {state_width[:, part].mean():.3f}")
     effects = Counter(name for r in results for name in r["effects"])
     seconds = np.array([r["seconds"] for r in results])
     explained, possible = sum(r["explained"] for r in results), sum(r["bounces"] for r in results)
     print(f"  effects chosen: {dict(effects) or 'none'}; bounces explained {explained} of {possible}")
     print(f"  processor time a fit: median {np.median(seconds):.2f} s, longest {seconds.max():.2f} s", flush=True)
     if worst:
-        for r in sorted(results, key=lambda r: -abs(r["misses_by_sigmas"]))[:8]:
+        for r in sorted(results, key=lambda r: -abs(r["error_sigmas"]))[:8]:
             print(f"    {r}")
     return {"noise": noise, "results": results}
 
@@ -115,7 +115,7 @@ def main() -> None:
     """The whole table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("throws", type=int, nargs="?", default=500)
-    parser.add_argument("--worst", action="store_true", help="print the throws whose chi misses by most")
+    parser.add_argument("--worst", action="store_true", help="print the throws with the largest errors of chi")
     parser.add_argument("--out", type=Path, help="all results as JSON")
     options = parser.parse_args()
     with ProcessPoolExecutor(2) as pool:

@@ -1,8 +1,8 @@
-"""How long a fit takes: `python benchmarks/fit_time.py [throws]`.
+"""Processor time of a fit: `python benchmarks/fit_time.py [throws]`.
 
 Simulated tracks of a cube at χ = 0.8 through six bounces, smooth and with μ = 0.2, thinned to about 300 frames, with the
-noise of `tests/helpers/throws.py`. Printed for each law: processor time of a fit with its intervals, kernels compiled before, and
-by how much χ and μ are off at most.
+noise of `tests/helpers/throws.py`. Printed for each law: processor time of a fit with its intervals, after compilation and
+with one thread of linear algebra, and the largest errors of χ and μ.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"
 
 from throws import FPS, random_release, roughly_measured, seen
 
+from diethrow.executors import one_thread
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import CoulombImpact, SmoothImpact
@@ -27,11 +28,14 @@ from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
-CHI, MU, BOUNCES, FRAMES = 0.8, 0.2, 6, 300
+CHI = 0.8
+MU = 0.2
+BOUNCES = 6
+FRAMES = 300
 
 
 def thrown(law: SmoothImpact | CoulombImpact, seed: int) -> tuple[Track, Throw]:
-    """A track of about so many frames, and its measured throw."""
+    """A track of about `FRAMES` frames, and its measured throw."""
     rng = np.random.default_rng(seed)
     whole = throw_die(CUBE, random_release(CUBE, rng), law, until=Until(impacts=BOUNCES)).throw
     last = whole.flights[-1]
@@ -44,9 +48,16 @@ def thrown(law: SmoothImpact | CoulombImpact, seed: int) -> tuple[Track, Throw]:
 
 
 def main() -> None:
+    """Times the fits of both laws, and prints the summary."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("throws", type=int, nargs="?", default=12)
     count = parser.parse_args().throws
+    with one_thread():
+        measure(count)
+
+
+def measure(count: int) -> None:
+    """Fits `count` throws of each law."""
     for law in (SmoothImpact(CHI), CoulombImpact(CHI, MU)):
         fit_throw(*thrown(law, count), CUBE)  # compiles
         seconds, off = [], []
@@ -60,7 +71,7 @@ def main() -> None:
         worst = np.abs(off).max(0)
         print(
             f"{type(law).__name__}: median {np.median(seconds):.2f} s, longest {max(seconds):.2f} s; "
-            f"off by at most {worst[0]:.1g} in chi, {worst[1]:.1g} in mu",
+            f"largest errors {worst[0]:.1g} of chi, {worst[1]:.1g} of mu",
             flush=True,
         )
 

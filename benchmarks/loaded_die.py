@@ -1,8 +1,8 @@
-"""A loaded die told from one throw: `python benchmarks/loaded_die.py [throws]`.
+"""Detection of a loaded die from one throw: `python benchmarks/loaded_die.py [throws]`.
 
 A cube of 16 mm whose centre of mass lies 0.2 mm off its centroid, in a random direction of the body, through three
-bounces with the noise of `tests/helpers/throws.py`; and as many fair ones. Printed: how many of the loaded ones are told, how far
-off their centre of mass is placed, how often its intervals hold, and how many fair ones are taken for loaded.
+bounces with the noise of `tests/helpers/throws.py`; and as many fair cubes. Printed: how many of the loaded ones are
+detected, the errors of their centre of mass, the coverage of its intervals, and how many fair ones are taken for loaded.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ OFF_M = 2e-4
 
 
 def one(seed: int, loaded: bool) -> tuple[bool, bool, float, list[bool]]:
-    """Whether any bounce was fitted, whether the die was called loaded, and of its centre of mass the error [m] and
-    which of the three intervals hold it."""
+    """Whether any bounce was fitted, whether the die was found loaded, the error [m] of its centre of mass, and which of the
+    three intervals contain it."""
     rng = np.random.default_rng(seed)
     direction = rng.standard_normal(3)
     centre = OFF_M * direction / np.linalg.norm(direction)
@@ -56,15 +56,15 @@ def main() -> None:
         loaded = list(pool.map(partial(one, loaded=True), range(count)))
         fair = list(pool.map(partial(one, loaded=False), range(count)))
     bounced = [result for result in loaded if result[0]]
-    told = [result for result in bounced if result[1]]
-    errors_mm = 1e3 * np.array([error for _, _, error, _ in told])
-    holds = np.array([h for _, _, _, hold in told for h in hold])
-    print(f"loaded, a bounce fitted: {len(bounced)} of {count}; called loaded: {len(told)}")
+    detected = [result for result in bounced if result[1]]
+    errors_mm = 1e3 * np.array([error for _, _, error, _ in detected])
+    holds = np.array([h for _, _, _, hold in detected for h in hold])
+    print(f"loaded, a bounce fitted: {len(bounced)} of {count}; found loaded: {len(detected)}")
     print(
         f"error of the centre of mass: median {np.median(errors_mm):.4f} mm, 95 % {np.quantile(errors_mm, 0.95):.4f} mm,"
     )
-    print(f"    within 0.02 mm in {np.mean(errors_mm <= 0.02):.0%}; intervals that hold: {holds.mean():.1%}")
-    print(f"fair, called loaded: {sum(result[1] for result in fair)} of {count}")
+    print(f"    within 0.02 mm in {np.mean(errors_mm <= 0.02):.0%}; intervals that contain it: {holds.mean():.1%}")
+    print(f"fair, found loaded: {sum(result[1] for result in fair)} of {count}")
 
 
 if __name__ == "__main__":

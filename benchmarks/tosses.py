@@ -1,19 +1,19 @@
-"""Real tosses: single impacts and whole throws foretold, by this model and by MuJoCo tuned on the same tosses.
+"""Real tosses: single impacts and whole throws, predicted by this model and by MuJoCo tuned on the same tosses.
 
     python benchmarks/tosses.py DATA [--tosses 360] [--folds 2] [--parts impacts throws mujoco] [--threads 2]
 
 DATA holds `scene.toml` and `toss_*.csv` (columns of track.csv). Every figure is of tosses that were not in the fit: they
-are dealt into folds, and each fold is foretold with what was fitted to the others.
+are divided into folds, and each fold is predicted with what was fitted to the others.
 
-1. First impacts at a single corner, between two flights that both show four frames or more: the state before is carried to
-   the touch, one impact is made, and velocity of the centre of mass and spin after it are compared with the flight that
-   follows: root mean square, and median, since a second corner that struck between two frames spoils some of them.
-2. Whole throws, from the state before the first bounce to the last frame: mean over throws of the mean over frames, of the
-   position in % of the edge and of the rotation, over the frames after the first bounce, and over all frames.
-3. Where the last of these throws miss: the same by the time since the first bounce.
+1. First impacts at a single corner, between two flights that both have four frames or more. The state before is carried to
+   the touch and one impact is made. Velocity of the centre of mass and spin after it are compared with the next flight:
+   root mean square, and median, since a second corner that strikes between two frames spoils some impacts.
+2. Whole throws, from the release state before the first bounce to the last frame: means over throws of the mean over frames
+   of the position error in % of the edge and of the rotation error, after the first bounce and over all frames.
+3. The errors of the last of these throws by the time since the first bounce.
 
 MuJoCo (`pip install mujoco`) gets a box, or a sphere in each corner, with solref, friction, size and inertia tuned by
-Nelder and Mead's method, and then the spheres once more with the centre of mass that the flights show.
+Nelder and Mead's method; then the spheres once more with the centre of mass that the flights show.
 """
 
 from __future__ import annotations
@@ -49,21 +49,27 @@ from diethrow.model.world import GRAVITY_M_S2
 Array = NDArray[np.float64]
 
 SPIN_ARM_M = 0.03
-"""By which residuals of spin count beside those of velocity: about their ratio."""
+"""Weight [m] of residuals of spin beside those of velocity: about their ratio."""
 
 CLEAR_M = 0.004
 """Height of the second lowest corner above which an impact is that of one corner alone."""
 
 
-SAME_PLACE_M, SAME_TURN_RAD = 1e-3, 0.01
-"""How well the flights before and after meet at a single impact: several times what their frames allow."""
+SAME_PLACE_M = 1e-3
+"""Distance within which the flights before and after meet at a single impact: several times their errors."""
+
+SAME_TURN_RAD = 0.01
+"""The same of their orientations."""
+
+MIN_FRAMES_AFTER = 4
+"""Frames of the flight after an impact."""
 
 PARTS = ("impacts", "throws", "mujoco")
 
 
 @dataclass(frozen=True, eq=False)
 class FirstImpact:
-    """The flights before and after, told from frames on their own side."""
+    """The flights before and after, each from the frames on its own side."""
 
     before: ReleaseState
     after: ReleaseState
@@ -84,7 +90,7 @@ def main() -> None:
         first_impacts(entries, die, options.folds)
     if "throws" in options.parts:
         fits = whole_throws(entries, die, options.folds, options.threads)
-        where_they_miss(entries, fits)
+        errors_by_time(entries, fits)
     if "mujoco" in options.parts:
         mujoco_throws(entries, die, options.folds)
 
@@ -117,13 +123,13 @@ LAWS: dict[str, dict[str, float]] = {
 def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
     """The first table."""
     impacts = [found for entry in entries if (found := first_impact(entry)) is not None]
-    clear = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
-    clean = [impact for impact in impacts if is_clean(impact, clear)]
-    print(f"\nfirst impacts at one corner: {len(clean)}")
+    reference = Physics(die, LEVEL, LAWS["Coulomb, integrated (Routh)"])
+    single = [impact for impact in impacts if is_single_corner(impact, reference)]
+    print(f"\nfirst impacts at one corner: {len(single)}")
     print("law                              v [m/s] rms, median   spin [rad/s] rms, median")
     fading = {"chi_fade_s_per_m": 0.1}
     for name, start in {**LAWS, "the same, chi fading": {**LAWS["the same, loaded"], **fading}}.items():
-        errors = cross_validated(clean, Physics(die, LEVEL, start), folds)
+        errors = cross_validated(single, Physics(die, LEVEL, start), folds)
         v, w = np.linalg.norm(errors[:, :3], axis=1), np.linalg.norm(errors[:, 3:], axis=1) / SPIN_ARM_M
         print(
             f"{name:<32} {np.sqrt((v**2).mean()):7.3f} {np.median(v):7.3f}"
@@ -133,15 +139,15 @@ def first_impacts(entries: Sequence[Entry], die: Die, folds: int) -> None:
 
 
 def first_impact(entry: Entry) -> FirstImpact | None:
-    """The first impact of a toss, if four frames or more tell a flight after it."""
-    if not 4 <= entry.early < len(entry.rows):
+    """The first impact of a toss, if the flight after it has four frames or more."""
+    if not MIN_FRAMES_AFTER <= entry.early < len(entry.rows):
         return None
     after = release_from(entry.track, entry.rows[: entry.early])
     return FirstImpact(entry.release, after) if after.has_residuals_like(entry.release) else None
 
 
 def after_impact(impact: FirstImpact, physics: Physics) -> Array:
-    """(6,) velocity of the centre of mass and spin that a law foretells, less those seen."""
+    """(6,) predicted minus observed velocity of the centre of mass and spin."""
     state, arm, _ = touch(impact, physics)
     fair = replace(
         physics, values={name: value for name, value in physics.values.items() if name not in CENTRE_OF_MASS}
@@ -154,9 +160,9 @@ def after_impact(impact: FirstImpact, physics: Physics) -> Array:
     return np.concatenate([velocity - after.velocity_m_s - fall, SPIN_ARM_M * (spin - after.omega_rad_s)])
 
 
-def is_clean(impact: FirstImpact, physics: Physics) -> bool:
-    """Whether no other corner is near the table at the touch, and both flights have the die in one place then: where a
-    second corner strikes before the next frames, the later flight leads back to elsewhere."""
+def is_single_corner(impact: FirstImpact, physics: Physics) -> bool:
+    """Whether no other corner is near the table at the touch and both flights agree on the pose then. If a second corner
+    strikes before the next frames, the later flight leads back to another pose."""
     state, _, clearance_m = touch(impact, physics)
     after = impact.after.fair_state
     positions, quaternions = Flight(after, after.time_s).poses([state.time_s])
@@ -183,7 +189,7 @@ def touch(impact: FirstImpact, physics: Physics) -> tuple[State, Array, float]:
 
 
 def cross_validated(impacts: Sequence[FirstImpact], start: Physics, folds: int) -> Array:
-    """(n, 6) residuals of each fold by what the others ask for."""
+    """(n, 6) residuals of each fold, with parameters fitted to the others."""
     scale = np.array([max(abs(start.values[name]), 1e-3) for name in start.free])
 
     def residuals(some: Sequence[FirstImpact], physics: Physics) -> Array:
@@ -214,15 +220,15 @@ def whole_throws(entries: Sequence[Entry], die: Die, folds: int, threads: int) -
     fair = tuple(effect for effect in EFFECTS if effect != "loaded die")
     for name, effects in (
         ("frictionless", ()),
-        ("all effects but the load", fair),
-        ("with all effects that pay", tuple(EFFECTS)),
+        ("all effects but a loaded die", fair),
+        ("with all accepted effects", tuple(EFFECTS)),
     ):
         errors, seconds, fits = [], 0.0, []
         for k in range(folds):
             begin = time.perf_counter()
             fits.append(fit_jointly(others(entries, k, folds), die, threads=threads, effects=effects).physics)
             seconds += time.perf_counter() - begin
-            errors += [error_of(entry, die, told(entry, fits[k])) for entry in entries[k::folds]]
+            errors += [error_of(entry, die, predicted_poses(entry, fits[k])) for entry in entries[k::folds]]
         print_errors(name, errors, seconds / folds)
         for physics in fits:
             print("   ", ", ".join(f"{key} {value:.4g}" for key, value in physics.values.items()), flush=True)
@@ -234,19 +240,20 @@ def others(entries: Sequence[Entry], k: int, folds: int) -> list[Entry]:
     return [entry for j in range(folds) if j != k for entry in entries[j::folds]]
 
 
-def told(entry: Entry, physics: Physics) -> tuple[Array, Array]:
+def predicted_poses(entry: Entry, physics: Physics) -> tuple[Array, Array]:
+    """Poses of a toss from its release state, at the finest precision."""
     return simulated_poses(physics, entry.release.of_die(physics.body).state, entry.times_s, engine.FINE)
 
 
 TIMES_S = (0.0, 0.05, 0.1, 0.2, 0.3, 0.5, np.inf)
 
 
-def where_they_miss(entries: Sequence[Entry], fits: Sequence[Physics]) -> None:
+def errors_by_time(entries: Sequence[Entry], fits: Sequence[Physics]) -> None:
     """The third table: median over throws."""
     print("\ntime since the first bounce [s]   position [mm]   along travel   turn [deg]")
     rows: list[list[Array]] = [[] for _ in TIMES_S[1:]]
     for k, entry in enumerate(entries):
-        poses = told(entry, fits[k % len(fits)])
+        poses = predicted_poses(entry, fits[k % len(fits)])
         off = poses[0] - entry.track.position_m[entry.rows]
         turned = np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1)
         travel = entry.track.position_m[entry.rows[-1], :2] - entry.release.state.position_m[:2]
@@ -290,7 +297,7 @@ MUJOCO_TRIALS = 120
 
 
 def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
-    """The same tosses in MuJoCo, each fold with what was tuned on the others; the load as the flights of those show it."""
+    """The same tosses in MuJoCo, each fold with numbers tuned on the others and the centre of mass of their flights."""
     print(HEADING)
     spheres = MUJOCO_STARTS["MuJoCo, a sphere in each corner"]
     for name, start in {**MUJOCO_STARTS, "the same, loaded": spheres}.items():
@@ -307,7 +314,7 @@ def mujoco_throws(entries: Sequence[Entry], die: Die, folds: int) -> None:
 
 
 def mujoco_tuned(entries: Sequence[Entry], die: Die, start: Array, load_m: Array | None) -> Array:
-    """The numbers of least mean error, positions in tenths of an edge and rotations in 13 degrees alike."""
+    """The numbers of least mean error, with 10 % of an edge weighted as 13 degrees."""
 
     def cost(u: Array) -> float:
         errors = np.array(mujoco_errors(entries, die, start * np.exp(np.clip(u, -2.0, 2.0)), load_m))
@@ -330,7 +337,7 @@ def mujoco_errors(entries: Sequence[Entry], die: Die, numbers: Array, load_m: Ar
     def one(entry: Entry) -> Array:
         data, state = mujoco.MjData(model), entry.release.of_die(loaded).state
         data.qpos[:3], data.qpos[3:] = state.position_m, state.quaternion
-        # MuJoCo keeps the spin of a free body in its own axes.
+        # In MuJoCo the spin of a free body is in body axes.
         data.qvel[:3], data.qvel[3:] = state.velocity_m_s, state.rotation.T @ state.omega_rad_s
         poses = np.empty((len(entry.rows), 7))
         for k, t in enumerate(entry.times_s - state.time_s):

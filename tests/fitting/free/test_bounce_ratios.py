@@ -1,4 +1,4 @@
-"""Laws of the bounce-by-bounce measurement: ratios of normal velocities and their intervals."""
+"""Laws of the measurement of single bounces: ratios of normal velocities and their intervals."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def one_bounce(seed: int = 0, chi: float = 0.6) -> Throw:
 
 
 def measured(flight: Flight, time_s: float, rng: np.random.Generator | None) -> Flight:
-    """The flight, its state at this instant off by errors of SIGMA, with their covariance."""
+    """The flight with its state at this instant perturbed by errors of SIGMA, and their covariance."""
     state = flight.at(time_s)
     if rng is not None:
         state = moved_state(state, SIGMA * rng.standard_normal(12))
@@ -37,7 +37,7 @@ def test_exact_flights_give_the_exact_ratio_and_impulse() -> None:
     throw = one_bounce()
     impact = throw.impacts[0]
     flights = (measured(throw.flights[0], impact.time_s, None), measured(throw.flights[1], impact.time_s, None))
-    # An instant measured a tenth of a frame off does not matter: the flight itself says when it touches.
+    # An error of the measured instant by a tenth of a frame has no effect: the flight gives the touch.
     bounce = apparent_restitution(CUBE, *flights, impact.time_s + 6e-5, impact.vertices[0])
     assert bounce.chi == pytest.approx(0.6, abs=1e-9)
     assert bounce.time_s == pytest.approx(impact.time_s, abs=1e-10)
@@ -46,28 +46,28 @@ def test_exact_flights_give_the_exact_ratio_and_impulse() -> None:
     assert bounce.energy_after_J == pytest.approx(impact.energy_after_J, rel=1e-9)
 
 
-def test_the_interval_of_a_ratio_holds_as_often_as_it_says() -> None:
-    throw, rng, held, sideways = one_bounce(), np.random.default_rng(3), [], []
+def test_the_interval_of_a_ratio_has_its_stated_coverage() -> None:
+    throw, rng, held, squares = one_bounce(), np.random.default_rng(3), [], []
     impact = throw.impacts[0]
     for _ in range(60):
         flights = [measured(f, impact.time_s, rng) for f in throw.flights]
         bounce = apparent_restitution(CUBE, flights[0], flights[1], impact.time_s, impact.vertices[0])
         held.append(bounce.chi_low <= 0.6 <= bounce.chi_high)
-        sideways.append(bounce.smooth_sigmas**2)
+        squares.append(bounce.smooth_sigmas**2)
     # Fewer than 53 of 60 at a true 95 % has odds of 1 in 100.
     assert sum(held) >= 53
-    # The mean of 60 values of χ² with five degrees of freedom, over five, strays by 0.08 (sigma).
-    assert np.mean(sideways) == pytest.approx(1.0, abs=0.3)
+    # The mean of 60 values of χ² with five degrees of freedom, over five, has a standard deviation of 0.08.
+    assert np.mean(squares) == pytest.approx(1.0, abs=0.3)
 
 
 @pytest.mark.parametrize("mu", [0.0, 0.2])
-def test_intervals_of_friction_and_energy_hold_as_often_as_they_say(mu: float) -> None:
+def test_intervals_of_friction_and_energy_have_their_stated_coverage(mu: float) -> None:
     rng = np.random.default_rng(4)
     law = CoulombImpact(0.5, mu)
     throw = throw_die(CUBE, random_release(CUBE, rng), law, until=Until(impacts=1)).throw
     impact = throw.impacts[0]
-    push = impact.impulse_N_s
-    ratio = float(np.hypot(push[0], push[1]) / push[2])
+    impulse = impact.impulse_N_s
+    ratio = float(np.hypot(impulse[0], impulse[1]) / impulse[2])
     lost = impact.energy_before_J - impact.energy_after_J
     held = np.zeros(2, int)
     for _ in range(100):
@@ -98,7 +98,7 @@ def test_a_velocity_that_may_be_zero_gives_no_bounded_interval() -> None:
     assert (high - low) / 2.0 == pytest.approx(1.96e-3 * np.sqrt(1.36), rel=1e-3)
 
 
-def test_scatter_between_bounces_widens_their_common_interval() -> None:
+def test_a_variance_between_bounces_widens_their_common_interval() -> None:
     throw = one_bounce()
     impact = throw.impacts[0]
     flights = [measured(f, impact.time_s, None) for f in throw.flights]
@@ -119,18 +119,18 @@ def test_scatter_between_bounces_widens_their_common_interval() -> None:
 
 def test_a_vertex_that_the_die_does_not_have_is_refused() -> None:
     throw = one_bounce()
-    with pytest.raises(ValueError, match="vertex = 8: wanted an index from 0 to 7"):
+    with pytest.raises(ValueError, match="vertex = 8"):
         apparent_restitution(CUBE, *throw.flights, throw.impacts[0].time_s, 8)
 
 
-def test_a_ratio_that_tracking_has_measured_is_kept() -> None:
+def test_a_ratio_measured_by_tracking_is_kept() -> None:
     rng = np.random.default_rng(0)
     throw = one_bounce(seed=2)
     rough = roughly_measured(throw, rng)
-    told = replace(rough.impacts[0], chi=0.61, chi_low=0.58, chi_high=0.64)
-    untold = replace(rough.impacts[0], chi=0.61, chi_low=np.nan, chi_high=np.nan)
+    with_interval = replace(rough.impacts[0], chi=0.61, chi_low=0.58, chi_high=0.64)
+    without_interval = replace(rough.impacts[0], chi=0.61, chi_low=np.nan, chi_high=np.nan)
     free = fit_flights(observations_of(seen(throw, rng), rough), rough)
-    kept, own = (measure_bounces(CUBE, free, [impact])[0] for impact in (told, untold))
+    kept, own = (measure_bounces(CUBE, free, [impact])[0] for impact in (with_interval, without_interval))
     assert kept is not None
     assert own is not None
     assert (kept.chi, kept.chi_low, kept.chi_high) == (0.61, 0.58, 0.64)

@@ -1,4 +1,4 @@
-"""A table that oscillates: found from the bounces alone, used where the scene states it, and never seen where it is at rest."""
+"""Laws of an oscillating table: found from the bounces, used where the scene states it, not detected where it is at rest."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def thrown_on(table: Table, seed: int) -> tuple[Track, Throw]:
 
 
 @pytest.mark.parametrize("seed", [5, 7])
-def test_the_motion_of_a_table_is_found_where_nothing_was_said_of_it(seed: int) -> None:
+def test_the_motion_of_a_table_is_found_without_a_statement_of_the_scene(seed: int) -> None:
     fit = fit_throw(*thrown_on(SHAKEN, seed), CUBE)
     assert fit.chosen == ("smooth impact", "oscillating table")
     assert fit.bounces_fitted == 5
@@ -43,11 +43,11 @@ def test_the_motion_of_a_table_is_found_where_nothing_was_said_of_it(seed: int) 
         assert found.value is not None
         assert found.low is not None
         assert found.high is not None
-        # Twice as wide as the interval of 95 %: one of ten thousand lies outside.
+        # Twice the width of the 95 % interval: one in ten thousand lies outside.
         assert abs(found.value - truth) < found.high - found.low
 
 
-def test_a_motion_that_the_scene_states_needs_no_parameter() -> None:
+def test_a_motion_stated_by_the_scene_needs_no_parameter() -> None:
     fit = fit_throw(*thrown_on(SHAKEN, 5), CUBE, SHAKEN)
     assert fit.chosen == ("smooth impact", "oscillating table")
     assert set(fit.parameters) == {"chi"}
@@ -66,7 +66,7 @@ def test_bounces_on_a_table_at_rest_show_no_motion(seed: int) -> None:
     )
 
 
-def test_three_bounces_are_too_few_to_tell_a_motion() -> None:
+def test_three_bounces_are_too_few_to_detect_a_motion() -> None:
     track, measured = thrown_on(SHAKEN, 5)
     free = fit_flights(observations_of(track, measured), measured)
     assert table_motion_candidates(CUBE, free, measured.impacts[:3]) == []

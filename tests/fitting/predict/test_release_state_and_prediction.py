@@ -1,4 +1,4 @@
-"""Laws of foretelling: what frames before a bounce say, and that nothing later is looked at."""
+"""Laws of predictions: release states use no later frame, and predictions agree with the simulated truth."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CUBE = make_die("cube", 0.016, 0.0048, corner_radius_m=0.0005)
 VALUES = {
     "smooth": {"chi": 0.5},
     "friction": {"chi": 0.4, "mu": 0.2},
-    "all that fades": {"chi": 0.5, "mu": 0.3, "chi_fade_s_per_m": 0.5, "mu_fade_s_per_m": 0.5},
+    "fading restitution and friction": {"chi": 0.5, "mu": 0.3, "chi_fade_s_per_m": 0.5, "mu_fade_s_per_m": 0.5},
 }
 
 
@@ -44,10 +44,10 @@ def filmed(name: str = "friction", seed: int = 0, noise: float = 0.1) -> tuple[T
 
 
 @pytest.mark.parametrize("name", VALUES)
-def test_poses_without_objects_are_those_of_the_throw(name: str) -> None:
+def test_compiled_poses_are_those_of_the_throw(name: str) -> None:
     release, throw = thrown(name)
     times = np.linspace(0.0, 0.35, 300)
-    # To rest, so that held contact is in it; both run the same kernel with the same precision.
+    # Until rest, so that held contact is included; both use the same kernel with the same precision.
     positions, quaternions = simulated_poses(physics(name), release, times, engine.FINE)
     expected_positions, expected_quaternions = throw.poses(times)
     assert any(impact.contact == "held" for impact in throw.impacts)
@@ -55,7 +55,7 @@ def test_poses_without_objects_are_those_of_the_throw(name: str) -> None:
     assert np.abs(rotation_between(quaternions, expected_quaternions)).max() < 1e-11
 
 
-def test_a_tilted_table_tilts_what_is_foretold() -> None:
+def test_a_tilted_table_tilts_the_prediction() -> None:
     tilted = physics("smooth", Table(tilt_rad=0.05))
     release, _ = thrown("smooth")
     times = np.linspace(0.0, 0.12, 40)
@@ -64,7 +64,7 @@ def test_a_tilted_table_tilts_what_is_foretold() -> None:
     assert positions == pytest.approx(throw.poses(times)[0], abs=1e-9)
 
 
-def test_a_clock_and_a_length_scale_change_units_alone() -> None:
+def test_clock_and_length_scales_change_units_only() -> None:
     release, throw = thrown("friction")
     times = np.linspace(0.0, 0.2, 50)
     scaled = physics("friction").with_values(clock_scale=1.01, length_scale=0.98)
@@ -88,7 +88,7 @@ def test_the_first_bounce_is_found_to_the_frame() -> None:
         assert abs(first_bounce_row(track, CUBE) - after) <= 1
 
 
-def test_one_bad_frame_is_no_bounce() -> None:
+def test_one_bad_frame_is_not_taken_for_a_bounce() -> None:
     track, throw = filmed()
     position = track.position_m.copy()
     position[30] += 0.002
@@ -96,7 +96,7 @@ def test_one_bad_frame_is_no_bounce() -> None:
     assert abs(first_bounce_row(replace(track, position_m=position), CUBE) - after) <= 1
 
 
-def test_the_state_does_not_know_what_comes_later() -> None:
+def test_the_release_state_does_not_depend_on_later_frames() -> None:
     track, _ = filmed()
     row = first_bounce_row(track, CUBE)
     later = track.position_m.copy()
@@ -106,30 +106,30 @@ def test_the_state_does_not_know_what_comes_later() -> None:
     assert np.array_equal(one.rows, other.rows)
 
 
-def test_errors_of_the_state_are_those_that_it_states() -> None:
+def test_the_covariance_of_the_release_state_has_the_size_of_its_errors() -> None:
     ratios = []
     for seed in range(40):
         track, throw = filmed(seed=seed, noise=1.0)
         estimated = release_before(track, CUBE, first_bounce_row(track, CUBE) - 3)
         errors = initial_errors(estimated.state, throw.at(estimated.state.time_s))
         ratios.append(errors @ np.linalg.solve(estimated.covariance, errors) / 12.0)
-    # Frames err more along the line of sight than across, while one sigma is told for all axes: not χ² of twelve
-    # degrees, yet the same mean of 1, here of 40 values that scatter by about 0.5.
+    # Errors are larger along the line of sight than across, while one sigma stands for all axes: not χ² of twelve degrees
+    # of freedom, but the same mean of 1, here of 40 values with a standard deviation of about 0.5.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.3)
 
 
-def test_what_is_foretold_almost_without_noise_is_the_throw() -> None:
+def test_a_prediction_almost_without_noise_is_the_throw() -> None:
     track, throw = filmed(noise=1e-6)
     row = first_bounce_row(track, CUBE)
     estimated = release_before(track, CUBE, row)
-    told = predict_track(physics("friction"), track, estimated)
-    assert told.tracked.all()
-    # Two bounces on, an error of the state of 1e-10 m has grown some four hundredfold.
+    predicted = predict_track(physics("friction"), track, estimated)
+    assert predicted.tracked.all()
+    # Over two bounces an error of the state of 1e-10 m grows some four hundredfold.
     until = np.searchsorted(track.time_s, throw.bounces[2].time_s)
-    assert told.position_m[:until] == pytest.approx(throw.poses(track.time_s[:until])[0], abs=1e-6)
+    assert predicted.position_m[:until] == pytest.approx(throw.poses(track.time_s[:until])[0], abs=1e-6)
 
 
-def test_a_throw_that_is_over_is_decided_and_one_in_the_air_is_less_so() -> None:
+def test_the_face_of_a_completed_throw_is_decided() -> None:
     track, throw = filmed(noise=1.0)
     parameters = {name: Parameter(value, None, None, None, False, False) for name, value in VALUES["friction"].items()}
     row = first_bounce_row(track, CUBE)
@@ -140,12 +140,12 @@ def test_a_throw_that_is_over_is_decided_and_one_in_the_air_is_less_so() -> None
     assert all(sum(s.odds.values()) + s.undecided == pytest.approx(1.0) for s in decision.steps)
 
 
-def test_what_cannot_be_foretold_says_why() -> None:
+def test_a_track_that_cannot_be_predicted_is_refused_with_the_reason() -> None:
     track, _ = filmed()
     row = first_bounce_row(track, CUBE)
-    with pytest.raises(ValueError, match="wanted at least 3"):
+    with pytest.raises(ValueError, match="at least 3"):
         release_before(track, CUBE, 2)
-    with pytest.raises(ValueError, match="begin from another frame"):
+    with pytest.raises(ValueError, match=f"before row {row + 2}"):
         release_before(track, CUBE, row + 2)
     flying = replace(track, status=np.where(np.arange(len(track)) < row - 1, track.status, "lost"))
     with pytest.raises(ValueError, match="never bounces"):
@@ -160,34 +160,34 @@ LOADED = {**dict(zip(CENTRE_OF_MASS, (3e-4, -2e-4, 8e-4), strict=True)), "chi": 
 
 
 @pytest.mark.parametrize("table", [LEVEL, Table(tilt_rad=0.05, downhill_rad=0.4)])
-def test_a_loaded_die_is_foretold_as_the_model_of_tops_throws_it(table: Table) -> None:
+def test_a_loaded_die_is_predicted_as_the_asymmetric_model_throws_it(table: Table) -> None:
     release = random_release(CUBE, np.random.default_rng(1))
     times = np.linspace(0.0, 0.2, 60)
     throw = Physics(CUBE, table, LOADED).throw(release, Until(time_s=0.2)).throw
     expected = throw.poses(times)
-    for mu, slack in ((0.0, 1e-10), (1e-9, 1e-6)):
-        # Without friction both are exact, by other equations; a trace of it is a trace of a difference.
+    for mu, tolerance in ((0.0, 1e-10), (1e-9, 1e-6)):
+        # Without friction both are exact, by different equations; a trace of friction makes a trace of a difference.
         positions, _ = simulated_poses(Physics(CUBE, table, {**LOADED, "mu": mu}), release, times, engine.FINE)
-        assert positions == pytest.approx(expected[0], abs=slack)
+        assert positions == pytest.approx(expected[0], abs=tolerance)
 
 
-def test_a_loaded_die_that_rubs_ends_on_a_face_and_no_higher_than_it_fell() -> None:
-    rubbing = Physics(CUBE, LEVEL, {**LOADED, "mu": 0.3})
+def test_a_loaded_die_with_friction_ends_on_a_face_and_gains_no_energy() -> None:
+    frictional = Physics(CUBE, LEVEL, {**LOADED, "mu": 0.3})
     times = np.linspace(0.0, 1.0, 200)
     for seed in range(4):
         release = random_release(CUBE, np.random.default_rng(seed))
-        positions, quaternions = simulated_poses(rubbing, release, times, engine.FINE)
+        positions, quaternions = simulated_poses(frictional, release, times, engine.FINE)
         rotations = matrix_from_quat(quaternions)
         face = int(np.argmin(rotations[-1, 2] @ CUBE.solid.normals.T))
         assert rotations[-1, 2] @ CUBE.solid.normals[face] == pytest.approx(-1.0, abs=1e-8)
-        # A die is left as standing still when it rocks no more than by hundredths of a milliradian.
+        # Rest is declared when the die rocks by no more than hundredths of a milliradian.
         assert positions[-1, 2] == pytest.approx(0.008, abs=1e-6)
         heights = positions[:, 2] + rotations[:, 2] @ np.array([LOADED[name] for name in CENTRE_OF_MASS])
         potential = CUBE.mass_kg * GRAVITY_M_S2 * heights
-        assert (potential <= energy_J(rubbing.body, release) + 1e-12).all()
+        assert (potential <= energy_J(frictional.body, release) + 1e-12).all()
 
 
-def test_the_state_of_a_loaded_die_is_that_of_its_circling_centroid() -> None:
+def test_the_release_state_of_a_loaded_die_is_that_of_its_centroid() -> None:
     loaded = Physics(CUBE, LEVEL, LOADED)
     release = random_release(CUBE, np.random.default_rng(3), spin_rad_s=60.0)
     throw = loaded.throw(release, Until(time_s=0.12)).throw
@@ -195,7 +195,7 @@ def test_the_state_of_a_loaded_die_is_that_of_its_circling_centroid() -> None:
     row = int(np.searchsorted(track.time_s, throw.impacts[0].time_s))
     estimated = release_before(track, loaded.body, row)
     true = throw.at(estimated.state.time_s)
-    # Taken for a fair die it would be off by ω² s t, centimetres a second.
+    # As a fair die it would be off by ω² s t, centimetres per second.
     assert estimated.state.velocity_m_s == pytest.approx(true.velocity_m_s, abs=1e-5)
     assert estimated.state.position_m == pytest.approx(true.position_m, abs=1e-7)
     assert estimated.poses(track.time_s[estimated.rows])[0] == pytest.approx(track.position_m[estimated.rows], abs=1e-6)

@@ -1,4 +1,4 @@
-"""What is known bounce by bounce: it grows, agrees with itself, and ends as the whole fit."""
+"""Laws of sequential estimates: they become more certain with every bounce and end as the whole fit."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CHI = 0.58
 
 
 @pytest.fixture(scope="module")
-def grown() -> tuple[tuple[Estimate, ...], Fit, Throw]:
+def estimated() -> tuple[tuple[Estimate, ...], Fit, Throw]:
     rng = np.random.default_rng(2)
     throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=3)
     track, measured = seen(throw, rng), roughly_measured(throw, rng)
@@ -28,23 +28,23 @@ def grown() -> tuple[tuple[Estimate, ...], Fit, Throw]:
     return sequential_estimates(track, measured, CUBE, fit), fit, measured
 
 
-def test_there_is_one_for_each_bounce_at_its_instant(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
-    found, fit, measured = grown
+def test_each_bounce_has_one_estimate_at_its_instant(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
+    found, fit, measured = estimated
     assert [estimate.bounces for estimate in found] == list(range(1, fit.bounces_fitted + 1))
     assert [e.time_s for e in found] == [impact.time_s for impact in measured.impacts[: fit.bounces_fitted]]
 
 
-def test_the_last_is_what_the_whole_fit_says(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
-    found, fit, _ = grown
+def test_the_last_estimate_is_that_of_the_whole_fit(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
+    found, fit, _ = estimated
     assert found[-1].chi == fit.parameters["chi"]
 
 
 def test_every_interval_holds_the_truth_and_none_is_wider_than_the_one_before(
-    grown: tuple[tuple[Estimate, ...], Fit, Throw],
+    estimated: tuple[tuple[Estimate, ...], Fit, Throw],
 ) -> None:
-    """Of three intervals of 95 %, drawn by one fixed seed: widened by a half, one in 300 would still miss."""
+    """Three 95 % intervals, with one seed: widened by a half, one in 300 would still miss."""
     widths = []
-    for estimate in grown[0]:
+    for estimate in estimated[0]:
         low, high, value = estimate.chi.low, estimate.chi.high, estimate.chi.value
         assert low is not None
         assert high is not None
@@ -55,19 +55,19 @@ def test_every_interval_holds_the_truth_and_none_is_wider_than_the_one_before(
     assert all(later < earlier for earlier, later in pairwise(widths))
 
 
-def test_odds_are_shares_of_all_faces(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
-    for estimate in grown[0]:
+def test_odds_are_shares_of_all_faces(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
+    for estimate in estimated[0]:
         if estimate.face_odds is not None:
             assert sum(estimate.face_odds.values()) == pytest.approx(1.0)
             assert set(estimate.face_odds) <= set(range(1, 7))
 
 
-def test_a_throw_whose_bounces_are_not_explained_has_none(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
+def test_a_throw_without_explained_bounces_has_no_estimate(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
     rng = np.random.default_rng(2)
     throw = true_throw(CUBE, random_release(CUBE, rng), CHI, impacts=1)
-    assert sequential_estimates(seen(throw, rng), throw, CUBE, replace(grown[1], bounces_fitted=0)) == ()
+    assert sequential_estimates(seen(throw, rng), throw, CUBE, replace(estimated[1], bounces_fitted=0)) == ()
 
 
-def test_the_physics_of_a_fit_has_its_values(grown: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
-    fit = grown[1]
+def test_the_physics_of_a_fit_has_its_values(estimated: tuple[tuple[Estimate, ...], Fit, Throw]) -> None:
+    fit = estimated[1]
     assert physics_of_fit(fit, CUBE).values["chi"] == fit.parameters["chi"].value

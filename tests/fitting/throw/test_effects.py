@@ -1,4 +1,4 @@
-"""Laws of the choice of effects: what a throw shows is found, with its value; what it does not show is left out."""
+"""Laws of the choice of effects: effects in a throw are found with their values; others are refused."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ def thrown(
 
 
 def assert_inside(fit: Fit, name: str, truth: float, within: float) -> None:
-    """A parameter lies near the truth, and its interval, twice as wide, holds it: one in ten thousand does not."""
+    """A parameter is near the truth, and twice its interval contains it: one in ten thousand does not."""
     found = fit.parameters[name]
     assert found.value == pytest.approx(truth, abs=within)
     assert found.low is not None
     assert found.high is not None
-    slack = 0.5 * (found.high - found.low)
-    assert found.low - slack <= truth <= found.high + slack
+    margin = 0.5 * (found.high - found.low)
+    assert found.low - margin <= truth <= found.high + margin
 
 
 @pytest.mark.parametrize("seed", [4, 7, 14])
@@ -57,16 +57,16 @@ def test_friction_is_found_with_its_coefficient(seed: int) -> None:
     assert_inside(fit, "mu", 0.2, 5e-3)
 
 
-def test_a_contact_that_sticks_leaves_friction_open_until_one_slides() -> None:
-    """At the first bounce of this throw the slip stops, which any larger coefficient would do as well."""
+def test_friction_open_after_a_sticking_contact_is_found_at_a_sliding_one() -> None:
+    """At the first bounce of this throw the slip stops, as it would with any larger coefficient."""
     fit = fit_throw(*thrown(CoulombImpact(0.6, 0.2), 8), CUBE)
     assert fit.bounces_fitted == 3
     assert_inside(fit, "chi", 0.6, 2e-3)
     assert_inside(fit, "mu", 0.2, 0.02)
 
 
-def test_where_any_friction_beyond_some_sticks_as_well_its_interval_says_so() -> None:
-    """The slip of this one bounce stops for every mu from 0.15 on, and chi goes a little with it."""
+def test_the_interval_of_friction_is_open_above_where_any_larger_one_sticks_too() -> None:
+    """The slip of this one bounce stops for every mu from 0.15 on, and chi varies little with it."""
     fit = fit_throw(*thrown(CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
     assert fit.chosen == ("friction",)
     chi, mu = fit.parameters["chi"], fit.parameters["mu"]
@@ -79,7 +79,7 @@ def test_where_any_friction_beyond_some_sticks_as_well_its_interval_says_so() ->
     assert not mu.at_bound
 
 
-def test_friction_is_found_behind_the_bend_where_a_slip_just_stops() -> None:
+def test_friction_is_found_beyond_the_bend_where_a_slip_just_stops() -> None:
     """Descents from little friction end at the bend, 0.29; a fit from there goes through the first bounce alone."""
     fit = fit_throw(*thrown(CoulombImpact(0.84, 0.43), 7), CUBE)
     assert fit.bounces_fitted >= 2
@@ -88,7 +88,7 @@ def test_friction_is_found_behind_the_bend_where_a_slip_just_stops() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_a_smooth_throw_needs_nothing_more(seed: int) -> None:
+def test_a_smooth_throw_shows_no_effect(seed: int) -> None:
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
     fit = fit_throw(seen(throw, rng), roughly_measured(throw, rng), CUBE)
@@ -102,12 +102,12 @@ def test_a_tilted_table_is_found() -> None:
     table = Table(tilt_rad=0.03, downhill_rad=0.7)
     fit = fit_throw(*thrown(SmoothImpact(0.5), 3, table=table), CUBE)
     assert "tilted table" in fit.chosen
-    # The normal leans to (y, -x) of the turn.
-    lean = fit.parameters["tilt_y_rad"].value, -fit.parameters["tilt_x_rad"].value
-    assert lean == pytest.approx((0.03 * np.cos(0.7), 0.03 * np.sin(0.7)), abs=2e-3)
+    # The normal tilts towards (y, -x) of the turn.
+    tilt = fit.parameters["tilt_y_rad"].value, -fit.parameters["tilt_x_rad"].value
+    assert tilt == pytest.approx((0.03 * np.cos(0.7), 0.03 * np.sin(0.7)), abs=2e-3)
 
 
-def test_restitution_that_fades_with_speed_is_found() -> None:
+def test_fading_restitution_is_found() -> None:
     fit = fit_throw(*thrown(RestitutionBySpeed(SmoothImpact(0.8), 0.5), 6), CUBE)
     assert "fading restitution" in fit.chosen
     assert_inside(fit, "chi", 0.8, 0.05)
@@ -128,7 +128,7 @@ def loaded(centre_of_mass_m: tuple[float, float, float], seed: int) -> tuple[Tra
 
 
 @pytest.mark.parametrize("seed", [3, 8])
-def test_a_loaded_die_is_told_and_its_centre_of_mass_found(seed: int) -> None:
+def test_a_loaded_die_is_detected_with_its_centre_of_mass(seed: int) -> None:
     centre = (1.2e-4, -0.8e-4, 1.4e-4)
     fit = fit_throw(*loaded(centre, seed), CUBE)
     assert fit.chosen == ("smooth impact", "loaded die")
@@ -138,49 +138,49 @@ def test_a_loaded_die_is_told_and_its_centre_of_mass_found(seed: int) -> None:
         assert_inside(fit, name, truth, 2e-5)
 
 
-def test_free_flights_alone_tell_a_centre_of_mass() -> None:
+def test_free_flights_alone_determine_a_centre_of_mass() -> None:
     centre = np.array([1.2e-4, -0.8e-4, 1.4e-4])
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    load = mass_offset_from_flights(fit_flights(observations_of(track, measured), measured))
-    assert load is not None
-    error = load.centre_of_mass_m - centre
-    # Three numbers: chi-square exceeds 21 in one of ten thousand cases.
-    assert error @ np.linalg.solve(load.covariance_m2, error) < 21.0
-    # Of what a load of its own would gain in each flight, one in all of them lacks half a chi-square of three a flight.
-    assert load.consistency > 0.9
+    offset = mass_offset_from_flights(fit_flights(observations_of(track, measured), measured))
+    assert offset is not None
+    error = offset.centre_of_mass_m - centre
+    # χ² with three degrees of freedom exceeds 21 in one of ten thousand cases.
+    assert error @ np.linalg.solve(offset.covariance_m2, error) < 21.0
+    # A separate offset in each flight would gain half a χ² of three degrees of freedom more for each flight.
+    assert offset.consistency > 0.9
 
 
-def test_a_flight_tracked_wrongly_is_not_taken_for_a_load() -> None:
+def test_a_wrongly_tracked_flight_is_not_taken_for_a_loaded_die() -> None:
     fair, measured = thrown(SmoothImpact(0.5), 3)
     shift = matrix_from_quat(fair.quaternion) @ np.array([2e-4, -1e-4, 3e-4])
     second = measured.flights_at(fair.time_s) == 1
     bent = replace(fair, position_m=fair.position_m - np.where(second[:, None], shift, 0.0))
-    load = mass_offset_from_flights(fit_flights(observations_of(bent, measured), measured))
-    assert load is not None
-    assert load.consistency < 0.5
+    offset = mass_offset_from_flights(fit_flights(observations_of(bent, measured), measured))
+    assert offset is not None
+    assert offset.consistency < 0.5
     assert "loaded die" not in fit_throw(bent, measured, CUBE).chosen
 
 
-def test_flights_too_short_to_turn_leave_a_load_open() -> None:
+def test_flights_too_short_to_turn_do_not_determine_a_centre_of_mass() -> None:
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    few = observations_of(track, measured).where(np.arange(2))
-    assert mass_offset_from_flights(fit_flights(few, measured)) is None
+    two = observations_of(track, measured).where(np.arange(2))
+    assert mass_offset_from_flights(fit_flights(two, measured)) is None
 
 
-def test_a_die_that_is_no_spherical_top_is_simulated_with_smooth_impacts_only() -> None:
+def test_fits_of_one_throw_combine_a_loaded_die_with_smooth_impacts_only() -> None:
     physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("loaded die")
     assert not physics.is_compatible_with("friction")
     assert physics.is_compatible_with("tilted table")
     assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").is_compatible_with("loaded die")
 
 
-def test_the_kind_of_restitution_is_told_where_slip_stops() -> None:
+def test_the_definition_of_restitution_is_found_where_slip_stops() -> None:
     fit = fit_throw(*thrown(CoulombImpact(0.6, 0.3, "newton"), 1), CUBE)
     assert_inside(fit, "chi", 0.6, 3e-3)
     assert_inside(fit, "mu", 0.3, 0.02)
 
 
-def test_parameters_stay_within_what_the_law_allows() -> None:
+def test_parameters_stay_within_their_bounds() -> None:
     physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction")
     moved = physics.moved(np.array([0.7, -0.1]))
     assert moved.values == {"chi": 1.0, "mu": 0.0}
@@ -188,7 +188,7 @@ def test_parameters_stay_within_what_the_law_allows() -> None:
     assert physics.without_effect("friction").free == ("chi",)
 
 
-def test_an_effect_that_is_off_is_in_no_law() -> None:
+def test_physics_without_effects_is_the_plainest_law() -> None:
     plain = Physics(CUBE, LEVEL, {"chi": 0.5})
     assert plain.law == SmoothImpact(0.5)
     assert plain.body is CUBE
@@ -197,20 +197,20 @@ def test_an_effect_that_is_off_is_in_no_law() -> None:
 
 
 @pytest.mark.parametrize("scale", ["clock_scale", "length_scale"])
-def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_given_as_the_track_has_it(scale: str) -> None:
+def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_in_the_units_of_the_track(scale: str) -> None:
     track, measured = thrown(SmoothImpact(0.5), 3)
     clock, length = (1.02, 1.0) if scale == "clock_scale" else (1.0, 1.02)
     wrong = Physics(CUBE, LEVEL, {"chi": 0.5}).with_values(clock_scale=clock, length_scale=length)
-    seen_so = replace(track, time_s=track.time_s / clock, position_m=length * track.position_m)
-    fit = fit_throw(seen_so, as_tracked(wrong, measured), CUBE)
+    rescaled = replace(track, time_s=track.time_s / clock, position_m=length * track.position_m)
+    fit = fit_throw(rescaled, as_tracked(wrong, measured), CUBE)
     assert fit.chosen == ("smooth impact", "clock" if scale == "clock_scale" else "length scale")
     assert_inside(fit, scale, 1.02, 1e-3)
     assert_inside(fit, "chi", 0.5, 1e-3)
     assert fit.throw is not None
-    off = fit.throw.poses(seen_so.time_s)[0] - seen_so.position_m
-    # Frames err by 0.15 mm along the line of sight; at 1 m/s a clock left as it was would be off by 2 mm.
+    off = fit.throw.poses(rescaled.time_s)[0] - rescaled.position_m
+    # Frames have errors of 0.15 mm along the line of sight; at 1 m/s an uncorrected clock would be off by 2 mm.
     assert np.abs(off).max() < 1e-3
-    middle = 0.5 * float(seen_so.time_s[-1])
+    middle = 0.5 * float(rescaled.time_s[-1])
     state = fit.throw.at(middle)
     ahead = fit.throw.poses(np.array([middle + 1e-6]))[0][0]
     assert ahead - state.position_m == pytest.approx(1e-6 * state.velocity_m_s, abs=1e-10)

@@ -1,4 +1,4 @@
-"""Laws of the fit of a whole throw: what is known to be true must be found, inside the intervals that are stated."""
+"""Laws of the fit of a whole throw: the known truth is found, inside the stated intervals."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def cube_throw(chi: float = 0.58, impacts: int = 3, seed: int = 2) -> tuple[Thro
 
 
 def chi_of(fit: Fit) -> tuple[float, float, float]:
-    """Value and interval of χ, which must be there."""
+    """Value and interval of χ, none of them None."""
     chi = fit.parameters["chi"]
     assert chi.value is not None
     assert chi.low is not None
@@ -43,16 +43,18 @@ def chi_of(fit: Fit) -> tuple[float, float, float]:
     return chi.value, chi.low, chi.high
 
 
-@pytest.mark.parametrize("frames_alike", [0.0, 4.0], ids=["independent errors", "errors alike over four frames"])
-def test_intervals_and_covariances_hold_as_often_as_they_say(frames_alike: float) -> None:
+@pytest.mark.parametrize(
+    "frames_correlated", [0.0, 4.0], ids=["independent errors", "errors correlated over four frames"]
+)
+def test_intervals_and_covariances_have_their_stated_coverage(frames_correlated: float) -> None:
     dice, held, nees = (CUBE, TETRAHEDRON, ICOSAHEDRON), [], []
     for seed in range(40):
         rng = np.random.default_rng(100 + seed)
         die, chi = dice[seed % 3], rng.uniform(0.2, 0.9)
         throw = true_throw(die, random_release(die, rng), chi, impacts=int(rng.integers(1, 5)))
         track = seen(throw, rng)
-        if frames_alike:
-            track = blurred_in_time(track, throw, rng, frames_alike)
+        if frames_correlated:
+            track = blurred_in_time(track, throw, rng, frames_correlated)
         fit = fit_throw(track, roughly_measured(throw, rng), die)
         if fit.parameters["chi"].value is None:
             continue  # no flight after a bounce lasted two frames
@@ -64,27 +66,27 @@ def test_intervals_and_covariances_hold_as_often_as_they_say(frames_alike: float
         error = initial_errors(fit.initial, throw.flights[0].at(fit.initial.time_s))
         nees.append(float(error @ np.linalg.solve(fit.initial_covariance, error)))
     assert len(held) >= 30
-    # Of 30 to 40 throws, fewer than 88 % (82 % where the errors' likeness has to be estimated too, from few frames)
-    # inside a true 95 % interval has odds of about one in fifty (one in a thousand).
-    assert np.mean(held) >= (0.82 if frames_alike else 0.88)
-    # The median of χ² with twelve degrees of freedom is 11.3, and that of 35 values strays by 1.0 (sigma).
-    assert 8.0 < np.median(nees) < (18.0 if frames_alike else 14.5)
+    # Of 30 to 40 throws, fewer than 88 % inside a true 95 % interval has odds of about one in fifty, fewer than 82 % of one
+    # in a thousand: allowed where the correlation of the errors has to be estimated from few frames.
+    assert np.mean(held) >= (0.82 if frames_correlated else 0.88)
+    # The median of χ² with twelve degrees of freedom is 11.3, and that of 35 values has a standard deviation of 1.0.
+    assert 8.0 < np.median(nees) < (18.0 if frames_correlated else 14.5)
 
 
 @pytest.mark.parametrize("die", [CUBE, TETRAHEDRON, ICOSAHEDRON], ids=lambda die: die.solid.name)
-def test_without_noise_the_truth_comes_back(die: Die) -> None:
+def test_almost_without_noise_the_fit_is_the_truth(die: Die) -> None:
     rng = np.random.default_rng(5)
     throw = true_throw(die, random_release(die, rng), 0.55, impacts=3)
     fit = fit_throw(seen(throw, rng, noise=1e-4), roughly_measured(throw, rng), die)
     value, low, high = chi_of(fit)
-    # Errors ten thousand times below those of tracking leave χ, which they then fix to 1e-4, known to 1e-8 or so.
+    # With the errors of tracking χ is known to 1e-4; with errors ten thousand times smaller, to about 1e-8.
     assert abs(value - 0.55) < 1e-6
     assert low <= 0.55 <= high
     assert fit.throw is not None
     assert [i.vertices for i in fit.throw.impacts][:3] == [i.vertices for i in throw.impacts]
 
 
-def test_a_throw_without_bounce_leaves_chi_open() -> None:
+def test_a_throw_without_bounce_does_not_determine_chi() -> None:
     throw, track, measured = cube_throw()
     before = track.time_s < throw.impacts[0].time_s
     fit = fit_throw(masked(track, before), Throw(measured.flights[:1], ()), CUBE)
@@ -95,7 +97,7 @@ def test_a_throw_without_bounce_leaves_chi_open() -> None:
     assert fit.bounces_fitted == 0
 
 
-def test_one_frame_after_the_bounce_leaves_chi_open() -> None:
+def test_one_frame_after_the_bounce_does_not_determine_chi() -> None:
     throw, track, measured = cube_throw()
     until = track.time_s[np.searchsorted(track.time_s, throw.impacts[0].time_s) + 1]
     short = Throw(measured.flights[:2], measured.impacts[:1])
@@ -104,7 +106,7 @@ def test_one_frame_after_the_bounce_leaves_chi_open() -> None:
     assert any("two frames" in words for words in fit.messages)
 
 
-def test_one_frame_in_all_determines_nothing() -> None:
+def test_a_single_frame_determines_nothing() -> None:
     _, track, measured = cube_throw()
     fit = fit_throw(masked(track, track.frame == 3), measured, CUBE)
     assert fit.parameters["chi"].value is None
@@ -115,18 +117,18 @@ def test_one_frame_in_all_determines_nothing() -> None:
 
 def test_bad_frames_do_not_move_chi() -> None:
     _, track, measured = cube_throw()
-    clean, low, high = chi_of(fit_throw(track, measured, CUBE))
+    without_bad, low, high = chi_of(fit_throw(track, measured, CUBE))
     rng = np.random.default_rng(0)
     bad = rng.choice(np.arange(5, len(track) - 5), 8, replace=False)
     position, quaternion = track.position_m.copy(), track.quaternion.copy()
     position[bad] += 3e-3 * rng.standard_normal((8, 3))
     quaternion[bad] = quat_multiply(quat_from_rotvec(rng.standard_normal((8, 3))), quaternion[bad])
     value, _, _ = chi_of(fit_throw(replace(track, position_m=position, quaternion=quaternion), measured, CUBE))
-    # Eight frames fewer shift the answer within its sigma (a quarter of the interval), not by what is wrong in them.
-    assert abs(value - clean) < 0.25 * (high - low)
+    # Eight frames fewer shift the value within its sigma (a quarter of the interval); their errors do not.
+    assert abs(value - without_bad) < 0.25 * (high - low)
 
 
-def test_lost_frames_and_gaps_are_passed_over() -> None:
+def test_lost_frames_and_gaps_are_skipped() -> None:
     _, track, measured = cube_throw()
     status = track.status.copy()
     status[10:30], status[40:43] = LOST, ABSENT
@@ -138,7 +140,7 @@ def test_lost_frames_and_gaps_are_passed_over() -> None:
 
 
 @pytest.mark.parametrize("broken", ["missing", "singular", "some missing"])
-def test_covariances_that_cannot_be_used_are_estimated_and_named(broken: str) -> None:
+def test_unusable_covariances_are_estimated_and_reported(broken: str) -> None:
     _, track, measured = cube_throw()
     covariance = track.covariance.copy()
     if broken == "missing":
@@ -150,22 +152,22 @@ def test_covariances_that_cannot_be_used_are_estimated_and_named(broken: str) ->
     fit = fit_throw(replace(track, covariance=covariance), measured, CUBE)
     _, low, high = chi_of(fit)
     assert any("no usable covariance" in words for words in fit.messages)
-    # One sigma for all axes is a poor weight for noise that is seven times larger along the line of sight, so the
-    # interval is wider than with the true weights, but it holds.
+    # One sigma for all axes is a poor weight for noise that is seven times larger along the line of sight: the interval
+    # is wider than with the true weights, but contains the truth.
     assert low <= 0.58 <= high
     assert high - low < 0.01
 
 
 def test_sigmas_stated_three_times_too_small_do_not_narrow_the_interval() -> None:
     _, track, measured = cube_throw()
-    honest = fit_throw(track, measured, CUBE)
-    boastful = fit_throw(replace(track, covariance=track.covariance / 9.0), measured, CUBE)
-    _, low, high = chi_of(honest)
-    _, low3, high3 = chi_of(boastful)
-    # The scale is estimated from some hundred frames: within 5 %; the honest one is never scaled down.
+    true_sigmas = fit_throw(track, measured, CUBE)
+    small_sigmas = fit_throw(replace(track, covariance=track.covariance / 9.0), measured, CUBE)
+    _, low, high = chi_of(true_sigmas)
+    _, low3, high3 = chi_of(small_sigmas)
+    # The scale is estimated from some hundred frames, within 5 %; true sigmas are not scaled down.
     assert (high3 - low3) / (high - low) == pytest.approx(1.0, abs=0.1)
-    assert boastful.residual_rms == pytest.approx(3.0, rel=0.1)
-    assert any("scatter" in words for words in boastful.messages)
+    assert small_sigmas.residual_rms == pytest.approx(3.0, rel=0.1)
+    assert any("scatter" in words for words in small_sigmas.messages)
 
 
 def test_another_die_is_not_explained() -> None:
@@ -177,7 +179,7 @@ def test_another_die_is_not_explained() -> None:
     assert fit.residual_rms is None or fit.residual_rms > 5.0
 
 
-def test_a_wrong_vertex_is_put_right() -> None:
+def test_a_wrongly_measured_vertex_is_corrected() -> None:
     throw, track, measured = cube_throw()
     wrong = replace(measured.impacts[1], vertices=((throw.impacts[1].vertices[0] + 3) % 8,))
     fit = fit_throw(track, Throw(measured.flights, (measured.impacts[0], wrong, measured.impacts[2])), CUBE)
@@ -186,7 +188,7 @@ def test_a_wrong_vertex_is_put_right() -> None:
     assert fit.throw.impacts[1].vertices == throw.impacts[1].vertices
 
 
-def test_a_bounce_that_never_was_is_passed_over() -> None:
+def test_a_spurious_bounce_is_skipped() -> None:
     _, track, measured = cube_throw()
     k = int(np.argmax([f.end_s - f.start.time_s for f in measured.flights[1:-1]])) + 1
     middle = 0.5 * (measured.flights[k].start.time_s + measured.flights[k].end_s)
@@ -200,9 +202,9 @@ def test_a_bounce_that_never_was_is_passed_over() -> None:
     assert low <= 0.58 <= high
 
 
-def test_a_contact_that_was_not_resolved_is_taken_apart() -> None:
-    """A tetrahedron that claps down with several corners within few frames, seen as one unresolved contact."""
-    throw, track, measured = clapping_throw()
+def test_an_unresolved_contact_is_resolved() -> None:
+    """A tetrahedron that strikes with several corners within few frames, measured as one unresolved contact."""
+    throw, track, measured = throw_with_contact_cluster()
     assert len(throw.impacts) >= 4
     first, last = throw.impacts[1].time_s, throw.impacts[-2].time_s
     assert last - first < 6.0 / 1500.0
@@ -220,7 +222,7 @@ def test_a_contact_that_was_not_resolved_is_taken_apart() -> None:
     assert low <= 0.55 <= high
 
 
-def test_an_elastic_throw_has_an_interval_that_ends_at_one() -> None:
+def test_the_interval_of_an_elastic_throw_ends_at_one() -> None:
     rng = np.random.default_rng(11)
     throw = true_throw(CUBE, random_release(CUBE, rng), 1.0, impacts=1)
     fit = fit_throw(seen(throw, rng, noise=5.0), roughly_measured(throw, rng), CUBE)
@@ -229,8 +231,8 @@ def test_an_elastic_throw_has_an_interval_that_ends_at_one() -> None:
     assert fit.parameters["chi"].at_bound == (value == 1.0)
 
 
-def test_rounded_corners_are_part_of_the_throw() -> None:
-    """The sharp throw of the shrunk die, raised by the radius, is the throw of the rounded die."""
+def test_rounded_corners_enter_the_model() -> None:
+    """The throw of the shrunk sharp die, raised by the radius, is the throw of the rounded die."""
     rng = np.random.default_rng(4)
     radius = 0.0006
     rounded = make_die("cube", 0.016, 0.0048, corner_radius_m=radius)
@@ -270,20 +272,20 @@ def masked(track: Track, kept: np.ndarray) -> Track:
     )
 
 
-def clapping_throw() -> tuple[Throw, Track, Throw]:
-    """The first tetrahedron, of many, whose impacts but the first and the last crowd into six frames."""
+def throw_with_contact_cluster() -> tuple[Throw, Track, Throw]:
+    """The first seed whose tetrahedron has all impacts but the first and the last within six frames."""
     for seed in range(4000):
         rng = np.random.default_rng(seed)
         throw = true_throw(TETRAHEDRON, random_release(TETRAHEDRON, rng), 0.55, impacts=5)
         gaps = np.diff([i.time_s for i in throw.impacts]) * 1500.0
-        clapped = len(gaps) == 4 and gaps[0] > 5.0 and gaps[1] + gaps[2] < 6.0 and gaps[1] > 0.1 and gaps[3] > 12.0
-        if clapped and (throw.flights[-1].end_s - throw.impacts[-1].time_s) * 1500.0 > 10.0:
+        cluster = len(gaps) == 4 and gaps[0] > 5.0 and gaps[1] + gaps[2] < 6.0 and gaps[1] > 0.1 and gaps[3] > 12.0
+        if cluster and (throw.flights[-1].end_s - throw.impacts[-1].time_s) * 1500.0 > 10.0:
             return throw, seen(throw, rng), roughly_measured(throw, rng)
     raise AssertionError("no such throw")
 
 
 def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
-    """A bootstrap of 200 draws places each end of an interval to a tenth of its width, so that twice as far is far."""
+    """A bootstrap of 200 draws places each end of an interval to a tenth of its width; a quarter is far."""
     _, track, measured = cube_throw(impacts=2)
     profile, covariance, bootstrap = (
         chi_of(fit_throw(track, measured, CUBE, intervals=kind)) for kind in ("profile", "covariance", "bootstrap")
@@ -294,9 +296,9 @@ def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
 
 
 @pytest.mark.parametrize("seed", [2, 8])
-def test_the_profile_finds_its_way_round_the_bends_of_a_long_valley(seed: int) -> None:
-    """Through four bounces of nearly noiseless frames the cost is straight to far beyond the interval, so that profile
-    and covariance agree; a descent that stops on the way sees a valley hundreds of times too narrow."""
+def test_the_profile_follows_the_bends_of_a_long_valley(seed: int) -> None:
+    """With four bounces and nearly noiseless frames the cost is quadratic far beyond the interval, so profile and
+    covariance agree. A descent that stops early makes the interval hundreds of times too narrow."""
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=4)
     track, measured = seen(throw, rng, noise=0.05, stated=0.05), roughly_measured(throw, rng)
@@ -304,8 +306,8 @@ def test_the_profile_finds_its_way_round_the_bends_of_a_long_valley(seed: int) -
     assert profile[2] - profile[1] == pytest.approx(covariance[2] - covariance[1], rel=0.01)
 
 
-def test_a_throw_of_many_bounces_is_fitted_as_far_as_doubles_carry_and_says_so() -> None:
-    """Errors of the start grow up to a hundredfold at a bounce; chi is long known when rounding begins to be felt."""
+def test_a_throw_of_many_bounces_is_fitted_as_far_as_double_precision_carries() -> None:
+    """Errors of the initial state grow up to a hundredfold at a bounce; chi is known long before rounding matters."""
     rng = np.random.default_rng(3)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.9, impacts=12)
     fit = fit_throw(seen(throw, rng), roughly_measured(throw, rng), CUBE)
