@@ -160,7 +160,7 @@ def sample_texture(
                 weight[k] = (plane / scale) ** 2
                 used += 1.0
         weight_sum += weight[k]
-    if used < MOST_OCCLUDED * m:
+    if used < (1.0 - MOST_OCCLUDED) * m:
         return used / m, 0.0
     for k in range(m):
         if weight[k] > 0.0:

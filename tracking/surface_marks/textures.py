@@ -250,7 +250,7 @@ def with_learned_textures(
             used, weight_sum = sample_texture(
                 poses.frame(i, windows[i]), optics, face_records, f, knots, facing[i, f] ** 2, workspace, sums
             )
-            if used >= MOST_OCCLUDED:
+            if used >= 1.0 - MOST_OCCLUDED:
                 frame_counts[f] += 1
                 blur[f] += weight_sum * frame_blur
                 blur_weight[f] += weight_sum
