@@ -175,9 +175,9 @@ def job_of(name: str, case: Case, effort: RenderSettings) -> FilmJob:
         raise ValueError(f"{name}: none of {MOST_SEEDS} throws stays in view; widen the picture")
     look = Appearance(
         lamp_beside(camera),
-        paint=case.paint,
-        table_tone=case.table_tone,
-        brightest=case.brightest,
+        die_reflectance=case.paint,
+        table_factor=case.table_tone,
+        lit_face_level=case.brightest,
         rods_m=(rod_before(throw, camera),) if case.rod else (),
         seed=case.seed,
     )

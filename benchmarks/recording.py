@@ -1,9 +1,9 @@
-"""How long a recording takes to write, and how large it is: 260 frames as in a usual clip, and 600.
+"""Time to write a recording, and its size, for 260 frames (a usual clip) and 600.
 
     PYTHONPATH=tests/helpers python benchmarks/recording.py
 
-The film is grey noise of a wooden board's contrast with a square that moves, which AV1 shrinks about as well as a clip.
-The time beyond the film is that of the same recording without it; each is the best of three.
+The clip is grey noise with the contrast of a wooden board and a moving square, which AV1 compresses about as well as a real
+clip. The same recording without the clip gives the time of everything else. Each time is the best of three.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SQUARE_PX = 60
 
 
 def record_of(frames: int) -> Record:
-    """A cube that falls and bounces over so many frames, with a model beside it and a film."""
+    """A cube that falls and bounces during `frames` frames, with a model and a clip."""
     die = made.die()
     release = State(
         0.0,

@@ -1,40 +1,39 @@
-"""Keep the numbers of one version of the program, and compare another version's with them.
+"""Keep the numbers of one version of the program, and compare those of another version with them.
 
     python benchmarks/same_numbers.py keep OLD [--scenes SCENE...] [--tosses DATA]
     python benchmarks/same_numbers.py keep NEW [--scenes SCENE...] [--tosses DATA]
     python benchmarks/same_numbers.py compare OLD NEW [--within-sigma 0.01]
 
 `keep` runs the `diethrow` command that is installed beside this Python: `analyze` on the sample clip and on every SCENE, one
-simulated throw without and one with friction, the odds of 2000 throws, basins, exponents, and, where DATA holds `scene.toml` and
-`toss_*.csv`, the joint fit of 40 tosses. `compare` prints every file that is the same byte by byte and, of every other, the
-column that differs most: as a share of the largest number in the column, and in standard errors where the files state them
-(sigma columns of tables, intervals of `fit.json`). The exit status is 1 if a discrete result differs, or any number by more
-than `--within-sigma` standard errors; a number without a standard error may differ by 1e-6 of its column's largest.
+simulated throw without and one with friction, the odds of 2000 throws, basins and exponents. If DATA contains `scene.toml`
+and `toss_*.csv`, it also runs the joint fit of 40 tosses. `compare` prints the columns that differ: as a share of the largest
+number in the column, and in standard errors if the files state them (sigma columns of tables, intervals of `fit.json`). The
+exit status is 1 if a discrete result differs, or any number by more than `--within-sigma` standard errors. A number without
+a standard error may differ by 1e-6 of the largest number in its column.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
-import json
 import math
 import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from diethrow.commands.results.folder_comparison import columns_of, compared_files, finite_number
+
 SAMPLE = Path(__file__).parents[1] / "data_samples" / "cube_wood" / "scene.toml"
 
 TOSSES = 40
-"""Tosses in the joint fit, evenly spread over those there are."""
+"""Tosses in the joint fit, evenly spread over the data."""
 
 RELATIVE = 1e-6
-"""Largest difference of a number without a standard error, as a share of its column's largest: rounding, summed up."""
+"""Largest difference of a number without a standard error, as a share of its column's largest: accumulated rounding."""
 
 NORMAL_QUANTILE = 1.959964
 """A 95 % interval is this many standard errors to each side."""
@@ -53,10 +52,6 @@ euler_rad = [0.3, 1.2, 0.6]
 velocity_m_s = [0.6, 0.0, -0.7]
 omega_body_rad_s = [3.0, 40.0, 2.0]
 """
-
-TABLES = (".csv", ".json", ".npy", ".npz", ".toml")
-NOT_COMPARED = ("provenance.json",)
-"""Holds times and the command line."""
 
 
 def main() -> None:
@@ -81,7 +76,7 @@ def main() -> None:
 
 
 def keep(folder: Path, scenes: list[Path], tosses: Path | None) -> None:
-    """Run every command, each into a folder of its own."""
+    """Run every command, each into its own folder."""
     folder.mkdir(parents=True)
     for scene in [SAMPLE, *scenes]:
         run("analyze", scene, "--out", folder / f"analyze_{scene.parent.name}")
@@ -102,7 +97,7 @@ def keep(folder: Path, scenes: list[Path], tosses: Path | None) -> None:
 
 
 def run(*words: str | Path) -> None:
-    """One command, with the time that it took."""
+    """Run one command and print its duration."""
     program = shutil.which("diethrow", path=str(Path(sys.executable).parent))
     if program is None:
         raise FileNotFoundError(
@@ -117,10 +112,8 @@ def run(*words: str | Path) -> None:
 
 
 def compare(old: Path, new: Path, within_sigma: float) -> bool:
-    """Print what differs, and return whether all of it is within what is allowed."""
-    names = sorted(
-        {str(path.relative_to(folder)) for folder in (old, new) for path in folder.rglob("*") if compared(path)}
-    )
+    """Print all differences, and return whether they are within the limits."""
+    names = compared_files(old, new)
     same, good = 0, True
     for name in names:
         paths = old / name, new / name
@@ -137,12 +130,8 @@ def compare(old: Path, new: Path, within_sigma: float) -> bool:
     return good
 
 
-def compared(path: Path) -> bool:
-    return path.is_file() and path.suffix in TABLES and path.name not in NOT_COMPARED
-
-
 def report(name: str, old: dict[str, list[Any]], new: dict[str, list[Any]], within_sigma: float) -> bool:
-    """A line for every column that differs; whether all of them may."""
+    """Print a line for every column that differs, and return whether all are within the limits."""
     good = True
     for column in dict.fromkeys([*old, *new]):
         was, now = old.get(column, []), new.get(column, [])
@@ -158,15 +147,18 @@ def report(name: str, old: dict[str, list[Any]], new: dict[str, list[Any]], with
 def difference(
     column: str, was: list[Any], now: list[Any], table: dict[str, list[Any]], limit: float
 ) -> tuple[str, bool]:
-    """How two columns differ, in words, and whether they may."""
+    """The difference of two columns as text, and whether it is within the limits. Reworded messages are."""
     if len(was) != len(now):
         return f"{len(was)} values were, {len(now)} are", False
-    discrete = [(a, b) for a, b in zip(was, now, strict=True) if str(a) != str(b) and None in (number(a), number(b))]
+    discrete = [
+        (a, b)
+        for a, b in zip(was, now, strict=True)
+        if str(a) != str(b) and None in (finite_number(a), finite_number(b))
+    ]
     if discrete:
         text = column.startswith(("messages", "evidence")) or "messages" in column or "why" in column
         return f"{len(discrete)} of {len(was)} differ, first {discrete[0][0]!r} -> {discrete[0][1]!r}", text
-    a = np.array([math.nan if number(v) is None else number(v) for v in was], dtype=float)
-    b = np.array([math.nan if number(v) is None else number(v) for v in now], dtype=float)
+    a, b = as_numbers(was), as_numbers(now)
     gap = np.abs(b - a)
     if not np.nanmax(gap, initial=0.0):
         return "", True
@@ -180,65 +172,23 @@ def difference(
 
 
 def sigma_of(column: str, table: dict[str, list[Any]], rows: int) -> np.ndarray | None:
-    """The standard errors that a file states for a column, None where it states none."""
+    """The standard errors that a file states for a column; None if it states none."""
     rotation = column in ("qw", "qx", "qy", "qz")
     for stated in (f"sigma_{column}", f"{column}_sigma", *(["sigma_rx_rad"] if rotation else [])):
         if stated in table and len(table[stated]) == rows:
-            return np.array([math.nan if number(v) is None else number(v) for v in table[stated]], dtype=float)
-    root = (
-        column.removesuffix(".value")
-        .removesuffix("_low")
-        .removesuffix("_high")
-        .removesuffix(".low")
-        .removesuffix(".high")
-    )
+            return as_numbers(table[stated])
+    root = column
+    for suffix in (".value", "_low", "_high", ".low", ".high"):
+        root = root.removesuffix(suffix)
     for low, high in ((f"{root}.low", f"{root}.high"), (f"{root}_low", f"{root}_high")):
         if low in table and high in table and len(table[low]) == rows:
-            ends = [[math.nan if number(v) is None else number(v) for v in table[end]] for end in (low, high)]
-            return np.subtract(ends[1], ends[0]) / (2 * NORMAL_QUANTILE)
+            return (as_numbers(table[high]) - as_numbers(table[low])) / (2 * NORMAL_QUANTILE)
     return None
 
 
-def columns_of(path: Path) -> dict[str, list[Any]]:
-    """The columns of a table, the arrays of a file, or the values of JSON by their path of keys."""
-    if path.suffix == ".csv":
-        with path.open(newline="", encoding="utf-8") as file:
-            rows = list(csv.reader(file))
-        return {name: [row[k] for row in rows[1:]] for k, name in enumerate(rows[0])}
-    if path.suffix == ".json":
-        columns: dict[str, list[Any]] = {}
-        for name, value in leaves(json.loads(path.read_text(encoding="utf-8"))):
-            columns.setdefault(name, []).append(value)
-        return columns
-    if path.suffix == ".npy":
-        return {"array": np.load(path, allow_pickle=False).ravel().tolist()}
-    if path.suffix == ".npz":
-        with np.load(path, allow_pickle=False) as arrays:
-            return {name: arrays[name].ravel().tolist() for name in arrays.files}
-    return {"text": list(path.read_text(encoding="utf-8").splitlines())}
-
-
-def leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
-    """Every value of nested tables with its path of keys; the items of a list share a path."""
-    if isinstance(value, dict):
-        for key, part in value.items():
-            yield from leaves(part, f"{name}.{key}" if name else key)
-    elif isinstance(value, list):
-        for part in value:
-            yield from leaves(part, name)
-    else:
-        yield name, value
-
-
-def number(value: Any) -> float | None:
-    """A finite number; None for anything else, truth values among it."""
-    if value is None or isinstance(value, bool):
-        return None
-    try:
-        found = float(value)
-    except (TypeError, ValueError):
-        return None
-    return found if math.isfinite(found) else None
+def as_numbers(values: list[Any]) -> np.ndarray:
+    """The values as numbers; NaN for all others."""
+    return np.array([math.nan if (number := finite_number(v)) is None else number for v in values], dtype=float)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,8 @@
-"""replay.render."""
+"""Rendering: a camera's view of a simulated throw, path-traced with Mitsuba 3, and the sensor that records it.
+
+`FilmRenderer` returns the light on the sensor, with motion blur, lens distortion, shadows and mirror images; `expose` turns
+it into grey levels with noise. The command `film` writes clips with it, and tests and benchmarks make footage.
+"""
 
 from .mitsuba_scene import Appearance as Appearance
 from .mitsuba_scene import lamp_beside as lamp_beside

@@ -1,12 +1,12 @@
-"""The die as a renderer needs it: a triangle mesh with exact normals, and one picture with the paint of all faces.
+"""The surface of a die for a renderer: a triangle mesh with exact normals, and one texture with the paint of all faces.
 
-**Shape.** A die with rounded corners of radius r is all points within r of the inner polyhedron (`inner_vertices`). Its
-surface has three kinds of part: flat faces, moved out by r from the inner ones; a piece of a cylinder along every inner
-edge; a piece of a sphere about every inner corner. Each is cut into triangles whose vertices lie on the surface and carry
-its normal, so that shading is that of the smooth body. A sharp die is its faces.
+**Shape.** A die with rounded corners of radius r is the set of all points within r of the inner polyhedron
+(`inner_vertices`). Its surface consists of flat faces at distance r from the inner ones, a piece of a cylinder along every
+inner edge, and a piece of a sphere around every inner corner. Each is divided into triangles whose vertices lie on the
+surface and carry its normal, so that the shading is that of the smooth body. A sharp die has its faces only.
 
-**Paint.** Every face owns a square tile of one picture (the atlas); the tile after the last is blank, and is what the
-bevels wear. Pips lie as on a Western die, numbers stand upright towards a corner of their face, or an edge of the cube's.
+**Paint.** Every face has a square tile of one texture (the atlas). The tile after the last is blank and covers the bevels.
+Pips are placed as on a Western die; numbers are upright towards a corner of their face, or towards an edge on the cube.
 """
 
 from __future__ import annotations
@@ -24,17 +24,21 @@ from ...model.die import Die, Solid, inner_vertices
 Array = NDArray[np.float64]
 
 BEVEL_STEPS = 8
-"""Of a bevel, from face to face: at a radius of 4 px the chord strays 0.005 px from a right-angled bevel."""
+"""Steps of a bevel from face to face: at a radius of 4 px the polyline deviates 0.005 px from a right-angled bevel."""
 TILE_PX = 192
-"""Of a face in the atlas; a face is seldom more than half as large on film."""
+"""Size of a tile in the atlas; a face in an image is rarely more than half as large."""
 TILE_MARGIN = 1.06
-"""Half width of a tile in units of the face's circumscribed radius: the texture filter must not see the neighbour."""
+"""Half width of a tile in circumradii of its face: the texture filter must not reach the next tile."""
 FINER = 4
-"""Marks are drawn so many times finer and averaged."""
-PIP_STEP, PIP_RADIUS = 0.25, 0.09
-"""In units of the edge: of ordinary 16 mm dice."""
+"""Marks are drawn at this multiple of the resolution and averaged."""
+PIP_STEP = 0.25
+"""Distance of neighbouring pips in edges, as on ordinary 16 mm dice."""
+PIP_RADIUS = 0.09
+"""Radius of a pip in edges, likewise."""
+GRAIN_PX = 1.5
+"""Standard deviation of the blur of the grain, in pixels of the atlas: specks of a few hundredths of a face."""
 NUMBER_WIDTH = 1.35
-"""Diagonal of a number's box, in units of the inscribed radius of its face: clear of the edges."""
+"""Diagonal of a number's bounding box in inradii of its face: clear of the edges."""
 
 PIPS: dict[int, tuple[tuple[int, int], ...]] = {
     1: ((0, 0),),
@@ -44,7 +48,7 @@ PIPS: dict[int, tuple[tuple[int, int], ...]] = {
     5: ((-1, -1), (-1, 1), (0, 0), (1, -1), (1, 1)),
     6: ((-1, -1), (-1, 0), (-1, 1), (1, -1), (1, 0), (1, 1)),
 }
-"""Places of the pips of each face, in steps."""
+"""Positions of the pips of each face, in steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,18 +59,18 @@ class Mesh:
     """(n, 3)."""
     normals: Array
     """(n, 3) outward, unit."""
-    places: Array
-    """(n, 2) in the atlas, 0 to 1, from its upper left corner."""
+    texture_uv: Array
+    """(n, 2) position in the atlas, 0 to 1 from its upper left corner."""
     triangles: NDArray[np.int64]
     """(m, 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class FaceFrame:
-    """The plane of one face: where its marks are drawn."""
+    """The plane of one face with the axes of its marks."""
 
     middle_m: Array
-    """(3,) of the face of the sharp solid, body frame."""
+    """(3,) centre of the face of the sharp solid, body frame."""
     right: Array
     """(3,) unit."""
     up: Array
@@ -92,32 +96,32 @@ def face_frame(solid: Solid, face: int) -> FaceFrame:
 
 
 def die_mesh(die: Die) -> Mesh:
-    """The surface of a die, sharp or rounded. Raises ValueError for a radius that leaves no inner solid."""
+    """The surface of a die, sharp or rounded. Raises ValueError for a radius that leaves no inner polyhedron."""
     solid, radius = die.solid, die.corner_radius_m
     inner = inner_vertices(solid, radius)
     parts = [_face(solid, k, inner, radius) for k in range(len(solid.faces))]
     if radius > 0:
-        blank = _tile_place(len(solid.faces), len(solid.faces), np.zeros(2))
+        blank = _tile_uv(len(solid.faces), len(solid.faces), np.zeros(2))
         parts += [_bevel(solid, e, inner, radius, blank) for e in range(len(solid.edges))]
         parts += [_corner(solid, v, inner, radius, blank) for v in range(len(inner))]
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts[:-1])])
     return Mesh(
         np.concatenate([part.vertices_m for part in parts]),
         np.concatenate([part.normals for part in parts]),
-        np.concatenate([part.places for part in parts]),
+        np.concatenate([part.texture_uv for part in parts]),
         np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=True)]),
     )
 
 
 def _face(solid: Solid, face: int, inner: Array, radius: float) -> Mesh:
-    """The flat part of a face, a fan about its first corner."""
+    """The flat part of a face, as a triangle fan from its first corner."""
     normal = solid.normals[face]
     corners = inner[list(solid.faces[face])] + radius * normal
     frame = face_frame(solid, face)
     across = (corners - frame.middle_m) @ np.stack([frame.right, frame.up], 1) / frame.half_m
     n = len(corners)
     fan = np.array([(0, j, j + 1) for j in range(1, n - 1)])
-    return Mesh(corners, np.tile(normal, (n, 1)), _tile_place(face, len(solid.faces), across), fan)
+    return Mesh(corners, np.tile(normal, (n, 1)), _tile_uv(face, len(solid.faces), across), fan)
 
 
 def _bevel(solid: Solid, edge: int, inner: Array, radius: float, blank: Array) -> Mesh:
@@ -134,7 +138,7 @@ def _bevel(solid: Solid, edge: int, inner: Array, radius: float, blank: Array) -
 
 
 def _corner(solid: Solid, vertex: int, inner: Array, radius: float, blank: Array) -> Mesh:
-    """The piece of a sphere about an inner corner: a sector for every pair of neighbouring faces."""
+    """The piece of a sphere around an inner corner: a sector for every pair of neighbouring faces."""
     pairs = [
         (f, g) if a == vertex else (g, f)
         for (a, b), (f, g) in zip(solid.edges, solid.edge_faces, strict=True)
@@ -149,7 +153,7 @@ def _corner(solid: Solid, vertex: int, inner: Array, radius: float, blank: Array
 
 
 def _sector(a: Array, b: Array, c: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Directions on the spherical triangle a, b, c, cut BEVEL_STEPS times each way, and the triangles between them."""
+    """Directions on the spherical triangle a, b, c, divided BEVEL_STEPS times along each side, and the triangles between."""
     n = BEVEL_STEPS
     number = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(n + 1) for j in range(n + 1 - i))}
     directions = _unit(np.array([(n - i - j) * a + i * b + j * c for i, j in number]))
@@ -167,29 +171,35 @@ def _unit(vectors: Array) -> Array:
 # --- paint ---
 
 
-def face_paint(die: Die, *, paint: float, ink: float, grain: float, seed: int) -> NDArray[np.float32]:
-    """The atlas (n, n): reflectance of every point of every face, first row on top.
+def face_paint(
+    die: Die, *, die_reflectance: float, mark_reflectance: float, grain: float, seed: int
+) -> NDArray[np.float32]:
+    """The atlas (n, n): the reflectance of all faces, first row on top.
 
-    `grain` is the relative standard deviation of the paint, in specks of a few hundredths of a face.
+    `grain` is the relative standard deviation of the die's reflectance, in specks of a few hundredths of a face.
     """
     count = len(die.solid.faces)
     across = _tiles_across(count)
-    atlas = np.full((across * TILE_PX, across * TILE_PX), paint, np.float32)
+    atlas = np.full((across * TILE_PX, across * TILE_PX), die_reflectance, np.float32)
     for face in range(count):
         row, column = divmod(face, across)
         marked = _marks(die, face)
-        atlas[row * TILE_PX : (row + 1) * TILE_PX, column * TILE_PX : (column + 1) * TILE_PX] += (ink - paint) * marked
-    specks = cv2.GaussianBlur(np.random.default_rng(seed).standard_normal(atlas.shape).astype(np.float32), (0, 0), 1.5)
+        atlas[row * TILE_PX : (row + 1) * TILE_PX, column * TILE_PX : (column + 1) * TILE_PX] += (
+            mark_reflectance - die_reflectance
+        ) * marked
+    specks = cv2.GaussianBlur(
+        np.random.default_rng(seed).standard_normal(atlas.shape).astype(np.float32), (0, 0), GRAIN_PX
+    )
     return np.asarray(np.clip(atlas * (1.0 + grain * specks / specks.std()), 0.0, 1.0), np.float32)
 
 
 def _tiles_across(faces: int) -> int:
-    """Tiles in a row of the atlas: one for each face and a blank one."""
+    """Tiles per row of the atlas, which has a tile for each face and a blank one."""
     return int(np.ceil(np.sqrt(faces + 1)))
 
 
-def _tile_place(tile: int, faces: int, across: Array) -> Array:
-    """Places (..., 2) in the atlas of points of a tile, each from -1 to 1 to the right and up."""
+def _tile_uv(tile: int, faces: int, across: Array) -> Array:
+    """Positions (..., 2) in the atlas of points of a tile, given from -1 to 1 to the right and up."""
     row, column = divmod(tile, _tiles_across(faces))
     u = column + 0.5 + 0.5 * across[..., 0]
     v = row + 0.5 - 0.5 * across[..., 1]
@@ -197,12 +207,12 @@ def _tile_place(tile: int, faces: int, across: Array) -> Array:
 
 
 def _marks(die: Die, face: int) -> NDArray[np.float32]:
-    """Share of ink (TILE_PX, TILE_PX) on the tile of a face."""
+    """Share (TILE_PX, TILE_PX) of each pixel of a face's tile that its marks cover."""
     size = FINER * TILE_PX
     fine = np.zeros((size, size), np.uint8)
     frame = face_frame(die.solid, face)
     for visible_edges in _mark_outlines(die, face, frame):
-        # Sixteenths of a fine pixel; the tile's middle is where four fine pixels meet.
+        # Sixteenths of a fine pixel; four fine pixels meet at the centre of the tile.
         points = [
             np.rint((size / 2 - 0.5 + size / 2 * outline * [1.0, -1.0]) * 16).astype(np.int32)
             for outline in visible_edges
@@ -213,7 +223,7 @@ def _marks(die: Die, face: int) -> NDArray[np.float32]:
 
 
 def _mark_outlines(die: Die, face: int, frame: FaceFrame) -> list[list[Array]]:
-    """The marks of a face, each as closed outlines (n, 2) in units of half a tile; an outline in another is a hole."""
+    """The marks of a face, each as closed outlines (n, 2) in half tiles; an outline within another is a hole."""
     if die.marks == "pips" and face + 1 in PIPS:
         edge = die.solid.edge_m / frame.half_m
         angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
@@ -225,7 +235,7 @@ def _mark_outlines(die: Die, face: int, frame: FaceFrame) -> list[list[Array]]:
 
 
 def _number(number: int, faces: int, inscribed: float) -> list[Array]:
-    """The outlines of a number; 6 and 9 are underlined where both occur."""
+    """The outlines of a number; 6 and 9 are underlined on dice that have both."""
     path = TextPath((0, 0), str(number), size=1.0, prop=FontProperties(family="DejaVu Sans", weight="bold"))
     visible_edges = [np.asarray(polygon, float) for polygon in path.to_polygons()]
     everything = np.concatenate(visible_edges)

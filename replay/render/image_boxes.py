@@ -1,4 +1,4 @@
-"""Windows of a picture: where to render anew, and how to lay the new over the old without a seam."""
+"""Boxes of an image: the parts that are rendered again, and blending them into the image without a seam."""
 
 from __future__ import annotations
 
@@ -9,25 +9,28 @@ from ...tracking.camera import Camera
 
 Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
-"""Of the picture: left, top, right, bottom, the last two exclusive."""
+"""Left, top, right, bottom [px]; the last two are exclusive."""
 
 FEATHER_PX = 8
-"""Over which a window goes over into the empty table: where it ends, the die's influence is below a grey level."""
+"""Width over which a box is blended into the empty table: at its border, the die changes less than a grey level."""
+BOX_MARGIN_PX = FEATHER_PX + 4
+"""Margin of a box around its points."""
 
 
 def box_about(points_px: Array, camera: Camera) -> Box | None:
-    """The box (left, top, right, bottom) about points, with the feather, within the picture."""
+    """The box around points with BOX_MARGIN_PX, within the image; None if it is empty."""
     points_px = points_px[np.isfinite(points_px).all(1)]
     if not len(points_px):
         return None
-    margin = FEATHER_PX + 4
-    left, top = np.maximum(np.floor(points_px.min(0)).astype(int) - margin, 0)
-    right, bottom = np.minimum(np.ceil(points_px.max(0)).astype(int) + margin + 1, [camera.width_px, camera.height_px])
+    left, top = np.maximum(np.floor(points_px.min(0)).astype(int) - BOX_MARGIN_PX, 0)
+    right, bottom = np.minimum(
+        np.ceil(points_px.max(0)).astype(int) + BOX_MARGIN_PX + 1, [camera.width_px, camera.height_px]
+    )
     return (int(left), int(top), int(right), int(bottom)) if right > left and bottom > top else None
 
 
 def merged(boxes: list[Box]) -> list[Box]:
-    """The boxes, those that overlap replaced by the one about both: a blended window must not be blended over."""
+    """The boxes, with overlapping ones replaced by the box around both, because blending twice would be wrong."""
     done: list[Box] = []
     for box in boxes:
         for other in list(done):
@@ -45,7 +48,7 @@ def _overlap(boxes: list[Box]) -> bool:
 
 
 def rounded_up(box: Box, camera: Camera, step_px: int) -> Box:
-    """The box widened to a multiple of `step_px` each way, as far as the picture goes."""
+    """The box enlarged to a multiple of `step_px` each way, within the image."""
     sides = []
     for low, high, most in ((box[0], box[2], camera.width_px), (box[1], box[3], camera.height_px)):
         size = min(-(-(high - low) // step_px) * step_px, most)
@@ -55,12 +58,13 @@ def rounded_up(box: Box, camera: Camera, step_px: int) -> Box:
 
 
 def part_of(box: Box) -> tuple[slice, slice]:
+    """Rows and columns of a box."""
     return slice(box[1], box[3]), slice(box[0], box[2])
 
 
-def blend(picture: Array, window: Array, box: Box) -> None:
-    """Lay a window over the picture; its weight rises from its borders, but for those that are the picture's own."""
-    height, width = picture.shape
+def blend(image: Array, inside: Array, box: Box) -> None:
+    """Blend a box into the image; its weight rises from its borders, except for borders of the image itself."""
+    height, width = image.shape
     left, top, right, bottom = box
     x, y = np.arange(left, right), np.arange(top, bottom)
     ramps = []
@@ -69,5 +73,5 @@ def blend(picture: Array, window: Array, box: Box) -> None:
         near_high = (high - at) / FEATHER_PX if high < end else np.ones(len(at))
         ramps.append(np.clip(np.minimum(near_low, near_high), 0.0, 1.0))
     weight = ramps[1][:, None] * ramps[0][None, :]
-    part = picture[part_of(box)]
-    part += weight * (window - part)
+    part = image[part_of(box)]
+    part += weight * (inside - part)

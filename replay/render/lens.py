@@ -1,8 +1,8 @@
-"""How the picture of a real lens comes from that of an ideal one, which is all that a renderer offers.
+"""The image of a real lens, computed from that of an ideal pinhole camera, because a renderer has no lens distortion.
 
-The point spread is a Gaussian that includes the pixel's area. A camera without distortion or skew is rendered as it is,
-with that Gaussian as its pixel filter. Any other is rendered as an ideal camera twice as fine, brought onto the real
-pixels by cubic splines, blurred by what the filter and the splines' sampling left over, and averaged.
+The point spread function is a Gaussian that includes the pixel's area. A camera without distortion or skew is rendered
+directly, with this Gaussian as its pixel filter. For any other camera, an ideal image of twice the resolution is rendered,
+resampled at the real pixels with cubic splines, blurred by the rest of the Gaussian, and averaged.
 """
 
 from __future__ import annotations
@@ -20,16 +20,20 @@ from .image_boxes import Box
 Array = NDArray[np.float64]
 
 FINER = 2
-"""A distorted picture is rendered so many times finer."""
+"""Resolution of the ideal image of a distorted camera, as a multiple of the real one."""
 FINE_FILTER_PX = 0.5
-"""Standard deviation of the fine picture's own pixel filter, in fine pixels: what a cubic spline still follows."""
-MOST_TURNS = 200
-"""Of the fixed point that undoes a distortion; real lenses need a dozen."""
+"""Standard deviation of the fine image's pixel filter, in fine pixels: a cubic spline can still interpolate it."""
+BOX_STEP_PX = 32
+"""Sizes of rendered boxes are multiples of this, because a renderer may compile again for every size."""
+MAX_ITERATIONS = 200
+"""Iterations of the fixed point that inverts the distortion; real lenses need a dozen."""
+CONVERGED_PX = 1e-6
+"""Step of this iteration at which it ends."""
 
 
 @dataclass(frozen=True, eq=False)
 class Optics:
-    """How the real camera's picture comes from that of an ideal one."""
+    """The ideal camera behind a real one, and how the real image follows from the ideal one."""
 
     width_px: int
     height_px: int
@@ -39,31 +43,32 @@ class Optics:
     filter_px: float
     """Standard deviation of the ideal camera's pixel filter, in its own pixels."""
     pose: Array
-    """(4, 4) camera to world, in Mitsuba's axes: x left, y up, z ahead."""
-    places: Array | None = field(default=None, repr=False)
-    """(2, FINER height, FINER width) row and column in the ideal picture of every fine point of the real one; None where
-    the ideal camera is the real one."""
+    """(4, 4) camera to world, in Mitsuba's axes: x left, y up, z forward."""
+    source_px: Array | None = field(default=None, repr=False)
+    """(2, FINER height, FINER width) row and column in the ideal image of every fine point of the real one; None if the
+    ideal camera is the real one."""
     blur_px: float = 0.0
-    """What is blurred in addition, in fine pixels."""
+    """Standard deviation of the additional blur, in fine pixels."""
 
     def rendered_box(self, box: Box) -> Box:
-        """The box of the ideal picture from which a box of the real one is made."""
-        if self.places is None:
+        """The box of the ideal image from which a box of the real one is computed."""
+        if self.source_px is None:
             return box
-        rows, columns = self.places[:, *_fine(box, _room(self.blur_px), self.places.shape)]
-        # Multiples, because a renderer may compile anew for every size; the ideal picture has no border.
+        rows, columns = self.source_px[:, *_fine(box, _blur_margin(self.blur_px), self.source_px.shape)]
         left, top = int(columns.min()) - 4, int(rows.min()) - 4
-        width, height = (-(-(int(c.max()) + 6 - low) // 32) * 32 for c, low in ((columns, left), (rows, top)))
+        width, height = (
+            -(-(int(c.max()) + 6 - low) // BOX_STEP_PX) * BOX_STEP_PX for c, low in ((columns, left), (rows, top))
+        )
         return left, top, left + width, top + height
 
     def to_real_image(self, ideal: Array, box: Box, fine: Box) -> Array:
-        """The real picture in a box, from the ideal one in its box."""
-        if self.places is None:
+        """The real image in a box, from the ideal one in its box."""
+        if self.source_px is None:
             return ideal
-        room = _room(self.blur_px)
-        window = _fine(box, room, self.places.shape)
-        places = self.places[:, *window] - np.array([fine[1], fine[0]])[:, None, None]
-        bent = map_coordinates(ideal, places, order=3, mode="nearest")
+        margin = _blur_margin(self.blur_px)
+        window = _fine(box, margin, self.source_px.shape)
+        source_px = self.source_px[:, *window] - np.array([fine[1], fine[0]])[:, None, None]
+        bent = map_coordinates(ideal, source_px, order=3, mode="nearest")
         soft = cv2.GaussianBlur(bent, (0, 0), self.blur_px, borderType=cv2.BORDER_REPLICATE)
         top, left = box[1] * FINER - window[0].start, box[0] * FINER - window[1].start
         height, width = box[3] - box[1], box[2] - box[0]
@@ -71,16 +76,16 @@ class Optics:
         return np.asarray(own.reshape(height, FINER, width, FINER).mean((1, 3)))
 
 
-def _room(blur_px: float) -> int:
-    """Fine pixels that a blur needs on every side."""
+def _blur_margin(blur_px: float) -> int:
+    """Margin that a blur needs on every side, in fine pixels."""
     return FINER * int(np.ceil(4.0 * blur_px / FINER))
 
 
-def _fine(box: Box, room: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Rows and columns of the fine picture about a box of the real one, with room for the blur."""
+def _fine(box: Box, margin: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Rows and columns of the fine image in a box of the real one, with a margin for the blur."""
     return (
-        slice(max(box[1] * FINER - room, 0), min(box[3] * FINER + room, shape[1])),
-        slice(max(box[0] * FINER - room, 0), min(box[2] * FINER + room, shape[2])),
+        slice(max(box[1] * FINER - margin, 0), min(box[3] * FINER + margin, shape[1])),
+        slice(max(box[0] * FINER - margin, 0), min(box[2] * FINER + margin, shape[2])),
     )
 
 
@@ -98,15 +103,18 @@ def optics_of(camera: Camera, blur_px: float) -> Optics:
     low, high = focal * directions.min((0, 1)), focal * directions.max((0, 1))
     middle_px = -np.floor(low) + 8.0
     width, height = (np.ceil(high + middle_px) + 9.0).astype(int)
-    places = np.stack([focal * directions[..., 1] + middle_px[1], focal * directions[..., 0] + middle_px[0]])
-    # Variances add: the fine filter, the mean over FINER points a pixel, and the rest as a blur of the fine picture.
+    source_px = np.stack([focal * directions[..., 1] + middle_px[1], focal * directions[..., 0] + middle_px[0]])
+    # Variances add: the fine filter, the mean over FINER points per pixel, and the rest as a blur of the fine image.
     rest = (FINER * blur_px) ** 2 - FINE_FILTER_PX**2 - (FINER**2 - 1) / 12.0
     centre = (float(middle_px[0]), float(middle_px[1]))
-    return Optics(int(width), int(height), focal, centre, FINE_FILTER_PX, pose, places, float(np.sqrt(rest)))
+    return Optics(int(width), int(height), focal, centre, FINE_FILTER_PX, pose, source_px, float(np.sqrt(rest)))
 
 
 def undistorted(camera: Camera) -> Array:
-    """(rows, columns, 2) x/z and y/z, seen without distortion, of FINER × FINER points in every pixel."""
+    """Undistorted x/z and y/z (rows, columns, 2) of FINER × FINER points in every pixel.
+
+    Raises ValueError if the distortion cannot be inverted within the frame.
+    """
     x = (np.arange(camera.width_px * FINER) + 0.5) / FINER - 0.5
     y = (np.arange(camera.height_px * FINER) + 0.5) / FINER - 0.5
     K, (k1, k2, p1, p2, k3) = camera.matrix, camera.distortion
@@ -114,16 +122,16 @@ def undistorted(camera: Camera) -> Array:
     seen_y = (py - K[1, 2]) / K[1, 1]
     seen_x = (px - K[0, 2] - K[0, 1] * seen_y) / K[0, 0]
     free_x, free_y = seen_x, seen_y
-    for _ in range(MOST_TURNS):
+    for _ in range(MAX_ITERATIONS):
         r2 = free_x**2 + free_y**2
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
         next_x = (seen_x - 2.0 * p1 * free_x * free_y - p2 * (r2 + 2.0 * free_x**2)) / radial
         next_y = (seen_y - p1 * (r2 + 2.0 * free_y**2) - 2.0 * p2 * free_x * free_y) / radial
         step_px = K[0, 0] * max(float(np.abs(next_x - free_x).max()), float(np.abs(next_y - free_y).max()))
         free_x, free_y = next_x, next_y
-        if step_px < 1e-6:
+        if step_px < CONVERGED_PX:
             return np.asarray(np.stack([free_x, free_y], -1))
     raise ValueError(
-        f"distortion = {camera.distortion.tolist()}: the lens folds the picture over within the frame; "
-        "wanted a distortion that every pixel can be traced back through"
+        f"distortion = {camera.distortion.tolist()}: the distortion is not invertible within the frame; "
+        "wanted one that maps every pixel to one direction"
     )

@@ -1,8 +1,8 @@
-"""The set of a film, in Mitsuba's terms: die, table, lamp, room and camera.
+"""The scene of a film as Mitsuba's dictionary: die, table, lamp, room and camera.
 
-**Mirror.** A reflecting table is a window into the mirrored scene: image die, image lamp and image room below it, seen
-and shining through a film that lets `REFLECTANCE` pass (method of images). That is exact for a plane, and free of the
-sparks that a path tracer makes of lamp light that reaches the die by way of a mirror.
+**Mirror.** A reflecting table is a window into the mirrored scene (method of images). The image die, the image lamp and the
+image room lie below it, and a film on the table transmits `REFLECTANCE` of their light. This is exact for a plane. A path
+tracer would render lamp light that reaches the die by a mirror as isolated bright pixels.
 """
 
 from __future__ import annotations
@@ -24,90 +24,107 @@ from .table_textures import WIDTH_M, is_mirror, table_paint
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
-UPSIDE_DOWN = np.array([1.0, 1.0, -1.0])
+MIRRORED_Z = np.array([1.0, 1.0, -1.0])
+"""Factors that map a point to its image in the table."""
 TABLE_HALF_M = 2.0
+"""Half the side of the rendered table."""
 REFLECTANCE = 0.8
-"""Of a mirror table, where no dust lies: a front-coated one has 0.9, a glass one less."""
-DEPTH = 5
-"""Of the light paths: lamp, table, die, table, eye."""
+"""Reflectance of a mirror table without dust: a front-coated mirror has 0.9, a glass one less."""
+MAX_PATH_DEPTH = 5
+"""Vertices of the longest light path: lamp, table, die, table, camera."""
+TABLE_ROUGHNESS = 0.3
+ROD_REFLECTANCE = 0.2
+MAX_REFLECTANCE = 0.95
+"""Of a table, after its factor."""
+LAMP_TURN_RAD = np.radians(-55.0)
+"""Direction of the lamp from that of the camera: the three visible faces of a die then have three shades."""
+LAMP_ELEVATION_RAD = np.radians(50.0)
 
 
 @dataclass(frozen=True)
 class Appearance:
-    """The scene but for die, table and camera: paint, lamp, and what stands in front."""
+    """The scene apart from die, table and camera: lamp, reflectances, and rods in front of the die."""
 
     lamp_m: Point
-    """Middle of the square lamp, which faces the origin; world."""
+    """Centre of the square lamp, which faces the origin, in world coordinates."""
     lamp_side_m: float = 0.08
-    fill: float = 0.25
-    """Light of the room, as a part of the lamp's at the origin."""
-    paint: float = 0.75
-    """Reflectance of the die."""
-    ink: float = 0.03
-    """Reflectance of its marks."""
+    room_light: float = 0.25
+    """Irradiance by the room, as a share of that by the lamp at the origin."""
+    die_reflectance: float = 0.75
+    mark_reflectance: float = 0.03
     roughness: float = 0.15
-    """Of its gloss: 0.05 a mirror's, 0.5 dull."""
+    """Roughness of the die's gloss: 0.05 is nearly a mirror, 0.5 is dull."""
     grain: float = 0.015
-    """Relative standard deviation of the die's paint."""
-    table_tone: float = 1.0
+    """Relative standard deviation of the die's reflectance."""
+    table_factor: float = 1.0
     """Factor on the reflectance of the table."""
-    brightest: float = 0.8
-    """Part of the sensor's range that a face turned to the lamp fills, gloss apart."""
+    lit_face_level: float = 0.8
+    """Share of the sensor's range on a face that is turned to the lamp, without gloss."""
     rods_m: tuple[tuple[Point, Point, float], ...] = ()
-    """Rods in the picture: both ends and the radius, world."""
+    """Rods in the image: both ends and the radius, in world coordinates."""
     seed: int = 1
-    """Of the table's texture and the paint's grain."""
+    """Seed of the table's texture and of the grain."""
 
 
 def lamp_beside(camera: Camera, distance_m: float = 0.6) -> Point:
-    """A place for the lamp, 50 degrees high and 55 degrees to the left of the camera: three faces get three shades."""
+    """A position for the lamp: 50 degrees above the table, 55 degrees to the left of the camera."""
     away = camera.centre_m[:2] / max(float(np.linalg.norm(camera.centre_m[:2])), 1e-9)
-    turn, rise = np.radians(-55.0), np.radians(50.0)
+    turn, rise = LAMP_TURN_RAD, LAMP_ELEVATION_RAD
     across = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]) @ away
     x, y = distance_m * np.cos(rise) * across
     return float(x), float(y), float(distance_m * np.sin(rise))
 
 
-def scene_of(mi: Any, die: Die, optics: Optics, surface: str, look: Appearance) -> dict[str, Any]:
-    """Everything, as Mitsuba's dictionary."""
-    paint = face_paint(die, paint=look.paint, ink=look.ink, grain=look.grain, seed=look.seed)
-    coat = mi.load_dict({"type": "roughplastic", "alpha": look.roughness, "diffuse_reflectance": _picture(mi, paint)})
+def scene_of(mi: Any, die: Die, optics: Optics, surface: str, appearance: Appearance) -> dict[str, Any]:
+    """The whole scene as Mitsuba's dictionary."""
+    paint = face_paint(
+        die,
+        die_reflectance=appearance.die_reflectance,
+        mark_reflectance=appearance.mark_reflectance,
+        grain=appearance.grain,
+        seed=appearance.seed,
+    )
+    coat = mi.load_dict(
+        {"type": "roughplastic", "alpha": appearance.roughness, "diffuse_reflectance": _picture(mi, paint)}
+    )
     scene = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": DEPTH},
+        "integrator": {"type": "path", "max_depth": MAX_PATH_DEPTH},
         "sensor": _sensor(mi, optics),
         "table": {
             "type": "rectangle",
             "to_world": mi.ScalarTransform4f().scale(TABLE_HALF_M),
-            "bsdf": _table_coat(mi, surface, look),
+            "bsdf": _table_coat(mi, surface, appearance),
         },
-        "lamp": _lamp(mi, look.lamp_m, look.lamp_side_m),
-        "room": _room_light(mi, surface, look),
+        "lamp": _lamp(mi, appearance.lamp_m, appearance.lamp_side_m),
+        "room": _room_light(mi, surface, appearance),
         "body": {"type": "shapegroup", "skin": _mesh(mi, die_mesh(die), coat)},
         "die": {"type": "instance", "to_world": mi.ScalarTransform4f(), "of": {"type": "ref", "id": "body"}},
     }
-    for k, rod in enumerate(look.rods_m):
+    for k, rod in enumerate(appearance.rods_m):
         scene[f"rod_{k}"] = _rod(*rod)
     if is_mirror(surface):
         mesh = die_mesh(die)
-        flipped = Mesh(mesh.vertices_m * UPSIDE_DOWN, mesh.normals * UPSIDE_DOWN, mesh.places, mesh.triangles[:, ::-1])
-        x, y, z = look.lamp_m
-        scene["integrator"] = {"type": "volpath", "max_depth": DEPTH}
-        scene["image_lamp"] = _lamp(mi, (x, y, -z), look.lamp_side_m)
+        flipped = Mesh(
+            mesh.vertices_m * MIRRORED_Z, mesh.normals * MIRRORED_Z, mesh.texture_uv, mesh.triangles[:, ::-1]
+        )
+        x, y, z = appearance.lamp_m
+        scene["integrator"] = {"type": "volpath", "max_depth": MAX_PATH_DEPTH}
+        scene["image_lamp"] = _lamp(mi, (x, y, -z), appearance.lamp_side_m)
         scene["image_body"] = {"type": "shapegroup", "skin": _mesh(mi, flipped, coat)}
         scene["image"] = {
             "type": "instance",
             "to_world": mi.ScalarTransform4f(),
             "of": {"type": "ref", "id": "image_body"},
         }
-        for k, (begin, end, radius) in enumerate(look.rods_m):
-            down = tuple(np.array(begin) * UPSIDE_DOWN), tuple(np.array(end) * UPSIDE_DOWN)
+        for k, (begin, end, radius) in enumerate(appearance.rods_m):
+            down = tuple(np.array(begin) * MIRRORED_Z), tuple(np.array(end) * MIRRORED_Z)
             scene[f"image_rod_{k}"] = _rod(*down, radius)
     return scene
 
 
 def _rod(begin: Point, end: Point, radius: float) -> dict[str, Any]:
-    coat = {"type": "twosided", "coat": {"type": "diffuse", "reflectance": _grey(0.2)}}
+    coat = {"type": "twosided", "coat": {"type": "diffuse", "reflectance": _grey(ROD_REFLECTANCE)}}
     return {"type": "cylinder", "p0": list(begin), "p1": list(end), "radius": radius, "bsdf": coat}
 
 
@@ -130,18 +147,18 @@ def _sensor(mi: Any, optics: Optics) -> dict[str, Any]:
 
 
 def sensor_axes(optics: Optics, box: Box) -> dict[str, Any]:
-    """Field of view [deg] and principal point of the ideal camera that shows a box of the ideal picture."""
+    """Field of view [deg] and principal point of the ideal camera that shows a box of the ideal image."""
     left, top, right, bottom = box
     return {
         "x_fov": float(np.degrees(2.0 * np.arctan((right - left) / 2.0 / optics.focal_px))),
-        # Mitsuba's offsets are parts of the picture, to the left and up, from its middle; its pixel centres are at 0.5.
+        # Mitsuba's offsets are shares of the image, to the left and up from its centre; its pixel centres are at 0.5.
         "principal_point_offset_x": 0.5 - (optics.middle_px[0] - left + 0.5) / (right - left),
         "principal_point_offset_y": 0.5 - (optics.middle_px[1] - top + 0.5) / (bottom - top),
     }
 
 
 def _lamp(mi: Any, middle: Point, side: float) -> dict[str, Any]:
-    """A square that faces the origin and lights it with irradiance 1."""
+    """A square lamp that faces the origin and gives it an irradiance of 1."""
     place = mi.ScalarTransform4f().look_at(origin=list(middle), target=[0, 0, 0], up=[0, 0, 1])
     return {
         "type": "rectangle",
@@ -150,13 +167,13 @@ def _lamp(mi: Any, middle: Point, side: float) -> dict[str, Any]:
     }
 
 
-def _room_light(mi: Any, surface: str, look: Appearance) -> dict[str, Any]:
-    """Even light from all sides; round a mirror, which shows it, a room with things in it."""
-    radiance = look.fill / np.pi
+def _room_light(mi: Any, surface: str, appearance: Appearance) -> dict[str, Any]:
+    """Uniform light from all sides; with a mirror, which shows the room, an environment of dark and bright areas."""
+    radiance = appearance.room_light / np.pi
     if not is_mirror(surface):
         return {"type": "constant", "radiance": _grey(radiance)}
-    rng = np.random.default_rng(look.seed + 1)
-    above = np.full((256, 1024), 0.4, np.float32)  # three pixels a degree, zenith to horizon
+    rng = np.random.default_rng(appearance.seed + 1)
+    above = np.full((256, 1024), 0.4, np.float32)  # three pixels per degree, zenith to horizon
     for _ in range(500):
         row, column = rng.integers(0, 256), rng.integers(0, 1024)
         high, wide = rng.integers(6, 40, 2)
@@ -170,19 +187,19 @@ def _room_light(mi: Any, surface: str, look: Appearance) -> dict[str, Any]:
     }
 
 
-def _table_coat(mi: Any, surface: str, look: Appearance) -> dict[str, Any]:
+def _table_coat(mi: Any, surface: str, appearance: Appearance) -> dict[str, Any]:
     scale = mi.ScalarTransform4f().scale(2.0 * TABLE_HALF_M / WIDTH_M)
     shift = mi.ScalarTransform4f().translate([0.5, 0.5, 0.0])
-    # The rectangle's own coordinates run from 0 to 1; the texture's middle is to lie at the origin.
+    # The rectangle's own coordinates run from 0 to 1; the centre of the texture must lie at the origin.
     to_uv = shift @ scale @ mi.ScalarTransform4f().translate([-0.5, -0.5, 0.0])
-    paint = table_paint(surface, look.seed)
+    paint = table_paint(surface, appearance.seed)
     if is_mirror(surface):
         film = _picture(mi, np.asarray(1.0 - REFLECTANCE * (1.0 - paint), np.float32), to_uv)
         return {"type": "mask", "opacity": film, "dust": {"type": "diffuse", "reflectance": _picture(mi, paint, to_uv)}}
-    paint = np.asarray(np.clip(look.table_tone * paint, 0.0, 0.95), np.float32)
+    paint = np.asarray(np.clip(appearance.table_factor * paint, 0.0, MAX_REFLECTANCE), np.float32)
     if "cork" in surface.lower():
         return {"type": "diffuse", "reflectance": _picture(mi, paint, to_uv)}
-    return {"type": "roughplastic", "alpha": 0.3, "diffuse_reflectance": _picture(mi, paint, to_uv)}
+    return {"type": "roughplastic", "alpha": TABLE_ROUGHNESS, "diffuse_reflectance": _picture(mi, paint, to_uv)}
 
 
 def _picture(mi: Any, levels: NDArray[np.float32], to_uv: Any = None) -> dict[str, Any]:
@@ -209,7 +226,7 @@ def _mesh(mi: Any, mesh: Mesh, coat: Any) -> Any:
     for name, values in (
         ("vertex_positions", mesh.vertices_m),
         ("vertex_normals", mesh.normals),
-        ("vertex_texcoords", mesh.places),
+        ("vertex_texcoords", mesh.texture_uv),
         ("faces", mesh.triangles),
     ):
         kind = np.uint32 if name == "faces" else np.float32

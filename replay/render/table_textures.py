@@ -1,7 +1,7 @@
-"""What the table looks like: reflectances of wood, cork, granite and plain matte surfaces, made from noise.
+"""Textures of the table: reflectances of wood, cork, granite, matte and mirror surfaces, made from noise.
 
-They are to be hard in the ways that real ones are (grain along one direction, patches, specks, seams), not to be
-mistaken for photographs. Every surface follows from its name and a seed.
+They are as difficult for tracking as real surfaces (grain along one direction, patches, specks, seams), but not
+photorealistic. A texture depends on its name and a seed only.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ Picture = NDArray[np.float32]
 
 TEXTURE_PX = 2048
 WIDTH_M = 0.4
-"""Of the textured square about the origin; beyond it the texture repeats. 5 px to the millimetre, as in a close view."""
+"""Side of the textured square around the origin; beyond it the texture repeats. It has 5 px/mm, as in a close view."""
 
 
 def table_paint(surface: str, seed: int) -> Picture:
-    """Reflectance (n, n), 0 to 1, of the square of WIDTH_M about the world's origin.
+    """Reflectance (n, n), 0 to 1, of the square of side WIDTH_M around the world's origin.
 
-    `surface` is free text: the first known word in it decides, and anything else is matte grey.
+    `surface` is free text: the first name of SURFACES in it decides; without one the table is matte grey.
     """
     rng = np.random.default_rng(seed)
     known = next((name for name in SURFACES if name in surface.lower()), "matte")
@@ -36,7 +36,7 @@ def is_mirror(surface: str) -> bool:
 
 
 def _noise(rng: np.random.Generator, sigma_x_px: float, sigma_y_px: float | None = None) -> Picture:
-    """Gaussian noise of unit variance, smooth over so many pixels, periodic."""
+    """Periodic Gaussian noise of unit variance, smoothed with these standard deviations."""
     white = rng.standard_normal((TEXTURE_PX, TEXTURE_PX)).astype(np.float32)
     turns_y, turns_x = 2.0 * np.pi * fftfreq(TEXTURE_PX), 2.0 * np.pi * rfftfreq(TEXTURE_PX)
     keep_y = np.exp(-0.5 * ((sigma_y_px or sigma_x_px) * turns_y) ** 2).astype(np.float32)
@@ -46,7 +46,7 @@ def _noise(rng: np.random.Generator, sigma_x_px: float, sigma_y_px: float | None
 
 
 def _wood(rng: np.random.Generator) -> Picture:
-    """Boards across x, growth rings that wander along them, fine pores, dark seams."""
+    """Boards along y with irregular growth rings, fine pores, and dark seams between them."""
     board_px = TEXTURE_PX // 5
     x = np.arange(TEXTURE_PX, dtype=np.float32)[None, :]
     board = (x // board_px).astype(int)
@@ -77,12 +77,12 @@ def _granite(rng: np.random.Generator) -> Picture:
 
 
 def _matte(rng: np.random.Generator) -> Picture:
-    """Grey lacquer, a little uneven."""
+    """Grey lacquer, slightly uneven."""
     return np.asarray(0.35 * (1.0 + 0.025 * _noise(rng, 1.2) + 0.02 * _noise(rng, 60.0)))
 
 
 def _dust(rng: np.random.Generator) -> Picture:
-    """What lies on a mirror: share of the light that dust scatters."""
+    """Dust on a mirror: share of the light that it scatters."""
     return np.asarray(0.02 + 0.25 * np.minimum(np.maximum(_noise(rng, 1.6) - 3.6, 0.0), 1.0))
 
 
@@ -93,4 +93,4 @@ SURFACES: dict[str, Callable[[np.random.Generator], Picture]] = {
     "mirror": _dust,
     "matte": _matte,
 }
-"""The surfaces that a table's description can name."""
+"""The surfaces by the name in a table's description."""

@@ -1,4 +1,4 @@
-"""`diethrow lyapunov` and the verdict of `diethrow throw` on what double precision decides."""
+"""`diethrow lyapunov`, and the verdict of `diethrow throw` on decidability in double precision."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def invoke(*arguments: object) -> tuple[int, str, str]:
     return result.exit_code, result.stdout, result.stderr
 
 
-def test_an_exponent_is_written_with_its_errors_and_a_picture(tmp_path: Path) -> None:
+def test_an_exponent_is_written_with_its_errors_and_a_figure(tmp_path: Path) -> None:
     status, said, _ = invoke("lyapunov", *FEW, "--out", tmp_path / "out")
     assert status == 0
     assert "per second" in said
@@ -64,14 +64,14 @@ def test_a_motion_that_ends_has_a_growth_and_no_exponent(tmp_path: Path) -> None
         (("--amplitude", "-1"), "amplitude_m = -1"),
     ],
 )
-def test_what_cannot_be_followed_is_refused_in_one_sentence(options, sentence, tmp_path: Path) -> None:
+def test_impossible_starts_are_refused_in_one_sentence(options, sentence, tmp_path: Path) -> None:
     status, _, told = invoke("lyapunov", *options, "--out", tmp_path / "out")
     assert status == 2
     assert sentence in told
     assert not (tmp_path / "out").exists()
 
 
-def test_a_throw_says_whether_double_precision_decides_it(tmp_path: Path) -> None:
+def test_a_throw_states_whether_it_is_decidable_in_double_precision(tmp_path: Path) -> None:
     plan = tmp_path / "throw.toml"
     plan.write_text(THROW)
     assert invoke("throw", plan, "--out", tmp_path / "out")[0] == 0

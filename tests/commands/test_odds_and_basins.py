@@ -1,4 +1,4 @@
-"""`diethrow odds` and `diethrow basins`: what they write, that they can be stopped, and how they refuse."""
+"""`diethrow odds` and `diethrow basins`: their outputs, resumed runs, and refused options."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def invoke(*words: object) -> tuple[int, str, str]:
 
 
 class StopAt:
-    """Ctrl-C, once so much is done."""
+    """Ctrl-C after a given amount of work."""
 
     def __init__(self, done: int) -> None:
         self.done = done
@@ -84,7 +84,7 @@ def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
     assert origin["understood"]["throws"] == 300
 
 
-def test_throws_that_do_not_land_are_told(tmp_path: Path) -> None:
+def test_throws_that_land_on_no_face_are_reported(tmp_path: Path) -> None:
     plan = OddsPlan("cube", 0.02, 0.016, (1.0,), 40.0, conditions="uniform", throws=20, after=0)
     (tally,) = odds(plan, tmp_path / "out")
     told = json.loads((tmp_path / "out" / "odds.json").read_text())
@@ -94,7 +94,7 @@ def test_throws_that_do_not_land_are_told(tmp_path: Path) -> None:
     assert tally.rested == 0
 
 
-def test_odds_that_were_stopped_go_on_to_the_same_counts(tmp_path: Path) -> None:
+def test_resumed_odds_have_the_same_counts(tmp_path: Path) -> None:
     whole = odds(PLAN, tmp_path / "whole", chunk=100)
     # Once in the first series and once in the second.
     for stop in (200, 700):
@@ -111,7 +111,7 @@ def test_odds_that_were_stopped_go_on_to_the_same_counts(tmp_path: Path) -> None
     assert sorted(file.name for file in tmp_path.iterdir()) == ["out", "whole"]
 
 
-def test_a_map_that_was_stopped_goes_on_to_the_same_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_resumed_map_has_the_same_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.commands.model.basin_maps.CHUNK_PIXELS", 80)
     whole, _ = basins(SMALL, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
@@ -123,7 +123,7 @@ def test_a_map_that_was_stopped_goes_on_to_the_same_pixels(tmp_path: Path, monke
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
 
 
-def test_a_map_is_kept_when_its_predictability_is_stopped(tmp_path: Path) -> None:
+def test_a_map_is_kept_if_its_predictability_is_interrupted(tmp_path: Path) -> None:
     plan = replace(SMALL, predictability=True, conditions=32)
 
     def stop(stage: str, done: int, total: int) -> None:
@@ -138,7 +138,7 @@ def test_a_map_is_kept_when_its_predictability_is_stopped(tmp_path: Path) -> Non
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
 
 
-def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_says_how_to_resume(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
@@ -149,7 +149,7 @@ def test_ctrl_c_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_work_file_of_other_settings_is_refused(tmp_path: Path) -> None:
+def test_a_work_file_with_other_settings_is_refused(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         odds(PLAN, tmp_path / "out", chunk=100, progress=StopAt(200))
     other = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 41.0, throws=500, after=2)
@@ -161,14 +161,14 @@ def test_a_work_file_of_other_settings_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 cut off", b"no archive"])
-def test_a_work_file_that_is_none_is_one_sentence(tmp_path: Path, content: bytes) -> None:
+def test_an_invalid_work_file_is_an_error_in_one_sentence(tmp_path: Path, content: bytes) -> None:
     work = WorkFile(tmp_path / "out", PLAN)
     work.path.write_bytes(content)
     with pytest.raises(ValueError, match="not a work file"):
         work.read()
 
 
-def test_a_work_file_is_written_now_and_then_and_replaced_whole(
+def test_a_work_file_is_written_at_intervals_and_replaced_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     work = WorkFile(tmp_path / "out", PLAN)
@@ -213,7 +213,7 @@ def test_a_basin_is_written_whole(tmp_path: Path) -> None:
     np.testing.assert_array_equal(pixels[::-1, :, ::-1], colours_of(face, ending))
 
 
-def test_predictability_is_measured_and_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_predictability_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.commands.model.basin_maps.BALL_THROWS", 60)
     words = ("--pixels", 5, 5, "--chi", 0.05, "--predictability", "--samples", 200, "--out", tmp_path / "out")
     status, said, notes = invoke("basins", *words)
@@ -249,7 +249,7 @@ def test_predictability_is_measured_and_told(tmp_path: Path, monkeypatch: pytest
         (("basins", "--at-impact", 0), "wanted a number from 1 to 1000"),
     ],
 )
-def test_options_that_cannot_be_are_one_sentence_and_no_folder(
+def test_impossible_options_give_one_sentence_and_no_folder(
     words: tuple[object, ...], said: str, tmp_path: Path
 ) -> None:
     status, _, told = invoke(*words, "--out", tmp_path / "out")
@@ -259,7 +259,7 @@ def test_options_that_cannot_be_are_one_sentence_and_no_folder(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_existing_folder_is_refused_before_anything_is_thrown(tmp_path: Path) -> None:
+def test_an_existing_folder_is_refused_before_any_throw(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     status, _, said = invoke("odds", "--throws", 10**12, "--out", tmp_path / "out")
     assert status == 2
@@ -272,7 +272,7 @@ def test_axes_and_fixed_conditions_are_read_from_words() -> None:
     assert fixed_from(["theta=2", "vz=-0.7"]) == {"z0": 0.3, "psi": 0.3, "theta": 2.0, "phi": 0.6, "vz": -0.7}
 
 
-def test_faces_keep_apart_for_the_colour_blind() -> None:
+def test_colours_of_faces_differ_for_the_colour_blind() -> None:
     # Machado, Oliveira and Fernandes (2009), severity 1: protan, deutan, tritan.
     sights = [
         np.eye(3),
@@ -291,7 +291,7 @@ def test_faces_keep_apart_for_the_colour_blind() -> None:
             assert apart[:faces, :faces].min() >= least
 
 
-def test_what_is_no_face_has_a_colour_of_its_own() -> None:
+def test_endings_on_no_face_have_their_own_colours() -> None:
     spins, bounces = (ENDING_OF_INDEX.index(ending) for ending in (Ending.SPINNING, Ending.BOUNCING))
     colours = colours_of(np.array([1, 0, 0, 0, 20]), np.array([0, spins, bounces, -1, 0]))
     assert colours.tolist() == [
@@ -299,7 +299,7 @@ def test_what_is_no_face_has_a_colour_of_its_own() -> None:
     ]
 
 
-def test_pictures_carry_units_and_name_every_face() -> None:
+def test_figures_state_units_and_name_every_face() -> None:
     face, ending = np.array([[1, 2], [0, 4]]), np.array([[0, 0], [ENDING_OF_INDEX.index(Ending.SPINNING), 0]])
     ax = basin_map(Figure().add_subplot(), SMALL.x, SMALL.y, face, ending, 4)
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("$z_0$ [m]", r"$\omega_\eta$ [rad/s]")

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 import diethrow.commands.results.viewer
 from diethrow.cli.app import app
 from diethrow.commands.results.joined_recordings import COLUMNS, find_recordings, join
-from diethrow.commands.results.viewer import NOBODY, TALKATIVE, open_viewer, silent_environment
+from diethrow.commands.results.viewer import DEAD_PROXY, TELEMETRY_VARIABLES, open_viewer, silent_environment
 from diethrow.replay.recording.throw_recording import write_recording
 
 
@@ -44,14 +44,14 @@ def test_a_folder_of_throws_stands_for_all_of_them(throws: Path) -> None:
     assert [one.name for one in find_recordings([throws / "c", throws / "a" / "replay.rrd"])] == ["c", "a"]
 
 
-def test_throws_of_one_name_are_told_apart_by_their_folders(throws: Path, tmp_path: Path) -> None:
+def test_throws_of_one_name_are_distinguished_by_their_folders(throws: Path, tmp_path: Path) -> None:
     twin = tmp_path / "elsewhere" / "a"
     twin.mkdir(parents=True)
     (twin / "replay.rrd").write_bytes((throws / "a" / "replay.rrd").read_bytes())
     assert [one.name for one in find_recordings([throws / "a", twin])] == [f"{throws.name}_a", "elsewhere_a"]
 
 
-def test_the_table_has_a_row_a_throw(throws: Path) -> None:
+def test_the_table_has_one_row_per_throw(throws: Path) -> None:
     status, said, _ = invoke(throws)
     assert status == 0
     assert "0.5831 (0.5802 to 0.5859)" in said
@@ -74,7 +74,7 @@ def test_models_of_one_clip_are_recognised(throws: Path, tmp_path: Path) -> None
     assert (status, "2 throws in" in said) == (0, True)
 
 
-def test_a_folder_gets_a_recording_a_throw_and_a_table(throws: Path, tmp_path: Path) -> None:
+def test_a_folder_gets_one_recording_per_throw_and_a_table(throws: Path, tmp_path: Path) -> None:
     out = tmp_path / "table"
     assert invoke(throws, "--out", out)[0] == 0
     assert sorted(path.name for path in out.iterdir()) == ["a.rrd", "b.rrd", "c.rrd", "throws.csv"]
@@ -87,7 +87,7 @@ def test_a_folder_gets_a_recording_a_throw_and_a_table(throws: Path, tmp_path: P
     assert applications == {"diethrow"}
 
 
-def test_nothing_is_replaced_without_being_told_to(throws: Path, tmp_path: Path) -> None:
+def test_nothing_is_replaced_without_force(throws: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.rrd"
     out.write_text("mine")
     status, _, said = invoke(throws, "--out", out)
@@ -101,13 +101,13 @@ def test_nothing_is_replaced_without_being_told_to(throws: Path, tmp_path: Path)
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("{throws}/none",), "there is no recording of a throw"),
-        (("{throws}/a", "{throws}/a"), "named twice"),
+        (("{throws}/none",), "no recording of a throw"),
+        (("{throws}/a", "{throws}/a"), "given twice"),
         (("{throws}/a", "--out", "{tmp}/x.rrd"), "is one recording"),
         (("{throws}", "--out", "{tmp}/x.rrd", "--align", "end"), "wanted bounce or frame"),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(words: tuple[str, ...], sentence: str, throws: Path, tmp_path: Path) -> None:
+def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, throws: Path, tmp_path: Path) -> None:
     status, _, said = invoke(*(word.format(throws=throws, tmp=tmp_path) for word in words))
     assert status != 0
     assert sentence in said
@@ -120,7 +120,7 @@ def test_the_help_shows_examples() -> None:
     assert "diethrow replay out/cube_wood --open" in said
 
 
-def test_throws_that_nobody_knows_the_origin_of_are_no_models_of_one(throws: Path, tmp_path: Path) -> None:
+def test_throws_without_provenance_are_not_models_of_one(throws: Path, tmp_path: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "replay.rrd").write_bytes((throws / name / "replay.rrd").read_bytes())
@@ -135,14 +135,14 @@ def test_the_viewer_is_opened_on_loopback_without_statistics(throws: Path, monke
         return subprocess.CompletedProcess(command, 0, "", "")
 
     monkeypatch.setattr(diethrow.commands.results.viewer.subprocess, "run", run)
-    monkeypatch.setenv(TALKATIVE[0], "1")
+    monkeypatch.setenv(TELEMETRY_VARIABLES[0], "1")
     assert invoke(throws / "a", "--open")[0] == 0
     ((command, environment),) = asked
     assert command[0] == sys.executable
     assert command[-1] == str(throws / "a" / "replay.rrd")
     assert command[command.index("--bind") + 1] == "127.0.0.1"
-    assert TALKATIVE[0] not in environment
-    assert environment["HTTPS_PROXY"] == NOBODY
+    assert TELEMETRY_VARIABLES[0] not in environment
+    assert environment["HTTPS_PROXY"] == DEAD_PROXY
     assert environment["CI"] == "1"
 
 
@@ -155,6 +155,6 @@ def test_a_viewer_that_does_not_open_says_why(throws: Path, monkeypatch: pytest.
         open_viewer([throws / "none.rrd"])
 
 
-def test_the_environment_of_the_program_itself_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_of_the_program_itself_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ANY_OTHER", "kept")
     assert silent_environment()["ANY_OTHER"] == "kept"

@@ -1,4 +1,4 @@
-"""A result can be made again from what it says of itself, and is compared number by number."""
+"""A run can be repeated from the provenance of its results; the results are compared number by number."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from diethrow.cli.app import app
-from diethrow.commands.results.repeated_run import compare
+from diethrow.commands.results.folder_comparison import compare
 
 SAMPLE = Path(__file__).parents[2] / "data_samples"
 
@@ -23,7 +23,7 @@ def invoke(*words: object) -> tuple[int, str, str]:
 
 @pytest.fixture
 def thrown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A throw simulated by relative paths, as a user would; then the user goes elsewhere."""
+    """A throw simulated with relative paths; afterwards the working folder is another one."""
     shutil.copy(SAMPLE / "throws" / "cube_mirror.toml", tmp_path / "throw.toml")
     monkeypatch.chdir(tmp_path)
     assert invoke("throw", "throw.toml", "--out", "out")[0] == 0
@@ -31,7 +31,7 @@ def thrown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "out"
 
 
-def test_numbers_made_again_agree_bit_for_bit(thrown: Path) -> None:
+def test_the_numbers_of_a_repeated_run_agree_bit_for_bit(thrown: Path) -> None:
     before = sorted(thrown.parent.iterdir())
     status, said, _ = invoke("rerun", thrown)
     assert status == 0
@@ -39,7 +39,7 @@ def test_numbers_made_again_agree_bit_for_bit(thrown: Path) -> None:
     assert sorted(thrown.parent.iterdir()) == before
 
 
-def test_numbers_that_differ_are_named_with_by_how_much(thrown: Path) -> None:
+def test_numbers_that_differ_are_named_with_their_difference(thrown: Path) -> None:
     table = thrown / "bounces.csv"
     header, first, *rest = table.read_text().splitlines()
     cells = first.split(",")
@@ -54,7 +54,7 @@ def test_numbers_that_differ_are_named_with_by_how_much(thrown: Path) -> None:
     assert "do not agree within 0" in said
 
 
-def test_inputs_that_changed_or_are_gone_are_told(thrown: Path) -> None:
+def test_an_input_that_changed_or_is_missing_is_an_error(thrown: Path) -> None:
     plan = thrown.parent / "throw.toml"
     kept = plan.read_bytes()
     plan.write_bytes(kept + b"\n# a word more\n")
@@ -62,10 +62,10 @@ def test_inputs_that_changed_or_are_gone_are_told(thrown: Path) -> None:
     assert status == 1
     assert "throw.toml has changed since" in said
     plan.unlink()
-    assert "throw.toml is not there any longer" in invoke("rerun", thrown)[2]
+    assert "throw.toml is missing" in invoke("rerun", thrown)[2]
     origin = thrown / "provenance.json"
-    told = json.loads(origin.read_text())
-    origin.write_text(json.dumps({**told, "command": [], "inputs": []}))
+    contents = json.loads(origin.read_text())
+    origin.write_text(json.dumps({**contents, "command": [], "inputs": []}))
     assert "names no command that can be repeated" in invoke("rerun", thrown)[2]
     os.remove(origin)
     status, _, said = invoke("rerun", thrown)

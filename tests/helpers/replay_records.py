@@ -1,4 +1,4 @@
-"""A small throw to draw, made by hand: two flights, one impact, some frames lost, and a clip with numbered frames."""
+"""A small record to draw: two flights, one impact, some lost frames, and a clip whose frames show their numbers."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Array = NDArray[np.float64]
 FPS = 1500.0
 FRAMES = 60
 FIRST_FRAME = 7
-"""The clip starts in the middle of a file: frame numbers are not row numbers."""
+"""The clip begins in the middle of a file, so frame numbers differ from row numbers."""
 IMPACT_S = 0.0234567891
 """Between two frames."""
 WIDTH_PX, HEIGHT_PX = 97, 88
-"""Odd on purpose: the film's encoder wants even pictures."""
+"""Odd sizes, because the video encoder needs even ones."""
 CODE_BITS, CODE_PX = 8, 10
 
 
 @dataclass(frozen=True, eq=False)
 class ArrayClip:
-    """A clip held in memory."""
+    """A clip in memory."""
 
     array: NDArray[Any]
     times_s: Array

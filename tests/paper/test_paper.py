@@ -13,7 +13,7 @@ from diethrow.cli.app import app
 from diethrow.files.outputs import OutputExistsError
 from diethrow.model.ensembles.odds import Share
 from diethrow.paper import replication as paper_module
-from diethrow.paper.bounces_to_rest import last_other, settled
+from diethrow.paper.bounces_to_rest import last_face_changes, last_other
 from diethrow.paper.corner_sequences import STATED, best_labelling, by_chance, placements, released
 from diethrow.paper.release_face_odds import agrees, crossings, judge
 from diethrow.paper.replication import PARTS, PaperPlan, paper, plan_of, summary
@@ -52,7 +52,7 @@ def test_every_statement_has_a_verdict_and_a_reason(table):
     assert sum(table["verdicts"].values()) == 13
 
 
-def test_what_cannot_depend_on_the_throws_is_always_decided_alike(table):
+def test_verdicts_that_do_not_depend_on_the_throws_are_fixed(table):
     found = {result["key"]: result["verdict"] for result in table["results"]}
     assert found["inertias"] == Verdict.REPRODUCED.value
     assert found["fig_7"] == found["exponents_moving_table"] == Verdict.NOT_DECIDABLE.value
@@ -64,7 +64,7 @@ def test_what_cannot_depend_on_the_throws_is_always_decided_alike(table):
     assert upwards["letters"].startswith("CDDCBA")
 
 
-def test_the_page_shows_every_verdict_number_and_picture(table, page, replicated):
+def test_the_page_shows_every_verdict_number_and_figure(table, page, replicated):
     for result in table["results"]:
         for text in (result["title"], result["ours"], result["why"], result["paper"]):
             assert _escaped(text) in page
@@ -77,7 +77,7 @@ def test_the_page_shows_every_verdict_number_and_picture(table, page, replicated
     assert page.count("data:image/png;base64,") == len(pictures) == len(set(pictures)) == 9
 
 
-def test_no_picture_is_blank(table, replicated):
+def test_no_figure_is_blank(table, replicated):
     for result in table["results"]:
         for picture in result["pictures"]:
             pixels = cv2.imread(str(replicated[0] / picture["file"]), cv2.IMREAD_GRAYSCALE)
@@ -105,12 +105,12 @@ def test_the_paper_s_number_of_throws_is_run():
     assert FULL.throws == 2_000_000
 
 
-def test_a_folder_that_exists_is_refused_before_anything_is_thrown(tmp_path):
+def test_an_existing_folder_is_refused_before_any_throw(tmp_path):
     with pytest.raises(OutputExistsError, match="exists"):
         paper(PaperPlan(TINY), tmp_path)
 
 
-def test_a_run_that_is_stopped_leaves_nothing(tmp_path, monkeypatch):
+def test_a_stopped_run_leaves_no_folder(tmp_path, monkeypatch):
     def stopped(run: Run) -> tuple[Result, ...]:
         (run.folder / "half.png").write_bytes(b"x")
         raise KeyboardInterrupt
@@ -121,7 +121,7 @@ def test_a_run_that_is_stopped_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_seed_below_zero_is_a_misused_command(tmp_path):
+def test_a_negative_seed_is_a_usage_error(tmp_path):
     ran = CliRunner().invoke(app, ["paper", "--seed", "-1", "--out", str(tmp_path / "out")])
     assert ran.exit_code == 2
     assert "seed -1" in ran.output
@@ -137,7 +137,7 @@ def test_a_relabelled_sequence_agrees_in_full(stated):
     assert (found.matches, found.prefix, found.letters) == (len(stated), len(stated), stated)
 
 
-def test_one_wrong_corner_costs_one_match_and_ends_the_beginning():
+def test_one_wrong_corner_costs_one_match_and_ends_the_prefix():
     vertices = [0, 1, 0, 2, 3, 0, 1, 0, 1, 3]  # A, B, A, C, D, A, B, A, B, D
     vertices[4] = 2
     found = best_labelling("ABACDABABD", vertices)
@@ -149,23 +149,23 @@ def test_two_corners_never_share_a_letter_nor_two_letters_a_corner():
     assert best_labelling("ABAB", [1, 1, 1, 1]).matches == 2
 
 
-def test_a_shorter_sequence_is_compared_as_far_as_it_goes():
+def test_sequences_are_compared_up_to_the_shorter_length():
     found = best_labelling("ABCD", [7, 3])
     assert (found.matches, found.prefix, found.letters) == (2, 2, "AB")
 
 
-def test_of_equal_labellings_the_one_that_explains_the_beginning_is_told():
+def test_of_equal_labellings_the_one_that_agrees_with_the_first_impacts_is_given():
     # Either A = 1 (first two) or A = 2 (last two) makes two agree.
     assert best_labelling("AAAA", [1, 1, 2, 2]).letters == "AA··"
 
 
-def test_chance_alone_agrees_somewhat():
+def test_chance_alone_gives_some_agreements():
     chance = by_chance(STATED["cube"], 8, 2, seed=3)
     assert 4.0 < chance[:, 1].mean() < 7.0
     assert (chance[:, 1] >= chance[:, 0]).all()
 
 
-def test_the_placements_of_the_tetrahedron_stand_as_they_say():
+def test_the_placements_of_the_tetrahedron_match_their_names():
     die = tetrahedron()
     for name, turn in placements(die.solid).items():
         corners = die.solid.vertices @ _matrix(turn).T
@@ -178,7 +178,7 @@ def test_the_placements_of_the_tetrahedron_stand_as_they_say():
             assert away.max() == pytest.approx(0.040793 / sqrt(3.0), rel=1e-12)
 
 
-def test_other_gravity_is_the_same_path_run_through_in_other_time():
+def test_another_gravity_gives_the_same_path_at_another_rate():
     slow = released(np.array([1.0, 0, 0, 0]), -0.7, gravity_m_s2=4 * 9.81)
     usual = released(np.array([1.0, 0, 0, 0]), -0.7)
     np.testing.assert_allclose(2.0 * slow.velocity_m_s, usual.velocity_m_s, rtol=1e-15)
@@ -197,7 +197,7 @@ def test_odds_agree_within_rounding_and_three_errors():
     ("stated", "verdict"),
     [(0.1667, Verdict.REPRODUCED), (0.199, Verdict.NOT_DECIDABLE), (0.121, Verdict.NOT_REPRODUCED)],
 )
-def test_a_number_is_judged_by_what_it_agrees_with(stated, verdict):
+def test_a_number_is_judged_by_the_interpretations_that_agree(stated, verdict):
     n = 2_000_000
     readings = {
         20.0: {"at rest, of all throws": Share(n // 6, n), "lowest at impact 4": Share(int(0.204 * n), n)},
@@ -224,14 +224,14 @@ def test_the_fair_cut_lies_on_the_line_between_its_neighbours():
     assert pytest.approx(0.2) == FAIR
 
 
-def test_a_die_is_settled_after_the_last_impact_on_another_face():
+def test_the_last_impact_on_another_face_is_the_one_before_the_face_stays():
     lowest = np.array([[3, 1, 2, 2, 2], [1, 1, 1, 1, 1], [2, 2, 2, 2, 2]])
     np.testing.assert_array_equal(last_other(lowest, np.array([2, 1, 0])), [1, 0])
 
 
 def test_threads_change_no_count(tmp_path: Path):
     runs = [Run(tmp_path, TINY, 1, threads) for threads in (1, 3)]
-    np.testing.assert_array_equal(*(settled(run, "cube", 0.3) for run in runs))
+    np.testing.assert_array_equal(*(last_face_changes(run, "cube", 0.3) for run in runs))
 
 
 def _escaped(text: str) -> str:

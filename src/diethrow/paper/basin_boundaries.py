@@ -1,7 +1,8 @@
-"""The paper's Fig. 6: basins of attraction of the tetrahedron, and how fine their boundaries are.
+"""The paper's Fig. 6: basins of attraction of the tetrahedron, and the structure of their boundaries.
 
-The paper shows smooth boundaries after few bounces that grow ever finer with χ. Both are measured: the share f(ε) of
-conditions with a neighbour at ε that ends elsewhere, and the exponent α of f(ε) ~ ε^α, 1 for a smooth boundary.
+The paper shows boundaries that are smooth after few bounces and become finer as χ grows. Two quantities measure this: the
+share f(ε) of conditions with a neighbour at distance ε on another face, and the exponent α of f(ε) ~ ε^α, which is 1 for a
+smooth boundary.
 """
 
 from __future__ import annotations
@@ -30,35 +31,40 @@ from ..model.ensembles import (
 from ..model.laws import SmoothImpact
 from ..replay.elements import FACE_COLOURS, hex_colour
 from ..replay.figures import basin_map
-from .results import CHI, Picture, Result, Run, Table, Verdict, cell, drawing, tetrahedron
+from .results import CHI, CURVE_FACES, Picture, Result, Run, Table, Verdict, cell, drawing, tetrahedron
 
 Array = NDArray[np.float64]
 Faces = NDArray[np.int64]
 
 CHIS = (0.05, 0.2, 0.5, 1.0)
-HEIGHTS_M, SPINS_RAD_S = (0.1, 0.4), (0.0, 50.0)
-"""The plane: the paper's text names its axes, not their ends."""
-FEW = (1, 2, 3, 5, 8)
-"""Impacts after which the lowest face is looked at, for the fineness of the boundaries after few bounces."""
+HEIGHTS_M = (0.1, 0.4)
+SPINS_RAD_S = (0.0, 50.0)
+"""The ranges of the plane; the paper names its axes, not their ranges."""
+FIRST_IMPACTS = (1, 2, 3, 5, 8)
+"""Impacts at which the lowest face is taken, for the boundaries after few bounces."""
 AT_CHI_1 = 20
-"""A die that keeps its energy lands on no face: at χ = 1 the lowest face at this impact is shown."""
+"""A die that keeps its energy lands on no face, so at χ = 1 the lowest face at this impact is shown."""
 COMPARED_AT = 1e-3
-"""Distance, in sides of the plane, at which the uncertain shares of several χ are compared."""
-AT_ONCE = 4096
-"""Pixels that a thread takes at once, in whole rows."""
+"""Distance in sides of the plane at which the uncertain shares at several χ are compared."""
+CHUNK_PIXELS = 4096
+"""Pixels that a thread computes at once, in whole rows."""
+CHUNK_PIXELS_CHI_1 = 256
+"""The same at χ = 1, where every throw has many more impacts."""
+SMOOTH_EXPONENT = 0.05
+"""Largest deviation of the exponent of a smooth boundary from 1; three standard errors if those are larger."""
 
 MISSING_FIGURE = (
-    "What the figure shows, and with which parameters, is not part of the description of the paper that this program was "
-    "written from, and no public text was found that tells it. Nothing is drawn in its place."
+    "The description of the paper from which this program was written does not include this figure or its parameters, and no "
+    "public text describes it. Nothing is drawn in its place."
 )
 
 
 def fig_6(run: Run) -> tuple[Result, ...]:
     """Maps at each χ, and the uncertainty of the boundaries by χ and by the number of bounces."""
-    steps = _Steps(run, len(CHIS) + len(CHIS) + len(FEW))
+    steps = _Steps(run, len(CHIS) + len(CHIS) + len(FIRST_IMPACTS))
     maps = {chi: steps.after(_map(run, chi)) for chi in CHIS}
     by_chi = {chi: steps.after(_uncertain(run, chi, AT_CHI_1 if chi == 1.0 else None)) for chi in CHIS}
-    by_impact = {k: steps.after(_uncertain(run, CHI, k)) for k in FEW}
+    by_impact = {k: steps.after(_uncertain(run, CHI, k)) for k in FIRST_IMPACTS}
     pictures = (_draw_maps(run, maps), _draw_uncertain(run, by_chi, by_impact))
     verdict, ours, why = _judged(by_chi, by_impact)
     return (
@@ -86,7 +92,7 @@ def fig_6(run: Run) -> tuple[Result, ...]:
 
 
 def fig_7(run: Run) -> tuple[Result, ...]:
-    """Says that it is not known."""
+    """The result that the figure is not known."""
     return (
         Result(
             key="fig_7",
@@ -100,21 +106,21 @@ def fig_7(run: Run) -> tuple[Result, ...]:
 
 
 class _Steps:
-    """Tells the progress of a number of steps."""
+    """Reports the progress of a number of steps."""
 
     def __init__(self, run: Run, count: int) -> None:
         self.run, self.count, self.done = run, count, 0
         run.progress("Fig. 6", 0, count)
 
     def after(self, value: Any) -> Any:
-        """The value, one step on."""
+        """The value, after reporting one more step."""
         self.done += 1
         self.run.progress("Fig. 6", self.done, self.count)
         return value
 
 
 def stage_of(chi: float) -> ThrowSetup:
-    """The tetrahedron of the figure."""
+    """Die and law of the figure."""
     return ThrowSetup(tetrahedron(), SmoothImpact(chi))
 
 
@@ -128,7 +134,7 @@ def _map(run: Run, chi: float) -> Faces:
     pixels = run.effort.pixels_chi_1 if chi == 1.0 else run.effort.pixels
     after = AT_CHI_1 if chi == 1.0 else 0
     face = np.zeros((pixels, pixels), np.int64)
-    rows = max(1, (AT_ONCE // 16 if chi == 1.0 else AT_ONCE) // pixels)
+    rows = max(1, (CHUNK_PIXELS_CHI_1 if chi == 1.0 else CHUNK_PIXELS) // pixels)
     for i, j, part in map_rows(stage_of(chi), plane_of(pixels), after=after, rows=rows, threads=run.threads):
         face[i:j] = (part.lowest[:, -1] if chi == 1.0 else part.face).reshape(-1, pixels)
     return face
@@ -154,32 +160,32 @@ Measured = dict[Any, tuple[FinalStateSensitivity, UncertaintyExponent | None]]
 def _judged(by_chi: Measured, by_impact: Measured) -> tuple[Verdict, str, str]:
     shares = [share_at(by_chi[chi][0], COMPARED_AT) for chi in CHIS]
     finer = all(a < b for a, b in pairwise(shares))
-    first, last = by_impact[FEW[0]], by_impact[FEW[-1]]
-    smooth = first[1] is not None and abs(first[1].value - 1.0) <= max(0.05, 3.0 * first[1].standard_error)
+    first, last = by_impact[FIRST_IMPACTS[0]], by_impact[FIRST_IMPACTS[-1]]
+    smooth = first[1] is not None and abs(first[1].value - 1.0) <= max(SMOOTH_EXPONENT, 3.0 * first[1].standard_error)
     grows = share_at(first[0], COMPARED_AT) < share_at(last[0], COMPARED_AT)
-    told = ", ".join(f"{cell(share)} (χ = {chi:g})" for share, chi in zip(shares, CHIS, strict=True))
+    values = ", ".join(f"{cell(share)} (χ = {chi:g})" for share, chi in zip(shares, CHIS, strict=True))
     ours = (
-        f"A share of {told} of the conditions has a neighbour at {COMPARED_AT:g} of the plane that ends elsewhere. At "
+        f"A share of {values} of the conditions has a neighbour at {COMPARED_AT:g} of the plane on another face. At "
         f"χ = {CHI:g} the exponent α is {_exponent(first[1])} for the lowest face at the first impact, and "
-        f"{_exponent(last[1])} for that at impact {FEW[-1]}."
+        f"{_exponent(last[1])} for that at impact {FIRST_IMPACTS[-1]}."
     )
     reasons = [
-        "The boundaries grow finer with χ" if finer else "The boundaries do not grow finer with every χ",
+        "The boundaries become finer as χ grows" if finer else "The boundaries do not become finer with every χ",
         "they are smooth at the first impact (α = 1)"
         if smooth
         else "they are not shown to be smooth at the first impact",
-        "and they grow finer with the bounces." if grows else "and they grow no finer with the bounces.",
+        "and they become finer with the bounces." if grows else "and they do not become finer with the bounces.",
     ]
     why = (
         ", ".join(reasons)
-        + " The ends of the paper's axes are not stated, so the pictures cannot be laid over each other. "
-        f"A die at χ = 1 never rests: what is shown there is the face that is lowest at impact {AT_CHI_1}."
+        + " The paper does not state the ranges of its axes, so the figures cannot be compared directly. "
+        f"A die at χ = 1 never comes to rest: there the lowest face at impact {AT_CHI_1} is shown."
     )
     return (Verdict.REPRODUCED if finer and smooth and grows else Verdict.NOT_REPRODUCED), ours, why
 
 
 def share_at(sensitivity: FinalStateSensitivity, epsilon: float) -> float:
-    """f at a distance, between the measured ones along the logarithm."""
+    """f at a distance, interpolated over log ε."""
     shares = [share.value for share in sensitivity.shares]
     return float(np.interp(np.log(epsilon), np.log(sensitivity.epsilons), shares))
 
@@ -207,8 +213,8 @@ def _cells(sensitivity: FinalStateSensitivity, exponent: UncertaintyExponent | N
 
 def _table(by_chi: Measured, by_impact: Measured) -> Table:
     return Table(
-        "How fine the boundaries are. Distances are parts of the plane's sides; an exponent is left out where too few "
-        "distances have a share between zero and that of chance.",
+        "Structure of the boundaries. Distances are shares of the plane's sides. An exponent is not determined if too few "
+        "distances have a share between zero and chance.",
         (
             "χ",
             "outcome",
@@ -258,8 +264,7 @@ def _draw_uncertain(run: Run, by_chi: Measured, by_impact: Measured) -> Picture:
     figure.savefig(run.folder / "fig_6_uncertain.png")
     return Picture(
         "fig_6_uncertain.png",
-        "Share of the conditions with a neighbour at ε that ends elsewhere. A straight line of slope 1 is a smooth "
-        "boundary.",
+        "Share of the conditions with a neighbour at ε on another face. A smooth boundary gives a line of slope 1.",
     )
 
 
@@ -267,7 +272,7 @@ def _curves(ax: Axes, curves: Measured) -> None:
     for k, (name, (sensitivity, _)) in enumerate(curves.items()):
         shares = np.array([share.value for share in sensitivity.shares])
         some = shares > 0.0
-        colour = hex_colour(FACE_COLOURS[(0, 2, 4, 5, 3)[k % 5]])
+        colour = hex_colour(FACE_COLOURS[CURVE_FACES[k % len(CURVE_FACES)]])
         ax.plot(sensitivity.epsilons[some], shares[some], ".-", linewidth=1.0, markersize=5, color=colour, label=name)
     ax.set_xscale("log")
     ax.set_yscale("log")

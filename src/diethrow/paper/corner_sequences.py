@@ -1,8 +1,8 @@
-"""The paper's Fig. 5: two throws, the corners that hit, and how far such a sequence can be told at all.
+"""The paper's Fig. 5: two throws, the sequences of corners that hit, and how far such a sequence is determined at all.
 
-The paper names corners by letters without saying where they sit, and it does not say how the tetrahedron lies in its
-body axes. So letters are given to our corners as well as can be, and every likely placement of the tetrahedron is tried;
-what chance alone would make of so many tries is stated beside the best of them.
+The paper names corners by letters without their positions, and does not state how the tetrahedron lies in its body axes. The
+letters are therefore assigned to our corners by the best labelling, and every likely placement of the tetrahedron is tried.
+The result of chance for the same number of trials is given beside the best one.
 """
 
 from __future__ import annotations
@@ -28,55 +28,59 @@ from .results import CHI, Picture, Result, Run, Table, Verdict, cell, cube, draw
 Array = NDArray[np.float64]
 
 START = {"z0": 0.3, "psi": 0.001, "theta": 0.00001, "phi": 0.0001, "vx": 0.6, "omega_eta": 60.0}
-"""Of the paper's Fig. 5; m, rad, m/s, rad/s."""
+"""Initial conditions of the paper's Fig. 5 [m, rad, m/s, rad/s]."""
 SPEEDS_M_S = (-0.7, 0.7)
 """v0z as printed, and upwards."""
 STATED = {"tetrahedron": "ABACDABABD", "cube": "CDDCBADBBBB"}
 STATED_CHANGES = {"tetrahedron": (4,), "cube": (3, 4, 5, 7)}
-"""After which impacts the lowest face changes."""
-SIZES = tuple(10.0**-k for k in range(15, 1, -1))
-"""Relative disturbances of the release."""
+"""Impacts after which the lowest face changes, in the paper."""
+PERTURBATIONS = tuple(10.0**-k for k in range(15, 1, -1))
+"""Relative perturbations of the release."""
 OTHER_GRAVITY_M_S2 = (9.8, 9.80665, 10.0)
 """The paper does not state g."""
 CHANCE_DRAWS = 4000
-SURE = 0.05
-"""Where chance would do as well more rarely than this, an agreement is one."""
-GROWN = 0.05
-"""An error grown to this part of the circumradius may change which corner comes next."""
+SIGNIFICANCE = 0.05
+"""Largest probability of an equal agreement by chance at which the agreement counts."""
+DECISIVE_ERROR = 0.05
+"""Error as a share of the circumradius from which the next corner may be another one."""
+MIN_DRAWS = 400
+"""Smallest number of draws for the agreement by chance."""
+PREFIX_BONUS = 0.01
+"""Weight of the first impacts: it decides between labellings with equally many agreements."""
 
 
 @dataclass(frozen=True)
 class Labelling:
-    """Corners of ours for the paper's letters."""
+    """An assignment of our corners to the paper's letters."""
 
     matches: int
-    """Impacts at which the letters agree, under the labelling that makes them most."""
+    """Impacts at which the letters agree, for the labelling with most agreements."""
     prefix: int
-    """Impacts from the first on that agree under one labelling."""
+    """Number of first impacts that agree under one labelling."""
     letters: str
-    """Our corners in the letters of that labelling; a dot where a corner has none."""
+    """Our corners in the letters of that labelling; a dot for a corner without a letter."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One reading of the paper's start, and what followed."""
+    """One interpretation of the paper's initial conditions with the throw that follows."""
 
     placement: str
     v0z_m_s: float
     vertices: tuple[int, ...]
     labelling: Labelling
     changes: tuple[int, ...]
-    """Impacts after which the face that is lowest half-way through a flight differs from the one before."""
+    """Impacts after which the lowest face half-way through the flight differs from the previous one."""
     changes_at_impacts: tuple[int, ...]
-    """The same for the face that is lowest at the instants of the impacts."""
+    """The same for the lowest face at the impacts."""
     landed_face: int | None
 
 
 def best_labelling(stated: str, vertices: Sequence[int]) -> Labelling:
-    """Give each letter of `stated` a corner of its own, so that as many impacts as possible agree.
+    """Assign a corner to each letter of `stated` so that as many impacts as possible agree (linear assignment).
 
-    The letters are a labelling, nothing more: on a tetrahedron any of the 24 is a symmetry of the solid, and of the
-    cube only four of eight corners are named. Sequences are compared up to the shorter one's length.
+    All labellings are admissible: on a tetrahedron any of the 24 is a symmetry of the solid, and only four of the eight
+    corners of the cube are named. Sequences are compared up to the length of the shorter one.
     """
     letters, corners = sorted(set(stated)), sorted(set(vertices))
     pairs = list(zip(stated, vertices, strict=False))
@@ -85,16 +89,16 @@ def best_labelling(stated: str, vertices: Sequence[int]) -> Labelling:
     )
     prefix = _prefix(pairs)
     first = dict(pairs[:prefix])
-    # Of several labellings that agree as often, the one that explains the beginning.
+    # Of several labellings with equally many agreements, the one that agrees with the first impacts.
     bonus = np.array([[first.get(a) == v for v in corners] for a in letters]).reshape(agree.shape)
-    rows, columns = linear_sum_assignment(-(agree + 0.01 * bonus))
+    rows, columns = linear_sum_assignment(-(agree + PREFIX_BONUS * bonus))
     names = {corners[column]: letters[row] for row, column in zip(rows, columns, strict=True)}
-    told = "".join(names.get(v, "·") for v in vertices[: len(stated)])
-    return Labelling(int(agree[rows, columns].sum()), prefix, told)
+    ours = "".join(names.get(v, "·") for v in vertices[: len(stated)])
+    return Labelling(int(agree[rows, columns].sum()), prefix, ours)
 
 
 def _prefix(pairs: Sequence[tuple[str, int]]) -> int:
-    """Pairs from the first on that one labelling explains."""
+    """Number of first pairs that agree under one labelling."""
     name_of: dict[int, str] = {}
     corner_of: dict[str, int] = {}
     for k, (letter, corner) in enumerate(pairs):
@@ -104,7 +108,7 @@ def _prefix(pairs: Sequence[tuple[str, int]]) -> int:
 
 
 def fig_5(run: Run) -> tuple[Result, ...]:
-    """Both throws, as printed and with v0z upwards."""
+    """The results for both throws, with v0z as printed and upwards."""
     results = []
     for k, die in enumerate((tetrahedron(), cube())):
         results.append(_fig_5_of(run, die))
@@ -133,7 +137,9 @@ def _fig_5_of(run: Run, die: Die) -> Result:
         title=f"Fig. 5: the throw of a {shape}",
         stated=f"The corners that hit are {', '.join(stated)}; the lowest face changes after impact "
         f"{', '.join(map(str, STATED_CHANGES[shape]))}.",
-        ours=_told(printed, "As printed (v0z = −0.7 m/s)") + " " + _told(best, f"Best of {len(variants)} readings"),
+        ours=_summary(printed, "As printed (v0z = −0.7 m/s)")
+        + " "
+        + _summary(best, f"Best of {len(variants)} interpretations"),
         verdict=verdict,
         why=f"{why} {_limits(shadows)}",
         tables=(_variant_table(variants), table, _gravity_table(die, best)),
@@ -155,10 +161,10 @@ def _fig_5_of(run: Run, die: Die) -> Result:
 
 
 def placements(solid: Solid) -> dict[str, Array]:
-    """How the die may lie in the paper's body axes: quaternions (4,) from our body axes to those.
+    """The likely orientations of the die in the paper's body axes: quaternions (4,) from our body axes to those.
 
-    Placements that a symmetry of the solid or a mirror makes the same are left out for the cube, which has its faces
-    square to the axes; the tetrahedron may stand in many ways.
+    The cube has its faces perpendicular to the axes; all such orientations are equivalent by symmetry. The tetrahedron has
+    many orientations.
     """
     none = np.array([1.0, 0.0, 0.0, 0.0])
     if solid.name != "tetrahedron":
@@ -184,9 +190,9 @@ def _about_z(angle: float) -> Array:
 
 
 def released(turn: Array, v0z_m_s: float, factors: Array | None = None, gravity_m_s2: float = GRAVITY_M_S2) -> State:
-    """The paper's start with the die placed by `turn`; conditions times `factors` (10,).
+    """The paper's initial state with the orientation `turn` of the die in its axes; conditions times `factors` (10,).
 
-    Another gravity g' is had by speeds and spins times √(g/g'): the same path, run through in other time.
+    Another gravity g' corresponds to speeds and spins times √(g/g'): the path is the same, at another rate.
     """
     given = START | {"vz": v0z_m_s}
     numbers = np.array([given.get(name, 0.0) for name in CONDITIONS])
@@ -199,7 +205,7 @@ def released(turn: Array, v0z_m_s: float, factors: Array | None = None, gravity_
 
 
 def followed(die: Die, placement: str, turn: Array, v0z_m_s: float) -> Variant:
-    """The throw of one reading, compared with the paper's."""
+    """The throw of one interpretation, compared with the paper's."""
     result = throw_die(die, released(turn, v0z_m_s), SmoothImpact(CHI))
     vertices = corners_hit(result)
     return Variant(
@@ -214,26 +220,26 @@ def followed(die: Die, placement: str, turn: Array, v0z_m_s: float) -> Variant:
 
 
 def corners_hit(result: ThrowResult) -> tuple[int, ...]:
-    """Our corners in the order in which they hit."""
+    """Our corners in the order of their impacts."""
     return tuple(impact.vertices[0] for impact in result.throw.bounces)
 
 
 def face_changes(bounces: Sequence[Impact]) -> tuple[int, ...]:
-    """Numbers of the impacts that another face follows; the lowest one half-way through each flight counts."""
+    """Numbers of the impacts after which the lowest face half-way through the flight is another one."""
     return tuple(k for k, impact in enumerate(bounces, 1) if impact.lowest_face_before != impact.lowest_face_after)
 
 
 def face_changes_at_impacts(die: Die, result: ThrowResult) -> tuple[int, ...]:
-    """Numbers of the impacts after which the lowest face at the next one, or at the end, is another."""
+    """Numbers of the impacts after which the lowest face at the next impact, or at the end, is another one."""
     states = [result.throw.at(impact.time_s) for impact in result.throw.bounces] + [result.end]
     faces = [lowest_face(die.solid, matrix_from_quat(state.quaternion)) for state in states]
     return tuple(k for k in range(1, len(faces)) if faces[k] != faces[k - 1])
 
 
 def by_chance(stated: str, corners: int, readings: int, seed: int) -> NDArray[np.int64]:
-    """(draws, 2) best prefix and best matches among so many readings, if corners hit at random."""
+    """(draws, 2) best prefix and best number of matches among `readings` random sequences of corners."""
     random = np.random.default_rng(seed)
-    draws = random.integers(0, corners, (max(CHANCE_DRAWS // readings, 400), readings, len(stated)))
+    draws = random.integers(0, corners, (max(CHANCE_DRAWS // readings, MIN_DRAWS), readings, len(stated)))
     best = []
     for draw in draws:
         labellings = [best_labelling(stated, row.tolist()) for row in draw]
@@ -242,12 +248,12 @@ def by_chance(stated: str, corners: int, readings: int, seed: int) -> NDArray[np
 
 
 def _decided(die: Die, variant: Variant, run: Run) -> dict[str, Any]:
-    """How many impacts stay as they are where the release is disturbed, and how much errors grow."""
+    """The number of impacts that do not change if the release is perturbed, and the growth of errors."""
     turn = placements(die.solid)[variant.placement]
     until = min(len(STATED[die.solid.name]), len(variant.vertices))
     random = np.random.default_rng(run.seed)
     rows = []
-    for size in SIZES:
+    for size in PERTURBATIONS:
         common = [
             _common(die, turn, variant, 1.0 + size * random.normal(size=len(CONDITIONS)), until)
             for _ in range(run.effort.shadows)
@@ -260,12 +266,12 @@ def _decided(die: Die, variant: Variant, run: Run) -> dict[str, Any]:
         "impacts": until,
         "disturbed": rows,
         "log10_growth": grown,
-        "decided_by_double": int(np.sum(grown < -np.log10(2.2e-16) + np.log10(GROWN))),
+        "decided_by_double": int(np.sum(grown < -np.log10(2.2e-16) + np.log10(DECISIVE_ERROR))),
     }
 
 
 def _common(die: Die, turn: Array, variant: Variant, factors: Array, until: int) -> int:
-    """Impacts that a disturbed throw has in common with the undisturbed one."""
+    """Number of first impacts that a perturbed throw has in common with the unperturbed one."""
     result = throw_die(die, released(turn, variant.v0z_m_s, factors), SmoothImpact(CHI), until=Until(impacts=until))
     pairs = zip(corners_hit(result), variant.vertices[:until], strict=False)
     return int(np.logical_and.accumulate([a == b for a, b in pairs]).sum())
@@ -275,13 +281,13 @@ def _judged(
     stated: str, printed: Variant, best: Variant, luck: float, chance: NDArray[np.int64], readings: int
 ) -> tuple[Verdict, str]:
     if printed.labelling.prefix == len(stated):
-        return Verdict.REPRODUCED, "Every impact agrees, from the start as it is printed."
+        return Verdict.REPRODUCED, "Every impact agrees, from the initial conditions as printed."
     usual = f"{cell(float(chance[:, 1].mean()))} impacts of {len(stated)} would agree by chance"
-    if luck > SURE:
+    if luck > SIGNIFICANCE:
         return (
             Verdict.NOT_DECIDABLE if readings > 2 else Verdict.NOT_REPRODUCED,
-            f"No reading does better than chance ({usual}, in the best of {readings} readings)."
-            + (" The paper does not say how the die lies in its body axes." if readings > 2 else ""),
+            f"No interpretation agrees better than chance ({usual}, in the best of {readings} interpretations)."
+            + (" The paper does not state how the die lies in its body axes." if readings > 2 else ""),
         )
     sign = "with v0z upwards" if best.v0z_m_s > 0 else "with v0z as printed"
     return (
@@ -292,22 +298,22 @@ def _judged(
 
 
 def _limits(shadows: Sequence[dict[str, Any]]) -> str:
-    """How far the sequence could be told from the start."""
+    """How many impacts the initial conditions determine."""
     sentences = []
     for each in shadows:
-        told = {row["disturbance"]: row["least"] for row in each["disturbed"]}
+        least = {row["disturbance"]: row["least"] for row in each["disturbed"]}
         sentences.append(
             f"v0z = {cell(each['v0z_m_s'])} m/s: double precision decides {each['decided_by_double']} of the first "
-            f"{each['impacts']} impacts; a start, or a solution, exact to 10⁻⁶ of itself decides {told[SIZES[9]]}, to 10⁻³ "
-            f"{told[SIZES[12]]}."
+            f"{each['impacts']} impacts. Initial conditions, or a solution, with a relative error of 10⁻⁶ decide "
+            f"{least[PERTURBATIONS[9]]}, of 10⁻³ {least[PERTURBATIONS[12]]}."
         )
     return " ".join(sentences)
 
 
-def _told(variant: Variant, head: str) -> str:
+def _summary(variant: Variant, head: str) -> str:
     changes = ", ".join(map(str, variant.changes)) or "none"
     return (
-        f"{head}: {variant.labelling.letters}, {variant.labelling.prefix} agree from the first on and "
+        f"{head}: {variant.labelling.letters}, {variant.labelling.prefix} first impacts agree, "
         f"{variant.labelling.matches} in all; the lowest face changes after {changes}."
     )
 
@@ -327,13 +333,13 @@ def _variant_table(variants: Sequence[Variant]) -> Table:
         for v in variants
     ]
     return Table(
-        "Every reading that was tried. A dot is a corner that the best labelling leaves without a letter. The lowest face "
-        "is taken half-way through each flight, and at the instants of the impacts.",
+        "All interpretations that were tried. A dot is a corner without a letter in the best labelling. The lowest face is "
+        "taken half-way through each flight, and at the impacts.",
         (
             "the die in its body axes",
             "v0z [m/s]",
             "corners",
-            "agree from the first on",
+            "first impacts that agree",
             "agree in all",
             "impacts to rest",
             "face changes after (half-way)",
@@ -344,25 +350,25 @@ def _variant_table(variants: Sequence[Variant]) -> Table:
 
 
 def shadow_table(shadows: Sequence[dict[str, Any]]) -> Table:
-    """Impacts that survive a disturbance, by its size."""
+    """Number of first impacts that a perturbation does not change, by its size."""
     rows = [
         (
             f"10^{round(np.log10(size))}",
             *(value for each in shadows for value in (each["disturbed"][k]["least"], each["disturbed"][k]["median"])),
         )
-        for k, size in enumerate(SIZES)
+        for k, size in enumerate(PERTURBATIONS)
     ]
     heads = [f"v0z = {cell(each['v0z_m_s'])} m/s, {what}" for each in shadows for what in ("least", "median")]
     return Table(
-        "Impacts, from the first on, that stay as they are when every initial condition is disturbed by this part of "
-        f"itself: the least and the median of the disturbed throws, of {shadows[0]['impacts']} impacts.",
-        ("disturbance", *heads),
+        "Number of first impacts that do not change if every initial condition has this relative perturbation: minimum and "
+        f"median of the perturbed throws, of {shadows[0]['impacts']} impacts.",
+        ("perturbation", *heads),
         tuple(rows),
     )
 
 
 def _gravity_table(die: Die, best: Variant) -> Table:
-    """The same start under other values of g."""
+    """The best interpretation with other values of g."""
     rows = []
     turn, stated = placements(die.solid)[best.placement], STATED[die.solid.name]
     for gravity in (GRAVITY_M_S2, *OTHER_GRAVITY_M_S2):
@@ -371,8 +377,8 @@ def _gravity_table(die: Die, best: Variant) -> Table:
         labelling = best_labelling(stated, corners_hit(throw_die(die, release, SmoothImpact(CHI), until=until)))
         rows.append((gravity, labelling.letters, labelling.prefix, labelling.matches))
     return Table(
-        f"The paper does not state g. The best reading (v0z = {cell(best.v0z_m_s)} m/s) with other values of it.",
-        ("g [m/s²]", "corners", "agree from the first on", "agree in all"),
+        f"The paper does not state g. The best interpretation (v0z = {cell(best.v0z_m_s)} m/s) with other values of g.",
+        ("g [m/s²]", "corners", "first impacts that agree", "agree in all"),
         tuple(rows),
     )
 

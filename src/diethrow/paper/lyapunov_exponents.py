@@ -1,7 +1,7 @@
-"""The paper's largest Lyapunov exponents: at χ = 1, and on a table that oscillates.
+"""The paper's largest Lyapunov exponents: at χ = 1, and on an oscillating table.
 
-The paper gives four numbers with no unit, no start, and no motion of the table. An exponent of a motion that keeps its
-energy depends on that energy, so several starts stand side by side, each in three units.
+The paper gives four numbers without a unit, initial conditions, or the motion of the table. The exponent of a motion that
+conserves energy depends on this energy. Several initial conditions are therefore compared, each in three units.
 """
 
 from __future__ import annotations
@@ -22,20 +22,21 @@ from .results import Table as Rows
 STATED = {"tetrahedron": 0.076, "cube": 0.067}
 STATED_ON_MOVING = {"tetrahedron": 0.169, "cube": 0.183}
 HEIGHTS_M = (0.1, 0.3, 1.0)
-"""Releases of several energies; 0.3 is that of Fig. 5."""
+"""Release heights, for several energies; 0.3 m is that of Fig. 5."""
 MOTIONS = ((0.001, 25.0), (0.001, 50.0), (0.003, 25.0), (0.003, 50.0))
 """Amplitude [m] and frequency [Hz] of the table."""
 UNITS = ("per_second", "per_impact", "per_unit")
 UNIT_NAMES = {"per_second": "per second", "per_impact": "per impact", "per_unit": "per √(a/g)"}
 LEFT_OUT = 200
-APART = 3.0
-"""Standard errors between two ratios that are told apart."""
-ROUNDED = 0.016
-"""Of the paper's ratio: half a unit of the last digit of both numbers."""
+"""Impacts at the beginning of each orbit that do not count."""
+SIGNIFICANT_SIGMAS = 3.0
+"""Difference of two ratios, in standard errors, from which they count as different."""
+RATIO_ROUNDING = 0.016
+"""Rounding error of the paper's ratio: half a unit of the last digit of both numbers."""
 
 
 def exponents(run: Run) -> tuple[Result, ...]:
-    """Both pairs of numbers."""
+    """The results for both pairs of numbers."""
     dice = (tetrahedron(), cube())
     total, done = len(dice) * (len(HEIGHTS_M) + len(MOTIONS)), 0
     at_chi_1: dict[tuple[str, float], LyapunovExponents | str] = {}
@@ -54,13 +55,13 @@ def exponents(run: Run) -> tuple[Result, ...]:
 
 
 def start_of(height_m: float) -> State:
-    """The start of Fig. 5 from a given height, v0z as printed."""
+    """The initial state of Fig. 5 at another height, with v0z as printed."""
     given = START | {"z0": height_m, "vz": -0.7}
     return unpacked_state(states_of(np.array([[given.get(name, 0.0) for name in CONDITIONS]]))[0], 0.0)
 
 
 def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> LyapunovExponents | str:
-    """The exponent, or why there is none: on a weakly moving table a die comes to lie."""
+    """The exponent, or the reason why there is none: on a weakly oscillating table a die comes to rest."""
     try:
         return largest_lyapunov_exponent(
             die,
@@ -86,28 +87,31 @@ def _at_chi_1(run: Run, found: dict[tuple[str, float], LyapunovExponents | str])
         for unit in UNITS
     }
     paper_start = [kept[name, HEIGHTS_M[1]] for name in STATED]
-    told = "; ".join(
-        f"{name} {_told(each, 'per_second')} s⁻¹, {_told(each, 'per_impact')} per impact, {_told(each, 'per_unit')} per "
-        "√(a/g)"
+    values = "; ".join(
+        f"{name} {_with_error(each, 'per_second')} s⁻¹, {_with_error(each, 'per_impact')} per impact, "
+        f"{_with_error(each, 'per_unit')} per √(a/g)"
         for name, each in zip(STATED, paper_start, strict=True)
     )
     why = (
-        "Neither the unit nor the start is stated, and the exponent changes with the energy (table). None of the three units "
-        "gives the paper's numbers from any of these starts. " + _on_ratios(stated, ratios)
+        "The paper states neither the unit nor the initial conditions, and the exponent depends on the energy (table). None of "
+        "the three units gives the paper's numbers from any of these initial conditions. " + _on_ratios(stated, ratios)
     )
     return Result(
         key="exponents_chi_1",
         title="Largest Lyapunov exponents at χ = 1",
         stated=f"Tetrahedron {cell(STATED['tetrahedron'])}, cube {cell(STATED['cube'])}; no unit.",
-        ours=f"From the start of Fig. 5: {told}.",
+        ours=f"From the initial conditions of Fig. 5: {values}.",
         verdict=Verdict.NOT_DECIDABLE,
         why=why,
         tables=(
             Rows(
-                f"Largest exponents at χ = 1, from the start of Fig. 5 at several heights: {run.effort.orbits} orbits of "
-                f"{run.effort.orbit_impacts} impacts each, with standard errors.",
+                "Largest exponents at χ = 1, from the initial conditions of Fig. 5 at several heights: "
+                f"{run.effort.orbits} orbits of {run.effort.orbit_impacts} impacts each, with standard errors.",
                 ("die", "z0 [m]", *UNIT_NAMES.values()),
-                tuple((name, height, *(_told(each, unit) for unit in UNITS)) for (name, height), each in kept.items()),
+                tuple(
+                    (name, height, *(_with_error(each, unit) for unit in UNITS))
+                    for (name, height), each in kept.items()
+                ),
             ),
         ),
         pictures=(_draw(run, kept),),
@@ -127,13 +131,14 @@ def _at_chi_1(run: Run, found: dict[tuple[str, float], LyapunovExponents | str])
 
 
 def _on_ratios(stated: float, ratios: dict[str, list[tuple[float, float]]]) -> str:
-    """Whether a change of unit alone could lead to the paper's two numbers."""
+    """Whether a change of unit alone could explain the paper's two numbers."""
     rows = []
     for unit, row in ratios.items():
-        met = any(abs(ratio - stated) <= APART * error + ROUNDED for ratio, error in row)
+        met = any(abs(ratio - stated) <= SIGNIFICANT_SIGMAS * error + RATIO_ROUNDING for ratio, error in row)
         low, high = min(ratio for ratio, _ in row), max(ratio for ratio, _ in row)
         rows.append(f"{low:.2f} to {high:.2f} {UNIT_NAMES[unit]} ({'agrees' if met else 'does not agree'})")
-    return f"The ratio of tetrahedron to cube, which no unit changes, is {stated:.2f} in the paper; here {', '.join(rows)}."
+    here = ", ".join(rows)
+    return f"The ratio of tetrahedron to cube is independent of the unit. It is {stated:.2f} in the paper, and here {here}."
 
 
 def _ratio(a: LyapunovExponents, b: LyapunovExponents, unit: str) -> tuple[float, float]:
@@ -154,19 +159,19 @@ def _on_moving(found: dict[tuple[str, tuple[float, float]], LyapunovExponents | 
     spread = [each.per_second for each in kept.values()]
     span = f"{cell(min(spread))} to {cell(max(spread))} s⁻¹" if spread else "no exponent"
     rows = [
-        (name, 1e3 * motion[0], motion[1], *(_told(each, unit) for unit in UNITS))
+        (name, 1e3 * motion[0], motion[1], *(_with_error(each, unit) for unit in UNITS))
         if isinstance(each, LyapunovExponents)
-        else (name, 1e3 * motion[0], motion[1], "comes to lie on the table", "—", "—")
+        else (name, 1e3 * motion[0], motion[1], "comes to rest on the table", "—", "—")
         for (name, motion), each in found.items()
     ]
     return Result(
         key="exponents_moving_table",
         title="Largest Lyapunov exponents on an oscillating table",
         stated=f"Tetrahedron {cell(STATED_ON_MOVING['tetrahedron'])}, cube {cell(STATED_ON_MOVING['cube'])}; no unit.",
-        ours=f"{span[0].upper()}{span[1:]}, by amplitude and frequency; the cube's is the larger one in {larger} of {both} "
-        "motions.",
+        ours=f"{span[0].upper()}{span[1:]}, depending on amplitude and frequency; that of the cube is larger in {larger} of "
+        f"{both} motions.",
         verdict=Verdict.NOT_DECIDABLE,
-        why=f"Amplitude and frequency of the table, χ and the unit are not stated, and the exponent hangs on all of them. "
+        why=f"The paper does not state amplitude and frequency of the table, χ and the unit, and the exponent depends on all. "
         f"Here χ = {CHI:g}.",
         tables=(
             Rows(
@@ -186,7 +191,7 @@ def _on_moving(found: dict[tuple[str, tuple[float, float]], LyapunovExponents | 
     )
 
 
-def _told(each: LyapunovExponents, unit: str) -> str:
+def _with_error(each: LyapunovExponents, unit: str) -> str:
     return f"{getattr(each, unit):.3f} ± {getattr(each, f'{unit}_error'):.3f}"
 
 
@@ -197,7 +202,7 @@ def _plain(each: LyapunovExponents | str) -> dict[str, Any]:
 
 
 def _draw(run: Run, kept: dict[tuple[str, float], LyapunovExponents]) -> Picture:
-    """The estimate against the number of impacts that it was taken from, from the start of Fig. 5."""
+    """The running estimate against the number of impacts, from the initial conditions of Fig. 5."""
     figure = drawing((8.4, 3.4))
     ax = figure.subplots()
     for k, name in enumerate(STATED):
@@ -206,12 +211,14 @@ def _draw(run: Run, kept: dict[tuple[str, float], LyapunovExponents]) -> Picture
         running = np.cumsum(each.logs, axis=1) / each.times_s
         colour = hex_colour(FACE_COLOURS[(0, 2)[k]])
         ax.plot(count, running.T, linewidth=0.5, color=colour, alpha=0.6)
-        ax.axhline(each.per_second, color=colour, linewidth=1.4, label=f"{name}: {_told(each, 'per_second')} s⁻¹")
+        ax.axhline(each.per_second, color=colour, linewidth=1.4, label=f"{name}: {_with_error(each, 'per_second')} s⁻¹")
     ax.set_xscale("log")
     ax.set_ylim(0.0, 2.0 * max(each.per_second for each in kept.values()))
     ax.set_xlabel("impacts [number]")
-    ax.set_ylabel("exponent so far [1/s]")
+    ax.set_ylabel("running estimate [1/s]")
     ax.legend(frameon=False)
     ax.spines[["top", "right"]].set_visible(False)
     figure.savefig(run.folder / "exponents.png")
-    return Picture("exponents.png", "How the exponents at χ = 1 settle, orbit by orbit, from the start of Fig. 5.")
+    return Picture(
+        "exponents.png", "Convergence of the exponents at χ = 1 for each orbit, from the initial conditions of Fig. 5."
+    )

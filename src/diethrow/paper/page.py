@@ -1,4 +1,4 @@
-"""The page of `paper`: every statement with ours beside it, the verdict, and why. It needs no network."""
+"""The page of the replication: every statement beside our result, the verdict, and its reason. It needs no network."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ SOURCE = "M. Kapitaniak, J. Strzalko, J. Grabski, T. Kapitaniak, Chaos 22, 04750
 
 
 def page(results: Sequence[Result], folder: Path, note: str) -> str:
-    """The page as HTML; the pictures are read from `folder`, and `note` says how it was made."""
+    """The page as HTML; the figures are read from `folder`, and `note` states version and effort."""
     parts = [
         f"<h1>{escape(TITLE)}</h1>",
         f'<p class="key">{escape(SOURCE)}</p>',
         f'<p class="key">{escape(note)}</p>',
-        "<p>Each statement of the paper stands beside what came out here, from the parameters that the paper gives and "
-        "without tuning any to agree. The paper's own figures are not shown; its statements are.</p>",
+        "<p>Each statement of the paper is compared with our result for the parameters that the paper states; none is tuned. "
+        "The paper's statements are quoted, its figures are not shown.</p>",
         _overview(results),
         *(_section(result, folder) for result in results),
     ]
@@ -69,11 +69,11 @@ def _dot(verdict: Verdict) -> str:
 
 def _section(result: Result, folder: Path) -> str:
     colour = COLOURS[result.verdict]
-    told = (("The paper", result.stated), ("Here", result.ours))
+    compared = (("The paper", result.stated), ("Here", result.ours))
     return "\n".join(
         [
             f'<h2 id="{result.key}">{escape(result.title)}</h2>',
-            "<dl>" + "".join(f"<dt>{head}</dt><dd>{escape(text)}</dd>" for head, text in told) + "</dl>",
+            "<dl>" + "".join(f"<dt>{head}</dt><dd>{escape(text)}</dd>" for head, text in compared) + "</dl>",
             f'<div class="verdict" style="border-left-color:{colour}"><p class="headline">'
             f"{escape(result.verdict.value.capitalize())}</p><p>{escape(result.why)}</p></div>",
             *(_figure(picture, folder) for picture in result.pictures),

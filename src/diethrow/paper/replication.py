@@ -1,7 +1,7 @@
-"""The paper again: its statements, what comes out here, and what can be said of each.
+"""The replication of the paper: run all parts, and write the page, the numbers and the figures.
 
-`paper` runs every part from the parameters that the paper states and tunes none; where something is not stated, the page
-says what was taken instead, or that nothing can be decided.
+`paper` uses the parameters that the paper states and tunes none. If a parameter is not stated, the page says which value is
+used instead, or that the statement cannot be decided.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ PARTS: dict[str, Callable[[Run], tuple[Result, ...]]] = {
     "exponents": exponents,
     "experiment": bounces,
 }
-"""In the order of the page; each makes its pictures and says what it found."""
+"""The parts in the order of the page; each draws its figures and returns its results."""
 
 
 @dataclass(frozen=True)
 class PaperPlan:
-    """What a run of `paper` does."""
+    """The effort and the seed of a replication."""
 
     effort: Effort
     seed: int = 1
@@ -49,15 +49,15 @@ class PaperPlan:
 
 @dataclass(frozen=True, eq=False)
 class Replication:
-    """What came out."""
+    """All results, and the duration of each part."""
 
     results: tuple[Result, ...]
     seconds: dict[str, float]
-    """That each part took."""
+    """Duration of each part."""
 
 
 def plan_of(quick: bool, seed: int) -> PaperPlan:
-    """The full run, or the quick one. Raises ValueError for a seed below 0."""
+    """The plan of the full or the quick run. Raises ValueError for a negative seed."""
     if seed < 0:
         raise ValueError(f"seed {seed}: wanted 0 or more")
     return PaperPlan(QUICK if quick else FULL, seed, quick)
@@ -74,8 +74,8 @@ def paper(
 ) -> Replication:
     """Replicate the paper and write paper.html, paper.json, the pictures and provenance to the folder `out`.
 
-    Numbers depend on the plan alone, not on `threads`. Raises OutputExistsError for a folder that exists (unless
-    `force`); a run that is stopped leaves nothing.
+    The numbers depend on the plan alone, not on `threads`. Raises OutputExistsError if the folder exists (unless
+    `force`); a stopped run leaves no folder.
     """
     watch = Stopwatch()
     results: list[Result] = []
@@ -99,7 +99,7 @@ def paper(
 
 
 def paper_table(plan: PaperPlan, results: list[Result]) -> dict[str, Any]:
-    """What paper.json holds."""
+    """The contents of paper.json."""
     return {
         "paper": SOURCE,
         "diethrow": __version__,
@@ -125,7 +125,7 @@ def paper_table(plan: PaperPlan, results: list[Result]) -> dict[str, Any]:
 
 
 def summary(replication: Replication) -> list[str]:
-    """A line for each statement, and one for the time."""
+    """A line for each statement, and one for the durations."""
     width = max(len(verdict.value) for verdict in Verdict)
     lines = [f"{result.verdict.value:<{width}}  {result.title}" for result in replication.results]
     parts = ", ".join(f"{name} {seconds:.0f}" for name, seconds in replication.seconds.items())

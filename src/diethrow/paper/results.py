@@ -1,4 +1,4 @@
-"""What the parts of `paper` have in common: a result with its verdict, the effort, and the run that they belong to."""
+"""Values that all parts of the replication share: a result with its verdict, the effort, the run, and the paper's dice."""
 
 from __future__ import annotations
 
@@ -17,14 +17,17 @@ from ..replay.elements import number
 Progress = Callable[[str, int, int], None]
 
 MASS_KG = 0.016
-TETRAHEDRON_EDGE_M, CUBE_EDGE_M = 0.040793, 0.02
-"""The dice of the paper's Fig. 5."""
+"""Mass of the dice of the paper's Fig. 5; their edges follow."""
+TETRAHEDRON_EDGE_M = 0.040793
+CUBE_EDGE_M = 0.02
 CHI = 0.5
-"""Of its Fig. 5, and what it calls typical."""
+"""Restitution in the paper's Fig. 5, which the paper calls typical."""
+CURVE_FACES = (0, 2, 4, 5, 3)
+"""Faces whose colours the curves of a plot take in turn: the most distinct ones first."""
 
 
 class Verdict(Enum):
-    """What became of a statement of the paper."""
+    """Whether a statement of the paper is reproduced."""
 
     REPRODUCED = "reproduced"
     NOT_REPRODUCED = "not reproduced"
@@ -33,7 +36,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of texts and numbers under a header."""
+    """Rows of texts and numbers below a header."""
 
     caption: str
     header: tuple[str, ...]
@@ -50,45 +53,46 @@ class Picture:
 
 @dataclass(frozen=True)
 class Result:
-    """One statement of the paper beside what came out here."""
+    """One statement of the paper beside our result."""
 
     key: str
     title: str
     stated: str
-    """What the paper says."""
+    """The statement of the paper."""
     ours: str
+    """Our result."""
     verdict: Verdict
     why: str
     tables: tuple[Table, ...] = ()
     pictures: tuple[Picture, ...] = ()
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    """Every number behind it, for paper.json."""
+    """All numbers of the result, for paper.json."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is computed."""
+    """The numbers of throws, pixels, conditions and impacts that are computed."""
 
     throws: int
-    """Of each point of the odds: the paper's 2 × 10⁶."""
+    """Throws for each point of the odds; the paper has 2 × 10⁶."""
     scan_throws: int
-    """Of each point of a curve beside them."""
+    """Throws for each point of a curve over the spin."""
     pixels: int
-    """Along each side of a map of basins."""
+    """Pixels along each side of a map of basins."""
     pixels_chi_1: int
     """The same at χ = 1, where every throw is followed for 1000 impacts."""
     conditions: int
-    """Conditions of each curve of uncertain shares."""
+    """Conditions for each curve of uncertain shares."""
     conditions_chi_1: int
     shadows: int
-    """Disturbed throws at each size of a disturbance."""
+    """Perturbed throws for each size of the perturbation."""
     dipyramid_throws: int
-    """Of each cut and χ."""
+    """Throws for each cut and χ."""
     bounce_throws: int
-    """Of each die and χ of the comparison with the paper's films."""
+    """Throws for each die and χ in the comparison with the paper's films."""
     orbits: int
     orbit_impacts: int
-    """Of each Lyapunov exponent."""
+    """Impacts of each orbit of a Lyapunov exponent."""
 
 
 FULL = Effort(2_000_000, 50_000, 500, 250, 8192, 512, 60, 3000, 10_000, 8, 5000)
@@ -97,7 +101,7 @@ QUICK = Effort(20_000, 5000, 150, 50, 2048, 64, 20, 200, 1000, 4, 600)
 
 @dataclass(frozen=True)
 class Run:
-    """Where the pictures go, and with what effort."""
+    """The output folder, the effort, and the seed of one replication."""
 
     folder: Path
     effort: Effort
@@ -107,24 +111,24 @@ class Run:
 
 
 def cube() -> Die:
-    """The paper's."""
+    """The cube of the paper."""
     return make_die("cube", CUBE_EDGE_M, MASS_KG)
 
 
 def tetrahedron() -> Die:
-    """The paper's."""
+    """The tetrahedron of the paper."""
     return make_die("tetrahedron", TETRAHEDRON_EDGE_M, MASS_KG)
 
 
 def cell(value: Any) -> str:
-    """A cell of a table, or a number in a sentence, as the page shows it."""
+    """A value as the page shows it, in a table or in a sentence."""
     if isinstance(value, bool) or value is None:
         return {True: "yes", False: "no", None: "—"}[value]
     return number(value, 4) if isinstance(value, float) else str(value)
 
 
 def drawing(inches: tuple[float, float]) -> Figure:
-    """An empty figure, without the state that pyplot would keep."""
+    """An empty figure, without pyplot's global state."""
     figure = Figure(figsize=inches, dpi=140, layout="constrained")
     FigureCanvasAgg(figure)
     return figure

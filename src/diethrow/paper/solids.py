@@ -1,4 +1,4 @@
-"""The paper's dice as bodies: their moments of inertia, and Fig. 2, the dipyramid that shall be fair "by continuity"."""
+"""The paper's solids: the moments of inertia of its dice, and Fig. 2, the truncated dipyramid that is fair "by continuity"."""
 
 from __future__ import annotations
 
@@ -24,24 +24,28 @@ STATED_INERTIAS = {
     "dodecahedron": ("m a²(95 + 39√5)/300", (95.0 + 39.0 * sqrt(5.0)) / 300.0),
     "icosahedron": ("m a²(3 + √5)/20", (3.0 + sqrt(5.0)) / 20.0),
 }
-SAME = 1e-12
-"""Relative difference that rounding may leave in a volume integral."""
+INTEGRAL_ROUNDING = 1e-12
+"""Largest relative rounding error of a volume integral."""
 
-SIDES, RADIUS_M = 4, 0.012
-"""A dipyramid of eight faces; uncut it is a regular octahedron."""
+SIDES = 4
+"""Sides of the base: a dipyramid of eight faces, without cuts a regular octahedron."""
+RADIUS_M = 0.012
+"""Circumradius of the base, and height of each tip."""
 CUTS = (0.25, 0.35, 0.4, 0.44, 0.5, 0.6)
-"""Parts of each tip's height that are taken away."""
+"""Shares of each tip's height that are cut off."""
 CHIS = (0.2, 0.5, 0.8)
-SPIN_RAD_S, HEIGHT_M = 30.0, (0.2, 0.3)
+SPIN_RAD_S = 30.0
+HEIGHT_M = (0.2, 0.3)
 FAIR = 2.0 / (2 * SIDES + 2)
 """Share of both cut faces together on a fair die."""
-AT_ONCE = 250
-APART = 3.0
-"""Standard errors between two fair cuts that are told apart."""
+CHUNK_THROWS = 250
+"""Throws that a thread computes at once."""
+SIGNIFICANT_SIGMAS = 3.0
+"""Difference of two fair cuts, in standard errors, from which they count as different."""
 
 
 def inertias(run: Run) -> tuple[Result, ...]:
-    """Derived moments of inertia beside the paper's formulas."""
+    """Our moments of inertia beside the paper's formulas."""
     rows, worst = [], 0.0
     for k, shape in enumerate(SHAPES):
         derived = make_die(shape, 1.0, 1.0).inertia_kg_m2
@@ -49,7 +53,7 @@ def inertias(run: Run) -> tuple[Result, ...]:
         worst = max(worst, abs(derived / value - 1.0))
         rows.append((shape, formula, value, derived, f"{derived / value - 1.0:.1e}"))
         run.progress("Inertias", k + 1, len(SHAPES))
-    same = worst <= SAME
+    same = worst <= INTEGRAL_ROUNDING
     return (
         Result(
             key="inertias",
@@ -74,7 +78,7 @@ def inertias(run: Run) -> tuple[Result, ...]:
 
 @dataclass(frozen=True)
 class FairCut:
-    """Where the cut faces have their fair share."""
+    """The cut at which the cut faces have their fair share."""
 
     chi: float
     cut: float
@@ -82,7 +86,7 @@ class FairCut:
 
 
 def fig_2(run: Run) -> tuple[Result, ...]:
-    """Odds of the cut faces of truncated dipyramids, over the cut, at several χ."""
+    """Odds of the cut faces of truncated dipyramids as a function of the cut, at several χ."""
     shares: dict[float, list[Share]] = {chi: [] for chi in CHIS}
     rows: list[tuple[Any, ...]] = []
     for k, chi in enumerate(CHIS):
@@ -105,7 +109,7 @@ def fig_2(run: Run) -> tuple[Result, ...]:
                 Table(
                     f"Share of the throws that land on one of the two cuts, {run.effort.dipyramid_throws:,} throws each; n = "
                     f"{SIDES}, spin {SPIN_RAD_S:g} rad/s. Fair: {FAIR:.3f}. Wilson intervals of 95 %.",
-                    ("χ", "cut [part of the tip]", "lands on a cut", "low", "high", "on no face"),
+                    ("χ", "cut [share of the tip]", "lands on a cut", "low", "high", "on no face"),
                     tuple(rows),
                 ),
             ),
@@ -130,12 +134,12 @@ def _thrown(run: Run, chi: float, cut: float) -> Tally:
     stage = ThrowSetup(die_from_solid(solid, MASS_KG), SmoothImpact(chi))
     conditions = UniformConditions(SPIN_RAD_S, HEIGHT_M)
     throws = run.effort.dipyramid_throws
-    *_, tally = tally_throws(stage, conditions, throws, run.seed, chunk=AT_ONCE, threads=run.threads)
+    *_, tally = tally_throws(stage, conditions, throws, run.seed, chunk=CHUNK_THROWS, threads=run.threads)
     return tally
 
 
 def fair_cut(chi: float, shares: Sequence[Share]) -> FairCut | None:
-    """The cut at which the line between two neighbours passes the fair share; None where none does."""
+    """The cut at which the interpolated share equals the fair share; None if it does nowhere."""
     values = [share.value for share in shares]
     for k, (a, b) in enumerate(pairwise(values)):
         if (a - FAIR) * (b - FAIR) <= 0.0 and a != b:
@@ -152,22 +156,22 @@ def _judged(fair: Sequence[FairCut]) -> tuple[Verdict, str, str]:
         return (
             Verdict.NOT_REPRODUCED,
             f"A fair cut was found at {len(fair)} of {len(CHIS)} values of χ.",
-            "Over the cuts that were tried the odds do not pass the fair share everywhere.",
+            "Within the range of the tried cuts, the odds do not reach the fair share at every χ.",
         )
     ours = "Fair where the cut takes " + ", ".join(
         f"{each.cut:.3f} ± {each.standard_error:.3f} (χ = {each.chi:g})" for each in fair
     )
     gaps = [abs(a.cut - b.cut) / hypot(a.standard_error, b.standard_error) for a in fair for b in fair if a is not b]
-    if max(gaps) > APART:
+    if max(gaps) > SIGNIFICANT_SIGMAS:
         why = (
-            f"The odds pass the fair share at every χ; but the cut at which they do depends on χ (up to {cell(max(gaps))} "
-            "standard errors apart), so that a die cut for one table is not fair on another: that is the paper's argument "
-            "why none can be built."
+            f"The odds reach the fair share at every χ, but at a cut that depends on χ (up to {cell(max(gaps))} standard errors "
+            "apart). A die that is fair on one table is therefore unfair on another, which is the paper's argument why none "
+            "can be built."
         )
     else:
         why = (
-            "The odds pass the fair share at every χ. That the cut depends on χ, the paper's argument why none can be "
-            f"built, is not shown by so many throws (at most {cell(max(gaps))} standard errors apart)."
+            "The odds reach the fair share at every χ. This number of throws does not show that the cut depends on χ, the "
+            f"paper's argument why none can be built (at most {cell(max(gaps))} standard errors apart)."
         )
     return Verdict.REPRODUCED, ours + " of each tip's height.", why
 
@@ -183,7 +187,7 @@ def _draw(run: Run, shares: dict[float, list[Share]]) -> Picture:
     ax.axhline(FAIR, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)))
     ax.annotate("fair", (0.01, FAIR), xycoords=("axes fraction", "data"), xytext=(0, 3), textcoords="offset points")
     ax.set_ylim(bottom=0.0)
-    ax.set_xlabel("cut [part of each tip's height]")
+    ax.set_xlabel("cut [share of each tip's height]")
     ax.set_ylabel("lands on one of the two cuts [share]")
     ax.legend(frameon=False)
     ax.spines[["top", "right"]].set_visible(False)

@@ -1,4 +1,4 @@
-"""What a film is made of: the die's surface, its paint, the sensor; and the pictures, where Mitsuba is installed."""
+"""The parts of a film: the die's surface, its paint, the sensor; and, with Mitsuba installed, the images."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ RADII = (0.0, 0.0008)
 
 
 def edge_of(shape: str) -> float:
-    """All dice of one circumradius, 11 mm."""
+    """The edge of each die with a circumradius of 11 mm."""
     return 0.011 / make_die(shape, 1.0, 1.0).solid.circumradius
 
 
 def camera(distortion: float = 0.0, size: int = 96) -> Camera:
-    """Looks down at 35 degrees from 0.5 m; a 16 mm cube is 35 px wide."""
+    """A camera 35 degrees above the table at 0.5 m; a 16 mm cube is 35 px wide."""
     pitch = np.radians(35.0)
     ahead = np.array([0.0, np.cos(pitch), -np.sin(pitch)])
     right = np.array([1.0, 0.0, 0.0])
@@ -54,7 +54,7 @@ def camera(distortion: float = 0.0, size: int = 96) -> Camera:
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("radius", RADII)
 def test_the_surface_is_closed(shape: str, radius: float) -> None:
-    """Every edge of a triangle is the edge of exactly one other, run through the other way: no hole, none inside out."""
+    """Every edge of a triangle is the edge of exactly one other in the opposite direction: no hole, none inside out."""
     mesh = die_mesh(make_die(shape, edge_of(shape), 0.005, corner_radius_m=radius))
     # Corners of neighbouring parts coincide to rounding: one name for each place, to a nanometre.
     _, name = np.unique(np.rint(mesh.vertices_m * 1e9).astype(int), axis=0, return_inverse=True)
@@ -106,7 +106,7 @@ def test_marks_are_drawn_as_seen_from_outside(shape: str) -> None:
 
 def test_each_face_of_a_cube_has_its_pips() -> None:
     die = make_die("cube", 0.016, 0.005, marks="pips")
-    atlas = face_paint(die, paint=0.8, ink=0.0, grain=0.0, seed=1)
+    atlas = face_paint(die, die_reflectance=0.8, mark_reflectance=0.0, grain=0.0, seed=1)
     frame = face_frame(die.solid, 0)
     disc = np.pi * (0.09 * 0.016 / frame.half_m * TILE_PX / 2) ** 2
     for face in range(6):
@@ -118,7 +118,7 @@ def test_each_face_of_a_cube_has_its_pips() -> None:
 
 def test_numbers_stay_on_their_face() -> None:
     die = make_die("icosahedron", 0.0105, 0.003, marks="numbers")
-    atlas = face_paint(die, paint=0.8, ink=0.0, grain=0.0, seed=1)
+    atlas = face_paint(die, die_reflectance=0.8, mark_reflectance=0.0, grain=0.0, seed=1)
     frame = face_frame(die.solid, 0)
     inked = np.argwhere(atlas[:TILE_PX, :TILE_PX] < 0.7)
     away = np.linalg.norm(inked - (TILE_PX - 1) / 2, axis=1).max() * 2 * frame.half_m / TILE_PX
@@ -126,7 +126,7 @@ def test_numbers_stay_on_their_face() -> None:
 
 
 @pytest.mark.parametrize("surface", SURFACES)
-def test_a_table_reflects_less_than_it_gets_and_not_everywhere_alike(surface: str) -> None:
+def test_a_table_reflects_less_than_all_light_and_has_a_texture(surface: str) -> None:
     paint = table_paint(f"old {surface}", 3)
     assert paint.min() >= 0.0
     assert paint.max() < 1.0
@@ -136,7 +136,7 @@ def test_a_table_reflects_less_than_it_gets_and_not_everywhere_alike(surface: st
 # --- the sensor ---
 
 
-def test_noise_grows_with_the_light_as_the_standard_says() -> None:
+def test_noise_grows_with_the_light_as_the_emva_standard_states() -> None:
     sensor = Sensor(12)
     pattern = fixed_pattern(sensor, 1, 20_000)
     rng = np.random.default_rng(1)
@@ -173,13 +173,13 @@ def test_undistorted_directions_project_back_onto_their_pixels() -> None:
     assert np.abs(px[..., 1] - expected[:, None]).max() < 1e-5
 
 
-def test_a_lens_that_folds_the_picture_is_refused() -> None:
-    with pytest.raises(ValueError, match="folds the picture over"):
+def test_a_distortion_that_is_not_invertible_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"distortion = .*not invertible"):
         undistorted(camera(distortion=-400.0))
 
 
-def test_a_bent_picture_keeps_its_light() -> None:
-    """Brought home from the ideal camera, an even picture is even, and a spot keeps its light to the lens's own stretch."""
+def test_a_distorted_image_keeps_its_light() -> None:
+    """Computed from the ideal image, a uniform image is uniform, and a spot keeps its light up to the lens's magnification."""
     optics = optics_of(camera(distortion=1e-9), 0.7)
     box = (10, 20, 60, 70)
     fine = optics.rendered_box(box)
@@ -190,14 +190,14 @@ def test_a_bent_picture_keeps_its_light() -> None:
 
 
 @pytest.mark.parametrize("box", [(0, 0, 5, 9), (90, 91, 96, 96), (3, 40, 90, 50), (0, 0, 96, 96), (31, 32, 63, 64)])
-def test_a_wider_window_holds_the_narrow_one_and_stays_in_the_picture(box: tuple[int, int, int, int]) -> None:
+def test_an_enlarged_box_contains_the_box_and_stays_in_the_image(box: tuple[int, int, int, int]) -> None:
     left, top, right, bottom = rounded_up(box, camera(), 32)
     assert 0 <= left <= box[0] < box[2] <= right <= 96
     assert 0 <= top <= box[1] < box[3] <= bottom <= 96
     assert (right - left) % 32 == (bottom - top) % 32 == 0
 
 
-def test_blending_a_picture_over_itself_changes_nothing_and_over_another_leaves_no_seam() -> None:
+def test_blending_an_image_into_itself_changes_nothing_and_into_another_leaves_no_seam() -> None:
     picture = np.random.default_rng(1).uniform(size=(60, 70))
     same = picture.copy()
     blend(same, picture[5:50, 0:40].copy(), (0, 5, 40, 50))
@@ -215,8 +215,8 @@ def studio(
     die: Die, *, surface: str = "matte", distortion: float = 0.0, samples: int = 16, size: int = 96
 ) -> FilmRenderer:
     view = camera(distortion, size)
-    look = Appearance(lamp_beside(view), lamp_side_m=0.02, grain=0.0)
-    return FilmRenderer(die, view, surface, look, effort=RenderSettings(samples))
+    appearance = Appearance(lamp_beside(view), lamp_side_m=0.02, grain=0.0)
+    return FilmRenderer(die, view, surface, appearance, rendering=RenderSettings(samples))
 
 
 def flight(position: tuple[float, float, float], velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Throw:
@@ -228,7 +228,7 @@ def flight(position: tuple[float, float, float], velocity: tuple[float, float, f
 @with_mitsuba
 @pytest.mark.parametrize("distortion", [0.0, -8.0])
 def test_the_die_is_seen_where_the_camera_projects_it(distortion: float) -> None:
-    """The tracker, which knows nothing of the renderer, finds a die on one frame where it was put."""
+    """The tracker is independent of the renderer, and finds the die on one frame at its true pose."""
     die = make_die("cube", 0.016, 0.005)
     room = studio(die, distortion=distortion, samples=64, size=160)
     throw = flight((0.0, 0.0, 0.03))
@@ -247,7 +247,7 @@ def test_the_die_is_seen_where_the_camera_projects_it(distortion: float) -> None
 
 
 @with_mitsuba
-def test_a_still_die_has_no_motion_blur_and_a_moving_one_the_mean_of_its_instants() -> None:
+def test_a_resting_die_has_no_motion_blur_and_a_moving_one_the_mean_of_its_instants() -> None:
     die = make_die("cube", 0.016, 0.005, marks="pips")
     room = studio(die, samples=32)
     moving = flight((0.0, 0.0, 0.03), (2.0, 0.0, 0.0))
@@ -261,7 +261,7 @@ def test_a_still_die_has_no_motion_blur_and_a_moving_one_the_mean_of_its_instant
 
 @with_mitsuba
 def test_a_mirror_shows_the_die_upside_down() -> None:
-    """The light changes where the mirrored die is projected, and not beside it."""
+    """The light changes where the mirror image of the die is projected, and nowhere else."""
     die = make_die("cube", 0.012, 0.005)
     room = studio(die, surface="mirror", samples=16)
     throw = flight((0.0, 0.0, 0.012))
@@ -274,12 +274,12 @@ def test_a_mirror_shows_the_die_upside_down() -> None:
 
 
 @with_mitsuba
-def test_a_die_beyond_the_picture_leaves_the_table_empty() -> None:
+def test_a_die_outside_the_image_leaves_the_table_empty() -> None:
     room = studio(make_die("cube", 0.016, 0.005), samples=4)
     light = next(frame_light(room, flight((3.0, 0.0, 0.02)), np.array([0.0]), 1e-6))
     assert (light == room.empty()).all()
 
 
-def test_a_blur_below_a_pixels_own_is_refused() -> None:
+def test_a_blur_below_that_of_a_pixel_is_refused() -> None:
     with pytest.raises(ValueError, match=r"blur_px = 0.2: wanted 0.4 or more"):
         FilmRenderer(make_die("cube", 0.016, 0.005), camera(), "wood", Appearance(lamp_beside(camera())), blur_px=0.2)

@@ -1,4 +1,4 @@
-"""The filmed samples hold what their throw files say, and are small enough to clone."""
+"""The filmed samples agree with their throw files, and are small enough to clone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def columns(path: Path) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_the_film_changes_where_the_truth_projects_the_die(name: str) -> None:
+def test_the_film_changes_where_the_true_die_is_projected(name: str) -> None:
     scene = read_scene(ROOT / "data_samples" / name / "scene.toml")
     clip = open_footage(scene, scene.views()[0])
     background = load_background(ROOT / "data_samples" / name / "background.png", clip)

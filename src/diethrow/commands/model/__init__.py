@@ -1,1 +1,5 @@
-"""commands.model."""
+"""Commands that simulate: one throw, odds of the faces, basins of attraction, Lyapunov exponents, and a throw as a clip.
+
+Each module has a function that anyone can call with a plan and an output folder, the table that it writes as JSON, and a
+summary for the terminal; the command line adds options.
+"""

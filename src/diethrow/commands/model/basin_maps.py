@@ -1,4 +1,4 @@
-"""Basins of attraction as a picture and as data, and how far the throws in it can be predicted."""
+"""Basins of attraction as a figure and as data, and the predictability of the throws in them."""
 
 from __future__ import annotations
 
@@ -43,21 +43,28 @@ Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
 
 EPSILONS = tuple(float(e) for e in np.logspace(-10, -1, 19))
-"""Distances of neighbours, in sides of the window: two a decade, down to where rounding begins to tell."""
+"""Distances of neighbours in sides of the window: two per decade, down to where rounding becomes noticeable."""
 BALL_EPSILONS = tuple(float(e) for e in np.logspace(-8, -1, 8))
-BALLS, BALL_THROWS = 12, 600
-"""Conditions about which the measures are taken, and throws in each ball: a measure of 1/6 to ± 0.03."""
-SIGNIFICANT = 0.01
-"""A ball is counted as unfair where chance alone would give its counts more rarely."""
+"""Radii of balls in sides of the window, one per decade."""
+BALLS = 12
+"""Conditions around which measures are taken."""
+BALL_THROWS = 600
+"""Throws in each ball: a measure of 1/6 then has a 95 % interval of ± 0.03."""
+SIGNIFICANCE = 0.01
+"""A ball counts as unfair if the p-value of its counts is smaller."""
 CHUNK_PIXELS = 8192
-"""Pixels that a thread takes at once, in whole rows."""
-PIXELS_SENT = 4 * CHUNK_PIXELS
-"""The same for a worker of a cluster: a second of work."""
+"""Pixels that a thread computes at once, in whole rows."""
+TASK_PIXELS = 4 * CHUNK_PIXELS
+"""Pixels that a worker of a cluster computes at once: one second of work."""
+MAX_AT_IMPACT = 1000
+"""Largest number of the impact by which a map can be coloured."""
+MAP_PIXELS = 1600
+"""Pixels of each side of the figure of the map; larger maps are thinned, and pixels.png has all."""
 
 
 @dataclass(frozen=True)
 class BasinsPlan:
-    """Which plane, which die, which law."""
+    """The plane of conditions, the die and the law."""
 
     x: Axis
     y: Axis
@@ -69,21 +76,21 @@ class BasinsPlan:
     mu: float | None = None
     table: Table = LEVEL
     at_impact: int | None = None
-    """Colour by the face that is lowest at this impact, not by the one that the die lands on."""
+    """The map shows the lowest face at this impact; None for the landing face."""
     predictability: bool = False
     conditions: int = 8192
-    """Conditions of the uncertain shares, each with four neighbours at every distance."""
+    """Number of conditions for the uncertain shares, each with four neighbours at every distance."""
     seed: int = 1
-    """Of the conditions whose predictability is measured."""
+    """Seed of the conditions whose predictability is measured."""
 
     def __post_init__(self) -> None:
-        if self.at_impact is not None and not 1 <= self.at_impact <= 1000:
-            raise ValueError(f"at impact {self.at_impact}: wanted a number from 1 to 1000")
+        if self.at_impact is not None and not 1 <= self.at_impact <= MAX_AT_IMPACT:
+            raise ValueError(f"at impact {self.at_impact}: wanted a number from 1 to {MAX_AT_IMPACT}")
         if self.conditions < 1 or self.seed < 0:
             raise ValueError(
                 f"conditions {self.conditions}, seed {self.seed}: wanted 1 or more, and a seed of 0 or more"
             )
-        _ = (self.window, self.stage)  # both raise for what cannot be
+        _ = (self.window, self.stage)  # both raise ValueError for impossible values
 
     @property
     def window(self) -> Window:
@@ -98,25 +105,25 @@ class BasinsPlan:
 
 @dataclass(frozen=True, eq=False)
 class BasinMap:
-    """The throw from every pixel; rows run along y, columns along x, both upwards."""
+    """The result of the throw from every pixel; rows along y, columns along x, both increasing."""
 
     face: NDArray[np.uint16]
     """(rows, columns) number of the face, 0 for none."""
     impacts: NDArray[np.int32]
-    """(rows, columns) until the face was decided."""
+    """(rows, columns) number of impacts until the face was decided."""
     ending: NDArray[np.int8]
     """(rows, columns) index into ENDING_OF_INDEX; -1 for a release below the table."""
 
     @classmethod
     def empty(cls, rows: int, columns: int) -> BasinMap:
-        """Room for a map."""
+        """A map of zeros."""
         shape = (rows, columns)
         return cls(np.zeros(shape, np.uint16), np.zeros(shape, np.int32), np.zeros(shape, np.int8))
 
 
 @dataclass(frozen=True, eq=False)
 class Predictability:
-    """What was measured of the paper's two definitions."""
+    """Measurements for the paper's two definitions: predictability, and fairness by dynamics."""
 
     sensitivity: FinalStateSensitivity
     exponent: UncertaintyExponent | None
@@ -134,11 +141,11 @@ def basins(
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
 ) -> tuple[BasinMap, Predictability | None]:
-    """Throw from every pixel of a window and write picture, data and tables to the folder `out`.
+    """Simulate the throw from every pixel of a window, and write figure, data and tables to the folder `out`.
 
-    A map that is stopped leaves a work file beside `out`, from which `resume` goes on. The number of `threads` changes
-    no pixel, nor does an `executor`, which maps in their place. Raises OutputExistsError for a folder that exists (unless
-    `force`), ValueError for a work file of other settings.
+    A stopped run leaves a work file beside `out`, and `resume` continues from it. The map does not depend on `threads`, or
+    on an `executor`, which replaces them. Raises OutputExistsError if the folder exists (unless `force`), ValueError for a
+    work file with other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
     with whole_folder(out, force=force) as folder:
@@ -146,7 +153,7 @@ def basins(
             mapped = _mapped(plan, work, resume, threads, executor, progress)
         measured = None
         if plan.predictability:
-            work.write(_kept(mapped, plan.y.pixels))  # a stop from here on must not cost the map
+            work.write(_kept(mapped, plan.y.pixels))  # a stop during the measurement then keeps the map
             with watch.stage("predictability"):
                 measured = _measured(plan, threads, progress)
         with watch.stage("records"):
@@ -183,9 +190,9 @@ def axes_of(
     zoom: tuple[float, float, float, float] | None,
     pixels: tuple[int, int],
 ) -> tuple[Axis, Axis]:
-    """The axes (name, low, high) with their pixels; `zoom` (x0, x1, y0, y1) keeps the names and replaces the bounds.
+    """The axes (name, low, high) with their pixels; `zoom` (x0, x1, y0, y1) replaces the bounds.
 
-    Raises ValueError for axes that cannot be.
+    Raises ValueError for unknown names or empty ranges.
     """
     if zoom is not None:
         x, y = (x[0], *zoom[:2]), (y[0], *zoom[2:])
@@ -205,29 +212,29 @@ def fixed_from(words: Sequence[str]) -> dict[str, float]:
 
 
 def summary(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | None) -> list[str]:
-    """What came out, in a few lines."""
+    """The areas of the faces, and the predictability if it was measured, one line each."""
     table = basins_table(plan, mapped, measured)
     faces = " ".join(f"{each['share']:.4f}" for each in table["area"]["faces"])
     lines = [f"{mapped.face.size} throws: faces {faces}; on no face {table['area']['no_face']:.4f}"]
     if measured is not None:
-        share_table = table["predictability"]
-        half, most = (share_table["deciding_epsilon"][name] for name in ("of_0.5", "of_0.99"))
+        predictability = table["predictability"]
+        half, most = (predictability["deciding_epsilon"][name] for name in ("of_0.5", "of_0.99"))
         lines.append(
             f"Half of the throws are decided at a distance of {_size(half)} of the window, 99 % at {_size(most)}."
         )
         if measured.exponent:
             exponent = measured.exponent
             lines.append(f"Uncertainty exponent {exponent.value:.3f} ± {exponent.standard_error:.3f}")
-        lines += share_table["messages"]
+        lines += predictability["messages"]
     return lines
 
 
 def _size(epsilon: float | None) -> str:
-    return "none that was tried" if epsilon is None else f"{epsilon:.1e}"
+    return "no distance that was tried" if epsilon is None else f"{epsilon:.1e}"
 
 
 def basins_table(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | None) -> dict[str, Any]:
-    """What basins.json holds."""
+    """The contents of basins.json."""
     pixels = mapped.face.size
     faces = np.bincount(mapped.face.ravel(), minlength=len(plan.stage.die.solid.faces) + 1)
     endings = np.bincount(mapped.ending.ravel().astype(int) + 1, minlength=len(ENDING_OF_INDEX) + 1)
@@ -253,13 +260,13 @@ def basins_table(plan: BasinsPlan, mapped: BasinMap, measured: Predictability | 
 
 
 def predictability_table(plan: BasinsPlan, measured: Predictability) -> dict[str, Any]:
-    """The part of basins.json on the paper's two definitions; distances are in sides of the window."""
+    """The part `predictability` of basins.json; distances are in sides of the window."""
     sensitivity, exponent = measured.sensitivity, measured.exponent
     messages = []
     if exponent is None:
         messages.append(
-            "Too few distances have a share of uncertain conditions that is neither about zero nor near that of chance; "
-            "no exponent was fitted. Take more --conditions, or another window."
+            "No exponent was fitted: at too few distances the share of uncertain conditions is clearly between zero and "
+            "chance. Use more --conditions or another window."
         )
     if sensitivity.deciding_epsilon(0.5) is None:
         messages.append("Half of the conditions are uncertain even at the smallest distance.")
@@ -298,10 +305,10 @@ def predictability_table(plan: BasinsPlan, measured: Predictability) -> dict[str
 
 
 def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
-    """The map with its axes and a legend; large ones are thinned to the pixels of the paper."""
+    """Write the figure of the map with axes and legend, with about MAP_PIXELS of each side."""
     figure = Figure(figsize=(10.0, 7.0), dpi=160, layout="constrained")
     FigureCanvasAgg(figure)
-    rows, columns = (max(1, n // 1600) for n in mapped.face.shape)
+    rows, columns = (max(1, n // MAP_PIXELS) for n in mapped.face.shape)
     face, ending = mapped.face[::rows, ::columns], mapped.ending[::rows, ::columns]
     faces = len(plan.stage.die.solid.faces)
     ax = basin_map(figure.add_subplot(), plan.x, plan.y, face, ending, faces)
@@ -312,19 +319,19 @@ def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
 
 
 def draw_pixels(path: Path, mapped: BasinMap) -> None:
-    """The map alone, one pixel for each throw, y upwards."""
+    """Write the map alone, one pixel for each throw, y upwards."""
     colours = colours_of(mapped.face[::-1], mapped.ending[::-1])
     if not cv2.imwrite(str(path), colours[:, :, ::-1]):
-        raise OSError(f"{path} cannot be written; wanted a place for a picture")
+        raise OSError(f"{path}: the image could not be written; check that the folder exists and has free space")
 
 
 def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) -> None:
-    """f(ε) with its slope, and the measures of balls, side by side."""
+    """Write the figure of f(ε) with its fitted slope, and of the measures of balls."""
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
-    uncertain_shares(left, measured.sensitivity, measured.exponent).set_title("predictable?", loc="left")
-    ball_measures(right, measured.balls).set_title("fair by dynamics?", loc="left")
+    uncertain_shares(left, measured.sensitivity, measured.exponent).set_title("predictability", loc="left")
+    ball_measures(right, measured.balls).set_title("fairness by dynamics", loc="left")
     figure.suptitle(f"{plan.shape}, χ = {plan.chi:g}, in the plane of {plan.x.name} and {plan.y.name}")
     figure.savefig(path)
 
@@ -332,12 +339,12 @@ def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) 
 def _mapped(
     plan: BasinsPlan, work: WorkFile, resume: bool, threads: int, executor: Executor | None, progress: Progress
 ) -> BasinMap:
-    """The map, from where the work file ends."""
+    """The map; with `resume`, continued from the work file."""
     rows, columns = plan.y.pixels, plan.x.pixels
     kept = work.read() if resume else None
     mapped = BasinMap(kept["face"], kept["impacts"], kept["ending"]) if kept else BasinMap.empty(rows, columns)
     first = int(kept["rows"]) if kept else 0
-    at_once = max(1, (CHUNK_PIXELS if executor is None else PIXELS_SENT) // columns)
+    at_once = max(1, (CHUNK_PIXELS if executor is None else TASK_PIXELS) // columns)
     with work.keeping() as keep:
         landings = map_rows(
             plan.stage,
@@ -359,7 +366,7 @@ def _mapped(
 
 
 def _kept(mapped: BasinMap, rows: int) -> dict[str, Any]:
-    """What the work file holds once so many rows are done."""
+    """The contents of the work file after the first `rows` rows."""
     return {"face": mapped.face, "impacts": mapped.impacts, "ending": mapped.ending, "rows": np.array(rows)}
 
 
@@ -392,7 +399,7 @@ def _measured(plan: BasinsPlan, threads: int, progress: Progress) -> Predictabil
 
 
 def _fair_table(balls: tuple[Fairness, ...]) -> list[dict[str, Any]]:
-    """For each radius: in how many of the balls equal measures are not refuted, and how far off the worst face is."""
+    """For each radius: the number of balls whose counts are consistent with equal measures, and the largest deviation."""
     n = balls[0].counts.shape[1]
     table = []
     for k, epsilon in enumerate(balls[0].epsilons):
@@ -402,7 +409,7 @@ def _fair_table(balls: tuple[Fairness, ...]) -> list[dict[str, Any]]:
             {
                 "epsilon": float(epsilon),
                 "balls": len(landed),
-                "not_refuted": sum(bool(ball.p_value[k] >= SIGNIFICANT) for ball in landed),
+                "not_refuted": sum(bool(ball.p_value[k] >= SIGNIFICANCE) for ball in landed),
                 "one_face_alone": sum(int((ball.counts[k] > 0).sum() == 1 and ball.none[k] == 0) for ball in landed),
                 "mean_largest_difference": float(np.mean(away)) if away else None,
             }

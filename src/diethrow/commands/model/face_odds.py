@@ -1,4 +1,4 @@
-"""The odds of a die: many throws, counted, with intervals, tables and a picture."""
+"""The odds of the faces of a die, counted over many throws, with intervals, tables and a figure."""
 
 from __future__ import annotations
 
@@ -40,52 +40,53 @@ Progress = Callable[[str, int, int], None]
 
 CONDITIONS = ("paper", "uniform")
 HEIGHT_EDGES = (15.0, 20.0)
-"""Range of the release in edges of the die, where none is given: the paper's."""
-BLOCKS_SENT = 8
-"""Blocks that a worker of a cluster gets at once: a second of work, so that sending it does not count."""
-MOST_AFTER = 1000
-"""Impacts at which the lowest face can be counted."""
+"""Default range of the release height in edges of the die: that of the paper."""
+BLOCKS_PER_TASK = 8
+"""Blocks that a worker of a cluster gets at once: one second of work, so that the time of sending is negligible."""
+MAX_AFTER = 1000
+"""Largest number of the impact at which the lowest face can be counted."""
+LEVEL_OF_INTERVALS = 0.95
 
 
 @dataclass(frozen=True)
 class OddsPlan:
-    """What is thrown, how, and how often."""
+    """The die, the law, the release conditions, and the number of throws."""
 
     shape: str
     edge_m: float
     mass_kg: float
     chi: tuple[float, ...]
-    """One series for each; all of them get the same releases."""
+    """One series of throws for each χ; all series have the same releases."""
     omega_rad_s: float
-    """`paper`: ω_η in the body frame. `uniform`: the size of the spin."""
+    """With `paper`: ω_η in the body frame. With `uniform`: the magnitude of the spin."""
     conditions: str = "paper"
     height_m: tuple[float, float] | None = None
-    """Range of the release; None for 15 to 20 edges."""
+    """Range of the release height; None for 15 to 20 edges."""
     throws: int = 100_000
-    """For each χ."""
+    """Number of throws for each χ."""
     seed: int = 1
     after: int = 5
-    """The lowest face is counted at this many impacts."""
+    """Number of first impacts at which the lowest face is counted."""
     mu: float | None = None
-    """Coulomb friction; None for the paper's smooth impact."""
+    """Coulomb friction coefficient; None for the paper's smooth impact."""
     table: Table = LEVEL
 
     def __post_init__(self) -> None:
         if self.conditions not in CONDITIONS:
             raise ValueError(f"conditions {self.conditions!r}: wanted one of {', '.join(CONDITIONS)}")
         if not self.chi:
-            raise ValueError("no chi: wanted one coefficient of restitution or more")
-        if self.throws < 1 or self.seed < 0 or not 0 <= self.after <= MOST_AFTER:
+            raise ValueError("chi is empty: wanted one coefficient of restitution or more")
+        if self.throws < 1 or self.seed < 0 or not 0 <= self.after <= MAX_AFTER:
             raise ValueError(
                 f"throws {self.throws}, seed {self.seed}, after {self.after}: "
-                f"wanted 1 throw or more, a seed of 0 or more, and 0 to {MOST_AFTER} impacts"
+                f"wanted 1 throw or more, a seed of 0 or more, and 0 to {MAX_AFTER} impacts"
             )
         for stage in self.stages:
             check_releases(stage, self.drawn)
 
     @property
     def drawn(self) -> Conditions:
-        """How the releases are drawn."""
+        """The distribution of the releases."""
         height = self.height_m or (HEIGHT_EDGES[0] * self.edge_m, HEIGHT_EDGES[1] * self.edge_m)
         if self.conditions == "paper":
             return PaperConditions((0.0, self.omega_rad_s, 0.0), height)
@@ -93,13 +94,13 @@ class OddsPlan:
 
     @property
     def stages(self) -> tuple[ThrowSetup, ...]:
-        """One for each χ."""
+        """Die, law and table for each χ."""
         die = make_die(self.shape, self.edge_m, self.mass_kg)
         return tuple(ThrowSetup(die, impact_law_of(chi, self.mu), self.table) for chi in self.chi)
 
 
 def impact_law_of(chi: float, mu: float | None) -> ImpactLaw:
-    """The smooth impact, or Coulomb's friction with an energetic restitution where a μ is given."""
+    """The smooth impact or, with a μ, Coulomb friction with energetic restitution."""
     return SmoothImpact(chi) if mu is None else CoulombImpact(chi, mu)
 
 
@@ -115,17 +116,17 @@ def odds(
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
 ) -> tuple[Tally, ...]:
-    """Throw as planned and write counts, odds and a picture to the folder `out`; one tally for each χ.
+    """Simulate the throws of a plan, write counts, odds and a figure to the folder `out`, and return a tally for each χ.
 
-    A run that is stopped leaves a work file beside `out`, from which `resume` goes on; it gives the same counts as one
-    that never was. So do all numbers of `threads` and sizes of a `chunk`, and any `executor` in place of the threads.
-    Raises OutputExistsError for a folder that exists (unless `force`), ValueError for a work file of other settings.
+    A stopped run leaves a work file beside `out`, and `resume` continues from it with the same counts. The counts do not
+    depend on `threads`, on the size of a `chunk`, or on an `executor`, which replaces the threads. Raises
+    OutputExistsError if the folder exists (unless `force`), ValueError for a work file with other settings.
     """
     watch, work = Stopwatch(), WorkFile(out, plan)
     with whole_folder(out, force=force) as folder:
         with watch.stage("throws"):
-            many = BLOCK if executor is None else BLOCKS_SENT * BLOCK
-            tallies = _thrown(plan, work, resume, threads, executor, chunk or many, progress)
+            default_chunk = BLOCK if executor is None else BLOCKS_PER_TASK * BLOCK
+            tallies = _tallies(plan, work, resume, threads, executor, chunk or default_chunk, progress)
         with watch.stage("records"):
             write_json(folder / "odds.json", odds_table(plan, tallies))
             write_rows(folder / "odds.csv", plan, tallies)
@@ -144,17 +145,17 @@ def odds(
 
 
 def odds_table(plan: OddsPlan, tallies: tuple[Tally, ...]) -> dict[str, Any]:
-    """What odds.json holds."""
+    """The contents of odds.json."""
     return {
         "die": {"shape": plan.shape, "edge_m": plan.edge_m, "mass_kg": plan.mass_kg},
-        "level": 0.95,
+        "level": LEVEL_OF_INTERVALS,
         "series": [{"chi": chi, "mu": plan.mu, **_series(tally)} for chi, tally in zip(plan.chi, tallies, strict=True)],
         "messages": [sentence for tally in tallies for sentence in _messages(tally)],
     }
 
 
 def summary(plan: OddsPlan, tallies: tuple[Tally, ...]) -> list[str]:
-    """What came out, a line for each χ and one for what did not land."""
+    """One line for each χ, and one for its throws that landed on no face."""
     lines = []
     for chi, tally in zip(plan.chi, tallies, strict=True):
         shares = [Share(int(n), tally.throws) for n in tally.landed]
@@ -167,7 +168,7 @@ def summary(plan: OddsPlan, tallies: tuple[Tally, ...]) -> list[str]:
 
 
 def write_rows(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
-    """odds.csv: one row for each share. `face` and `impact` are empty where they mean nothing."""
+    """Write odds.csv, one row for each share; `face` and `impact` are empty if they do not apply."""
     with path.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(["chi", "quantity", "face", "impact", "count", "of", "share", "low", "high"])
@@ -177,7 +178,7 @@ def write_rows(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
 
 
 def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
-    """The odds of the faces among the throws that landed, and those of the face that was lowest at release."""
+    """Write the figure: odds of the faces among the throws that landed, and of the face that was lowest at release."""
     faces = len(tallies[0].landed)
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
@@ -198,17 +199,17 @@ def _title(figure: Figure, plan: OddsPlan) -> None:
 
 
 def _name(chi: float, tally: Tally) -> str:
-    aside = tally.throws - tally.rested
-    return f"χ = {chi:g}" + (f" ({100 * aside / tally.throws:.2g} % on no face)" if aside else "")
+    no_face = tally.throws - tally.rested
+    return f"χ = {chi:g}" + (f" ({100 * no_face / tally.throws:.2g} % on no face)" if no_face else "")
 
 
 def _again(tally: Tally) -> list[Share]:
-    """At each impact, and of the throws that landed."""
+    """Shares of throws whose lowest face is that of the release: at each impact, then among the throws that landed."""
     at_impacts = [Share(int(k), tally.throws) for k in tally.as_start[1:]]
     return [*at_impacts, Share(tally.landed_as_start, tally.rested)]
 
 
-def _thrown(
+def _tallies(
     plan: OddsPlan,
     work: WorkFile,
     resume: bool,
@@ -217,7 +218,7 @@ def _thrown(
     chunk: int,
     progress: Progress,
 ) -> tuple[Tally, ...]:
-    """The tallies of all series, from where the work file ends."""
+    """The tallies of all series; with `resume`, continued from the work file."""
     done = _unpacked(work.read() or {}) if resume else []
     total = plan.throws * len(plan.chi)
     with work.keeping() as keep:
@@ -301,7 +302,7 @@ def _series(tally: Tally) -> dict[str, Any]:
 
 
 def share_table(share: Share) -> dict[str, Any]:
-    """A share as JSON has it."""
+    """A share with its interval, as in JSON."""
     low, high = share.interval
     return {"count": share.count, "of": share.of, "share": share.value, "low": low, "high": high}
 
@@ -324,12 +325,12 @@ def _shares(tally: Tally) -> list[tuple[str, int | str, int | str, Share]]:
 
 
 def _messages(tally: Tally) -> list[str]:
-    aside = tally.throws - tally.rested
-    if not aside:
+    no_face = tally.throws - tally.rested
+    if not no_face:
         return []
-    which = ", ".join(
+    endings = ", ".join(
         f"{int(n)} {ending.name.lower().replace('_', ' ')}"
         for ending, n in zip(ENDING_OF_INDEX, tally.endings, strict=True)
         if n and ending is not Ending.RESTED
     )
-    return [f"{aside} of {tally.throws} throws landed on no face: {which or 'not decided'}."]
+    return [f"{no_face} of {tally.throws} throws landed on no face: {endings or 'not decided'}."]

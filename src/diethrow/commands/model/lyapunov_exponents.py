@@ -1,4 +1,4 @@
-"""The largest Lyapunov exponent of a bouncing die, with its errors, a table and a picture."""
+"""The largest Lyapunov exponent of a bouncing die with its standard errors, as a table and a figure."""
 
 from __future__ import annotations
 
@@ -16,37 +16,40 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...files.tables import write_json
 from ...model.die import Die, make_die
 from ...model.ensembles import ErrorGrowth, LyapunovExponents, error_growth, largest_lyapunov_exponent
-from ...model.laws import LEVEL, CoulombImpact, ImpactLaw, SmoothImpact, Table
+from ...model.laws import LEVEL, ImpactLaw, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
 from ...model.throw import State, checked_release
 from ...replay.figures import convergence, growth_curve
+from .face_odds import impact_law_of
 
 Progress = Callable[[str, int, int], None]
 
 REPORTED = {"tetrahedron": (0.076, 0.169), "cube": (0.067, 0.183)}
-"""By Kapitaniak et al. (Chaos 22, 047504, 2012) at χ = 1, on a table at rest and on one that oscillates; neither units
-nor the oscillation are stated."""
+"""Values of Kapitaniak et al. (Chaos 22, 047504, 2012) at χ = 1, on a table at rest and on an oscillating one. The paper
+states neither their unit nor the oscillation."""
+DRIFT_SIGMAS = 6.0
+"""Difference of the two halves of the orbits, in standard errors, from which a drift of the exponent is reported."""
 
 
 @dataclass(frozen=True)
 class LyapunovPlan:
-    """What bounces, and how long."""
+    """The die, the law, the table, the start, and the length of the orbits."""
 
     shape: str
     edge_m: float
     mass_kg: float
     chi: float = 1.0
     mu: float | None = None
-    """Coulomb friction; None for the paper's smooth impact."""
+    """Coulomb friction coefficient; None for the paper's smooth impact."""
     table: Table = LEVEL
     impacts: int = 10_000
-    """Of each orbit."""
+    """Number of impacts of each orbit."""
     orbits: int = 8
     left_out: int = 200
-    """Impacts at the beginning of each orbit that do not count."""
+    """Number of impacts at the beginning of each orbit that do not count."""
     seed: int = 1
     position_m: tuple[float, float, float] = (0.0, 0.0, 0.3)
-    """Of the start; it and the rest are those of the paper's Fig. 5 unless given."""
+    """Initial position; the defaults of this and the fields below are those of the paper's Fig. 5."""
     euler_rad: tuple[float, float, float] = (0.001, 0.00001, 0.0001)
     velocity_m_s: tuple[float, float, float] = (0.6, 0.0, -0.7)
     omega_body_rad_s: tuple[float, float, float] = (0.0, 60.0, 0.0)
@@ -55,10 +58,10 @@ class LyapunovPlan:
         if self.impacts < 2 or self.orbits < 1 or self.left_out < 0 or self.seed < 0:
             raise ValueError(
                 f"impacts {self.impacts}, orbits {self.orbits}, leave-out {self.left_out}, seed {self.seed}: "
-                "wanted 2 impacts, 1 orbit, or more, the others 0 or more"
+                "wanted at least 2 impacts and 1 orbit, and 0 or more of the others"
             )
         checked_release(self.die, self.start, self.table)
-        assert self.law.parameters.size
+        assert self.law.parameters.size  # raises ValueError for impossible values
 
     @property
     def die(self) -> Die:
@@ -67,19 +70,19 @@ class LyapunovPlan:
 
     @property
     def law(self) -> ImpactLaw:
-        """The smooth impact, or Coulomb's friction with an energetic restitution where a μ is given."""
-        return SmoothImpact(self.chi) if self.mu is None else CoulombImpact(self.chi, self.mu)
+        """The smooth impact or, with a μ, Coulomb friction with energetic restitution."""
+        return impact_law_of(self.chi, self.mu)
 
     @property
     def start(self) -> State:
-        """The beginning of the first orbit."""
+        """The initial state of the first orbit."""
         quaternion = quat_from_euler(np.array(self.euler_rad))
         spin = matrix_from_quat(quaternion) @ np.array(self.omega_body_rad_s, float)
         return State(0.0, np.array(self.position_m, float), quaternion, np.array(self.velocity_m_s, float), spin)
 
     @property
     def ends(self) -> bool:
-        """Whether every such throw comes to an end, so that there is no exponent."""
+        """Whether every such throw ends, so that it has no exponent."""
         return self.chi < 1.0 and not self.table.moves
 
 
@@ -91,9 +94,9 @@ def lyapunov(
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
 ) -> LyapunovExponents | ErrorGrowth:
-    """The exponents of a motion that goes on, or the growth along one that ends, written to the folder `out`.
+    """Compute the exponents of a motion that continues, or the error growth along one that ends; write them to `out`.
 
-    Raises OutputExistsError for a folder that exists (unless `force`).
+    Raises OutputExistsError if the folder exists (unless `force`).
     """
     watch = Stopwatch()
     with whole_folder(out, force=force) as folder:
@@ -131,7 +134,7 @@ def _computed(plan: LyapunovPlan, progress: Progress) -> LyapunovExponents | Err
 
 
 def lyapunov_table(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> dict[str, Any]:
-    """What lyapunov.json holds."""
+    """The contents of lyapunov.json."""
     if isinstance(result, ErrorGrowth):
         return {
             "exponent": None,
@@ -160,29 +163,29 @@ def lyapunov_table(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) 
 
 def _no_exponent(plan: LyapunovPlan) -> str:
     return (
-        f"At chi = {plan.chi:g} on a table at rest every throw ends: there is a finite growth, and no Lyapunov exponent; "
-        "for one, take chi = 1 or a table that oscillates."
+        f"At chi = {plan.chi:g} on a table at rest every throw ends: the error growth is finite, and there is no Lyapunov "
+        "exponent. For an exponent, use chi = 1 or an oscillating table."
     )
 
 
 def _messages(plan: LyapunovPlan, result: LyapunovExponents) -> list[str]:
-    """What the numbers do not say by themselves."""
+    """Reservations about the exponents, one sentence each."""
     messages = []
     half = result.logs.shape[1] // 2
     first = result.logs[:, :half].sum() / result.times_s[:, half - 1].sum()
     second = result.logs[:, half:].sum() / (result.times_s[:, -1] - result.times_s[:, half - 1]).sum()
-    if abs(first - second) > 6.0 * result.per_second_error:
+    if abs(first - second) > DRIFT_SIGMAS * result.per_second_error:
         messages.append(
-            f"The exponent drifts: {first:.4g} per second over the first half, {second:.4g} over the second; "
-            "the motion has not settled into one state, and may have none."
+            f"The exponent drifts: {first:.4g} per second over the first half of the orbits, {second:.4g} over the second. "
+            "The motion is not stationary; leave out more impacts or use longer orbits."
         )
     if plan.table.moves and plan.chi >= 1.0:
-        messages.append("At chi = 1 a table that oscillates feeds energy to the die without end.")
+        messages.append("At chi = 1 an oscillating table increases the energy of the die without limit.")
     return messages
 
 
 def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> None:
-    """The picture: how the estimates settle, or how an error grows."""
+    """Write the figure: the convergence of the estimates, or the growth of an error."""
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     ax = figure.add_subplot()
@@ -195,7 +198,7 @@ def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth
 
 
 def summary(plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> tuple[str, ...]:
-    """What the terminal shows."""
+    """The lines that the terminal shows."""
     if isinstance(result, ErrorGrowth):
         last = f"An error of the release grows {result.at_end:.2e} times over {len(result.at_impacts)} impacts."
         return last, _no_exponent(plan)

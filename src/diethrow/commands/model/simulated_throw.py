@@ -1,4 +1,4 @@
-"""One throw, simulated: from a release to its end, with the records, a figure and a replay."""
+"""Simulate one throw from its release to its end, and write tables, a figure and a recording."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from ...replay.pages import throw_page
 from ...replay.recording import write_throw_recording
 from ...tracking.track import Track
 
-MOST_ROWS = 10_000_000
-"""Of simulated.csv: beyond them `output.fps` or `until.time_s` is in another unit."""
-_LEFT = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
-"""Endings that leave a throw before its own."""
+MAX_ROWS = 10_000_000
+"""Largest number of rows of simulated.csv; more indicate a wrong unit of `output.fps` or `until.time_s`."""
+_STOPPED = (Ending.TIME_REACHED, Ending.IMPACTS_REACHED, Ending.IMPACT_CAP, Ending.BOUNCING)
+"""Endings at a limit of the simulation, before the throw ends by itself."""
 
 
 def throw(
     plan: Plan, out: Path, *, force: bool = False, embed_replay: bool = False, command: tuple[str, ...] = ()
 ) -> ThrowResult:
-    """Simulate the throw of a plan and write it to the folder `out`; `embed_replay` adds a page with the viewer in it.
+    """Simulate the throw of a plan and write it to the folder `out`; `embed_replay` adds a page that contains the viewer.
 
-    Raises ValueError for a release that no die can have and OutputExistsError for a folder that exists (unless
-    `force`); then no folder is left.
+    Raises ValueError for an impossible release, OutputExistsError if the folder exists (unless `force`). After an error
+    no folder remains.
     """
     watch = Stopwatch()
     with whole_folder(out, force=force, inputs=(plan.path,)) as folder:
@@ -46,14 +46,14 @@ def throw(
             write_vertices(folder / "vertices.csv", plan.die.solid)
             write_bounces(folder / "bounces.csv", result.throw.bounces)
             write_simulated(folder / "simulated.csv", rows_of(plan, result))
-            told = verdict(plan, result)
-            write_json(folder / "throw.json", told)
+            table = throw_table(plan, result)
+            write_json(folder / "throw.json", table)
         with watch.stage("figure"):
             draw_heights(folder / "heights.png", plan, result)
         with watch.stage("replay"):
             write_throw_recording(folder / "replay.rrd", plan.die, result.throw, plan.fps, plan.path.stem)
             if embed_replay:
-                title, sentences = plan.path.stem, told["messages"]
+                title, sentences = plan.path.stem, table["messages"]
                 page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
                 (folder / "replay.html").write_text(page, encoding="utf-8")
         write_provenance(
@@ -66,22 +66,24 @@ def rows_of(plan: Plan, result: ThrowResult) -> Track:
     """The poses at t = k / fps, from the release to the end of the last flight."""
     end_s = result.throw.flights[-1].end_s
     count = int(np.floor(end_s * plan.fps + 1e-9)) + 1
-    if count > MOST_ROWS:
-        wanted = f"that makes {count} rows over {end_s:.3g} s; wanted at most {MOST_ROWS}"
+    if count > MAX_ROWS:
+        wanted = f"this gives {count} rows over {end_s:.3g} s; wanted at most {MAX_ROWS}"
         raise refuse(plan.path, "output.fps", plan.fps, wanted)
     frame = np.arange(count)
     return simulated_track(result.throw, frame, frame / plan.fps)
 
 
-def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
-    """What throw.json holds. A throw that was left before its end is not asked whether rounding decided it: null."""
+def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
+    """The contents of throw.json. Whether rounding decided the throw is null for one that stopped at a limit."""
     messages = [result.ending.value]
     if result.landed_face is None and result.ending is not Ending.RESTED:
-        messages.append("The landed face is open: the throw ended before the die had settled on one.")
-    asked = result.landed_face is not None or result.ending not in _LEFT
-    check = decidable_in_double_precision(plan.die, plan.release, plan.law, table=plan.model_table) if asked else None
+        messages.append("Landing face unknown: the die is not at rest on a face when the throw ends.")
+    ended = result.landed_face is not None or result.ending not in _STOPPED
+    check = decidable_in_double_precision(plan.die, plan.release, plan.law, table=plan.model_table) if ended else None
     messages.append(
-        check.sentence if check else "Whether double precision decides this throw is open: it has no end yet."
+        check.sentence
+        if check
+        else "Whether this throw is decidable in double precision is unknown: the simulation stopped before its end."
     )
     return {
         "landed_face": result.landed_face,
@@ -97,7 +99,7 @@ def verdict(plan: Plan, result: ThrowResult) -> dict[str, Any]:
 
 
 def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
-    """The height of every corner over time, with the impacts, as a picture."""
+    """Write the figure of the heights of all corners over time, with the impacts."""
     figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
     FigureCanvasAgg(figure)
     throw_heights(figure.add_subplot(), plan.die.solid, result.throw)

@@ -1,7 +1,7 @@
-"""Recordings of several throws: in one, for looking; or in one folder, for a table with a row a throw.
+"""Recordings of several throws: joined in one recording, or copied to one folder with a table of one row per throw.
 
-A throw is a folder that `analyze`, `fit` or `throw` made, or its `replay.rrd`; a folder of such folders stands for all
-of them.
+A throw is given by the folder that `analyze`, `fit` or `throw` wrote, or by its `replay.rrd`; a folder of such folders
+gives all of them.
 """
 
 from __future__ import annotations
@@ -20,14 +20,16 @@ from ...replay.recording import Source, join_recordings, properties_of
 
 RECORDING = "replay.rrd"
 COLUMNS = ("chi", "chi_low", "chi_high", "bounces", "bounces_fitted", "residual_rms", "landed_face", "verdict")
-"""Properties of a recording that a table shows."""
-BOUNCE, FRAME = "bounce", "frame"
-"""By what the clocks of several throws are set."""
+"""Properties of a recording that the table shows."""
+BOUNCE = "bounce"
+"""Align the clocks of several throws at their first bounces."""
+FRAME = "frame"
+"""Align them at their frames 0."""
 
 
 @dataclass(frozen=True)
 class ThrowRecording:
-    """A recording of one throw, and what it says of itself."""
+    """A recording of one throw with its properties (χ, bounces, verdict and others)."""
 
     name: str
     path: Path
@@ -35,28 +37,29 @@ class ThrowRecording:
 
 
 def find_recordings(places: Sequence[Path]) -> tuple[ThrowRecording, ...]:
-    """Every throw at these places, in their order, under names that differ.
+    """Every throw at these places, in their order, with distinct names.
 
-    Raises FileNotFoundError where there is none, ValueError for a file that is no recording or one that is named twice.
+    Raises FileNotFoundError for a place without a recording. Raises ValueError for a file that is not a recording, and for
+    a recording that is given twice.
     """
     paths = [path for place in places for path in _recordings_at(place)]
-    twice = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
-    if twice:
-        raise ValueError(f"{twice[0]} is named twice; wanted each throw once")
+    repeated = [path for path, count in Counter(path.resolve() for path in paths).items() if count > 1]
+    if repeated:
+        raise ValueError(f"{repeated[0]} is given twice; give each throw once")
     names = _names(paths)
     return tuple(ThrowRecording(name, path, _properties(path)) for name, path in zip(names, paths, strict=True))
 
 
 def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool | None, force: bool = False) -> bool:
-    """Write one recording of all; returns whether they were taken for models of one throw.
+    """Write one recording of all, and return whether they are treated as models of one throw.
 
-    `models` says whether they are; None looks at what they were made from. Raises OutputExistsError for a file that is
-    there (unless `force`), ValueError for throws that cannot be joined.
+    `models` states whether they are; None compares the footage in their provenance. `align` is BOUNCE or FRAME. Raises
+    OutputExistsError if `out` exists (unless `force`), ValueError for throws that cannot be joined.
     """
     if align not in (BOUNCE, FRAME):
         raise ValueError(f"--align {align}: wanted {BOUNCE} or {FRAME}")
     if len(found) < 2:
-        raise ValueError(f"{found[0].path} is one recording; wanted two or more to join, or no --out to look at one")
+        raise ValueError(f"{found[0].path} is one recording; give two or more to join, or omit --out to view one")
     same = made_from_same_footage(found) if models is None else models
     with whole_file(out, force=force, inputs=[one.path for one in found]) as file:
         sources = [Source(one.path, one.name) for one in found]
@@ -65,9 +68,9 @@ def join(found: Sequence[ThrowRecording], out: Path, *, align: str, models: bool
 
 
 def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False) -> None:
-    """A folder with one recording a throw and `throws.csv`: the viewer shows them as one data set, a row a throw.
+    """Write a folder with one recording per throw and `throws.csv`. The viewer shows them as one table, a row per throw.
 
-    Raises OutputExistsError for a folder that is there (unless `force`).
+    Raises OutputExistsError if `out` exists (unless `force`).
     """
     with whole_folder(out, force=force, inputs=[one.path for one in found]) as folder:
         for one in found:
@@ -79,13 +82,13 @@ def gather(found: Sequence[ThrowRecording], out: Path, *, force: bool = False) -
 
 
 def made_from_same_footage(found: Sequence[ThrowRecording]) -> bool:
-    """Whether all were made from the same clip or track, as their provenance says."""
+    """Whether all have the same clip or track among the inputs in their provenance."""
     made_from = [_footage(one.path.with_name("provenance.json")) for one in found]
     return bool(made_from[0]) and all(inputs == made_from[0] for inputs in made_from)
 
 
 def _footage(provenance: Path) -> frozenset[str]:
-    """The checksums of what a run read, but for its scene; empty where that is not known."""
+    """The checksums of a run's inputs without its scene; empty if they are unknown."""
     if not provenance.is_file():
         return frozenset()
     inputs = read_json(provenance).get("inputs", [])
@@ -99,13 +102,13 @@ def _recordings_at(place: Path) -> list[Path]:
         return [place / RECORDING]
     below = sorted(place.glob(f"*/{RECORDING}")) or sorted(place.glob("*.rrd"))
     if not below:
-        wanted = f"wanted a folder with {RECORDING}, as analyze makes it, or a folder of such folders"
-        raise FileNotFoundError(f"{place}: there is no recording of a throw; {wanted}")
+        wanted = f"wanted a folder with {RECORDING}, as analyze writes it, or a folder of such folders"
+        raise FileNotFoundError(f"{place}: no recording of a throw found; {wanted}")
     return below
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """The folder or the file of each; with more of the path where two have one name."""
+    """The name of the folder or file of each, with as much of the path as makes the names distinct."""
     parts = [
         path.resolve().parent.parts if path.name == RECORDING else path.resolve().with_suffix("").parts
         for path in paths
