@@ -175,7 +175,7 @@ def test_a_work_file_is_written_at_intervals_and_replaced_whole(
     with work.keeping() as keep:
         keep({"a": np.arange(3)})
     assert work.read() is None  # nothing went wrong, and it was not yet time
-    monkeypatch.setattr("diethrow.files.work_file.EVERY_S", 0.0)
+    monkeypatch.setattr("diethrow.files.work_file.WRITE_INTERVAL_S", 0.0)
     with work.keeping() as keep:
         for k in range(3):
             keep({"a": np.arange(k)})
