@@ -39,14 +39,19 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import (
     BIWEIGHT_CUT,
-    PARAMETERS,
+    LOG_NOISE,
+    PIXELS,
+    ROBUST_COST,
+    STRETCHES,
     THREADS,
+    PoseState,
     RefinementSettings,
     View,
+    new_equations,
     new_workspace,
-    rounded,
     shares_in_view,
     whole_frame_windows,
+    with_corner_radius,
 )
 from ..pose import Picture, SampledFrames, refine_and_score
 from ..throw import flights_only, outline_growth
@@ -171,14 +176,14 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
     if radius_m > MOST_INRADIUS_SHARE * view.die.solid.inradius:
         return 0.0, np.inf
     settings = _free_poses(view)
-    sharp, round_ = (_misfits(rounded(view, r), frames, settings)[0] for r in (SHARP_PX / px_per_m, radius_m))
+    sharp, round_ = (_misfits(with_corner_radius(view, r), frames, settings)[0] for r in (SHARP_PX / px_per_m, radius_m))
     return _winsorised_mean(sharp - round_)
 
 
 def is_rounded(view: View, frames: Callable[[int], SampledFrames]) -> bool:
     """Whether the die of a view with sharp corners is clearly rounded; `frames(count)` gives at most `count` frames."""
     sampled, tested_px = frames(RADIUS_FRAMES), compared_radius_px(view)
-    gain, sigma = rounding_gain(view, sampled.some(ROUND_FRAMES), ROUND_TESTED_PX / TESTED_PX * tested_px)
+    gain, sigma = rounding_gain(view, sampled.sample(ROUND_FRAMES), ROUND_TESTED_PX / TESTED_PX * tested_px)
     if gain > max(LEAST_GAIN, SIGNIFICANT_SIGMAS * sigma):
         return True
     gain, sigma = rounding_gain(view, sampled, tested_px)
@@ -197,12 +202,12 @@ def radius_by_free_poses(view: View, frames: SampledFrames) -> CornerRadius | No
         return None
     px_per_m, settings = scale_px_per_m(view, frames), _free_poses(view)
     largest = MOST_INRADIUS_SHARE * view.die.solid.inradius
-    sharp, refined = _misfits(rounded(view, SHARP_PX / px_per_m), frames, settings)
+    sharp, refined = _misfits(with_corner_radius(view, SHARP_PX / px_per_m), frames, settings)
     radii, gains = [0.0], [0.0]
     radius = LEAST_RADIUS_PX / px_per_m
     while radius < largest and gains[-1] > max(gains) - MOST_RISE:
         # Start from the poses of the previous radius: a rounder die of the same outline is nearer.
-        misfit, refined = _misfits(rounded(view, radius), refined, settings)
+        misfit, refined = _misfits(with_corner_radius(view, radius), refined, settings)
         radii.append(radius)
         gains.append(_winsorised_mean(sharp - misfit)[0])
         radius *= RADIUS_RATIO
@@ -227,9 +232,9 @@ def radius_on_flights(
     )
     radii = np.unique(np.append(SHARP_PX / px_per_m, near))
     free, fixed = _free_poses(view), _free_poses(view)._replace(fine_steps=1)
-    first = rounded(view, first_m)
+    first = with_corner_radius(view, first_m)
     free_gain = _misfits(first, frames, fixed)[0] - _misfits(first, frames, free)[0]
-    misfits = np.array([_misfits(rounded(view, r), frames, fixed)[0] for r in radii]).T
+    misfits = np.array([_misfits(with_corner_radius(view, r), frames, fixed)[0] for r in radii]).T
     misfits = misfits[np.isfinite(misfits).all(1) & (free_gain < MOST_FREE_GAIN)]
     n = len(misfits)
     if n < FEWEST_FRAMES:
@@ -280,7 +285,7 @@ def _free_poses(view: View) -> RefinementSettings:
     """Settings of a refinement with a free pose and strips of any shade, whatever is known of the light."""
     dark = np.zeros_like(view.light)
     return view.settings._replace(
-        fine_steps=FREE_STEPS, enough=FREE_LAST_GAIN, samples=0, strip_share=FREE_STRIP_SHARE, light=dark
+        fine_steps=FREE_STEPS, min_gain=FREE_LAST_GAIN, region_pixels=0, strip_prior_share=FREE_STRIP_SHARE, light=dark
     )
 
 
@@ -297,14 +302,14 @@ def _misfits(view: View, frames: SampledFrames, settings: RefinementSettings) ->
     )
 
     def one(k: int) -> tuple[float, Array, Array]:
-        H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
+        equations, motion = new_equations(), frames.motion[k]
+        start = PoseState(frames.position_m[k], frames.rotation[k], motion[:3], motion[3:])
         p, R, _ = refine_and_score(
-            whole_frame_windows(view, frames.pictures[k]), view.backgrounds, rig, view.shape, settings, frames.position_m[k],
-            frames.rotation[k], frames.motion[k, :3], frames.motion[k, 3:], settings.loose_m, settings.loose_rad, 0,
-            new_workspace(view.shape, view.rig), H, g, stats,
+            whole_frame_windows(view, frames.pictures[k]), view.model(settings, rig), start, settings.loose_m,
+            settings.loose_rad, 0, new_workspace(view.shape, view.rig), equations,
         )  # fmt: skip
-        cost, pixels, stretches, log_noise = stats[0], stats[2], stats[5], stats[6]
-        if not (pixels > 0.0 and H[0, 0] > 0.0):
+        cost, pixels, stretches, log_noise = equations.statistics[[ROBUST_COST, PIXELS, STRETCHES, LOG_NOISE]]
+        if not (pixels > 0.0 and equations.H[0, 0] > 0.0):
             return np.nan, frames.position_m[k], frames.rotation[k]
         return float((BIWEIGHT_CUT**2 / 6.0 * cost + log_noise + intensities * stretches) / pixels), p, R
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..picture import LIGHT_DEGREE, LIGHT_TERMS, View
-from ..pose import ClipPoses, Picture, shown_whole
+from ..pose import ClipPoses, Picture, wholly_in_view
 
 Array = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ def with_light(view: View, picture: Picture, poses: ClipPoses) -> View:
     if view.die.corner_radius_m == 0.0:
         return view
     light = np.zeros_like(view.light)
-    rows = np.flatnonzero(shown_whole(view, poses))
+    rows = np.flatnonzero(wholly_in_view(view, poses))
     rows = np.unique(rows[np.linspace(0, len(rows) - 1, min(LIGHT_FRAMES, len(rows))).astype(int)])
     greys = [_face_greys(view, picture(int(k)), poses.position_m[k], poses.rotation[k]) for k in rows]
     for k, camera in enumerate(view.cameras):

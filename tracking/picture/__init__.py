@@ -1,40 +1,57 @@
-"""tracking.picture."""
+"""The expected picture of a die, and how well it agrees with the observed one.
 
-from .edge_stretch import share_greys as share_greys
-from .kernel_types import ACCEPTED_EXCESS_COST as ACCEPTED_EXCESS_COST
-from .kernel_types import ACCEPTED_EXCESS_COST_ON_PATH as ACCEPTED_EXCESS_COST_ON_PATH
-from .kernel_types import BIWEIGHT_CUT as BIWEIGHT_CUT
+From a pose, the die's shape, the cameras and the background follow the pixels beside every visible edge:
+`add_edge_equations` compares them with a frame and adds the normal equations of the pose. The costs of a pose
+(`region_costs`, `region_cost`, `pose_cost`, `costs_with_edge_noise`, `mirror_region_costs`; see `pose_costs`) judge it
+as a whole. `View` holds everything about the scene that is the same on all frames, `PictureModel` the same for kernels.
+`segmentation` finds what differs from the background, `occluders` what stands before the die.
+
+`tracking.pose` refines and finds poses with these, `tracking.sequence` tracks with them, and `tracking.clip_parameters`
+estimates blur, light and corner radius. `tracking.surface_marks` shares the projection and the linear algebra.
+"""
+
+from .edge_equations import add_edge_equations as add_edge_equations
+from .edge_stretch import BIWEIGHT_CUT as BIWEIGHT_CUT
+from .edge_stretch import update_shared_greys as update_shared_greys
+from .kernel_types import BACKGROUND_SHARE as BACKGROUND_SHARE
 from .kernel_types import BLUR as BLUR
-from .kernel_types import COARSE_BLUR_AND_BAND_PX as COARSE_BLUR_AND_BAND_PX
-from .kernel_types import COARSE_RESTART_PX as COARSE_RESTART_PX
-from .kernel_types import COVARIANCE_GROWTH as COVARIANCE_GROWTH
+from .kernel_types import CLEAR_PX as CLEAR_PX
+from .kernel_types import CONTOUR as CONTOUR
+from .kernel_types import CONTOUR_PX as CONTOUR_PX
 from .kernel_types import LIGHT_DEGREE as LIGHT_DEGREE
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
-from .kernel_types import NARROW_WINDOW_PX as NARROW_WINDOW_PX
-from .kernel_types import OCCLUDED_SHARE as OCCLUDED_SHARE
-from .kernel_types import OCCLUDER_CHANGED_SIGMAS as OCCLUDER_CHANGED_SIGMAS
-from .kernel_types import OCCLUDER_HALF_WIDTH_PX as OCCLUDER_HALF_WIDTH_PX
-from .kernel_types import OCCLUDER_RMS_SIGMAS as OCCLUDER_RMS_SIGMAS
-from .kernel_types import ON_PATH_CHI2 as ON_PATH_CHI2
+from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import PARAMETERS as PARAMETERS
-from .kernel_types import STEP_FACTOR as STEP_FACTOR
-from .kernel_types import WINDOW_PX as WINDOW_PX
+from .kernel_types import PIXELS as PIXELS
+from .kernel_types import ROBUST_COST as ROBUST_COST
+from .kernel_types import STATISTICS as STATISTICS
+from .kernel_types import STRETCHES as STRETCHES
 from .kernel_types import CameraRig as CameraRig
 from .kernel_types import FrameWindows as FrameWindows
-from .kernel_types import OccluderMask as OccluderMask
+from .kernel_types import NormalEquations as NormalEquations
+from .kernel_types import PictureModel as PictureModel
+from .kernel_types import PoseRows as PoseRows
+from .kernel_types import PoseState as PoseState
 from .kernel_types import RefinementSettings as RefinementSettings
-from .kernel_types import Shape as Shape
 from .kernel_types import Workspace as Workspace
+from .kernel_types import new_equations as new_equations
 from .kernel_types import new_workspace as new_workspace
-from .mirror_silhouette import mirror_region_costs as mirror_region_costs
-from .mirror_silhouette import reflects as reflects
-from .pose_equations import view_equations as view_equations
-from .projection import outline_hull as outline_hull
+from .occluders import OCCLUDED_SHARE as OCCLUDED_SHARE
+from .occluders import OccluderMask as OccluderMask
+from .occluders import update_occluder_mask as update_occluder_mask
+from .pose_costs import costs_with_edge_noise as costs_with_edge_noise
+from .pose_costs import mirror_region_costs as mirror_region_costs
+from .pose_costs import region_costs as region_costs
+from .projection import LEAST_DEPTH_M as LEAST_DEPTH_M
+from .projection import NARROW_WINDOW_PX as NARROW_WINDOW_PX
+from .projection import WINDOW_PX as WINDOW_PX
+from .projection import crop_windows as crop_windows
 from .projection import pixel_of_ray as pixel_of_ray
-from .projection import place_die as place_die
 from .projection import reach_of_die as reach_of_die
 from .projection import scale_px as scale_px
-from .projection import within_hull as within_hull
+from .region_cost import SUPPORT_COST as SUPPORT_COST
+from .region_cost import UNEXPLAINED_COST as UNEXPLAINED_COST
+from .region_cost import pose_cost as pose_cost
 from .region_cost import region_cost as region_cost
 from .segmentation import Blob as Blob
 from .segmentation import Mask as Mask
@@ -54,7 +71,6 @@ from .small_matrices import solve_factored as solve_factored
 from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
-from .view import CONTOUR as CONTOUR
 from .view import THREADS as THREADS
 from .view import Array as Array
 from .view import Image as Image
@@ -62,13 +78,12 @@ from .view import View as View
 from .view import make_view as make_view
 from .view import outline_box as outline_box
 from .view import refinement_boxes as refinement_boxes
-from .view import region_costs as region_costs
-from .view import rounded as rounded
-from .view import seen_by_first as seen_by_first
 from .view import share_in_view as share_in_view
 from .view import shares_in_view as shares_in_view
-from .view import stacked as stacked
+from .view import stack_pictures as stack_pictures
 from .view import visible_faces as visible_faces
 from .view import whole_frame_windows as whole_frame_windows
+from .view import with_corner_radius as with_corner_radius
+from .view import with_first_camera_only as with_first_camera_only
 from .view import with_occluder_mask as with_occluder_mask
 from .view import with_reflections as with_reflections

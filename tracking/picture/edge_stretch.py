@@ -1,86 +1,174 @@
-"""tracking.picture.edge_stretch."""
+"""One stretch of edge: its intensities, its noise, and what it adds to the normal equations of the pose.
+
+A stretch is a short piece of one edge, over which shading and shadow are constant. Its grey levels are I_i = Σ_a c_a
+φ_a(d_i) with two intensities c for a sharp edge and four for a rounded one. They are linear in c, so c is eliminated
+(variable projection: Golub and Pereyra, SIAM J. Numer. Anal. 10, 413, 1973): H -= C S⁻¹ Cᵀ, with S the normal matrix of
+the intensities and C their coupling to the parameters. No model of the light is needed.
+
+**Robust weights.** Marks and shadows get Tukey's biweight. Its scale comes from the residuals of the same stretch,
+because the grain on a die's faces is several times the noise of the still background: first from their median, in the
+end by one step of an M-estimate.
+
+**Shared greys.** Where the stretches beside one face of a sharp die, or beside the background, have nearly the same
+grey, each also informs the others. Their mean grey and the variance between them come from all of them (DerSimonian and
+Laird, Control. Clin. Trials 7, 177, 1986); the mean is a prior on each stretch, is itself an unknown of the frame, and
+is eliminated from the equations of a view.
+
+**Rounding.** In a clip with few grey levels, rounding to steps s wider than its noise has the same error on all pixels
+of one grey. The two greys beside an edge are each off by s/√12, and the pixels between, which take all levels, by
+nothing on average. That equals an error e = s/√24 of the two greys against the pixels between, and shifts the whole
+edge by e Σ|I'| / Σ I'², about 0.7 σ s/|c1 b - c0|. The information of its stretches is reduced until the edge is no
+surer than that.
+"""
 
 from __future__ import annotations
 
 from math import log, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import inner_no_memory
-from .kernel_types import BIWEIGHT_CUT, BLUR, FEWEST_STRETCHES, PARAMETERS, REWEIGHTINGS, Workspace
-from .robust_greys import four_left, four_sums, median_size, rises, scale_left, shift_alike, two_left, two_sums
+from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
+from .kernel_types import (
+    BLUR,
+    CLEAR_PX,
+    CONTOUR_PX,
+    LIGHT_TERMS,
+    LOG_NOISE,
+    PARAMETERS,
+    PIXELS,
+    ROBUST_COST,
+    STRETCHES,
+    WEIGHT_SUM,
+    NormalEquations,
+    RefinementSettings,
+    Workspace,
+)
 from .small_matrices import cholesky_factor, solve_factored
+
+FEWEST_PIXELS = 12
+"""Pixels of a stretch below which its intensities and its noise are not estimated."""
+REWEIGHTINGS = 3
+"""Times that the intensities of a stretch are solved with weights from the last residuals."""
+BIWEIGHT_CUT = 4.685
+"""Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
+BIWEIGHT_VARIANCE = 0.8281
+"""Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
+MAD_SIGMA = 1.4826
+"""Standard deviation of a Gaussian over its median absolute value."""
+MEDIAN_TOLERANCE = 0.02
+"""Part of itself to which a median is found; that of 200 Gaussian residuals is known to a fifteenth."""
+MEDIAN_HALVINGS = 16
+"""Most steps of that search, which end it if most values are nearly zero."""
+FEWEST_STRETCHES = 4.0
+"""Stretches beside a face from which the variance of their greys is estimated."""
+CLEAR_SIGMAS = 3.0
+"""Contrast of a contour, in residual noise, from which its step counts as clear."""
+FAINT_SIGMAS = 1.0
+"""The same if the stretch has more than FAINT_PIXELS effective pixels, whose mean is surer."""
+FAINT_PIXELS = 30
+STRIP_NOISE_GREY = 2.0
+"""Least noise that the prior on a rounded strip is scaled by: on noiseless pictures it would hold nothing."""
+LEAST_PIVOT = 1e-9
+"""Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
+LEAST_SHARED_PIVOT = 1e-12
+"""The same of the greys that stretches share."""
+
+
+class Stretch(NamedTuple):
+    """What is constant over one stretch of edge."""
+
+    pixels: np.int64
+    rows: np.int64
+    """Pixel lines that these lie on."""
+    sharp: bool
+    """Whether the die has sharp edges."""
+    interior: bool
+    """Whether both faces beside the edge are visible; the far side is the background otherwise."""
+    background_sum: float
+    """Sum of the known background over the pixels; their number for an interior edge."""
+    length_px: float
+    """Length of edge."""
+    edge_stretches: float
+    """Number of such stretches along the edge: their rounding errors are the same."""
+    weight: float
+    """Factor on the information."""
+    view_index: int
+    near: int
+    """The near face."""
+    far: int
+    """The far face, or the number of faces for the background."""
 
 
 @inner_no_memory
 def add_stretch(
-    work: Workspace, n: int, m: int, sharp: bool, interior: bool, under_sum: float, walked: float, floor_grey: float,
-    weight: float, rounding_grey: float, strip_share: float, strip_grey: float, alike: float, full: bool, view: int,
-    near: int, far: int, H: Any, g: Any, stats: Any,
-) -> None:  # fmt: skip
-    """Add one stretch of edge, n pixels in m rows over `walked` pixels of its length, to the normal equations.
+    stretch: Stretch, settings: RefinementSettings, with_blur: bool, work: Workspace, equations: NormalEquations
+) -> None:
+    """Add one stretch of edge to the normal equations and their statistics.
 
-    On the desk: `phi` (4, n), the basis functions of the intensities (near, far, and those of a rounded strip), with
-    their derivatives `slope` by d and `spread` by the blur (the last is needed where `full`); `begin` (m + 1) the first
-    pixel of each row and `rows` (m, 8) the derivative of d by pose and contour error. `under_sum` is the sum of the far
-    side's known background (n between two faces); `weight` multiplies what is added. `near` and `far` are the faces whose greys
-    it may share.
+    The workspace holds its pixels: `basis` with `basis_slope` (and `basis_blur` if `with_blur`), `grey`, `row_begin`
+    and `row_jacobian`.
     """
-    stats[2] += n
-    stats[5] += 1.0
-    if not interior:
-        stats[3] += walked
-    if n < 12:
+    n, m, sharp, near, far = stretch.pixels, stretch.rows, stretch.sharp, stretch.near, stretch.far
+    view, noise_floor = stretch.view_index, settings.noise_floor_grey
+    H, g, stats = equations.H, equations.g, equations.statistics
+    stats[PIXELS] += n
+    stats[STRETCHES] += 1.0
+    if not stretch.interior:
+        stats[CONTOUR_PX] += stretch.length_px
+    if n < FEWEST_PIXELS:
         return
-    phi, slope, spread, grey, w, res = work.phi, work.slope, work.spread, work.grey, work.weight, work.left
-    A, L, y, c, C, size, rise = work.A, work.L, work.y, work.c, work.C, work.size, work.rise
+    phi, slope, spread, grey, w = work.basis, work.basis_slope, work.basis_blur, work.grey, work.weight
+    res, A, L, y, c, C, size, rise = work.residual, work.A, work.L, work.y, work.c, work.C, work.size, work.grey_slope
     K = 2 if sharp else 4
-    base = under_sum / n
-    scale, icut = floor_grey, 0.0
-    greys, usual = work.greys[view], work.usual[view]
+    base = stretch.background_sum / n
+    scale, icut = noise_floor, 0.0
+    sums, shared_grey = work.grey_sums[view], work.shared_grey[view]
+    strip_grey = settings.light[view, LIGHT_TERMS + 1]
     known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
-    for turn_number in range(REWEIGHTINGS):
+    for reweighting in range(REWEIGHTINGS):
         if sharp:
-            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = two_sums(n, icut, phi[0], phi[1], grey, res, w)
-            if turn_number == REWEIGHTINGS - 1:
-                _note_greys(A, y, scale, greys[near], greys[far])
-            known_near, known_far = usual[near, 1] * scale * scale, usual[far, 1] * scale * scale
+            A[0, 0], A[1, 0], A[1, 1], y[0], y[1] = _two_sums(n, icut, phi[0], phi[1], grey, res, w)
+            if reweighting == REWEIGHTINGS - 1:
+                _note_greys(A, y, scale, sums[near], sums[far])
+            known_near, known_far = shared_grey[near, 1] * scale * scale, shared_grey[far, 1] * scale * scale
             A[0, 0] += known_near
             A[1, 1] += known_far
-            y[0] += known_near * usual[near, 0]
-            y[1] += known_far * usual[far, 0]
+            y[0] += known_near * shared_grey[near, 0]
+            y[1] += known_far * shared_grey[far, 0]
         else:
-            four_sums(n, icut, phi, grey, res, w, A, y)
+            _four_sums(n, icut, phi, grey, res, w, A, y)
             if strip_grey > 0.0:
                 prior = (scale / strip_grey) ** 2
             else:
                 level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
-                prior = (max(scale, 2.0) / (strip_share * level)) ** 2
+                prior = (max(scale, STRIP_NOISE_GREY) / (settings.strip_prior_share * level)) ** 2
             A[2, 2] += prior
             A[3, 3] += prior
-        if not cholesky_factor(A, K, L, 1e-9):
+        if not cholesky_factor(A, K, L, LEAST_PIVOT):
             return
         solve_factored(L, K, y, c)
         if sharp:
-            two_left(n, c[0], c[1], phi[0], phi[1], grey, res, size)
+            _two_residuals(n, c[0], c[1], phi[0], phi[1], grey, res, size)
         else:
-            four_left(n, c, phi, grey, res, size)
-        if turn_number < REWEIGHTINGS - 1:
-            scale = max(floor_grey, 1.4826 * median_size(size, n))
+            _four_residuals(n, c, phi, grey, res, size)
+        if reweighting < REWEIGHTINGS - 1:
+            scale = max(noise_floor, MAD_SIGMA * _median_size(size, n))
         else:
-            scale = max(floor_grey, scale_left(n, icut, res))
+            scale = max(noise_floor, _robust_scale(n, icut, res))
         icut = 1.0 / (BIWEIGHT_CUT * scale)
-    iv = weight / (scale * scale)
-    cost, used = rises(n, K, c, icut, slope, res, rise, w)
+    iv = stretch.weight / (scale * scale)
+    cost, used = _grey_slopes(n, K, c, icut, slope, res, rise, w)
+    rounding_grey = settings.rounding_grey
     if rounding_grey > 0.0:
-        iv /= 1.0 + alike * iv * rounding_grey * rounding_grey / 24.0 * shift_alike(n, rise, w)
-    begin, rows = work.begin, work.rows
+        correlated = _correlated_shift(n, rise, w)
+        iv /= 1.0 + stretch.edge_stretches * iv * rounding_grey * rounding_grey / 24.0 * correlated
+    begin, rows = work.row_begin, work.row_jacobian
     C[:] = 0.0
     for k in range(m):
-        # All pixels of a row share the derivative of d: sums over the row first, the pose once a row.
+        # All pixels of a line share the derivative of d: sums over its pixels first, then the parameters once.
         rr, re, r0, r1, r2, r3, rs = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(begin[k], begin[k + 1]):
             wr = w[i] * rise[i]
@@ -93,7 +181,7 @@ def add_stretch(
                 wr = w[i] * rise[i]
                 r2 += wr * phi[2, i]
                 r3 += wr * phi[3, i]
-        if full:
+        if with_blur:
             for i in range(begin[k], begin[k + 1]):
                 widen = c[0] * spread[0, i] + c[1] * spread[1, i]
                 if not sharp:
@@ -113,8 +201,8 @@ def add_stretch(
             C[a, 1] += ja * r1
             C[a, 2] += ja * r2
             C[a, 3] += ja * r3
-            # The whole row, though the lower half would do: eight sums at once, and none that the compiler must take for an
-            # overlap of H and `rows`.
+            # The whole row, although the lower half would do: eight sums at once, and the compiler need not assume that H and
+            # `rows` overlap.
             jr, h = ja * rr, H[a]
             h[0] += jr * j0
             h[1] += jr * j1
@@ -125,10 +213,10 @@ def add_stretch(
             h[6] += jr * j6
             h[7] += jr * j7
             H[BLUR, a] += ja * rs
-    # The intensities are eliminated: H -= C S⁻¹ Cᵀ, with S = A iv their own normal matrix.
-    top = PARAMETERS if full else BLUR
+    # H -= C S⁻¹ Cᵀ, with S = A iv.
+    top = PARAMETERS if with_blur else BLUR
     sharing = known_near > 0.0 or known_far > 0.0
-    by_near, by_far = work.by_shared[view, near], work.by_shared[view, far]
+    by_near, by_far = work.shared_coupling[view, near], work.shared_coupling[view, far]
     for b in range(top):
         solve_factored(L, K, C[b], y)
         for a in range(b, top):
@@ -140,28 +228,29 @@ def add_stretch(
             by_near[b] += known_near * y[0]
             by_far[b] += known_far * y[1]
     if sharing:
-        shared, pull = work.shared[view], work.pull[view]
+        shared, right = work.shared_matrix[view], work.shared_right[view]
         det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
         shared[near, near] += iv * (known_near - known_near * known_near * A[1, 1] / det)
         shared[far, far] += iv * (known_far - known_far * known_far * A[0, 0] / det)
         both = iv * known_near * known_far * A[1, 0] / det
         shared[near, far] += both
         shared[far, near] += both
-        pull[near] += iv * known_near * (c[0] - usual[near, 0])
-        pull[far] += iv * known_far * (c[1] - usual[far, 0])
-    stats[0] += cost
-    stats[1] += used
-    stats[6] += n * log(scale)
+        right[near] += iv * known_near * (c[0] - shared_grey[near, 0])
+        right[far] += iv * known_far * (c[1] - shared_grey[far, 0])
+    stats[ROBUST_COST] += cost
+    stats[WEIGHT_SUM] += used
+    stats[LOG_NOISE] += n * log(scale)
     contrast = abs(c[1] * base - c[0])
-    if not interior and (contrast > 3.0 * scale or (contrast > 1.0 * scale and used > 30)):
-        stats[4] += walked
+    clear = contrast > CLEAR_SIGMAS * scale or (contrast > FAINT_SIGMAS * scale and used > FAINT_PIXELS)
+    if clear and not stretch.interior:
+        stats[CLEAR_PX] += stretch.length_px
 
 
 @inner_no_memory
 def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
-    """Add the two intensities that a stretch alone shows, with their information, to the sums of either side."""
+    """Add the two intensities that a stretch shows by itself, with their information, to the sums of either side."""
     det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
-    if not det > 1e-9 * A[0, 0] * A[1, 1]:
+    if not det > LEAST_PIVOT * A[0, 0] * A[1, 1]:
         return
     iv = 1.0 / (scale * scale)
     c0, c1 = (A[1, 1] * y[0] - A[1, 0] * y[1]) / det, (A[0, 0] * y[1] - A[1, 0] * y[0]) / det
@@ -179,65 +268,207 @@ def _note_greys(A: Any, y: Any, scale: float, near: Any, far: Any) -> None:
 
 
 @inner_no_memory
-def eliminate(work: Workspace, view: int, top: int, H: Any, g: Any) -> None:
-    """Eliminate the greys that the stretches of one view share from its normal equations: the `top` leading rows of H (lower
-    half) and g. Those greys are `usual` so far; what they become waits for the step of the pose, see `share_greys`."""
-    M, X, pull, which, y = work.shared[view], work.by_shared[view], work.pull[view], work.which[view], work.solved
+def eliminate_shared_greys(work: Workspace, view: int, top: int, H: Any, g: Any) -> None:
+    """Eliminate the greys that the stretches of one view share from its equations: the `top` leading rows of H (lower
+    half) and g.
+
+    The greys themselves are those of the last step until `update_shared_greys`.
+    """
+    M, X, right = work.shared_matrix[view], work.shared_coupling[view], work.shared_right[view]
+    which, y = work.shared_faces[view], work.solved
     count = np.int64(0)
-    for f in range(pull.shape[0]):
+    for f in range(right.shape[0]):
         if M[f, f] > 0.0:
             count += 1
             which[count] = f
-    # Those that count are moved together; their order stays, so that nothing is written before it was read.
+    # The used rows move to the front in their order, so that none is overwritten before it is read.
     for i in range(count):
         for j in range(i + 1):
             M[i, j] = M[which[i + 1], which[j + 1]]
-        pull[i] = pull[which[i + 1]]
+        right[i] = right[which[i + 1]]
         for a in range(top):
             X[i, a] = X[which[i + 1], a]
-    which[0] = count if cholesky_factor(M, count, M, 1e-12) else 0
+    which[0] = count if cholesky_factor(M, count, M, LEAST_SHARED_PIVOT) else 0
     for a in range(top):
         for i in range(which[0]):
             y[i] = X[i, a]
         solve_factored(M, which[0], y, y)
         for i in range(which[0]):
-            g[a] -= y[i] * pull[i]
+            g[a] -= y[i] * right[i]
             for b in range(a, top):
                 H[b, a] -= y[i] * X[i, b]
 
 
 @inner_no_memory
-def share_greys(work: Workspace, step: Any) -> None:
-    """After a step (6,) of the pose: the greys that stretches share, and how far the stretches beside a face differ from theirs
-    beyond their own noise (DerSimonian and Laird, Control. Clin. Trials 7, 177, 1986). A face of one grey helps every edge
-    of it; light, shadow and grain make its stretches differ, and each is left to itself."""
-    greys, usual, y = work.greys, work.usual, work.solved
-    for view in range(greys.shape[0]):
-        which = work.which[view]
+def update_shared_greys(work: Workspace, step: Any) -> None:
+    """Update the greys that stretches share after a step (6,) of the pose, and the variance of the stretches about
+    them.
+
+    A face of one grey informs every edge of it. Light, shadow and grain make stretches differ; each is then left to
+    itself.
+    """
+    sums, shared_grey, y = work.grey_sums, work.shared_grey, work.solved
+    for view in range(sums.shape[0]):
+        which = work.shared_faces[view]
         for i in range(which[0]):
-            y[i] = work.pull[view, i]
+            y[i] = work.shared_right[view, i]
             for a in range(6):
-                y[i] -= work.by_shared[view, i, a] * step[a]
-        solve_factored(work.shared[view], which[0], y, y)
+                y[i] -= work.shared_coupling[view, i, a] * step[a]
+        solve_factored(work.shared_matrix[view], which[0], y, y)
         for i in range(which[0]):
-            usual[view, which[i + 1], 0] += y[i]
-        for f in range(greys.shape[1]):
-            count, p, pp, pc, pcc = (
-                greys[view, f, 0],
-                greys[view, f, 1],
-                greys[view, f, 2],
-                greys[view, f, 3],
-                greys[view, f, 4],
-            )
-            known = usual[view, f, 1] > 0.0
-            usual[view, f, 1] = 0.0
+            shared_grey[view, which[i + 1], 0] += y[i]
+        for f in range(sums.shape[1]):
+            count, p, pp = sums[view, f, 0], sums[view, f, 1], sums[view, f, 2]
+            pc, pcc = sums[view, f, 3], sums[view, f, 4]
+            known = shared_grey[view, f, 1] > 0.0
+            shared_grey[view, f, 1] = 0.0
             if count >= FEWEST_STRETCHES:
                 mean = pc / p
                 beyond = pcc - mean * pc - (count - 1.0)
                 spread = max(beyond, sqrt(2.0 * (count - 1.0))) / (p - pp / p)
                 if not known:
-                    usual[view, f, 0] = mean
-                usual[view, f, 1] = 1.0 / spread
+                    shared_grey[view, f, 0] = mean
+                shared_grey[view, f, 1] = 1.0 / spread
             for a in range(5):
-                greys[view, f, a] = 0.0
+                sums[view, f, a] = 0.0
         which[0] = 0
+
+
+# --- sums over the pixels of a stretch
+
+
+@inner_fast_sums_no_memory
+def _median_size(values: Any, n: int) -> float:
+    """Median of the first n of non-negative values, to a relative MEDIAN_TOLERANCE, by bisection: the processor counts
+    eight values at a time, while sorting waits at every comparison."""
+    total = 0.0
+    for i in range(n):
+        total += values[i]
+    # At least half of them lie below twice their mean.
+    low, high = 0.0, 2.0 * total / n
+    for _ in range(MEDIAN_HALVINGS):
+        if high - low <= MEDIAN_TOLERANCE * high:
+            break
+        middle, below = 0.5 * (low + high), 0.0
+        for i in range(n):
+            below += 1.0 if values[i] < middle else 0.0
+        if 2.0 * below < n:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+@inner_fast_sums_no_memory
+def _two_sums(
+    n: int, icut: float, near: Any, far: Any, grey: Any, res: Any, w: Any
+) -> tuple[float, float, float, float, float]:
+    """Normal matrix (a00, a10, a11) and right side of two intensities, with weights from the last residuals and the
+    inverse cut `icut` of the biweight; all weights are 1 if it is 0."""
+    a00, a10, a11, y0, y1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        wi = q * q
+        w[i] = wi
+        w0, w1 = wi * near[i], wi * far[i]
+        a00 += w0 * near[i]
+        a10 += w1 * near[i]
+        a11 += w1 * far[i]
+        y0 += w0 * grey[i]
+        y1 += w1 * grey[i]
+    return a00, a10, a11, y0, y1
+
+
+@inner_no_memory
+def _two_residuals(n: int, c0: float, c1: float, near: Any, far: Any, grey: Any, res: Any, size: Any) -> None:
+    """Residuals of two intensities, and their absolute values."""
+    for i in range(n):
+        res[i] = grey[i] - c0 * near[i] - c1 * far[i]
+        size[i] = abs(res[i])
+
+
+@inner_fast_sums_no_memory
+def _four_sums(n: int, icut: float, phi: Any, grey: Any, res: Any, w: Any, A: Any, y: Any) -> None:
+    """The same for the four intensities of a rounded edge: normal matrix A (lower half) and right side y."""
+    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
+    a00, a10, a11, a20, a21, a22, a30, a31, a32, a33 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        wi = q * q
+        w[i] = wi
+        w0, w1, w2, w3 = wi * p0[i], wi * p1[i], wi * p2[i], wi * p3[i]
+        a00 += w0 * p0[i]
+        a10 += w1 * p0[i]
+        a11 += w1 * p1[i]
+        a20 += w2 * p0[i]
+        a21 += w2 * p1[i]
+        a22 += w2 * p2[i]
+        a30 += w3 * p0[i]
+        a31 += w3 * p1[i]
+        a32 += w3 * p2[i]
+        a33 += w3 * p3[i]
+        y0 += w0 * grey[i]
+        y1 += w1 * grey[i]
+        y2 += w2 * grey[i]
+        y3 += w3 * grey[i]
+    A[0, 0], A[1, 0], A[1, 1], A[2, 0], A[2, 1], A[2, 2] = a00, a10, a11, a20, a21, a22
+    A[3, 0], A[3, 1], A[3, 2], A[3, 3] = a30, a31, a32, a33
+    y[0], y[1], y[2], y[3] = y0, y1, y2, y3
+
+
+@inner_fast_sums_no_memory
+def _four_residuals(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) -> None:
+    """Residuals of four intensities, and their absolute values."""
+    c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
+    p0, p1, p2, p3 = phi[0], phi[1], phi[2], phi[3]
+    for i in range(n):
+        res[i] = grey[i] - c0 * p0[i] - c1 * p1[i] - c2 * p2[i] - c3 * p3[i]
+        size[i] = abs(res[i])
+
+
+@inner_fast_sums_no_memory
+def _robust_scale(n: int, icut: float, res: Any) -> float:
+    """Scale of residuals by one step of an M-estimate from the scale behind `icut`: three times as efficient as the
+    median that it starts from."""
+    total, weights = 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        q = q * q
+        total += q * res[i] * res[i]
+        weights += q
+    return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
+
+
+@inner_fast_sums_no_memory
+def _grey_slopes(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise: Any, w: Any) -> tuple[float, float]:
+    """Fill `rise`, the derivative of the grey levels by d; return the robust cost and the sum of the weights."""
+    c0, c1, c2, c3 = c[0], c[1], c[2], c[3]
+    s0, s1, s2, s3 = slope[0], slope[1], slope[2], slope[3]
+    if K == 2:
+        for i in range(n):
+            rise[i] = c0 * s0[i] + c1 * s1[i]
+    else:
+        for i in range(n):
+            rise[i] = c0 * s0[i] + c1 * s1[i] + c2 * s2[i] + c3 * s3[i]
+    cost, used = 0.0, 0.0
+    for i in range(n):
+        q = res[i] * icut
+        q = max(1.0 - q * q, 0.0)
+        cost += 1.0 - q * q * q
+        used += w[i]
+    return cost, used
+
+
+@inner_fast_sums_no_memory
+def _correlated_shift(n: int, rise: Any, w: Any) -> float:
+    """(Σ w |r|)² / Σ w r², with r the derivatives of the grey levels by d: the ratio of the variances of d for
+    correlated and for independent errors of n pixels."""
+    total, squares = 0.0, 0.0
+    for i in range(n):
+        total += w[i] * abs(rise[i])
+        squares += w[i] * rise[i] * rise[i]
+    return total * total / max(squares, 1e-30)

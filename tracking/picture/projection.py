@@ -1,12 +1,32 @@
-"""tracking.picture.projection."""
+"""The die's geometry before a camera: projection, visible faces, outline, and the windows of a frame that show it.
+
+x_cam = R_cw x_world + t_cw. Lens distortion is that of Brown and Conrady, as in `tracking.camera`.
+"""
 
 from __future__ import annotations
 
 from math import hypot, sqrt
 from typing import Any
 
-from ...model.compiled import inner_no_memory
-from .kernel_types import CameraRig, Shape, Workspace
+import numpy as np
+
+from ...model.compiled import inner_no_memory, inner_nogil
+from .kernel_types import CameraRig, FrameWindows, Shape, Workspace
+
+LEAST_DEPTH_M = 1e-6
+"""Depth below which a point counts as behind the camera."""
+LEAST_RISE_PX = 1e-9
+"""An edge that crosses fewer pixel lines is parallel to them."""
+SLACK = 0.02
+"""Share of a neighbouring edge by which it is extended at either end, so that no line slips through at a vertex."""
+NO_EDGE_PX = 1e9
+"""Distance to the next edge if there is none."""
+SMALLEST_WINDOW_PX = 4
+"""A window that is no wider shows no die."""
+WINDOW_PX = 20.0
+"""Margin of the window about the outline: the widest band, and the error of a prediction."""
+NARROW_WINDOW_PX = 11.0
+"""The same for a refinement at the lens blur alone, whose band is a few pixels wide."""
 
 
 @inner_no_memory
@@ -41,21 +61,23 @@ def project_point(K: Any, dist: Any, x: float, y: float, z: float, J: Any) -> tu
 
 @inner_no_memory
 def place_die(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: Workspace) -> bool:
-    """Put the die before one view: vertices in camera axes and in pixels, which faces look at it. False where a vertex
-    lies behind the camera."""
+    """Fill in the workspace the vertices of the die in one view, in camera axes and in pixels, and the cosines of its
+    faces. False if a vertex lies behind the camera."""
     Rcw, tcw = rig.rotation[view], rig.translation[view]
     K, dist = rig.matrix[view], rig.distortion[view]
     for i in range(shape.vertices.shape[0]):
         x, y, z = shape.vertices[i, 0], shape.vertices[i, 1], shape.vertices[i, 2]
         for a in range(3):
-            work.arm[i, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
+            work.vertex_arm[i, a] = R[a, 0] * x + R[a, 1] * y + R[a, 2] * z
         for a in range(3):
-            work.cam[i, a] = tcw[a]
+            work.vertex_camera[i, a] = tcw[a]
             for b in range(3):
-                work.cam[i, a] += Rcw[a, b] * (pos[b] + work.arm[i, b])
-        if work.cam[i, 2] <= 1e-6:
+                work.vertex_camera[i, a] += Rcw[a, b] * (pos[b] + work.vertex_arm[i, b])
+        if work.vertex_camera[i, 2] <= LEAST_DEPTH_M:
             return False
-        work.px[i, 0], work.px[i, 1] = project_point(K, dist, work.cam[i, 0], work.cam[i, 1], work.cam[i, 2], work.J)
+        work.vertex_px[i, 0], work.vertex_px[i, 1] = project_point(
+            K, dist, work.vertex_camera[i, 0], work.vertex_camera[i, 1], work.vertex_camera[i, 2], work.J
+        )
     # From the die's centre to the camera's.
     e0, e1, e2 = -pos[0], -pos[1], -pos[2]
     for b in range(3):
@@ -65,31 +87,34 @@ def place_die(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: W
     gap = sqrt(e0 * e0 + e1 * e1 + e2 * e2)
     for f in range(shape.normals.shape[0]):
         for a in range(3):
-            work.normal[f, a] = (
+            work.face_normal[f, a] = (
                 R[a, 0] * shape.normals[f, 0] + R[a, 1] * shape.normals[f, 1] + R[a, 2] * shape.normals[f, 2]
             )
-        toward = work.normal[f, 0] * e0 + work.normal[f, 1] * e1 + work.normal[f, 2] * e2
-        work.facing[f] = (toward - shape.offsets[f] - shape.radius) / gap
+        toward = work.face_normal[f, 0] * e0 + work.face_normal[f, 1] * e1 + work.face_normal[f, 2] * e2
+        work.face_cosine[f] = (toward - shape.offsets[f] - shape.radius) / gap
     return True
 
 
 @inner_no_memory
 def outline_hull(shape: Shape, work: Workspace) -> int:
-    """Lines (a, b, c) of the outline of the die as placed, a x + b y + c > 0 inside; their number. The ball's radius is
-    left to APART_PX and to the caller's margin."""
+    """Fill in the workspace's hull the lines (a, b, c) of the outline of the placed die, a x + b y + c > 0 inside;
+    return their number.
+
+    The outline is that of the inner body: margins of the caller cover the radius of a rounded die.
+    """
     mx, my = 0.0, 0.0
-    for i in range(work.px.shape[0]):
-        mx += work.px[i, 0] / work.px.shape[0]
-        my += work.px[i, 1] / work.px.shape[0]
+    for i in range(work.vertex_px.shape[0]):
+        mx += work.vertex_px[i, 0] / work.vertex_px.shape[0]
+        my += work.vertex_px[i, 1] / work.vertex_px.shape[0]
     count = 0
     for e in range(shape.edges.shape[0]):
-        if (work.facing[shape.edge_faces[e, 0]] > 0.0) == (work.facing[shape.edge_faces[e, 1]] > 0.0):
+        if (work.face_cosine[shape.edge_faces[e, 0]] > 0.0) == (work.face_cosine[shape.edge_faces[e, 1]] > 0.0):
             continue
         i, j = shape.edges[e, 0], shape.edges[e, 1]
-        dx, dy = work.px[j, 0] - work.px[i, 0], work.px[j, 1] - work.px[i, 1]
+        dx, dy = work.vertex_px[j, 0] - work.vertex_px[i, 0], work.vertex_px[j, 1] - work.vertex_px[i, 1]
         length = max(hypot(dx, dy), 1e-9)
         a, b = -dy / length, dx / length
-        c = -(a * work.px[i, 0] + b * work.px[i, 1])
+        c = -(a * work.vertex_px[i, 0] + b * work.vertex_px[i, 1])
         if a * mx + b * my + c < 0.0:
             a, b, c = -a, -b, -c
         work.hull[count, 0], work.hull[count, 1], work.hull[count, 2] = a, b, c
@@ -107,9 +132,13 @@ def within_hull(hull: Any, count: int, x: float, y: float, margin: float) -> boo
 
 
 @inner_no_memory
-def neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -> int:
-    """The other edges of a face (its edges padded with -1) as functions of the pixel line that crosses them: first and
-    last line, where the first vertex's line is, position there, and step a line. How many there are."""
+def neighbour_edges(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) -> int:
+    """Fill the other edges of a face (its edges padded with -1) as functions of the pixel line that crosses them;
+    return their number.
+
+    A row of `out` is: first and last line, line of the first vertex, position there, and step per line. Lines are rows
+    of the picture if `steep`, columns otherwise.
+    """
     count = 0
     for j in range(face.shape[0]):
         o = face[j]
@@ -120,9 +149,9 @@ def neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) ->
         i, k = edges[o, 0], edges[o, 1]
         dx, dy = px[k, 0] - px[i, 0], px[k, 1] - px[i, 1]
         run, rise, start, at = (dx, dy, px[i, 1], px[i, 0]) if steep else (dy, dx, px[i, 0], px[i, 1])
-        if abs(rise) < 1e-9:
+        if abs(rise) < LEAST_RISE_PX:
             continue
-        slack = 0.02 * abs(rise)
+        slack = SLACK * abs(rise)
         out[count, 0], out[count, 1] = min(start, start + rise) - slack, max(start, start + rise) + slack
         out[count, 2], out[count, 3], out[count, 4] = start, at, run / rise
         count += 1
@@ -131,8 +160,9 @@ def neighbours(face: Any, edges: Any, px: Any, e: int, steep: bool, out: Any) ->
 
 @inner_no_memory
 def room_beside(others: Any, count: int, line: int, at: float) -> float:
-    """Distance along a pixel line from an edge's point to the nearest other edge of its face that the line crosses."""
-    nearest = 1e9
+    """Distance [px] along a pixel line from a point of an edge to the nearest other edge of its face that the line
+    crosses."""
+    nearest = NO_EDGE_PX
     for j in range(count):
         if line >= others[j, 0] and line <= others[j, 1]:
             nearest = min(nearest, abs(others[j, 3] + (line - others[j, 2]) * others[j, 4] - at))
@@ -141,7 +171,7 @@ def room_beside(others: Any, count: int, line: int, at: float) -> float:
 
 @inner_no_memory
 def reach_of_die(shape: Shape) -> float:
-    """Farthest point of the die from its centre [m]."""
+    """Distance [m] of the farthest point of the die from its centre."""
     reach = 0.0
     for i in range(shape.outer.shape[0]):
         reach = max(reach, sqrt(shape.outer[i, 0] ** 2 + shape.outer[i, 1] ** 2 + shape.outer[i, 2] ** 2))
@@ -149,26 +179,32 @@ def reach_of_die(shape: Shape) -> float:
 
 
 @inner_no_memory
-def draw_outer(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: Workspace) -> bool:
-    """Put the vertices of the flat faces' sharp polyhedron, not those of the inner body, in pixels on the desk."""
+def place_outer(shape: Shape, rig: CameraRig, view: int, pos: Any, R: Any, work: Workspace) -> bool:
+    """Fill in the workspace the pixels of the sharp polyhedron of the flat faces, in place of those of the inner body.
+    False if a vertex lies behind the camera."""
     for i in range(shape.outer.shape[0]):
         for a in range(3):
-            work.cam[i, a] = rig.translation[view, a]
+            work.vertex_camera[i, a] = rig.translation[view, a]
             for b in range(3):
                 arm = R[b, 0] * shape.outer[i, 0] + R[b, 1] * shape.outer[i, 1] + R[b, 2] * shape.outer[i, 2]
-                work.cam[i, a] += rig.rotation[view, a, b] * (pos[b] + arm)
-        if work.cam[i, 2] <= 1e-6:
+                work.vertex_camera[i, a] += rig.rotation[view, a, b] * (pos[b] + arm)
+        if work.vertex_camera[i, 2] <= LEAST_DEPTH_M:
             return False
-        work.px[i, 0], work.px[i, 1] = project_point(
-            rig.matrix[view], rig.distortion[view], work.cam[i, 0], work.cam[i, 1], work.cam[i, 2], work.J
+        work.vertex_px[i, 0], work.vertex_px[i, 1] = project_point(
+            rig.matrix[view],
+            rig.distortion[view],
+            work.vertex_camera[i, 0],
+            work.vertex_camera[i, 1],
+            work.vertex_camera[i, 2],
+            work.J,
         )
     return True
 
 
 @inner_no_memory
 def rounded_contour(shape: Shape, rig: CameraRig, view: int, pos: Any, work: Workspace) -> tuple[int, float]:
-    """Lines on the desk's hull of the outline of a rounded die's inner body as placed, their number, and how far beyond them its
-    contour lies in the picture; none of a sharp die, whose faces end there."""
+    """Fill in the workspace's hull the outline of a rounded die's inner body as placed. Return the number of its lines,
+    and how far beyond them the contour lies in the picture [px]; 0 for a sharp die, whose faces end there."""
     if shape.radius == 0.0:
         return 0, 0.0
     depth = rig.translation[view, 2]
@@ -179,17 +215,17 @@ def rounded_contour(shape: Shape, rig: CameraRig, view: int, pos: Any, work: Wor
 
 @inner_no_memory
 def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
-    """Half-planes a x + b y + c >= 0 of a face as placed."""
+    """Fill the half-planes a x + b y + c >= 0 of a placed face; return their number."""
     mx, my, count = 0.0, 0.0, 0
     for j in range(shape.face_edges.shape[1]):
         e = shape.face_edges[f, j]
         if e < 0:
             break
         i, k = shape.edges[e, 0], shape.edges[e, 1]
-        a, b = work.px[i, 1] - work.px[k, 1], work.px[k, 0] - work.px[i, 0]
-        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * work.px[i, 0] + b * work.px[i, 1])
-        mx += 0.5 * (work.px[i, 0] + work.px[k, 0])
-        my += 0.5 * (work.px[i, 1] + work.px[k, 1])
+        a, b = work.vertex_px[i, 1] - work.vertex_px[k, 1], work.vertex_px[k, 0] - work.vertex_px[i, 0]
+        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * work.vertex_px[i, 0] + b * work.vertex_px[i, 1])
+        mx += 0.5 * (work.vertex_px[i, 0] + work.vertex_px[k, 0])
+        my += 0.5 * (work.vertex_px[i, 1] + work.vertex_px[k, 1])
         count += 1
     for j in range(count):
         if lines[j, 0] * mx / count + lines[j, 1] * my / count + lines[j, 2] < 0.0:
@@ -200,12 +236,47 @@ def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
 
 @inner_no_memory
 def scale_px(rig: CameraRig, pos: Any) -> float:
-    """Pixels a metre at a point, in the nearest view."""
+    """Pixels per metre at a point, in the nearest view."""
     best = 0.0
     for view in range(rig.camera.shape[0]):
         z = rig.translation[view, 2]
         for b in range(3):
             z += rig.rotation[view, 2, b] * pos[b]
-        if z > 1e-6:
+        if z > LEAST_DEPTH_M:
             best = max(best, rig.matrix[view, 0, 0] / z)
     return best
+
+
+@inner_nogil
+def crop_windows(
+    pictures: Any, rig: CameraRig, shape: Shape, pos: Any, R: Any, margin: float, work: Workspace
+) -> FrameWindows:
+    """Copy the windows of one frame's pictures (cameras, height, width) that hold the die and its reflection with a
+    margin [px].
+
+    A camera that does not show the die gets a window of size 0.
+    """
+    cameras, height, width = pictures.shape
+    corner, size = np.zeros((cameras, 2), np.int64), np.zeros((cameras, 2), np.int64)
+    low, high = np.full((cameras, 2), 1e9), np.full((cameras, 2), -1e9)
+    for view in range(rig.camera.shape[0]):
+        if not place_die(shape, rig, view, pos, R, work):
+            continue
+        c = rig.camera[view]
+        for a in range(2):
+            low[c, a] = min(low[c, a], work.vertex_px[:, a].min() - margin)
+            high[c, a] = max(high[c, a], work.vertex_px[:, a].max() + margin)
+    rows, columns = 0, 0
+    for c in range(cameras):
+        x0, y0 = int(max(low[c, 0], 0.0)), int(max(low[c, 1], 0.0))
+        x1, y1 = int(min(high[c, 0] + 1.0, float(width))), int(min(high[c, 1] + 1.0, float(height)))
+        if x1 - x0 > SMALLEST_WINDOW_PX and y1 - y0 > SMALLEST_WINDOW_PX:
+            corner[c, 0], corner[c, 1], size[c, 0], size[c, 1] = x0, y0, x1 - x0, y1 - y0
+            rows, columns = max(rows, y1 - y0), max(columns, x1 - x0)
+    pixels = np.empty((cameras, rows, columns), np.float32)
+    for c in range(cameras):
+        for i in range(size[c, 1]):
+            there, here = pictures[c, corner[c, 1] + i, corner[c, 0] :], pixels[c, i]
+            for j in range(size[c, 0]):
+                here[j] = there[j]
+    return FrameWindows(pixels, corner, size)

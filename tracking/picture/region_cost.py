@@ -1,4 +1,9 @@
-"""tracking.picture.region_score."""
+"""The region cost of a pose: how badly the drawn die explains the pixels around it, in a kernel.
+
+Inside a face the image should be the mean grey of that face; outside the die it should be the background, or a darker
+shade of it. The cost is the mean over sampled pixels of truncated squared sigmas. `pose_costs` says how it relates to
+the other costs of a pose.
+"""
 
 from __future__ import annotations
 
@@ -9,29 +14,52 @@ import numpy as np
 
 from ...model.compiled import compiled, inner_nogil
 from .kernel_types import (
-    SHADOW_SQUARED_SIGMAS_CUT,
-    SQUARED_SIGMAS_CUT,
+    CLEAR_PX,
+    CONTOUR_PX,
+    PIXELS,
+    ROBUST_COST,
     CameraRig,
     FrameWindows,
+    PictureModel,
     Shape,
     Workspace,
     new_workspace,
 )
-from .projection import draw_outer, face_lines, place_die, rounded_contour, within_hull
+from .projection import SMALLEST_WINDOW_PX, face_lines, place_die, place_outer, rounded_contour, within_hull
+
+SQUARED_SIGMAS_CUT = 16.0
+"""Squared sigmas at which the misfit of a pixel is truncated."""
+SHADOW_SQUARED_SIGMAS_CUT = 4.0
+"""The same where the image is darker than the background, which a shadow explains."""
+FACE_SIGMAS = 2.0
+"""Noise of a pixel on a face, over that of the background: grain and marks."""
+FACE_SHADING = 0.04
+"""Standard deviation of shading over a face, as a share of its grey; added in quadrature."""
+MARK_SIGMAS = 12.0
+"""Distance from the mean of a face, in noise of the background, beyond which a pixel is a mark and is left out of the
+mean."""
+DIFFERENT_SIGMAS = 3.0
+"""Difference from the background, in its noise, from which a pixel shows something else."""
+NO_COST = 1e9
+"""Cost of a pose that lies behind the camera or out of view."""
+
+SUPPORT_COST = 2.0
+"""Cost of a contour without any clear step, in units of the region cost."""
+UNEXPLAINED_COST = 10.0
+"""Cost of edges of which the edge model explains no pixel, in units of the region cost."""
 
 
 @inner_nogil
 def region_cost(
-    windows: FrameWindows, backgrounds: Any, rig: CameraRig, shape: Shape, pos: Any, R: Any, noise: float, samples: int,
-    margin: float, work: Workspace,
-) -> tuple[float, float]:  # fmt: skip
-    """How badly the drawn die explains its surroundings, as the mean over `samples` pixels of truncated squared sigmas,
-    and the share of the die's own pixels that differ from the background.
+    windows: FrameWindows, model: PictureModel, pos: Any, R: Any, margin: float, work: Workspace
+) -> tuple[float, float]:
+    """Mean over the cameras of the region cost of one pose, and the share of the die's own pixels that differ from the
+    background.
 
-    Inside a face the image should be that face's mean grey; outside it should be the background, or a darker shade of it. Of a
-    rounded die faces end at its contour, short of where those of a sharp one would.
-    The surroundings are the outline's box and `margin` [px] about it, so rivals near each other see the same pixels.
+    The region is the box of the outline and `margin` [px] about it, so hypotheses near each other are compared on the
+    same pixels. Mirrored views are left out.
     """
+    rig, shape = model.rig, model.shape
     score, number, inside, differs = 0.0, 0.0, 0.0, 0.0
     for view in range(rig.camera.shape[0]):
         camera = rig.camera[view]
@@ -39,64 +67,77 @@ def region_cost(
         if mirrored or windows.size[camera, 0] == 0 or not place_die(shape, rig, view, pos, R, work):
             continue
         contour, ball_px = rounded_contour(shape, rig, view, pos, work)
-        if not draw_outer(shape, rig, view, pos, R, work):
-            return 1e9, 0.0
+        if not place_outer(shape, rig, view, pos, R, work):
+            return NO_COST, 0.0
         x0, y0 = windows.corner[camera, 0], windows.corner[camera, 1]
         x1, y1 = x0 + windows.size[camera, 0], y0 + windows.size[camera, 1]
-        low_x = max(floor(work.px[:, 0].min() - margin), x0)
-        low_y = max(floor(work.px[:, 1].min() - margin), y0)
-        high_x = min(ceil(work.px[:, 0].max() + margin) + 1, x1)
-        high_y = min(ceil(work.px[:, 1].max() + margin) + 1, y1)
-        if high_x - low_x < 4 or high_y - low_y < 4:
+        low_x = max(floor(work.vertex_px[:, 0].min() - margin), x0)
+        low_y = max(floor(work.vertex_px[:, 1].min() - margin), y0)
+        high_x = min(ceil(work.vertex_px[:, 0].max() + margin) + 1, x1)
+        high_y = min(ceil(work.vertex_px[:, 1].max() + margin) + 1, y1)
+        if high_x - low_x < SMALLEST_WINDOW_PX or high_y - low_y < SMALLEST_WINDOW_PX:
             continue
-        a, b, c = _box_score(
-            windows.pixels[camera], backgrounds[camera], x0, y0, low_x, low_y, high_x, high_y, shape, work, contour, ball_px,
-            noise, samples,
+        a, b, c = _box_cost(
+            windows.pixels[camera], model.backgrounds[camera], (x0, y0), (low_x, low_y, high_x, high_y), shape,
+            (contour, ball_px), model.settings.noise_grey, model.settings.region_pixels, work,
         )  # fmt: skip
         score += a
         number += 1.0
         inside += b
         differs += c
     if number == 0.0:
-        return 1e9, 0.0
+        return NO_COST, 0.0
     return score / number, differs / max(inside, 1.0)
+
+
+@inner_nogil
+def pose_cost(region: float, statistics: Any) -> float:
+    """The pose cost: the region cost, and what the edges of the refined pose lack."""
+    cost = region
+    lacking = 1.0 - statistics[CLEAR_PX] / max(statistics[CONTOUR_PX], 1e-9)
+    cost += SUPPORT_COST * lacking + UNEXPLAINED_COST * statistics[ROBUST_COST] / max(statistics[PIXELS], 1.0)
+    return cost
 
 
 @compiled(nogil=True)
 def region_costs_in_box(
-    image: Any, background: Any, rig: CameraRig, shape: Shape, low_x: int, low_y: int, high_x: int, high_y: int,
-    positions: Any, rotations: Any, noise: float, samples: int, score: Any, differs: Any,
+    image: Any, background: Any, rig: CameraRig, shape: Shape, box: Any, positions: Any, rotations: Any, noise: float,
+    samples: int, costs: Any, differs: Any,
 ) -> None:  # fmt: skip
-    """Judge many poses by one box of the first camera's picture: mean truncated squared sigmas a pixel, and the share of
-    the die's pixels that differ from the background."""
+    """Fill the region costs of many poses on one box (x0, y0, x1, y1; end exclusive) of the first camera's picture, and
+    the shares of their pixels that differ from the background."""
     work = new_workspace(shape, rig)
-    corner_x, corner_y = np.int64(0), np.int64(0)
+    first = np.int64(0)
     for k in range(positions.shape[0]):
-        score[k], differs[k] = 1e9, 0.0
-        if not place_die(shape, rig, corner_x, positions[k], rotations[k], work):
+        costs[k], differs[k] = NO_COST, 0.0
+        if not place_die(shape, rig, first, positions[k], rotations[k], work):
             continue
-        contour, ball_px = rounded_contour(shape, rig, corner_x, positions[k], work)
-        if draw_outer(shape, rig, corner_x, positions[k], rotations[k], work):
-            total, inside, other = _box_score(
-                image, background, corner_x, corner_y, low_x, low_y, high_x, high_y, shape, work, contour, ball_px,
-                noise, samples,
-            )  # fmt: skip
-            score[k], differs[k] = total, other / max(inside, 1.0)
+        contour, ball_px = rounded_contour(shape, rig, first, positions[k], work)
+        if place_outer(shape, rig, first, positions[k], rotations[k], work):
+            total, inside, other = _box_cost(
+                image, background, (first, first), box, shape, (contour, ball_px), noise, samples, work
+            )
+            costs[k], differs[k] = total, other / max(inside, 1.0)
 
 
 @inner_nogil
-def _box_score(
-    image: Any, background: Any, x0: int, y0: int, low_x: int, low_y: int, high_x: int, high_y: int, shape: Shape,
-    work: Workspace, contour: int, ball_px: float, noise: float, samples: int,
+def _box_cost(
+    image: Any, background: Any, corner: Any, box: Any, shape: Shape, outline: Any, noise: float, samples: int,
+    work: Workspace,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Mean of the truncated squared sigmas over about `samples` pixels of a box, pixels on the die, and those of them that
-    differ from the background; pixels whose background is NaN do not count. No face reaches beyond the outline of the inner
-    body, of so many lines as `contour`, widened by `ball_px`; corners of the outline stay sharp."""
+    """Region cost over about `samples` pixels of a box, number of these on the die, and number of those that differ
+    from the background.
+
+    Pixel [0, 0] of the image is `corner` of the background; pixels whose background is NaN do not count. No face
+    reaches beyond the `outline` of the inner body: so many lines of the hull, widened by so many pixels. Corners of the
+    outline stay sharp.
+    """
+    (x0, y0), (low_x, low_y, high_x, high_y), (contour, ball_px) = corner, box, outline
     stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
     nf, most = shape.face_edges.shape
     lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
     for f in range(nf):
-        if work.facing[f] > 0.0:
+        if work.face_cosine[f] > 0.0:
             count[f] = face_lines(shape, work, f, lines[f])
     columns = (high_x - low_x + stride - 1) // stride
     label = np.full(((high_y - low_y + stride - 1) // stride, columns), -1)
@@ -122,7 +163,7 @@ def _box_score(
                     break
     for f in range(nf):
         mean[f] = total[f] / max(number[f], 1.0)
-    # Marks pull the mean down: once more without what lies far below or above it.
+    # Marks bias the mean: it is taken again without pixels far from it.
     total[:] = 0.0
     number[:] = 0.0
     for i in range(label.shape[0]):
@@ -130,13 +171,13 @@ def _box_score(
             f = label[i, j]
             if f >= 0:
                 value = image[low_y + i * stride - y0, low_x + j * stride - x0]
-                if abs(value - mean[f]) < 12.0 * noise:
+                if abs(value - mean[f]) < MARK_SIGMAS * noise:
                     total[f] += value
                     number[f] += 1.0
     for f in range(nf):
         if number[f] > 0.0:
             mean[f] = total[f] / number[f]
-    score, judged, inside, differs = 0.0, 0.0, 0.0, 0.0
+    cost, judged, inside, differs = 0.0, 0.0, 0.0, 0.0
     iv = 1.0 / (noise * noise)
     for i in range(label.shape[0]):
         y = low_y + i * stride
@@ -150,12 +191,12 @@ def _box_score(
             judged += 1.0
             if f >= 0:
                 inside += 1.0
-                if abs(difference) > 3.0 * noise:
+                if abs(difference) > DIFFERENT_SIGMAS * noise:
                     differs += 1.0
                 e = value - mean[f]
-                score += min(e * e / (4.0 * noise * noise + (0.04 * mean[f]) ** 2), SQUARED_SIGMAS_CUT)
+                variance = FACE_SIGMAS**2 * noise * noise + (FACE_SHADING * mean[f]) ** 2
+                cost += min(e * e / variance, SQUARED_SIGMAS_CUT)
             else:
-                score += min(
-                    difference * difference * iv, SHADOW_SQUARED_SIGMAS_CUT if difference < 0.0 else SQUARED_SIGMAS_CUT
-                )
-    return score / max(judged, 1.0), inside, differs
+                cut = SHADOW_SQUARED_SIGMAS_CUT if difference < 0.0 else SQUARED_SIGMAS_CUT
+                cost += min(difference * difference * iv, cut)
+    return cost / max(judged, 1.0), inside, differs

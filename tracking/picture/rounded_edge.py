@@ -1,4 +1,23 @@
-"""tracking.picture.rounded_edge."""
+"""The strip between a flat face and the contour of a rounded die, or between two of its faces.
+
+A rounded die is a smaller sharp body with a ball rolled round it. Its contour is that body's contour pushed out by the
+radius. Between a flat face and the contour, or between two flat faces, lies a strip on which the surface normal turns
+from one to the other. With u from 0 to 1 along that turn, the intensity of the strip is
+
+    c0 + α u + β u²                            at the contour,
+    c0 (1 - u) + c1 u + γ p(u) + δ q(u)        between two faces,
+
+with p = 4u(1 - u), and q the cubic that is zero at both ends and in the middle. Distant light on a dull surface gives
+these to second order, and to third order over the wider turn, which passes through the direction of the light and into
+the shade. A weak prior holds α, β, γ, δ near zero, because a strip that is seen too narrow does not determine them.
+
+The strip is drawn in STRIP_CELLS pieces of equal turn, each between its own two lines of the picture, the surface
+points whose normals divide the turn.
+
+**Light.** If the clip shows the brightness B of a surface by its normal (`tracking.clip_parameters.light`), c0
+B(u)/B(0) takes the place of c0 at the contour, and between two faces B(u) over its own chord multiplies the straight
+line. α, β, γ, δ then are no larger than the differences of faces from B.
+"""
 
 from __future__ import annotations
 
@@ -9,18 +28,21 @@ import numpy as np
 from scipy.special import ndtr
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
-from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS
+from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS, Workspace
 
-_FINE, _FAR = 128, 5.0
-_STEP = np.arange(-_FAR * _FINE, _FAR * _FINE + 2) / _FINE
-_PHI = np.asarray(ndtr(_STEP))
-_BELL = np.exp(-0.5 * _STEP**2) / np.sqrt(2.0 * np.pi)
-"""Φ and its derivative, tabulated: linear interpolation is right to 2e-6, a thousandth of what a grey level shows."""
+_PER_BLUR = 128
+"""Samples per blur in the tables of Φ and its derivative φ: linear interpolation is right to 2e-6, a thousandth of what
+a grey level shows."""
+_END_BLURS = 5.0
+"""Where the tables end: Φ is 3e-7 there."""
+_BLURS = np.arange(-_END_BLURS * _PER_BLUR, _END_BLURS * _PER_BLUR + 2) / _PER_BLUR
+_CUMULATIVE = np.asarray(ndtr(_BLURS))
+_DENSITY = np.exp(-0.5 * _BLURS**2) / np.sqrt(2.0 * np.pi)
 
 
-def _strip_weights() -> Any:
-    """(2, CELLS + 1, 4) what each line of a rounded strip adds to the basis functions, at the contour and between two
-    faces: the change there of the intensity as a function of the turn u."""
+def _strip_steps() -> Any:
+    """(2, STRIP_CELLS + 1, 4) the change of the basis functions at each line of a strip, at the contour and between two
+    faces."""
     u = (np.arange(STRIP_CELLS) + 0.5) / STRIP_CELLS
     flat, none = np.ones(STRIP_CELLS), np.zeros(STRIP_CELLS)
     contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
@@ -31,28 +53,30 @@ def _strip_weights() -> Any:
     )
 
 
-_STRIP = np.ascontiguousarray(_strip_weights())
+_STRIP_STEPS = np.ascontiguousarray(_strip_steps())
 
 
 @inner_no_memory
-def strip_turn(aw: Any, n0: Any, n1: Any, interior: bool, turned: Any) -> float:
-    """The angle through which the normal turns on a rounded strip, from n0 to n1 or to the contour, and in `turned` (3,) the
-    direction it turns to, at a right angle to n0. `aw` is the derivative of d by a world displacement."""
-    size = sqrt(aw[0] * aw[0] + aw[1] * aw[1] + aw[2] * aw[2])
-    e0, e1, e2 = (n1[0], n1[1], n1[2]) if interior else (aw[0] / size, aw[1] / size, aw[2] / size)
+def strip_turn(gradient: Any, n0: Any, n1: Any, interior: bool, end: Any) -> float:
+    """The angle [rad] through which the normal turns on a strip, from n0 to n1 or, unless `interior`, to the contour.
+
+    `end` (3,) becomes the direction it turns to, perpendicular to n0. `gradient` is the derivative of d by a world
+    displacement.
+    """
+    size = sqrt(gradient[0] * gradient[0] + gradient[1] * gradient[1] + gradient[2] * gradient[2])
+    e0, e1, e2 = (n1[0], n1[1], n1[2]) if interior else (gradient[0] / size, gradient[1] / size, gradient[2] / size)
     along = n0[0] * e0 + n0[1] * e1 + n0[2] * e2
     e0, e1, e2 = e0 - along * n0[0], e1 - along * n0[1], e2 - along * n0[2]
     across = sqrt(max(e0 * e0 + e1 * e1 + e2 * e2, 1e-30))
-    turned[0], turned[1], turned[2] = e0 / across, e1 / across, e2 / across
+    end[0], end[1], end[2] = e0 / across, e1 / across, e2 / across
     return acos(min(1.0, max(-1.0, along)))
 
 
 @inner_no_memory
-def strip_lines(aw: Any, n0: Any, turned: Any, angle: float, radius: float, lines: Any) -> None:
-    """Signed distances [px] of the CELLS + 1 lines of a rounded strip from the inner body's edge: the surface points
-    whose normals divide the turn into equal parts."""
-    d0 = radius * (aw[0] * n0[0] + aw[1] * n0[1] + aw[2] * n0[2])
-    d1 = radius * (aw[0] * turned[0] + aw[1] * turned[1] + aw[2] * turned[2])
+def fill_strip_lines(gradient: Any, n0: Any, end: Any, angle: float, radius: float, lines: Any) -> None:
+    """Fill the signed distances [px] of the STRIP_CELLS + 1 lines of a strip from the inner body's edge."""
+    d0 = radius * (gradient[0] * n0[0] + gradient[1] * n0[1] + gradient[2] * n0[2])
+    d1 = radius * (gradient[0] * end[0] + gradient[1] * end[1] + gradient[2] * end[2])
     c, s = cos(angle / STRIP_CELLS), sin(angle / STRIP_CELLS)
     lines[0] = d0
     for j in range(1, STRIP_CELLS + 1):
@@ -64,7 +88,7 @@ def strip_lines(aw: Any, n0: Any, turned: Any, angle: float, radius: float, line
 
 @inner_no_memory
 def _brightness(light: Any, x: float, y: float, z: float) -> float:
-    """How bright a surface of normal (x, y, z) looks."""
+    """Brightness [grey] of a surface of normal (x, y, z)."""
     total, k, a = 0.0, np.int64(0), 1.0
     for i in range(LIGHT_DEGREE + 1):
         b = a
@@ -80,86 +104,87 @@ def _brightness(light: Any, x: float, y: float, z: float) -> float:
 
 
 @inner_no_memory
-def strip_shades(light: Any, n0: Any, turned: Any, angle: float, interior: bool, strip: Any) -> None:
-    """In `strip` (CELLS + 1, 4) what each line adds to the basis functions, of a strip that the light shades."""
+def fill_strip_steps(light: Any, n0: Any, end: Any, angle: float, interior: bool, steps: Any) -> None:
+    """Fill `steps` (STRIP_CELLS + 1, 4), the change of the basis functions at each line of a strip, shaded by the light
+    of its view (LIGHT_TERMS + 2,) where that is known."""
     kind = 1 if interior else 0
     for j in range(STRIP_CELLS + 1):
         for a in range(4):
-            strip[j, a] = _STRIP[kind, j, a]
+            steps[j, a] = _STRIP_STEPS[kind, j, a]
     if not light[LIGHT_TERMS + 1] > 0.0:
         return
     first = _brightness(light, n0[0], n0[1], n0[2])
     c, s = cos(angle), sin(angle)
-    last = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
+    last = _brightness(light, c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2])
     near, far = 1.0, 0.0
     for j in range(STRIP_CELLS):
         u = (j + 0.5) / STRIP_CELLS
         c, s = cos(u * angle), sin(u * angle)
-        here = _brightness(light, c * n0[0] + s * turned[0], c * n0[1] + s * turned[1], c * n0[2] + s * turned[2])
+        here = _brightness(light, c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2])
         if interior:
             shade = here / ((1.0 - u) * first + u * last)
-            strip[j, 0], strip[j, 1] = (1.0 - u) * shade - near, u * shade - far
-            near, far = near + strip[j, 0], far + strip[j, 1]
+            steps[j, 0], steps[j, 1] = (1.0 - u) * shade - near, u * shade - far
+            near, far = near + steps[j, 0], far + steps[j, 1]
         else:
-            strip[j, 0] = here / first - near
-            near += strip[j, 0]
-    strip[STRIP_CELLS, 0], strip[STRIP_CELLS, 1] = -near, 1.0 - far
+            steps[j, 0] = here / first - near
+            near += steps[j, 0]
+    steps[STRIP_CELLS, 0], steps[STRIP_CELLS, 1] = -near, 1.0 - far
 
 
 @inner_no_memory
-def rounded_basis(
-    d: float, ib: float, shade: float, strip: Any, lines: Any, full: bool, phi: Any, slope: Any, spread: Any, n: int
-) -> None:
-    """Basis functions of the intensities of pixel n at distance d from a rounded edge, with their derivatives by d and,
-    where `full`, by the blur 1 / ib.
+def fill_rounded_basis(d: float, ib: float, shade: float, with_blur: bool, work: Workspace, n: int) -> None:
+    """Fill the basis functions of pixel n at distance d [px] from a rounded edge, their derivatives by d and, if
+    `with_blur`, by the blur 1 / ib. `shade` is what multiplies the far side.
 
-    A cell's share is the difference of two steps; summed by parts, each of the CELLS + 1 lines is looked up once and
-    weighs what the basis function changes by there.
+    The share of a cell is a difference of two steps. Summed by parts, each of the STRIP_CELLS + 1 lines is looked up
+    once and is weighted by the change of the basis function there.
     """
+    steps, lines, phi, slope, spread = work.strip_steps, work.strip_lines, work.basis, work.basis_slope, work.basis_blur
     f0, f1, f2, f3 = 1.0, 0.0, 0.0, 0.0
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
     for j in range(STRIP_CELLS + 1):
         t = (d - lines[j]) * ib
-        a, p = _step(t)
-        v0, v1, v2, v3 = strip[j, 0], strip[j, 1], strip[j, 2], strip[j, 3]
+        a, p = _blurred_step(t)
+        v0, v1, v2, v3 = steps[j, 0], steps[j, 1], steps[j, 2], steps[j, 3]
         f0, f1, f2, f3 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a
         p *= ib
         s0, s1, s2, s3 = s0 + v0 * p, s1 + v1 * p, s2 + v2 * p, s3 + v3 * p
-        if full:
+        if with_blur:
             p *= -t
             b0, b1, b2, b3 = b0 + v0 * p, b1 + v1 * p, b2 + v2 * p, b3 + v3 * p
     phi[0, n], phi[1, n], phi[2, n], phi[3, n] = f0, f1 * shade, f2, f3
     slope[0, n], slope[1, n], slope[2, n], slope[3, n] = s0, s1 * shade, s2, s3
-    if full:
+    if with_blur:
         spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1 * shade, b2, b3
 
 
 @inner_fast_sums_no_memory
-def sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any) -> None:
-    """Basis functions of the two intensities of n pixels beside sharp edges, and their derivatives by the distance, in place
-    of that distance in blurs (`near`), what shades the far side (`far`), and one over the blur (`near_slope`).
+def fill_sharp_basis(n: int, near: Any, far: Any, near_slope: Any, far_slope: Any) -> None:
+    """Fill the basis functions of two intensities at n pixels beside sharp edges, and their derivatives by the
+    distance.
 
-    As `_step`, without branches: several pixels at once.
+    They replace the distance in blurs (`near`), the factor on the far side (`far`), and one over the blur
+    (`near_slope`). The arithmetic is that of `_blurred_step` without branches, for several pixels at once.
     """
     for i in range(n):
-        x = (min(max(near[i], -_FAR), _FAR) + _FAR) * _FINE
+        x = (min(max(near[i], -_END_BLURS), _END_BLURS) + _END_BLURS) * _PER_BLUR
         k = int(x)
         x -= k
-        a = _PHI[k] + x * (_PHI[k + 1] - _PHI[k])
-        p = (_BELL[k] + x * (_BELL[k + 1] - _BELL[k])) * near_slope[i]
+        a = _CUMULATIVE[k] + x * (_CUMULATIVE[k + 1] - _CUMULATIVE[k])
+        p = (_DENSITY[k] + x * (_DENSITY[k + 1] - _DENSITY[k])) * near_slope[i]
         near_slope[i], far_slope[i] = -p, p * far[i]
         near[i], far[i] = 1.0 - a, a * far[i]
 
 
 @inner_no_memory
-def _step(t: float) -> tuple[float, float]:
+def _blurred_step(t: float) -> tuple[float, float]:
     """Φ(t) and its derivative."""
-    if t >= _FAR:
+    if t >= _END_BLURS:
         return 1.0, 0.0
-    if t <= -_FAR:
+    if t <= -_END_BLURS:
         return 0.0, 0.0
-    x = (t + _FAR) * _FINE
+    x = (t + _END_BLURS) * _PER_BLUR
     k = int(x)
     x -= k
-    return _PHI[k] + x * (_PHI[k + 1] - _PHI[k]), _BELL[k] + x * (_BELL[k + 1] - _BELL[k])
+    return _CUMULATIVE[k] + x * (_CUMULATIVE[k + 1] - _CUMULATIVE[k]), _DENSITY[k] + x * (_DENSITY[k + 1] - _DENSITY[k])

@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 Mask = NDArray[np.bool_]
 
 NEAR_BORDER_PX = 3
-"""A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed away."""
+"""A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed
+away."""
 
 DITHERED = 0.5
-"""Noise, in steps between grey levels, with which rounding errs for each pixel by itself: in the mean it is off by no more than
-exp(-2π²/4)/π of a step then, a four hundredth."""
+"""Noise, in steps between grey levels, with which rounding errs for each pixel by itself: in the mean it is off by no
+more than exp(-2π²/4)/π of a step then, a four hundredth."""
 
 RIM_PX, THIN_PX = 6, 11
-"""How far beyond a sure shadow its rim reaches: half the window in which its share of light is looked at, and the penumbra; and
-the width below which what is left of a rim, and light thrown on the table by the die, is taken out with it."""
+"""How far beyond a sure shadow its rim reaches: half the window in which its share of light is looked at, and the
+penumbra; and the width below which what is left of a rim, and light thrown on the table by the die, is taken out with
+it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +37,8 @@ class Blob:
 
 
 def level_step(images: list[NDArray[np.float32]]) -> float:
-    """Step [grey] between levels as some frames (height, width) show them: the smallest gap between two that occur, and 1 where
-    but one does. It is 1 where a file uses all its levels; 12 bits in the upper part of 16 show 16."""
+    """Step [grey] between levels as some frames (height, width) show them: the smallest gap between two that occur, and
+    1 where but one does. It is 1 where a file uses all its levels; 12 bits in the upper part of 16 show 16."""
     step_grey = np.inf
     for image in images:
         gaps = np.diff(np.unique(image[::2, ::2]))
@@ -47,13 +49,14 @@ def level_step(images: list[NDArray[np.float32]]) -> float:
 
 
 def errs_alike(step_grey: float, noise_grey: float) -> bool:
-    """Whether rounding to steps so wide errs alike on pixels of one grey. Steps of 1 are left to the least noise that edges are
-    given."""
+    """Whether rounding to steps so wide errs alike on pixels of one grey. Steps of 1 are left to the least noise that
+    edges are given."""
     return step_grey > 1.0 and noise_grey < DITHERED * step_grey
 
 
 def noise_and_rounding(images: list[NDArray[np.float32]], background: NDArray[np.float32]) -> tuple[float, float]:
-    """`background_noise` [grey] for the levels that occur, and the step between these [grey] where rounding errs alike, or 0."""
+    """`background_noise` [grey] for the levels that occur, and the step between these [grey] where rounding errs alike,
+    or 0."""
     step_grey = level_step(images)
     noise_grey = background_noise(images, background, step_grey)
     return noise_grey, step_grey if errs_alike(step_grey, noise_grey) else 0.0
@@ -63,8 +66,8 @@ def background_noise(
     images: list[NDArray[np.float32]], background: NDArray[np.float32], step_grey: float = 1.0
 ) -> float:
     """Standard deviation [grey] of a still pixel about the background: the smallest over the frames of the median
-    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to steps of `step_grey` leaves.
-    One pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
+    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to steps of
+    `step_grey` leaves. One pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
     some = slice(None, None, 2)
     spreads = [1.4826 * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
     return max(min(spreads), 0.3 * step_grey)
@@ -92,8 +95,8 @@ def without_shadow(image: NDArray[np.float32], background: NDArray[np.float32], 
 def without_rims(image: NDArray[np.float32], background: NDArray[np.float32], mask: Mask, lit: Mask) -> Mask:
     """The part of `mask` that is bulky and no shadow, where `lit` is what `without_shadow` leaves of it.
 
-    Near the die and near its own border a shadow is no constant share of the background within a window. A thin ring of it is
-    left, and joined to the die makes a region half as large again with its middle elsewhere.
+    Near the die and near its own border a shadow is no constant share of the background within a window. A thin ring of
+    it is left, and joined to the die makes a region half as large again with its middle elsewhere.
     """
     shadow = cv2.morphologyEx((mask & ~lit).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
@@ -104,7 +107,8 @@ def without_rims(image: NDArray[np.float32], background: NDArray[np.float32], ma
 
 
 def largest_blob(mask: Mask, holes_px: int = 7) -> Blob | None:
-    """The largest connected region of at least 60 pixels, small holes and specks smoothed away; None if there is none."""
+    """The largest connected region of at least 60 pixels, small holes and specks smoothed away; None if there is
+    none."""
     clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((holes_px, holes_px), np.uint8))
     count, _, stats, centres = cv2.connectedComponentsWithStats(clean)

@@ -1,4 +1,4 @@
-"""tracking.picture.small_matrices."""
+"""Linear algebra of matrices with a few rows, for kernels: no library call is worth its overhead there."""
 
 from __future__ import annotations
 
@@ -9,11 +9,20 @@ import numpy as np
 
 from ...model.compiled import inner_no_memory, inner_nogil
 
+SMALL_ANGLE_RAD = 1e-8
+"""Rotation below which the first-order form of the exponential is exact to rounding."""
+SMALL_SINE = 1e-9
+"""Sine below which the first-order form of the logarithm is exact to rounding."""
+LEAST_PIVOT = 1e-12
+"""Part of its diagonal that a pivot of a definite matrix keeps at the least, in `solve_positive`."""
+LEAST_INVERTED_PIVOT = 1e-13
+"""The same in `inverse_positive`."""
+
 
 @inner_no_memory
 def cholesky_factor(A: Any, K: int, L: Any, least: float) -> bool:
-    """Cholesky factor of the leading K × K of A, in L; False where a pivot keeps no more than the part `least` of its
-    diagonal."""
+    """Cholesky factor of the leading K × K of A, in L, which may be A. False if a pivot keeps no more than the part
+    `least` of its diagonal."""
     for i in range(K):
         for j in range(i + 1):
             s = A[i, j]
@@ -45,9 +54,9 @@ def solve_factored(L: Any, K: int, y: Any, out: Any) -> None:
 
 @inner_no_memory
 def solve_positive(A: Any, n: int, y: Any, out: Any) -> bool:
-    """Solve the leading n × n of a symmetric positive definite A out = y, whose Cholesky factor replaces the lower triangle
-    of A; False where it is not definite."""
-    if not cholesky_factor(A, n, A, 1e-12):
+    """Solve the leading n × n of a symmetric positive definite A out = y, whose Cholesky factor replaces the lower
+    triangle of A; False where it is not definite."""
+    if not cholesky_factor(A, n, A, LEAST_PIVOT):
         return False
     solve_factored(A, n, y, out)
     return True
@@ -55,9 +64,9 @@ def solve_positive(A: Any, n: int, y: Any, out: Any) -> bool:
 
 @inner_nogil
 def inverse_positive(A: Any, n: int, out: Any) -> bool:
-    """Inverse of the leading n × n of a symmetric positive definite matrix; False where it is not."""
+    """Fill the inverse of the leading n × n of a symmetric positive definite matrix; False if it is not definite."""
     L, e, x = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    if not cholesky_factor(A, n, L, 1e-13):
+    if not cholesky_factor(A, n, L, LEAST_INVERTED_PIVOT):
         return False
     for a in range(n):
         e[:] = 0.0
@@ -80,7 +89,7 @@ def product(A: Any, B: Any) -> Any:
 
 @inner_nogil
 def turn_from(R: Any, Q: Any) -> Any:
-    """Q Rᵀ (3, 3): the turn that takes R to Q."""
+    """Q Rᵀ (3, 3): the rotation that takes R to Q."""
     out = np.empty((3, 3))
     for a in range(3):
         for b in range(3):
@@ -90,17 +99,18 @@ def turn_from(R: Any, Q: Any) -> Any:
 
 @inner_nogil
 def turn(R: Any, w: Any) -> Any:
-    """exp(w) R, by Rodrigues' formula; below 1e-8 rad the first-order form is exact to rounding."""
+    """exp(w) R."""
     return product(rotation_exp(w), R)
 
 
 @inner_nogil
 def rotation_exp(w: Any) -> Any:
+    """exp(w) (3, 3) by Rodrigues' formula."""
     angle = sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     W = np.zeros((3, 3))
     W[0, 1], W[0, 2], W[1, 2] = -w[2], w[1], -w[0]
     W[1, 0], W[2, 0], W[2, 1] = w[2], -w[1], w[0]
-    if angle < 1e-8:
+    if angle < SMALL_ANGLE_RAD:
         return np.eye(3) + W
     s, c = sin(angle) / angle, (1.0 - cos(angle)) / (angle * angle)
     E = np.eye(3)
@@ -113,9 +123,9 @@ def rotation_exp(w: Any) -> Any:
 
 @inner_no_memory
 def rotation_log(R: Any, out: Any) -> None:
-    """Rotation vector of a rotation by less than about 3 rad."""
+    """Fill the rotation vector (3,) of a rotation by less than about 3 rad."""
     x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
     s = 0.5 * sqrt(x * x + y * y + z * z)
     c = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
-    factor = 0.5 if s < 1e-9 else 0.5 * atan2(s, c) / s
+    factor = 0.5 if s < SMALL_SINE else 0.5 * atan2(s, c) / s
     out[0], out[1], out[2] = factor * x, factor * y, factor * z

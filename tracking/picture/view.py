@@ -1,4 +1,5 @@
-"""tracking.picture.view."""
+"""What the cameras show of a die, apart from its pose: cameras, backgrounds, die and light, prepared for the
+kernels."""
 
 from __future__ import annotations
 
@@ -13,25 +14,48 @@ from numpy.typing import NDArray
 from ...model.die import Die, inner_vertices, symmetry_rotations
 from ..camera import Camera
 from ..quality import STANDARD, Quality
-from .kernel_types import LIGHT_TERMS, WINDOW_PX, CameraRig, FrameWindows, OccluderMask, RefinementSettings, Shape
-from .region_cost import region_costs_in_box
+from .kernel_types import LIGHT_TERMS, CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
+from .occluders import OccluderMask, new_occluder_mask
+from .projection import SMALLEST_WINDOW_PX, WINDOW_PX
 
 Array = NDArray[np.float64]
-
-THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
-"""Frames, and faces, are independent of each other in most of what is done with them; more threads than this wait for the
-decoder."""
 Image = NDArray[np.float32]
 
+THREADS = min(2, numba_config.NUMBA_NUM_THREADS)
+"""Threads for work on frames, or on faces, that are independent of each other; more of them wait for the decoder."""
 MIRRORED = np.diag([1.0, 1.0, -1.0])
 """Reflection in the table."""
-CONTOUR = 6
-"""Column of the contour error in the normal equations."""
+
+STRIP_SHARE = 2.0
+"""Prior on the strips of rounded edges, see `RefinementSettings`, where a pose is refined. Held to half a face's grey,
+bevels in glossy paint pulled contours in, and poses came out a permille too far away."""
+TRACKED_STRIP_SHARE = 1.0
+"""The same while the die is only tracked: as free as where a pose is refined, tracking lost a tetrahedron of one grey
+between two bounces."""
+LOOSE_REACH = 0.22
+"""Standard deviation of the loose prior on a position, in units of the die's reach."""
+LOOSE_RAD = 0.1
+"""The same of a rotation."""
+TIGHT_REACH = 0.03
+"""Standard deviation of the tight prior on a position, in units of the die's reach."""
+TIGHT_RAD = 0.012
+"""The same of a rotation."""
+LEAST_NOISE_GREY = 0.5
+"""Least noise of a stretch of edge: rounding to whole grey levels leaves 0.3."""
+NOISE_FLOOR_SHARE = 0.5
+"""The same, in the noise of the still background."""
+ROUNDED_TRACKING_STEPS = 2
+"""Factor on the steps while a rounded die is tracked: the unknown intensities of its strips make the steps shorter."""
+ROUNDED_IN_MIRROR = 0.001
+"""Weight of a mirrored view of a rounded die. Bevels in a mirror are lit from below and seen at grazing angles: at full
+weight they turned poses by a tenth of a degree, several times their stated error. With thirty times that error they
+still determine the distance near the mirror, where die and reflection hide each other's contours, better than the die
+alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """What the cameras show of a die: everything about the scene that stays the same from frame to frame."""
+    """Everything about the scene that stays the same from frame to frame."""
 
     cameras: tuple[Camera, ...]
     backgrounds: NDArray[np.float32]
@@ -40,23 +64,23 @@ class View:
     noise_grey: float
     """Standard deviation of a pixel of the still background between frames."""
     exposure_s: float
-    """0 where it is not known."""
+    """0 if it is not known."""
     blur_px: float
     """Standard deviation of the lens blur."""
     quality: Quality
     symmetries: Array
-    """(order, 3, 3) rotations that leave the die's shape as it is: nothing but marks tells its labellings apart."""
+    """(order, 3, 3) rotations that map the die's shape onto itself: only marks distinguish its labellings."""
     shape: Shape
     rig: CameraRig
-    """The cameras, and behind them the cameras as the table mirrors them where it does."""
+    """The cameras and, if the table reflects, the mirrored cameras behind them."""
     light: Array
-    """(views, LIGHT_TERMS + 2) what is known of the light, see `edges`; zero where that is nothing."""
+    """(views, LIGHT_TERMS + 2) brightness by surface normal, see `RefinementSettings`; zero if it is not known."""
     rounding_grey: float = 0.0
-    """Step between the grey levels of the clip where rounding errs alike on pixels of one grey; 0 where it does not."""
+    """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
 
     @property
     def camera(self) -> Camera:
-        """The first camera, in whose picture a start is looked for."""
+        """The first camera, in whose picture initial poses are searched for."""
         return self.cameras[0]
 
     @property
@@ -65,73 +89,79 @@ class View:
         return np.asarray(self.backgrounds[0, : self.camera.height_px, : self.camera.width_px])
 
     @property
+    def mirror(self) -> bool:
+        """Whether the table reflects the die."""
+        return len(self.rig.weight) > len(self.cameras)
+
+    @property
     def inner(self) -> Array:
-        """(n, 3) [m] vertices of the sharp body round which the ball of the corners' radius rolls."""
+        """(n, 3) [m] vertices of the sharp body round which the ball of the corner radius rolls."""
         return np.asarray(self.shape.vertices)
 
     @property
     def reach_m(self) -> float:
-        """Farthest point of the die from its centre."""
+        """Distance of the die's farthest point from its centre."""
         return self.die.solid.circumradius
 
     @property
     def settings(self) -> RefinementSettings:
-        """The numbers that the compiled refinement wants."""
+        """Settings of the refinement of a pose."""
         reach, quality = self.reach_m, self.quality
-        floor_grey = max(0.5, 0.5 * self.noise_grey, self.rounding_grey / sqrt(12.0))
+        noise_floor = max(LEAST_NOISE_GREY, NOISE_FLOOR_SHARE * self.noise_grey, self.rounding_grey / sqrt(12.0))
         return RefinementSettings(
-            self.exposure_s, self.blur_px, floor_grey, self.noise_grey, LOOSE_REACH * reach,
-            LOOSE_RAD, TIGHT_REACH * reach, TIGHT_RAD, quality.fine_steps, quality.min_gain, 0.0, 1, False,
-            quality.region_pixels, quality.band_px, self.rounding_grey, STRIP_SHARE,
-            self.light,
-        )  # fmt: skip
+            exposure_s=self.exposure_s,
+            blur_px=self.blur_px,
+            noise_floor_grey=noise_floor,
+            noise_grey=self.noise_grey,
+            loose_m=LOOSE_REACH * reach,
+            loose_rad=LOOSE_RAD,
+            tight_m=TIGHT_REACH * reach,
+            tight_rad=TIGHT_RAD,
+            fine_steps=quality.fine_steps,
+            min_gain=quality.min_gain,
+            min_step_px=0.0,
+            line_stride=1,
+            with_blur=False,
+            region_pixels=quality.region_pixels,
+            band_px=quality.band_px,
+            rounding_grey=self.rounding_grey,
+            strip_prior_share=STRIP_SHARE,
+            light=self.light,
+        )
 
     @property
     def tracking_settings(self) -> RefinementSettings:
-        """The same while the die is only followed."""
-        # What is unknown of a rounded die's strips makes the steps shorter.
-        steps = self.quality.tracking_steps * (1 if self.die.corner_radius_m == 0.0 else 2)
+        """The same while the die is only tracked from frame to frame."""
+        quality, sharp = self.quality, self.die.corner_radius_m == 0.0
         return self.settings._replace(
-            fine_steps=steps,
-            settled_px=self.quality.min_step_px,
-            stride=self.quality.tracking_stride,
-            strip_share=FOLLOWED_STRIP_SHARE,
+            fine_steps=quality.tracking_steps * (1 if sharp else ROUNDED_TRACKING_STEPS),
+            min_step_px=quality.min_step_px,
+            line_stride=quality.tracking_stride,
+            strip_prior_share=TRACKED_STRIP_SHARE,
         )
+
+    def model(self, settings: RefinementSettings, rig: CameraRig | None = None) -> PictureModel:
+        """The record that kernels take, with another camera rig if one is given."""
+        return PictureModel(self.backgrounds, self.rig if rig is None else rig, self.shape, settings)
 
 
 def with_occluder_mask(view: View) -> tuple[View, OccluderMask]:
-    """The view with backgrounds of its own, in which the chase may note what stands before the die."""
-    still, shape = view.backgrounds, view.backgrounds.shape
-    occluders = OccluderMask(still, np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), np.zeros(1, np.int64))
-    return replace(view, backgrounds=still.copy()), occluders
-
-
-ROUNDED_IN_MIRROR = 0.001
-"""Weight of what a mirror shows of a rounded die. Bevels in a mirror are lit from below and seen at a glance: as a view like any
-other they turned poses by a tenth of a degree, several times what its sigmas said. Thirty times these sigmas still tell the
-distance near the mirror, where die and reflection hide each other's contours, better than the die alone."""
+    """The view with a copy of its backgrounds, which tracking may mask, and an empty mask."""
+    return replace(view, backgrounds=view.backgrounds.copy()), new_occluder_mask(view.backgrounds)
 
 
 def with_reflections(view: View) -> View:
-    """The view with what the mirror shows as views of their own; without a mirror the same view."""
+    """The view with the reflections as views of their own; without a mirror the same view."""
     reflected = 1.0 if view.die.corner_radius_m == 0.0 else ROUNDED_IN_MIRROR
     direct = np.arange(len(view.rig.weight)) < len(view.cameras)
     return replace(view, rig=view.rig._replace(weight=np.where(direct, 1.0, reflected)))
 
 
-def seen_by_first(view: View) -> View:
+def with_first_camera_only(view: View) -> View:
     """The view with the edges of the first camera alone; what hides them stays."""
     weight = np.zeros_like(view.rig.weight)
     weight[0] = 1.0
     return replace(view, rig=view.rig._replace(weight=weight))
-
-
-STRIP_SHARE, FOLLOWED_STRIP_SHARE = 2.0, 1.0
-"""How far the strips of rounded edges may differ from their faces, see `RefinementSettings`, where a pose is refined
-and while the die is only followed. Held to half a face's grey, bevels in glossy paint drew contours in, and poses came out a
-permille too far away; as free as here at first, a tetrahedron of one grey was lost between two bounces."""
-LOOSE_REACH, LOOSE_RAD, TIGHT_REACH, TIGHT_RAD = 0.22, 0.1, 0.03, 0.012
-"""Bounds of the prior's standard deviations, positions in units of the die's reach: see `RefinementSettings`."""
 
 
 def make_view(
@@ -146,25 +176,28 @@ def make_view(
     mirror: bool = False,
     quality: Quality = STANDARD,
 ) -> View:
-    """Prepare the geometry that every frame shares. `mirror`: the table reflects the die. The reflection then hides what
-    it hides, and counts as a view of its own after `with_reflections`. The other numbers are those of the `View`."""
+    """Prepare the geometry that all frames share; the arguments are the fields of `View`.
+
+    `mirror` says that the table reflects the die. The reflection then hides what is behind it, and counts as a view of
+    its own after `with_reflections`.
+    """
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
     rig = _camera_rig(cameras, mirror)
     return View(
-        cameras, stacked(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
+        cameras, stack_pictures(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
         symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)), rounding_grey,
     )  # fmt: skip
 
 
-def rounded(view: View, radius_m: float) -> View:
-    """The view of the same die with corners of another radius [m]. Raises ValueError for one that leaves no flat face."""
+def with_corner_radius(view: View, radius_m: float) -> View:
+    """The view of the same die with another corner radius [m]. Raises ValueError if it leaves no flat face."""
     die = replace(view.die, corner_radius_m=radius_m)
     return replace(view, die=die, shape=_shape_of(die))
 
 
 def _shape_of(die: Die) -> Shape:
-    """The die as the kernels want it."""
+    """The die as the kernels take it."""
     solid = die.solid
     return Shape(
         np.ascontiguousarray(inner_vertices(solid, die.corner_radius_m)), np.ascontiguousarray(solid.vertices),
@@ -173,7 +206,7 @@ def _shape_of(die: Die) -> Shape:
     )  # fmt: skip
 
 
-def stacked(pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
+def stack_pictures(pictures: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
     """Pictures of several cameras as one stack (cameras, height, width), smaller ones padded with zeros."""
     if len(pictures) == 1:
         return np.ascontiguousarray(pictures[0], np.float32)[None]
@@ -218,14 +251,14 @@ def whole_frame_windows(view: View, image: Image) -> FrameWindows:
 
 
 def visible_faces(view: View, position_m: Array, rotation: Array) -> NDArray[np.int64]:
-    """Indices of the faces that look at the camera."""
+    """Indices of the faces that look at the first camera."""
     solid = view.die.solid
     toward = (solid.normals @ rotation.T) @ (view.camera.centre_m - position_m) - solid.offsets
     return np.flatnonzero(toward > 0)
 
 
 def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float) -> tuple[int, int, int, int] | None:
-    """Pixel window x0, y0, x1, y1 (end exclusive) round the drawn die, or None where it lies outside the image."""
+    """Pixel window x0, y0, x1, y1 (end exclusive) about the projected die, or None if it lies outside the image."""
     px = view.camera.project(view.die.solid.vertices @ rotation.T + position_m)
     if not np.isfinite(px).all():
         return None
@@ -233,12 +266,14 @@ def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float
     x1, y1 = np.ceil(px.max(0) + margin_px).astype(int) + 1
     x0, y0 = max(x0, 0), max(y0, 0)
     x1, y1 = min(x1, view.camera.width_px), min(y1, view.camera.height_px)
-    return (int(x0), int(y0), int(x1), int(y1)) if x1 - x0 > 4 and y1 - y0 > 4 else None
+    large = x1 - x0 > SMALLEST_WINDOW_PX and y1 - y0 > SMALLEST_WINDOW_PX
+    return (int(x0), int(y0), int(x1), int(y1)) if large else None
 
 
 def refinement_boxes(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:
-    """(n, cameras, 4) pixels x0, y0, x1, y1 (end exclusive) that hold all that a refinement from each start (n, 3), (n, 3, 3)
-    looks at (`crop_windows`, `marks`): the die and its reflection in a mirror; empty where a start is NaN or out of view."""
+    """(n, cameras, 4) pixels x0, y0, x1, y1 (end exclusive) that hold all that refinements from starts (n, 3), (n, 3,
+    3) use, on edges and on surface marks: the die and its reflection in a mirror. A box is empty if its start is NaN or
+    out of view."""
     boxes = np.zeros((len(positions_m), len(view.cameras), 4), np.int64)
     points = np.einsum("nij,vj->nvi", rotations, view.die.solid.vertices) + positions_m[:, None]
     for c, camera in enumerate(view.cameras):
@@ -256,7 +291,7 @@ def refinement_boxes(view: View, positions_m: Array, rotations: Array) -> NDArra
 
 
 def share_in_view(view: View, position_m: Array, rotation: Array) -> float:
-    """Share of the die's projected vertices that lie inside the picture, 0 to 1, of the camera that shows most of it."""
+    """Share of the die's projected vertices inside the picture, 0 to 1, of the camera that shows most of it."""
     return float(shares_in_view(view, np.asarray(position_m)[None], np.asarray(rotation)[None])[0])
 
 
@@ -269,17 +304,3 @@ def shares_in_view(view: View, positions_m: Array, rotations: Array) -> Array:
         inside = (px >= 0).all(2) & (px[..., 0] <= camera.width_px - 1) & (px[..., 1] <= camera.height_px - 1)
         shares.append(inside.mean(1))
     return np.asarray(np.max(shares, axis=0))
-
-
-def region_costs(
-    view: View, image: Image, box: tuple[int, int, int, int], positions_m: Array, rotations: Array, samples: int
-) -> tuple[Array, Array]:
-    """How badly each of many drawn dice explains the window `box` (x0, y0, x1, y1; end exclusive) of the first camera's
-    picture (mean truncated squared sigmas), and the share of its pixels that differ from the background."""
-    score, differs = np.empty(len(positions_m)), np.empty(len(positions_m))
-    region_costs_in_box(
-        np.ascontiguousarray(image, np.float32), view.backgrounds[0], view.rig, view.shape, *box,
-        np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), view.noise_grey, samples,
-        score, differs,
-    )  # fmt: skip
-    return score, differs

@@ -1,4 +1,4 @@
-"""One frame: the pose of the die that explains its pixels."""
+"""One frame: the pose of the die that explains its pixels, with its covariance."""
 
 from __future__ import annotations
 
@@ -8,89 +8,105 @@ import numpy as np
 
 from ..picture import (
     BLUR,
+    CLEAR_PX,
     CONTOUR,
-    PARAMETERS,
+    CONTOUR_PX,
+    LOG_NOISE,
+    PIXELS,
+    ROBUST_COST,
     Array,
     Image,
+    NormalEquations,
+    PoseState,
     RefinementSettings,
     View,
     Workspace,
+    costs_with_edge_noise,
+    new_equations,
     new_workspace,
     whole_frame_windows,
 )
 from .refine_kernels import refine_and_score
 
-EXACT_STEPS, EXACTLY = 12, 1e-4
-"""Steps and gain [squared sigmas] of a refinement that leaves no more than a hundredth of a sigma."""
+CONVERGED_STEPS = 12
+"""Most steps of a refinement that is run until it converges."""
+CONVERGED_GAIN = 1e-4
+"""Gain [squared sigmas] of its last step: it leaves no more than a hundredth of a sigma."""
+BLUR_STEPS = 4
+"""Gauss-Newton steps of the pose before the blur is estimated."""
+SCALE_M = 1e-3
+"""Unit of positions in which an information matrix is tested: millimetres and hundredths of a radian are of one
+size."""
+SCALE_RAD = 1e-2
+"""Unit of rotations there."""
+LEAST_EIGENVALUE_RATIO = 1e-9
+"""Least over largest eigenvalue of an information matrix below which a direction counts as open."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where the die is on one frame, and how well the pixels of this frame say so."""
+    """The pose of the die on one frame, and how well the pixels of this frame determine it."""
 
     position_m: Array
+    """(3,) of the centre, world axes."""
     rotation: Array
     """(3, 3) body to world."""
     information: Array
-    """(6, 6) inverse covariance from the pixels of this frame alone: position [m], rotation vector [rad], world axes."""
+    """(6, 6) inverse covariance from the pixels of this frame alone: position [m], rotation vector [rad], world
+    axes."""
     contour_bias_jacobian: Array
-    """(6,) [m/px, rad/px] by how much the pose is off for every pixel that the contour is taken too far out."""
+    """(6,) [m/px, rad/px] change of the pose for every pixel that the contour is drawn too far out."""
     unexplained: float
     """Mean truncated cost of an edge pixel, 0 to 1: the share that the edge model does not explain."""
     support: float
     """Share of the visible contour that shows a clear step, 0 to 1."""
     contour_px: float
-    """Length of visible contour that was walked."""
+    """Length of visible contour inside the image."""
     log_noise: float
-    """Mean logarithm of the grey noise that the edge model leaves over."""
+    """Mean logarithm of the noise [grey] that the edge model leaves."""
     cost: float
-    """How badly the picture as a whole is explained; comparable between poses of one frame only."""
-    equations: Array
+    """Pose cost, see `tracking.picture.pose_costs`; comparable between poses of one frame only."""
+    H: Array
     """(8, 8) normal equations of pose, contour error and blur."""
-    stats: Array
-    """(8,) what the kernels counted."""
+    statistics: Array
+    """(STATISTICS,) counts of the kernels, see `ROBUST_COST` and those beside it."""
 
     @property
-    def misfit(self) -> float:
-        """How badly the picture is explained as a whole and at the edges: see `misfits`."""
-        return float(misfits(np.array([self.cost]), self.stats[None])[0])
+    def cost_with_edge_noise(self) -> float:
+        """See `costs_with_edge_noise`."""
+        return float(costs_with_edge_noise(np.array([self.cost]), self.statistics[None])[0])
 
     @property
     def covariance(self) -> Array | None:
-        """(6, 6), or None where the pixels leave a direction open."""
+        """(6, 6), or None if the pixels leave a direction open."""
         found = covariances(self.information[None])[0]
         return None if np.isnan(found[0, 0]) else found
 
 
-def misfits(cost: Array, stats: Array) -> Array:
-    """(n,) how badly pictures are explained: `cost` (n,) of each as a whole, and the mean logarithm of the noise that their edges
-    leave over, from what the kernels counted (n, 8). Faces of nearly one grey cost a picture little wherever they part."""
-    return np.asarray(cost + stats[:, 6] / np.maximum(stats[:, 2], 1.0))
-
-
 def covariances(information: Array) -> Array:
-    """Inverse (n, 6, 6) of each information (n, 6, 6); NaN where a direction is left open."""
-    scale = np.array([1e-3] * 3 + [1e-2] * 3)
+    """Inverse (n, 6, 6) of each information (n, 6, 6); NaN if a direction is left open."""
+    scale = np.array([SCALE_M] * 3 + [SCALE_RAD] * 3)
     scaled = information * np.outer(scale, scale)
     good = np.asarray(np.isfinite(scaled).all(axis=(1, 2)))
     values = np.linalg.eigvalsh(np.where(good[:, None, None], scaled, np.eye(6)))
-    good = good & (values[:, 0] > 1e-9 * values[:, -1]) & (values[:, -1] > 0)
+    good = good & (values[:, 0] > LEAST_EIGENVALUE_RATIO * values[:, -1]) & (values[:, -1] > 0)
     inverse = np.linalg.inv(np.where(good[:, None, None], scaled, np.eye(6))) * np.outer(scale, scale)
     return np.where(good[:, None, None], inverse, np.nan)
 
 
 def contour_bias_jacobians(H: Array, settings: RefinementSettings) -> Array:
-    """(n, 6) from normal equations (n, 8, 8): what a pixel of contour error does to each pose; zero where nothing was
-    solved. Directions that the pixels leave open are held by the refinement's own loose prior, and so is their lean."""
-    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose(settings), H[:, :6, CONTOUR, None])[..., 0])
+    """(n, 6) [m/px, rad/px] change of each pose per pixel of contour error, from normal equations (n, 8, 8); zero if
+    nothing was solved. The refinement's loose prior holds directions that the pixels leave open, and so their bias."""
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose_prior(settings), H[:, :6, CONTOUR, None])[..., 0])
 
 
 def weak_prior(view: View) -> Array:
-    """(6, 6) information that holds what the pixels of a frame leave open: nothing is known of the motion."""
-    return _loose(view.settings)
+    """(6, 6) information of the loose prior, which holds what the pixels of a frame leave open if nothing is known of
+    the motion."""
+    return _loose_prior(view.settings)
 
 
-def _loose(settings: RefinementSettings) -> Array:
+def _loose_prior(settings: RefinementSettings) -> Array:
     return np.diag([1.0 / settings.loose_m**2] * 3 + [1.0 / settings.loose_rad**2] * 3)
 
 
@@ -108,57 +124,68 @@ def refine_pose(
     roughly: bool = False,
     work: Workspace | None = None,
 ) -> Pose:
-    """The pose near a predicted one that explains the frame's edges best.
+    """The pose near an initial one that explains the edges of a frame best.
 
-    `image` is the whole frame as float32, a stack for several cameras; `coarse` is how many steps at larger blurs come
-    before the fine ones; the prior keeps directions that the pixels leave open near the prediction and is too weak to
-    pull the others. `roughly` stops where the view's quality says, and not where nothing moves any more.
+    `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
+    the number of steps at larger blurs before those at the lens blur. The prior, of standard deviations
+    `prior_position_m` and `prior_rotation_rad`, keeps directions that the pixels leave open near the initial pose and
+    is too weak to pull the others. `roughly` stops where the view's quality says, not at convergence.
     """
-    H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
-    exact = view.settings._replace(fine_steps=EXACT_STEPS, enough=EXACTLY, settled_px=0.0)
-    zero, settings = np.zeros(3), view.tracking_settings if roughly else exact
+    converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
+    still, settings = np.zeros(3), view.tracking_settings if roughly else converged
     work = new_workspace(view.shape, view.rig) if work is None else work
-    work.usual[:] = 0.0
+    work.shared_grey[:] = 0.0
+    equations = new_equations()
+    start = PoseState(
+        np.asarray(position_m, float),
+        np.ascontiguousarray(rotation, float),
+        still if velocity_m_s is None else velocity_m_s,
+        still if omega_rad_s is None else omega_rad_s,
+    )
     p, Q, cost = refine_and_score(
-        whole_frame_windows(view, image), view.backgrounds, view.rig, view.shape, settings, np.asarray(position_m, float),
-        np.ascontiguousarray(rotation, float), zero if velocity_m_s is None else velocity_m_s,
-        zero if omega_rad_s is None else omega_rad_s, prior_position_m or settings.loose_m,
-        prior_rotation_rad or settings.loose_rad, coarse, work, H, g, stats,
+        whole_frame_windows(view, image), view.model(settings), start, prior_position_m or settings.loose_m,
+        prior_rotation_rad or settings.loose_rad, coarse, work, equations,
     )  # fmt: skip
-    return pose_from(p, Q, H, stats, cost, settings)
+    return _pose_from(p, Q, cost, equations, settings)
 
 
-def pose_from(
-    position_m: Array, rotation: Array, H: Array, stats: Array, cost: float, settings: RefinementSettings
+def _pose_from(
+    position_m: Array, rotation: Array, cost: float, equations: NormalEquations, settings: RefinementSettings
 ) -> Pose:
-    """A pose from what the kernels leave."""
+    """A pose from what the kernels return."""
+    H, statistics = equations.H, equations.statistics
+    pixels, contour_px = max(statistics[PIXELS], 1.0), statistics[CONTOUR_PX]
     return Pose(
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
         contour_bias_jacobians(H[None], settings)[0],
-        unexplained=float(stats[0] / max(stats[2], 1.0)),
-        support=float(stats[4] / max(stats[3], 1e-9)),
-        contour_px=float(stats[3]),
-        log_noise=float(stats[6] / max(stats[2], 1.0)),
+        unexplained=float(statistics[ROBUST_COST] / pixels),
+        support=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
+        contour_px=float(contour_px),
+        log_noise=float(statistics[LOG_NOISE] / pixels),
         cost=float(cost),
-        equations=H.copy(),
-        stats=stats.copy(),
+        H=H.copy(),
+        statistics=statistics.copy(),
     )
 
 
 def blur_step(
     view: View, image: Image, position_m: Array, rotation: Array, velocity_m_s: Array, omega_rad_s: Array
 ) -> tuple[float, float]:
-    """What one frame says of the lens blur: the change [px] that fits it best, and the information [1/px²] behind it."""
-    H, g, stats = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
-    settings = view.settings._replace(fine_steps=4, enough=EXACTLY, settled_px=0.0, full=True, samples=0)
+    """The Newton step of the lens blur [px] on one frame, with the pose eliminated, and its information [1/px²]; (0, 0)
+    if there is none."""
+    settings = view.settings._replace(
+        fine_steps=BLUR_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0, with_blur=True, region_pixels=0
+    )
+    equations = new_equations()
     refine_and_score(
-        whole_frame_windows(view, image), view.backgrounds, view.rig, view.shape, settings, position_m, rotation, velocity_m_s,
-        omega_rad_s, settings.loose_m, settings.loose_rad, 0, new_workspace(view.shape, view.rig), H, g, stats,
+        whole_frame_windows(view, image), view.model(settings), PoseState(position_m, rotation, velocity_m_s, omega_rad_s),
+        settings.loose_m, settings.loose_rad, 0, new_workspace(view.shape, view.rig), equations,
     )  # fmt: skip
-    A = H[:6, :6] + _loose(settings)
-    reply = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
-    information = float(H[BLUR, BLUR] - H[:6, BLUR] @ reply[:, 0])
-    pull = float(g[BLUR] - H[:6, BLUR] @ reply[:, 1])
-    return (pull / information, information) if information > 0.0 else (0.0, 0.0)
+    H, g = equations.H, equations.g
+    A = H[:6, :6] + _loose_prior(settings)
+    response = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
+    information = float(H[BLUR, BLUR] - H[:6, BLUR] @ response[:, 0])
+    right = float(g[BLUR] - H[:6, BLUR] @ response[:, 1])
+    return (right / information, information) if information > 0.0 else (0.0, 0.0)

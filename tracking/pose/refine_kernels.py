@@ -1,4 +1,8 @@
-"""tracking.pose.refine_kernels."""
+"""Refinement of a pose on the edges of its frame, compiled.
+
+Gauss-Newton on the robust normal equations of all views (`tracking.picture`), with an isotropic Gaussian prior about
+the start. An uncertain start begins with steps at larger blurs, whose wider bands see edges that are farther away.
+"""
 
 from __future__ import annotations
 
@@ -7,37 +11,72 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled, inner_no_memory, inner_nogil
+from ...model.compiled import compiled, inner_no_memory
 from ..picture import (
-    COARSE_BLUR_AND_BAND_PX,
-    COARSE_RESTART_PX,
+    BACKGROUND_SHARE,
+    CLEAR_PX,
+    CONTOUR_PX,
+    LEAST_DEPTH_M,
     NARROW_WINDOW_PX,
     PARAMETERS,
-    STEP_FACTOR,
+    STATISTICS,
     WINDOW_PX,
     CameraRig,
     FrameWindows,
-    RefinementSettings,
-    Shape,
+    NormalEquations,
+    PictureModel,
+    PoseRows,
+    PoseState,
     Workspace,
+    add_edge_equations,
     cholesky_factor,
+    crop_windows,
+    new_equations,
     new_workspace,
-    place_die,
+    pose_cost,
     reach_of_die,
     region_cost,
     rotation_log,
-    share_greys,
     solve_factored,
     turn,
     turn_from,
-    view_equations,
+    update_shared_greys,
 )
+
+COARSE_BLUR_AND_BAND_PX = ((4.0, 12.0), (3.0, 10.0), (2.2, 8.0), (1.6, 6.5), (1.2, 5.0))
+"""Blur and half-width of the band [px] of the coarse steps; a refinement with n of them uses the last n."""
+COARSE_STEPS = len(COARSE_BLUR_AND_BAND_PX)
+"""Most coarse steps of a refinement."""
+BAND_BLURS = 4.0
+"""Half-width of the band at the lens blur, in blurs, at the least."""
+STEP_FACTOR = 1.4
+"""Factor on the steps at the lens blur. With the weights of the last residuals held, the normal equations are steeper
+than the robust cost: by 1.2 for Gaussian residuals and by 1.6 on grain. A plain step left 38 % of the distance on wood.
+Up to a factor of 2 the iteration converges wherever the equations are steeper at all."""
+LARGEST_MOVE_PARTS = 3.0
+"""A step moves the die by no more than its reach over this: edges of other faces come into the band beyond that."""
+LARGEST_TURN_RAD = 0.14
+"""The same of rotations: 8 degrees."""
+LEAST_PIVOT = 1e-13
+"""Part of its diagonal that a pivot of the pose's equations keeps at the least."""
+REGION_MARGIN_PX = 8.0
+"""Margin about the outline of the pixels that the region cost is taken over."""
+COARSE_RESTART_PX = 1.0
+"""A refinement that moves the die by more than this began too far off to start at the lens blur: its band missed what a
+coarser one sees."""
+RESTART_COARSE_STEPS = 2
+"""Coarse steps of the repeated refinement."""
+LEAST_CLEAR_SHARE = 0.6
+"""Share of the contour with a clear step below which the refinement is repeated with coarse steps."""
+LEAST_CONTOUR_PX = 20.0
+"""Length of contour below which it is repeated as well."""
 
 
 @inner_no_memory
 def _moved_px(rig: CameraRig, pos: Any, step: Any, turned: float, reach: float) -> float:
-    """How far in the picture a step (3,) [m] of the centre and a turn by `turned` [m] at the die's `reach` move its farthest
-    points, in the view that shows most of it: a step along the line of sight moves them little."""
+    """Displacement in the picture [px] of the die's farthest points by a step (3,) [m] of the centre and a rotation
+    that moves them by `turned` [m], in the view that shows most of it: a step along the line of sight moves them
+    little."""
     most = 0.0
     for view in range(rig.camera.shape[0]):
         x, y, z, depth = 0.0, 0.0, 0.0, rig.translation[view, 2]
@@ -46,7 +85,7 @@ def _moved_px(rig: CameraRig, pos: Any, step: Any, turned: float, reach: float) 
             y += rig.rotation[view, 1, b] * step[b]
             z += rig.rotation[view, 2, b] * step[b]
             depth += rig.rotation[view, 2, b] * pos[b]
-        if depth > 1e-6:
+        if depth > LEAST_DEPTH_M:
             aside = sqrt(x * x + y * y) + reach * abs(z) / depth + turned
             most = max(most, rig.matrix[view, 0, 0] / depth * aside)
     return most
@@ -54,42 +93,42 @@ def _moved_px(rig: CameraRig, pos: Any, step: Any, turned: float, reach: float) 
 
 @compiled(nogil=True)
 def refine_and_score(
-    windows: FrameWindows, backgrounds: Any, rig: CameraRig, shape: Shape, settings: RefinementSettings, pos: Any, R: Any,
-    vel: Any, omega: Any, sigma_m: float, sigma_rad: float, coarse: int, work: Workspace, H: Any, g: Any, stats: Any,
+    windows: FrameWindows, model: PictureModel, start: PoseState, prior_m: float, prior_rad: float, coarse: int,
+    work: Workspace, equations: NormalEquations,
 ) -> tuple[Any, Any, float]:  # fmt: skip
-    """Refine a pose by Gauss-Newton, `coarse` steps at larger blurs first, and judge it: position (3,), rotation (3, 3)
-    and cost.
+    """Refine a pose by Gauss-Newton, `coarse` steps at larger blurs first; return position (3,), rotation (3, 3) and
+    pose cost.
 
-    The prior is isotropic about the start: `sigma_m` and `sigma_rad` are its standard deviations. H (8, 8), g (8,) and
-    `stats` (8,) are those of the pixels alone before the last step, see `view_equations`; the last of `stats` is the
-    share of the die that shows nothing but the background. H is zero where the pixels and the prior leave no solution.
+    The prior is isotropic about the start, with standard deviations `prior_m` and `prior_rad`. The equations become
+    those of the pixels alone before the last step, both halves; H is zero if the pixels and the prior leave no
+    solution. The cost is 0 if the settings ask for no region cost.
 
-    The intensities that stretches share are those of the step before, and of the first step what the desk holds: those of the
-    frame before where its user knows one, which takes two steps less, or nothing.
+    The greys that stretches share are those of the step before. At the first step they are what the workspace holds:
+    those of the frame before if the caller knows one, which saves two steps, or nothing.
     """
-    p, Q = pos.copy(), R.copy()
+    rig, shape, settings = model.rig, model.shape, model.settings
+    H, g, statistics = equations.H, equations.g, equations.statistics
+    p, Q = start.position.copy(), start.rotation.copy()
     away, step = np.zeros(6), np.zeros(6)
     A, L, y = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    wp, wr = 1.0 / sigma_m**2, 1.0 / sigma_rad**2
+    wp, wr = 1.0 / prior_m**2, 1.0 / prior_rad**2
     reach, six = reach_of_die(shape), np.int64(6)
-    work.greys[:] = 0.0
-    work.which[:] = 0
+    work.grey_sums[:] = 0.0
+    work.shared_faces[:] = 0
     for it in range(coarse + settings.fine_steps):
         fine = it >= coarse
-        sigma, band = (
-            (settings.blur, max(settings.band, 4.0 * settings.blur))
-            if fine
-            else COARSE_BLUR_AND_BAND_PX[len(COARSE_BLUR_AND_BAND_PX) - coarse + it]
-        )
+        if fine:
+            blur, band = settings.blur_px, max(settings.band_px, BAND_BLURS * settings.blur_px)
+        else:
+            blur, band = COARSE_BLUR_AND_BAND_PX[COARSE_STEPS - coarse + it]
         H[:] = 0.0
         g[:] = 0.0
-        stats[:] = 0.0
+        statistics[:] = 0.0
+        pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                view_equations(
-                    view, windows, backgrounds, rig, shape, p, Q, vel, omega, settings.exposure, sigma, band, settings.stride,
-                    settings.floor_grey, settings.rounding_grey, settings.strip_share, settings.light, settings.full and fine,
-                    work, H, g, stats,
+                add_edge_equations(
+                    view, windows, model, pose, blur, band, settings.with_blur and fine, work, equations
                 )  # fmt: skip
         for a in range(PARAMETERS):
             for b in range(a):
@@ -100,123 +139,96 @@ def refine_and_score(
             w = wp if a < 3 else wr
             A[a, a] += w
             y[a] = g[a] - w * away[a]
-        if not cholesky_factor(A, six, L, 1e-13):
+        if not cholesky_factor(A, six, L, LEAST_PIVOT):
             H[:] = 0.0
             break
         solve_factored(L, six, y, step)
         gain = 0.0
         for a in range(6):
             gain += step[a] * y[a]
-        # One step may move the die by a third of its reach or turn it by 8 degrees at the most: edges of other faces
-        # come into the band beyond that.
         lp = sqrt(step[0] ** 2 + step[1] ** 2 + step[2] ** 2)
         lr = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-        shrink = min(STEP_FACTOR if fine else 1.0, reach / 3.0 / max(lp, 1e-300), 0.14 / max(lr, 1e-300))
+        shrink = min(
+            STEP_FACTOR if fine else 1.0,
+            reach / LARGEST_MOVE_PARTS / max(lp, 1e-300),
+            LARGEST_TURN_RAD / max(lr, 1e-300),
+        )
         for a in range(6):
             step[a] *= shrink
             away[a] += step[a]
         for a in range(3):
             p[a] += step[a]
         Q = turn(Q, step[3:])
-        share_greys(work, step)
-        if fine and (
-            gain < settings.enough or _moved_px(rig, pos, step, shrink * lr * reach, reach) < settings.settled_px
-        ):
+        update_shared_greys(work, step)
+        moved_px = _moved_px(rig, start.position, step, shrink * lr * reach, reach)
+        if fine and (gain < settings.min_gain or moved_px < settings.min_step_px):
             break
     cost = 0.0
-    if settings.samples > 0:
-        cost, differs = region_cost(windows, backgrounds, rig, shape, p, Q, settings.noise, settings.samples, 8.0, work)
-        stats[7] = 1.0 - differs
-        cost += 2.0 * (1.0 - stats[4] / max(stats[3], 1e-9)) + 10.0 * stats[0] / max(stats[2], 1.0)
+    if settings.region_pixels > 0:
+        region, differs = region_cost(windows, model, p, Q, REGION_MARGIN_PX, work)
+        statistics[BACKGROUND_SHARE] = 1.0 - differs
+        cost = pose_cost(region, statistics)
     return p, Q, cost
 
 
-@inner_nogil
-def crop_windows(
-    pictures: Any, rig: CameraRig, shape: Shape, pos: Any, R: Any, margin: float, work: Workspace
-) -> FrameWindows:
-    """The windows of one frame's pictures (cameras, height, width) round the die, and its reflection, as placed."""
-    cameras, height, width = pictures.shape
-    corner, size = np.zeros((cameras, 2), np.int64), np.zeros((cameras, 2), np.int64)
-    low, high = np.full((cameras, 2), 1e9), np.full((cameras, 2), -1e9)
-    for view in range(rig.camera.shape[0]):
-        if not place_die(shape, rig, view, pos, R, work):
-            continue
-        c = rig.camera[view]
-        for a in range(2):
-            low[c, a] = min(low[c, a], work.px[:, a].min() - margin)
-            high[c, a] = max(high[c, a], work.px[:, a].max() + margin)
-    rows, columns = 0, 0
-    for c in range(cameras):
-        x0, y0 = int(max(low[c, 0], 0.0)), int(max(low[c, 1], 0.0))
-        x1, y1 = int(min(high[c, 0] + 1.0, float(width))), int(min(high[c, 1] + 1.0, float(height)))
-        if x1 - x0 > 4 and y1 - y0 > 4:
-            corner[c, 0], corner[c, 1], size[c, 0], size[c, 1] = x0, y0, x1 - x0, y1 - y0
-            rows, columns = max(rows, y1 - y0), max(columns, x1 - x0)
-    pixels = np.empty((cameras, rows, columns), np.float32)
-    for c in range(cameras):
-        for i in range(size[c, 1]):
-            there, here = pictures[c, corner[c, 1] + i, corner[c, 0] :], pixels[c, i]
-            for j in range(size[c, 0]):
-                here[j] = there[j]
-    return FrameWindows(pixels, corner, size)
-
-
 @inner_no_memory
-def store_frame(
-    k: int, p: Any, Q: Any, h: Any, row: Any, cost: float, positions: Any, rotations: Any, H: Any, stats: Any,
-    costs: Any,
-) -> None:  # fmt: skip
-    """Row k of the outputs; number by number, which is compiled in a tenth of the time that slices need."""
-    costs[k] = cost
+def store_frame(k: int, p: Any, Q: Any, cost: float, equations: NormalEquations, rows: PoseRows) -> None:
+    """Write row k of the outputs. It copies number by number, which compiles in a tenth of the time of slices."""
+    rows.cost[k] = cost
     for a in range(3):
-        positions[k, a] = p[a]
+        rows.position[k, a] = p[a]
         for b in range(3):
-            rotations[k, a, b] = Q[a, b]
+            rows.rotation[k, a, b] = Q[a, b]
     for a in range(PARAMETERS):
         for b in range(PARAMETERS):
-            H[k, a, b] = h[a, b]
-    for a in range(8):
-        stats[k, a] = row[a]
+            rows.H[k, a, b] = equations.H[a, b]
+    for a in range(STATISTICS):
+        rows.statistics[k, a] = equations.statistics[a]
 
 
 @compiled(nogil=True)
-def refine_frames(
-    frames: Any, which: Any, backgrounds: Any, rig: CameraRig, shape: Shape, settings: RefinementSettings, positions: Any,
-    rotations: Any, motions: Any, H: Any, stats: Any, costs: Any,
-) -> None:  # fmt: skip
-    """Refine the poses of frames number `which` (m,) of many (n, cameras, height, width), each from its own start, in place; a
-    start whose position is NaN is left out.
+def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) -> None:
+    """Refine the poses of frames number `which` (m,) of many (n, cameras, height, width) in place, each from its own
+    start.
 
-    Most starts lie so near that the lens blur does at once; where the pose moves by more than NEARBY_PX, it begins again
+    The `rows` (m,) hold the starts and the motions; a start whose position is NaN is left out. Most starts lie so near
+    that the lens blur alone suffices. A pose that moves by more than COARSE_RESTART_PX, or is badly seen, begins again
     from the start with coarser steps.
     """
-    work = new_workspace(shape, rig)
-    h, g, row = np.zeros((PARAMETERS, PARAMETERS)), np.zeros(PARAMETERS), np.zeros(8)
+    rig, shape, settings = model.rig, model.shape, model.settings
+    work, equations = new_workspace(shape, rig), new_equations()
+    statistics = equations.statistics
     moved, reach = np.zeros(3), reach_of_die(shape)
     for k in range(which.shape[0]):
-        H[k] = 0.0
-        if isnan(positions[k, 0]):
+        rows.H[k] = 0.0
+        if isnan(rows.position[k, 0]):
             continue
-        start, R = positions[k].copy(), rotations[k].copy()
+        start, R = rows.position[k].copy(), rows.rotation[k].copy()
         for again in range(2):
             if again:
-                work.usual[:] = 0.0
+                work.shared_grey[:] = 0.0
             windows = crop_windows(
                 frames[which[k]], rig, shape, start, R, WINDOW_PX if again else NARROW_WINDOW_PX, work
             )
             if windows.pixels.shape[1] == 0:
                 break
+            first = PoseState(start, R, rows.motion[k, :3], rows.motion[k, 3:])
             p, Q, cost = refine_and_score(
-                windows, backgrounds, rig, shape, settings, start, R, motions[k, :3], motions[k, 3:], settings.loose_m,
-                settings.loose_rad, 2 * again, work, h, g, row,
-            )  # fmt: skip
-            store_frame(k, p, Q, h, row, cost, positions, rotations, H, stats, costs)
+                windows,
+                model,
+                first,
+                settings.loose_m,
+                settings.loose_rad,
+                RESTART_COARSE_STEPS * again,
+                work,
+                equations,
+            )
+            store_frame(k, p, Q, cost, equations, rows)
             rotation_log(turn_from(R, Q), moved)
             turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
             if (
                 _moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX
-                and row[4] > 0.6 * row[3]
-                and row[3] > 20.0
+                and statistics[CLEAR_PX] > LEAST_CLEAR_SHARE * statistics[CONTOUR_PX]
+                and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX
             ):
                 break

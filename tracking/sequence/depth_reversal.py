@@ -69,7 +69,7 @@ def correct_depth_reversals(view: View, source: FrameSource, seen: ClipPoses, un
     Nothing is asked of films so fast that frames were left out, nor of several cameras: what is reversed for one is none for
     the others.
     """
-    if seen.every > 1 or len(source.clips) > 1:
+    if seen.frame_stride > 1 or len(source.clips) > 1:
         return seen
     for _ in range(ROUNDS):
         before, seen = seen, _once(view, source, seen, unused)
@@ -124,7 +124,11 @@ def _left(view: View, source: FrameSource, seen: ClipPoses, other: ClipPoses, ru
     either, or misses frames of the run, or the pictures deny it. The middling window counts: those with an impact fit neither."""
     both = seen.known & other.known
     covered = both[run].sum() >= COVERED * seen.known[run].sum()
-    if not covered or both.sum() < SETTLE or other.misfit[both].mean() > seen.misfit[both].mean() + NEARLY:
+    if (
+        not covered
+        or both.sum() < SETTLE
+        or other.cost_with_edge_noise[both].mean() > seen.cost_with_edge_noise[both].mean() + NEARLY
+    ):
         return np.inf
     rows = np.flatnonzero(both)[:: WINDOW // 2]
     ours, theirs = (float(np.median(_strains(as_track(view, source, one, both), rows))) for one in (seen, other))
@@ -143,7 +147,7 @@ def _reversal(view: View, source: FrameSource, seen: ClipPoses, k: int) -> Pose 
         return None
     picture, here = np.asarray(source.frame(k), np.float32), (seen.position_m[k], seen.rotation[k])
     pose = refine_pose(view, picture, here[0], rotation, coarse=2, roughly=True)
-    if pose.covariance is None or pose.misfit > seen.misfit[k] + NEARLY:
+    if pose.covariance is None or pose.cost_with_edge_noise > seen.cost_with_edge_noise[k] + NEARLY:
         return None
     return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
 

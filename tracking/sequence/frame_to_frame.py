@@ -1,7 +1,7 @@
 """Following the die from frame to frame.
 
-In flight the compiled `edges.track_frames` predicts with the motion so far, refines and judges; it stops where picture and
-motion tell different stories. Then, here, other starts compete: bounces of several strengths on each low corner, the last
+In flight the compiled `motion_filter.track_frames` predicts with the motion so far, refines and judges; it stops where picture
+and motion tell different stories. Then, here, other starts compete: bounces of several strengths on each low corner, the last
 pose, and turns about it; the one that explains the picture best is taken, and the chase goes on from there.
 """
 
@@ -19,10 +19,19 @@ from ...model.die import Die, nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
 from ..footage import FrameSource
-from ..picture import ACCEPTED_EXCESS_COST, View, Workspace, new_workspace, share_in_view, with_occluder_mask
-from ..pose import ClipPoses, Pose, initial_poses, longest_leap, power_of_two, refine_pose
+from ..picture import (
+    PARAMETERS,
+    STATISTICS,
+    PoseRows,
+    View,
+    Workspace,
+    new_workspace,
+    share_in_view,
+    with_occluder_mask,
+)
+from ..pose import ClipPoses, Pose, initial_poses, longest_stride, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
-from .motion_filter import predict_motion, track_frames, update_motion
+from .motion_filter import ACCEPTED_EXCESS_COST, MotionEstimate, predict_motion, track_frames, update_motion
 
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
@@ -94,7 +103,7 @@ class FrameTracker:
     ) -> None:
         """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
         and the motion is sure: of a film far faster than the die is. After a surprise, as a bounce is one, all are looked at."""
-        self._longest = 1 if all_frames else longest_leap(len(source))
+        self._longest = 1 if all_frames else longest_stride(len(source))
         while self.next_frame < len(source):
             for block in source.blocks(self.next_frame):
                 with block:
@@ -104,9 +113,9 @@ class FrameTracker:
                     break
             while (leap := self._leap(source.times_s)) > 1:
                 self._leap_over(source, seen, leap)
-                seen.every = self._longest
+                seen.frame_stride = self._longest
                 reached(self.next_frame)
-        seen.every = min(seen.every, self._longest)
+        seen.frame_stride = min(seen.frame_stride, self._longest)
 
     def _leap(self, times_s: Array) -> int:
         """From how many frames to look at one next: a power of two, so that multiples of a longer leap are some of a shorter. No
@@ -172,17 +181,14 @@ class FrameTracker:
         if self.misses > 0:
             return 0
         n = len(rows)
-        position, rotation, H = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 8, 8))
-        stats, motion, cost = np.empty((n, 8)), np.empty((n, 6)), np.empty(n)
-        done = track_frames(
-            frames, times_s[rows], self.view.backgrounds, self._occluders, self.view.rig, self.view.shape,
-            self.view.tracking_settings, self.motion, self.rotation, self.P, self.clock, surprising, position, rotation, H, stats,
-            motion, cost,
+        found = PoseRows(
+            np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 6)), np.empty((n, PARAMETERS, PARAMETERS)),
+            np.empty((n, STATISTICS)), np.empty(n),
         )  # fmt: skip
-        rows = rows[:done]
-        seen.known[rows] = True
-        seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = position[:done], rotation[:done], motion[:done]
-        seen.H[rows], seen.stats[rows], seen.cost[rows] = H[:done], stats[:done], cost[:done]
+        motion = MotionEstimate(self.motion, self.rotation, self.P, self.clock)
+        model = self.view.model(self.view.tracking_settings)
+        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprising, found)
+        seen.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
         return int(done)
 
     # --- where flight and picture disagree ---
@@ -299,9 +305,7 @@ class FrameTracker:
             count = 0.0
         else:
             motion = ahead
-            self.rotation = update_motion(
-                motion, R, P, pose.position_m, pose.rotation, pose.equations, self.view.settings
-            )
+            self.rotation = update_motion(motion, R, P, pose.position_m, pose.rotation, pose.H, self.view.settings)
             self.motion, self.P = motion, P
         usual = float(self.clock[1])
         self.clock = np.array([time_s, usual + (pose.cost - usual) / 8.0, count + 1.0])

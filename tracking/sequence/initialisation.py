@@ -26,7 +26,7 @@ from ...model.world import GRAVITY_M_S2
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import (
-    ALIKE,
+    SAME_POSE_EDGES,
     ClipPoses,
     ManualInitialisation,
     Pose,
@@ -301,7 +301,7 @@ def _at_the_line(view: View, source: FrameSource, k: int, pose: Pose, unused: Ma
     seen = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     seen.put(0, pose, np.zeros(6))
     chase = FrameTracker.from_start(view, pose, source.times_s[k:], 0, unused[k:])
-    return Runner(chase, seen, Rating(pose.misfit))
+    return Runner(chase, seen, Rating(pose.cost_with_edge_noise))
 
 
 def _followed(runner: Runner, view: View, source: FrameSource, k: int, stage: int) -> Rating | None:
@@ -322,7 +322,7 @@ def _followed(runner: Runner, view: View, source: FrameSource, k: int, stage: in
 
 def _rating(view: View, seen: ClipPoses, times_s: Array, since: int, until: int) -> Rating:
     """The rating of a run from row `since` to before `until`."""
-    misfit = float(seen.misfit[since:until][seen.known[since:until]].mean())
+    misfit = float(seen.cost_with_edge_noise[since:until][seen.known[since:until]].mean())
     return Rating(misfit, _unevenness(view, seen, times_s, since, until), since, until)
 
 
@@ -355,7 +355,7 @@ def _apart(view: View, runners: list[Runner]) -> list[Runner]:
     return kept
 
 
-def _same(view: View, one: Runner, row: int, other: Runner, other_row: int, within: float = ALIKE) -> bool:
+def _same(view: View, one: Runner, row: int, other: Runner, other_row: int, within: float = SAME_POSE_EDGES) -> bool:
     """Whether two runners draw the same die, each on its own row."""
     here, there = ((r.seen.position_m[k], r.seen.rotation[k]) for r, k in ((one, row), (other, other_row)))
     return same_picture(view, here, there, within)

@@ -18,7 +18,19 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..clip_parameters import ClockOffsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
-from ..picture import THREADS, CameraRig, RefinementSettings, View, refinement_boxes, shares_in_view
+from ..picture import (
+    CLEAR_PX,
+    CONTOUR_PX,
+    PARAMETERS,
+    STATISTICS,
+    THREADS,
+    CameraRig,
+    PoseRows,
+    RefinementSettings,
+    View,
+    refinement_boxes,
+    shares_in_view,
+)
 from ..pose import ClipPoses, covariances, refine_frames, weak_prior
 from .labelling import angles, with_labels_of_flights
 
@@ -52,18 +64,18 @@ class EdgeRefinement:
     usable: Mask
     """(n,) frames that may be looked at."""
     offsets: ClockOffsets
-    settled_px: float = 0.0
+    min_step_px: float = 0.0
     """A step that moves no point of the die by more than this is the last one: see `along`."""
 
     def along(self, throw: Throw) -> EdgeRefinement:
         """The same from flights so sure that a step which hardly leaves them is the last: what is left of the way to what the
         pixels of a frame say, about a tenth, is error rather than motion."""
-        return replace(self, throw=throw, settled_px=self.view.quality.min_step_px)
+        return replace(self, throw=throw, min_step_px=self.view.quality.min_step_px)
 
     def see(self, rows: Mask, reached: Callable[[int], None]) -> ClipPoses:
         """Some frames (n,) of the clip, refined; the others are not known. `reached` is called with how far it is."""
         view, first, count = self.view, self.first, len(self.source)
-        rows, settings = rows & self.usable, view.settings._replace(settled_px=self.settled_px)
+        rows, settings = rows & self.usable, view.settings._replace(min_step_px=self.min_step_px)
         wanted, tries = (
             first,
             [_Settling(view, settings, first, first.known & rows, self.offsets, np.zeros(count, bool))],
@@ -152,16 +164,18 @@ class _Settling:
         in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
-        self._view, self._lens, self._start, self._offsets, self._judged = view, settings, start, offsets, judged
-        self.position_m, self.rotation = start.position_m[self.rows], start.rotation[self.rows]
-        self._motion, self._H = start.motion[self.rows], np.zeros((n, 8, 8))
-        self._stats, self._cost = np.zeros((n, 8)), np.full(n, np.inf)
+        self._view, self._settings, self._start, self._offsets, self._judged = view, settings, start, offsets, judged
+        self._found = PoseRows(
+            start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
+            np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
+        )  # fmt: skip
+        self.position_m, self.rotation = self._found.position, self._found.rotation
 
     def see(self, frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
         """Refine those that are among some pictures (n, cameras, height, width), which are those of rows `shown` (n,), in the
         threads of a pool: the jobs that were begun."""
         mine, which = among(self.rows, shown)
-        settings = self._lens if self._judged[shown].any() else self._lens._replace(samples=0)
+        settings = self._settings if self._judged[shown].any() else self._settings._replace(region_pixels=0)
         cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
         return [
             pool.submit(self._settle, frames, which[a:b], slice(mine.start + a, mine.start + b), settings)
@@ -175,40 +189,32 @@ class _Settling:
             return
         for k, row in enumerate(range(mine.start, mine.stop)):
             # Late cameras stand elsewhere for every frame.
-            rig = rig_at(self._view.rig, self._offsets.seconds, self.position_m[row], self._motion[row])
+            rig = rig_at(self._view.rig, self._offsets.seconds, self.position_m[row], self._found.motion[row])
             self._settle_with(frames, which[k : k + 1], slice(row, row + 1), settings, rig)
 
     def _settle_with(
         self, frames: Frames, which: Rows, mine: slice, settings: RefinementSettings, rig: CameraRig
     ) -> None:
-        view = self._view
         refine_frames(
-            frames, which, view.backgrounds, rig, view.shape, settings, self.position_m[mine], self.rotation[mine],
-            self._motion[mine], self._H[mine], self._stats[mine], self._cost[mine],
-        )  # fmt: skip
+            frames, which, self._view.model(settings, rig), PoseRows(*(values[mine] for values in self._found))
+        )
 
     def seen(self, count: int) -> ClipPoses:
         """What the pixels bear out of it, as rows of a clip of so many frames."""
         # Of a tetrahedron with two faces in sight, one of them edge-on, two lines of the contour are all that is seen: what they
         # leave open the refinement's own loose prior held.
-        pixels, prior = self._H[:, :6, :6], weak_prior(self._view)
+        pixels, prior = self._found.H[:, :6, :6], weak_prior(self._view)
         known = covariances(pixels)
-        held = np.flatnonzero(self._H.any((1, 2)) & _are_open(known))
+        held = np.flatnonzero(self._found.H.any((1, 2)) & _are_open(known))
         known[held] = covariances(pixels[held] + prior)
         seen, good = ClipPoses.empty(count), self._borne_out(known)
         for share in HELD:
             told = pixels[held] + share * prior
             inverts = ~_are_open(covariances(told))
-            self._H[held[inverts], :6, :6] = told[inverts]
+            self._found.H[held[inverts], :6, :6] = told[inverts]
             held = held[~inverts]
         rows = self.rows[good]
-        seen.known[rows] = True
-        seen.position_m[rows], seen.rotation[rows], seen.motion[rows] = (
-            self.position_m[good],
-            self.rotation[good],
-            self._motion[good],
-        )
-        seen.H[rows], seen.stats[rows], seen.cost[rows] = self._H[good], self._stats[good], self._cost[good]
+        seen.put_rows(rows, PoseRows(*(values[good] for values in self._found)))
         return seen
 
     def _borne_out(self, known: Array) -> Mask:
@@ -216,11 +222,12 @@ class _Settling:
         included where pixels leave a direction open."""
         gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
         turned = angles(self.rotation, self._start.rotation[self.rows])
-        support = self._stats[:, 4] / np.maximum(self._stats[:, 3], 1e-9)
+        contour_px = self._found.statistics[:, CONTOUR_PX]
+        support = self._found.statistics[:, CLEAR_PX] / np.maximum(contour_px, 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
         open_rad = np.sqrt(np.trace(known[:, 3:, 3:], axis1=1, axis2=2))
         near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
-        plain = (self._stats[:, 3] >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
+        plain = (contour_px >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
         return np.asarray(near & plain & (open_rad < OPEN_RAD))
 
 

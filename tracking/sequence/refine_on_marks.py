@@ -18,7 +18,7 @@ from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
 from ..footage import Frames, FrameSource, Rows
 from ..picture import View
-from ..pose import ClipPoses, as_track, contour_bias_jacobians, shown_whole
+from ..pose import ClipPoses, as_track, contour_bias_jacobians, wholly_in_view
 from ..surface_marks import CHI2_MEDIAN, FramePoses, FrameRefinement, SurfaceMarks, frames_to_learn_from, learn_marks
 from ..throw import (
     MeasuredThrow,
@@ -65,7 +65,7 @@ def third_pass(second: EdgeRefinement, seen: ClipPoses, every: int, reached: Cal
     """
     view, source = second.view, second.source
     left = np.arange(len(source)) % every != 0
-    track = as_track(view, source, seen, shown_whole(view, seen))
+    track = as_track(view, source, seen, wholly_in_view(view, seen))
     thinned = decimation_factor(track, view.die)
     try:
         found = measure(track, view.die, view.camera, every=thinned)
@@ -91,7 +91,7 @@ def third_pass(second: EdgeRefinement, seen: ClipPoses, every: int, reached: Cal
     shared[rows] = refinement.shared_covariance
     for put, poses in ((rows, refinement.poses()), (carried, _poses_of(view, edges, seen, carried))):
         out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
-        out.lean[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
+        out.contour_bias_jacobian[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
     return MarkRefinement(out, marks, shared)
 
 
@@ -125,7 +125,7 @@ def _in_flight(track: Track, throw: Throw) -> Track:
 def _edges_of(second: EdgeRefinement, seen: ClipPoses, found: MeasuredThrow, scatter: float) -> Track:
     """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
     view, shared = second.view, found.joined.shared
-    track = as_track(view, second.source, seen, shown_whole(view, seen))
+    track = as_track(view, second.source, seen, wholly_in_view(view, seen))
     straight = without_shared_bias(
         track, shared_bias_jacobian(track, view.camera, view.die)[:, :, : len(shared)], shared
     )

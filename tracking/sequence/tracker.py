@@ -35,8 +35,8 @@ from ..clip_parameters import (
     with_light,
 )
 from ..footage import Clip, FrameSource, estimate_background
-from ..picture import View, make_view, noise_and_rounding, rounded, share_in_view, with_reflections
-from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, shown_whole
+from ..picture import View, make_view, noise_and_rounding, share_in_view, with_corner_radius, with_reflections
+from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
 from ..throw import NoFlightError, decimation_factor, measure, measure_throw, with_calibrated_covariance
@@ -140,11 +140,11 @@ def track_clip(
     marked = MarkRefinement(seen, None, None)
     if quality.second_pass:
         view = with_light(with_reflections(view), source.frame, seen)
-        view = replace(view, blur_px=estimate_lens_blur(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
+        view = replace(view, blur_px=estimate_lens_blur(view, seen.sample(source.frame, seen.known, BLUR_FRAMES)))
         report.at_least(len(source))
         if throw is not None:
             offsets = estimate_clock_offsets(view, source.frame, source.times_s, throw)
-        second = EdgeRefinement(view, source, seen.filled(), throw, ~unused, offsets)
+        second = EdgeRefinement(view, source, seen.interpolated(), throw, ~unused, offsets)
         every = _every_in_second_pass(view, source, seen) if quality.marks and throw is not None else 1
         seen = second.see(np.arange(len(source)) % every == 0, lambda done: report.at_least(len(source) + done))
         marked = MarkRefinement(seen, None, None)
@@ -154,7 +154,7 @@ def track_clip(
     track = replace(_track(source, view, marked.seen, throw), shared=marked.shared)
     if corners is not None:
         corners, sigma_px = _corners_in_flight(view, source, track, corners)
-        view, track = rounded(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
+        view, track = with_corner_radius(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     sure = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     return TrackedClip(sure, marked.marks, offsets, view.die, corners)
 
@@ -216,7 +216,7 @@ def _first_pass(
             f"no die was found in {len(source)} frames: look at the clip, the background and the [die] shape and edge"
         )
     chase, seen = beginning
-    view = replace(view, blur_px=estimate_lens_blur(view, seen.looks(source.frame, seen.known, BLUR_FRAMES)))
+    view = replace(view, blur_px=estimate_lens_blur(view, seen.sample(source.frame, seen.known, BLUR_FRAMES)))
     chase.view = replace(chase.view, blur_px=view.blur_px)
     first_known = int(np.flatnonzero(seen.known)[0])
     back = chase.turned_back()
@@ -246,7 +246,7 @@ def _first_pass_rounded(
         first, seen = _first_pass(view, source, report, by_hand, unused)
     except NoDieError:
         # A die that is round all over is none with sharp corners.
-        ball = rounded(view, ROUND_SHARE * view.die.solid.inradius)
+        ball = with_corner_radius(view, ROUND_SHARE * view.die.solid.inradius)
         first, seen = _first_pass(ball, source, report, by_hand, unused)
         if _corners_at_sight(first, source, seen, rounding) is None:
             raise
@@ -257,11 +257,11 @@ def _first_pass_rounded(
     for _ in range(ROUNDINGS):
         # From the view as it was: where a sharp die's corners would be, something seemed to stand before it.
         try:
-            one, known = _first_pass(rounded(view, radius_m), source, report, by_hand, unused)
+            one, known = _first_pass(with_corner_radius(view, radius_m), source, report, by_hand, unused)
         except NoDieError:
             break  # so round that nothing starts with it; what was followed before still is a start
-        whole = shown_whole(one, known)
-        found, _ = _corners_in_flight(one, source, as_track(one, source, known, whole & known.even), corners)
+        whole = wholly_in_view(one, known)
+        found, _ = _corners_in_flight(one, source, as_track(one, source, known, whole & known.evenly_spaced), corners)
         borne_out, corners = found is not corners, found
         tried.append(_Trial(radius_m, one, known, borne_out, corners))
         before, radius_m = radius_m, corners.radius_m if borne_out else LESS * radius_m
@@ -277,7 +277,7 @@ def _first_pass_rounded(
         # Poses of a smaller radius than is told in the end lie farther away than it says.
         chosen = min(kept, key=lambda each: abs(each.radius_m - kept[-1].corners.radius_m))
         first, seen = chosen.view, chosen.seen
-    return rounded(first, corners.radius_m), seen, corners
+    return with_corner_radius(first, corners.radius_m), seen, corners
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +302,7 @@ def _corners_at_sight(
     view: View, source: FrameSource, seen: ClipPoses, rounding: CornerRounding
 ) -> CornerRadius | None:
     """How rounded the die of a first pass looks; None where it looks sharp, or too few frames show it."""
-    looks = partial(seen.looks, source.frame, shown_whole(view, seen))
+    looks = partial(seen.sample, source.frame, wholly_in_view(view, seen))
     if rounding is CornerRounding.TESTED and not is_rounded(view, looks):
         return None
     return radius_by_free_poses(view, looks(RADIUS_FRAMES))
@@ -338,7 +338,7 @@ def _corners_in_flight(
 
 def _measured(view: View, source: FrameSource, seen: ClipPoses) -> Throw | None:
     """Flights of the first pass, from the frames that show the die whole; None where they are too few to measure any."""
-    track = as_track(view, source, seen, shown_whole(view, seen) & seen.even)
+    track = as_track(view, source, seen, wholly_in_view(view, seen) & seen.evenly_spaced)
     try:
         return measure_throw(track, view.die, view.camera, every=decimation_factor(track, view.die))
     except NoFlightError:
@@ -350,7 +350,9 @@ def _every_in_second_pass(view: View, source: FrameSource, seen: ClipPoses) -> i
     time. With several cameras poses do without marks."""
     if len(source.clips) > 1:
         return 1
-    return seen.every * decimation_factor(as_track(view, source, seen, shown_whole(view, seen) & seen.even), view.die)
+    return seen.frame_stride * decimation_factor(
+        as_track(view, source, seen, wholly_in_view(view, seen) & seen.evenly_spaced), view.die
+    )
 
 
 # --- the table of poses -----------------------------------------------------------------------------------------------

@@ -362,5 +362,5 @@ def faces_of(view: View, marks: SurfaceMarks, cut: float) -> Faces:
     return Faces(
         grid.axes, grid.offsets, grid.corners, grid.counts, learned, marks.texture_blur_m2, marks.coefficients, marks.marked,
         marks.noise_grey, MARGIN_BLURS * marks.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
-        float(view.settings.floor_grey), float(cut),
+        float(view.settings.noise_floor_grey), float(cut),
     )  # fmt: skip

@@ -29,7 +29,7 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     radius_on_flights,
     rounding_gain,
 )
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import tracker

@@ -17,7 +17,7 @@ from diethrow.model.throw.motion import State
 from diethrow.tracking.clip_parameters.light import normal_monomials, with_light
 from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 
 Array = NDArray[np.float64]

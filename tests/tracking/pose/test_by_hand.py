@@ -14,8 +14,13 @@ from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.picture.view import View, visible_faces
-from diethrow.tracking.pose.by_hand import manual_initial_pose, poses_from_clicks
-from diethrow.tracking.pose.manual_input import Click, ManualInitialisation, excluded_rows
+from diethrow.tracking.pose.manual_pose import (
+    Click,
+    ManualInitialisation,
+    excluded_rows,
+    manual_initial_pose,
+    poses_from_clicks,
+)
 from diethrow.tracking.pose.refine import Pose
 from diethrow.tracking.sequence.tracker import follow
 from diethrow.tracking.track import LOST, TRACKED

@@ -17,7 +17,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
-from diethrow.tracking.picture.mirror_silhouette import mirror_region_costs
+from diethrow.tracking.picture.pose_costs import mirror_region_costs
 from diethrow.tracking.picture.segmentation import (
     DITHERED,
     Blob,
@@ -30,7 +30,7 @@ from diethrow.tracking.picture.segmentation import (
     without_shadow,
 )
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.initial_pose import FACTORS, _trials, die_blobs, initial_poses
+from diethrow.tracking.pose.initial_pose import DISTANCE_FACTORS, _trials, die_blobs, initial_poses
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -132,7 +132,7 @@ def test_trials_are_as_large_as_the_region_that_they_are_to_explain() -> None:
             middles.append([moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]])
         # Three distances; perspective and the lens make single ones up to a twentieth smaller or larger.
         factors = np.sort(np.sqrt(3600.0 / np.array(areas)))
-        assert np.abs(factors[:, None] - FACTORS).min(1).max() < 0.05
+        assert np.abs(factors[:, None] - DISTANCE_FACTORS).min(1).max() < 0.05
         assert np.linalg.norm(np.array(middles) - blob.centre_px, axis=1).max() < 2.0
 
 

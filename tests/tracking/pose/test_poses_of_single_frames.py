@@ -14,7 +14,8 @@ from random_throws import random_quaternion
 from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
-from diethrow.tracking.picture.view import outline_box, region_costs, share_in_view, visible_faces
+from diethrow.tracking.picture.pose_costs import region_costs
+from diethrow.tracking.picture.view import outline_box, share_in_view, visible_faces
 from diethrow.tracking.pose.refine import Pose, refine_pose
 
 Array = NDArray[np.float64]

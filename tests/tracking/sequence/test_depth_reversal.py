@@ -15,7 +15,7 @@ from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_fr
 from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals, reversed_in_depth
 
@@ -60,7 +60,7 @@ def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> Non
         assert other is not None
         true = refine_pose(view, picture, position, state.rotation, coarse=0)
         wrong = refine_pose(view, picture, position, other, coarse=2)
-        gaps.append((wrong.cost - true.cost, wrong.misfit - true.misfit))
+        gaps.append((wrong.cost - true.cost, wrong.cost_with_edge_noise - true.cost_with_edge_noise))
     whole, both = np.array(gaps).T
     assert len(gaps) > 10
     assert both.min() > 0.0

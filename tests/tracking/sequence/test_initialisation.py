@@ -21,7 +21,7 @@ from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.clip import open_clip
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
 from diethrow.tracking.sequence.tracker import follow

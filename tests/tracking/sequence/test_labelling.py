@@ -14,7 +14,7 @@ from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.sequence.labelling import with_consistent_labels, with_labels_of_flights
 
 FRAMES, STRUCK = 24, 11.5

@@ -13,7 +13,7 @@ from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.clip_parameters.clock_offsets import ClockOffsets
 from diethrow.tracking.footage.frame_blocks import FrameSource
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import covariances
 from diethrow.tracking.sequence.refine_on_edges import EdgeRefinement
 

@@ -17,7 +17,7 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.clip_parameters.clock_offsets import rig_at
-from diethrow.tracking.picture.view import MIRRORED, View, make_view, stacked, with_reflections
+from diethrow.tracking.picture.view import MIRRORED, View, make_view, stack_pictures, with_reflections
 from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
 from diethrow.tracking.sequence.tracker import follow, track_clip
@@ -80,7 +80,7 @@ def test_a_second_camera_gives_the_depth_that_the_first_lacks() -> None:
     images = [[photograph(room, CUBE, state, rng) for room in (ROOM, side)] for state in states]
     alone = judged(view_of([ROOM.camera], [ROOM.table]), states, [pair[0] for pair in images])
     both = view_of([ROOM.camera, side.camera], [ROOM.table, side.table])
-    together = judged(both, states, [stacked(pair) for pair in images])
+    together = judged(both, states, [stack_pictures(pair) for pair in images])
     # Depth is ten to thirty times worse known than what lies across the picture; the other camera sees it from the side.
     assert np.median(together[1]) < 0.2 * np.median(alone[1])
     # The median of chi-square with six numbers is 5.35, and scatters by 0.8 over 24 frames.

@@ -21,7 +21,7 @@ from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import make_view, share_in_view
-from diethrow.tracking.pose.frame_poses import ClipPoses, longest_leap
+from diethrow.tracking.pose.clip_poses import ClipPoses, longest_stride
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
@@ -123,12 +123,12 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
     chase.to_the_end(source, seen, lambda frame: None, all_frames=False)
     (bounce,) = throw.bounces
     struck = int(np.ceil(bounce.time_s * fps))
-    assert seen.every > 1
+    assert seen.frame_stride > 1
     assert seen.known[struck + 4 : struck + 20].all()
     assert seen.known.mean() < 0.7
     rows = np.flatnonzero(seen.known)
-    assert (np.diff(rows) <= longest_leap(count)).all()
-    filled = seen.filled()
+    assert (np.diff(rows) <= longest_stride(count)).all()
+    filled = seen.interpolated()
     assert filled.known[rows[0] : rows[-1] + 1].all()
     off_m = np.linalg.norm(
         filled.position_m[rows[0] : rows[-1]] - throw.poses(clip.times_s[rows[0] : rows[-1]])[0], axis=1
