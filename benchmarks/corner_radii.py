@@ -33,7 +33,7 @@ from diethrow.files.scene import read_scene
 from diethrow.tracking.clip_parameters import corner_radius
 from diethrow.tracking.clip_parameters.corner_radius import ROUND_TESTED_PX, CornerRounding
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import SampledFrames
+from diethrow.tracking.pose.clip_poses import SampledFrames
 from diethrow.tracking.quality import FAST, STANDARD
 
 

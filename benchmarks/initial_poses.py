@@ -37,7 +37,7 @@ from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.pose.frame_poses import ClipPoses
+from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
 
 Array = NDArray[np.float64]

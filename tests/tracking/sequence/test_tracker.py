@@ -106,7 +106,7 @@ TIMES_FASTER = 6
 @pytest.fixture
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
-    monkeypatch.setattr("diethrow.tracking.pose.frame_poses.ENOUGH_FRAMES", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.pose.clip_poses.ENOUGH_FRAMES", FRAMES)
     monkeypatch.setattr("diethrow.tracking.throw.segmentation.ENOUGH_FRAMES", FRAMES)
 
 
