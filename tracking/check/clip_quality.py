@@ -30,7 +30,7 @@ from ..footage import Clip, Frame, estimate_background
 from ..picture import (
     View,
     background_noise,
-    differing,
+    differs_from_background,
     largest_blob,
     level_step,
     make_view,
@@ -231,7 +231,7 @@ def _always_differing_share(sample: list[Image], background: Image, noise: float
     """
     counted, differed = np.zeros(background.shape, int), np.zeros(background.shape, int)
     for image in sample:
-        mask = differing(image, background, noise)
+        mask = differs_from_background(image, background, noise)
         elsewhere = np.ones(mask.shape, bool)
         blob = largest_blob(mask)
         if blob is not None:

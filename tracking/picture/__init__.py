@@ -56,7 +56,7 @@ from .region_cost import region_cost as region_cost
 from .segmentation import Blob as Blob
 from .segmentation import Mask as Mask
 from .segmentation import background_noise as background_noise
-from .segmentation import differing as differing
+from .segmentation import differs_from_background as differs_from_background
 from .segmentation import largest_blob as largest_blob
 from .segmentation import level_step as level_step
 from .segmentation import noise_and_rounding as noise_and_rounding

@@ -1,4 +1,9 @@
-"""Where on a frame is something that is not background, and which of it is only shadow."""
+"""Segmentation of a frame against the background: what differs, what of it is only shadow, and the noise of what does
+not.
+
+A shadow is the background in a darker light: in a small window the image is a constant share of the background, texture
+included. Near the die and near its own border that does not hold, and a rim of the shadow remains.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +15,44 @@ from numpy.typing import NDArray
 
 Mask = NDArray[np.bool_]
 
+Image = NDArray[np.float32]
+
 NEAR_BORDER_PX = 3
-"""A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks smoothed
-away."""
-
+"""A region that ends so near to the border may go on beyond it: neighbourhoods are cut off there, and specks are
+smoothed away."""
 DITHERED = 0.5
-"""Noise, in steps between grey levels, with which rounding errs for each pixel by itself: in the mean it is off by no
+"""Noise, in steps between grey levels, above which rounding errors of pixels are independent: their mean is off by no
 more than exp(-2π²/4)/π of a step then, a four hundredth."""
+ROUNDING_SHARE = 0.3
+"""Standard deviation of rounding, in steps: 1/√12."""
+NORMAL_MAD = 1.4826
+"""Standard deviation of a Gaussian over its median absolute value."""
 
-RIM_PX, THIN_PX = 6, 11
-"""How far beyond a sure shadow its rim reaches: half the window in which its share of light is looked at, and the
-penumbra; and the width below which what is left of a rim, and light thrown on the table by the die, is taken out with
-it."""
+MEAN_PX = 3
+"""Side of the square whose mean is compared with the background."""
+DIFFERENT_SIGMAS = 5.0
+"""Difference of that mean from the background, in standard errors, from which a pixel differs."""
+DIFFERENT_GREY = 2.0
+"""Least such difference in grey levels: the light of a still scene drifts by less."""
+SHADOW_WINDOW_PX = 9
+"""Side of the window in which a shadow is a constant share of the background."""
+SHADOW_SHARE = 0.97
+"""Share of the background's light that a shadow leaves, at the most."""
+SHADOW_NOISE = 2.0
+"""Residual noise of a shadow, in the noise of the background, at the most."""
+SHADOW_TEXTURE = 0.1
+"""Part of the variance of the background's texture that a shadow may leave unexplained."""
+LEAST_SQUARED_GREY = 1.0
+"""Mean square of a background below which a share of it is undefined."""
+
+RIM_PX = 6
+"""Reach of a shadow's rim beyond a sure shadow: half the window of its share of light, and the penumbra."""
+THIN_PX = 11
+"""Width below which the rest of a rim, and light that the die throws on the table, is removed."""
+SMOOTHED_PX = 3
+"""Width below which specks and gaps of a mask are removed."""
+LEAST_BLOB_PX = 60
+"""Area below which a region is no die."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +67,9 @@ class Blob:
     touches_border: bool
 
 
-def level_step(images: list[NDArray[np.float32]]) -> float:
-    """Step [grey] between levels as some frames (height, width) show them: the smallest gap between two that occur, and
-    1 where but one does. It is 1 where a file uses all its levels; 12 bits in the upper part of 16 show 16."""
+def level_step(images: list[Image]) -> float:
+    """Step [grey] between the levels that some frames (height, width) use: the smallest gap between two levels, 1 if
+    there is only one level. It is 1 for a file that uses all its levels; 12 bits in the upper part of 16 give 16."""
     step_grey = np.inf
     for image in images:
         gaps = np.diff(np.unique(image[::2, ::2]))
@@ -48,75 +79,76 @@ def level_step(images: list[NDArray[np.float32]]) -> float:
     return step_grey if np.isfinite(step_grey) else 1.0
 
 
-def errs_alike(step_grey: float, noise_grey: float) -> bool:
-    """Whether rounding to steps so wide errs alike on pixels of one grey. Steps of 1 are left to the least noise that
-    edges are given."""
+def rounding_is_correlated(step_grey: float, noise_grey: float) -> bool:
+    """Whether rounding to such steps has the same error on pixels of one grey. Steps of 1 are covered by the least
+    noise that edges are given."""
     return step_grey > 1.0 and noise_grey < DITHERED * step_grey
 
 
-def noise_and_rounding(images: list[NDArray[np.float32]], background: NDArray[np.float32]) -> tuple[float, float]:
-    """`background_noise` [grey] for the levels that occur, and the step between these [grey] where rounding errs alike,
-    or 0."""
+def noise_and_rounding(images: list[Image], background: Image) -> tuple[float, float]:
+    """`background_noise` [grey] for the levels that the frames use, and the step between these [grey] if rounding
+    errors are correlated, else 0."""
     step_grey = level_step(images)
     noise_grey = background_noise(images, background, step_grey)
-    return noise_grey, step_grey if errs_alike(step_grey, noise_grey) else 0.0
+    return noise_grey, step_grey if rounding_is_correlated(step_grey, noise_grey) else 0.0
 
 
-def background_noise(
-    images: list[NDArray[np.float32]], background: NDArray[np.float32], step_grey: float = 1.0
-) -> float:
-    """Standard deviation [grey] of a still pixel about the background: the smallest over the frames of the median
-    absolute difference, because a die or its shadow only ever adds to it. Not below what rounding to steps of
-    `step_grey` leaves. One pixel in four is looked at: of 100 × 100 they tell the noise to two parts in a hundred."""
+def background_noise(images: list[Image], background: Image, step_grey: float = 1.0) -> float:
+    """Standard deviation [grey] of a still pixel about the background, but not less than that of rounding to
+    `step_grey`.
+
+    It is the smallest over the frames of the median absolute difference, because a die or its shadow only adds to it.
+    One pixel in four is used: 100 × 100 of them determine the noise to 2 %.
+    """
     some = slice(None, None, 2)
-    spreads = [1.4826 * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
-    return max(min(spreads), 0.3 * step_grey)
+    spreads = [NORMAL_MAD * float(np.median(np.abs(image[some, some] - background[some, some]))) for image in images]
+    return max(min(spreads), ROUNDING_SHARE * step_grey)
 
 
-def differing(image: NDArray[np.float32], background: NDArray[np.float32], noise_grey: float) -> Mask:
-    """Pixels whose 3 × 3 mean differs from the background by more than five standard errors and two grey levels."""
-    mean = cv2.blur(image - background, (3, 3))
-    return np.asarray(np.abs(mean) > max(5.0 * noise_grey / 3.0, 2.0))
+def differs_from_background(image: Image, background: Image, noise_grey: float) -> Mask:
+    """Mask of the pixels whose 3 × 3 mean differs from the background by more than DIFFERENT_SIGMAS and
+    DIFFERENT_GREY."""
+    mean = cv2.blur(image - background, (MEAN_PX, MEAN_PX))
+    return np.asarray(np.abs(mean) > max(DIFFERENT_SIGMAS * noise_grey / MEAN_PX, DIFFERENT_GREY))
 
 
-def without_shadow(image: NDArray[np.float32], background: NDArray[np.float32], noise_grey: float, mask: Mask) -> Mask:
-    """`mask` less the pixels that look like the background in a darker light: in a 9 × 9 neighbourhood the image is a
-    constant share of the background, texture included."""
-    window = (9, 9)
+def without_shadow(image: Image, background: Image, noise_grey: float, mask: Mask) -> Mask:
+    """`mask` without the pixels that look like the background in a darker light."""
+    window = (SHADOW_WINDOW_PX, SHADOW_WINDOW_PX)
     bb = cv2.blur(background * background, window)
-    share = cv2.blur(image * background, window) / np.maximum(bb, 1.0)
+    share = cv2.blur(image * background, window) / np.maximum(bb, LEAST_SQUARED_GREY)
     left = cv2.blur(image * image, window) - share * share * bb
     texture = cv2.blur(background * background, window) - cv2.blur(background, window) ** 2
-    same = left < 4.0 * noise_grey**2 + 0.1 * share * share * texture
-    shadow = (share < 0.97) & same & (image < background + noise_grey)
+    same = left < SHADOW_NOISE**2 * noise_grey**2 + SHADOW_TEXTURE * share * share * texture
+    shadow = (share < SHADOW_SHARE) & same & (image < background + noise_grey)
     return mask & ~shadow
 
 
-def without_rims(image: NDArray[np.float32], background: NDArray[np.float32], mask: Mask, lit: Mask) -> Mask:
-    """The part of `mask` that is bulky and no shadow, where `lit` is what `without_shadow` leaves of it.
+def without_rims(image: Image, background: Image, mask: Mask, lit: Mask) -> Mask:
+    """The part of `mask` that is bulky and no shadow; `lit` is what `without_shadow` leaves of it.
 
-    Near the die and near its own border a shadow is no constant share of the background within a window. A thin ring of
-    it is left, and joined to the die makes a region half as large again with its middle elsewhere.
+    The rim of a shadow, joined to the die, would make a region half as large again with another centre.
     """
-    shadow = cv2.morphologyEx((mask & ~lit).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    shadow = cv2.morphologyEx(
+        (mask & ~lit).astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8)
+    )
     reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * RIM_PX + 1, 2 * RIM_PX + 1))
     rest = mask & ~(cv2.dilate(shadow, reach).astype(bool) & (image < background))
-    filled = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+    filled = cv2.morphologyEx(rest.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
     thin = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (THIN_PX, THIN_PX))
     return np.asarray(cv2.morphologyEx(filled, cv2.MORPH_OPEN, thin).astype(bool))
 
 
 def largest_blob(mask: Mask, holes_px: int = 7) -> Blob | None:
-    """The largest connected region of at least 60 pixels, small holes and specks smoothed away; None if there is
-    none."""
-    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    """The largest connected region of at least LEAST_BLOB_PX, holes and specks smoothed away; None if there is none."""
+    clean = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((SMOOTHED_PX, SMOOTHED_PX), np.uint8))
     clean = cv2.morphologyEx(clean, cv2.MORPH_CLOSE, np.ones((holes_px, holes_px), np.uint8))
     count, _, stats, centres = cv2.connectedComponentsWithStats(clean)
     if count < 2:
         return None
     k = 1 + int(np.argmax(stats[1:, cv2.CC_STAT_AREA]))
     x, y, w, h, area = (int(v) for v in stats[k])
-    if area < 60:
+    if area < LEAST_BLOB_PX:
         return None
     border = min(x, y) <= NEAR_BORDER_PX
     border = border or x + w >= mask.shape[1] - NEAR_BORDER_PX or y + h >= mask.shape[0] - NEAR_BORDER_PX

@@ -25,7 +25,7 @@ from ..picture import (
     Blob,
     Mask,
     View,
-    differing,
+    differs_from_background,
     largest_blob,
     make_view,
     mirror_region_costs,
@@ -177,7 +177,7 @@ def _die_regions(view: View, image: NDArray[np.float32]) -> Iterator[list[Blob]]
 def _masks(view: View, image: NDArray[np.float32]) -> tuple[Mask, Mask]:
     """What differs from the background, and what of it does not look like a shadow. A mirror shows no shadow: dark
     parts there are dark faces, or the reflection."""
-    mask = differing(image, view.background, view.noise_grey)
+    mask = differs_from_background(image, view.background, view.noise_grey)
     return mask, mask if view.mirror else without_shadow(image, view.background, view.noise_grey, mask)
 
 

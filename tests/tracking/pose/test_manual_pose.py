@@ -1,4 +1,4 @@
-"""Laws of a start by hand: a rough pose or rough clicks become the pose that the picture shows, or an error that says why."""
+"""Laws of manual initialisation: a rough pose or rough clicks become the pose of the picture, or an error that says why."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ def test_clicks_a_few_pixels_off_become_the_pose_of_the_picture(shape: str, name
         view, state, image, corners = shown(shape, seed)
         start = ManualInitialisation(0, clicks=clicks(view, state, corners[:7], 1.5, named))
         pose = manual_initial_pose(view, image, start)
-        # One frame of a die 80 px across is good to 0.3° and, along the line of sight, to 0.5 mm; its labelling is that of
-        # the clicks where they name the corners.
+        # One frame of a die 80 px across determines the rotation to 0.3° and the depth to 0.5 mm. The labelling is that of
+        # the clicks if they name the corners.
         assert turned_deg(view, pose, state, any_label=not named) < 1.0
         assert np.linalg.norm(pose.position_m - state.position_m) < 1e-3
 
 
-def test_exact_clicks_on_the_corners_of_one_face_give_both_tilts_and_the_picture_decides() -> None:
+def test_the_picture_decides_between_the_two_tilts_of_one_clicked_face() -> None:
     view, state, image, _ = shown("cube", 3)
     face = np.array(view.die.solid.faces[int(visible_faces(view, PLACE, state.rotation)[0])])
     start = ManualInitialisation(0, clicks=clicks(view, state, face, 0.5, True))
@@ -80,7 +80,7 @@ def test_exact_clicks_on_the_corners_of_one_face_give_both_tilts_and_the_picture
     assert turned_deg(view, manual_initial_pose(view, image, start), state, any_label=False) < 1.0
 
 
-def test_a_rough_pose_becomes_that_of_the_picture_under_the_labelling_given() -> None:
+def test_a_rough_pose_becomes_that_of_the_picture_in_the_given_labelling() -> None:
     view, state, image, _ = shown("cube", 5)
     rough = quat_multiply(quat_from_rotvec(np.radians([6.0, -5.0, 4.0])), state.quaternion)
     pose = manual_initial_pose(view, image, ManualInitialisation(0, PLACE + np.array([0.001, -0.001, 0.002]), rough))
@@ -88,9 +88,9 @@ def test_a_rough_pose_becomes_that_of_the_picture_under_the_labelling_given() ->
     assert np.linalg.norm(pose.position_m - PLACE) < 1e-3
 
 
-def test_what_the_picture_does_not_bear_out_is_refused_in_one_sentence() -> None:
+def test_input_that_the_picture_does_not_confirm_is_refused() -> None:
     view, state, image, corners = shown("cube", 5)
-    with pytest.raises(ValueError, match=r"start\.frame = 7: the picture shows \d+ % of the contour of a cube"):
+    with pytest.raises(ValueError, match=r"start\.frame = 7\b.* cube"):
         manual_initial_pose(
             view, image, ManualInitialisation(7, PLACE + np.array([0.012, 0.006, 0.0]), state.quaternion)
         )
@@ -98,7 +98,7 @@ def test_what_the_picture_does_not_bear_out_is_refused_in_one_sentence() -> None
     with pytest.raises(ValueError, match=r"start\.corners has 3 clicks"):
         manual_initial_pose(view, image, ManualInitialisation(7, clicks=good[:3]))
     away = tuple(Click(np.array(px), None) for px in ([5.0, 5.0], [190.0, 8.0], [100.0, 12.0], [150.0, 190.0]))
-    with pytest.raises(ValueError, match="no pose of a cube of this size puts its corners on the 4 clicks"):
+    with pytest.raises(ValueError, match=r"start\.corners.* cube .*4 clicks"):
         manual_initial_pose(view, image, ManualInitialisation(7, clicks=away))
     swapped = tuple(Click(a.px, b.vertex) for a, b in zip(good, good[1:] + good[:1], strict=True))
     with pytest.raises(ValueError, match=r"start\."):
@@ -110,7 +110,7 @@ def test_excluded_ranges_are_rows_of_the_clip() -> None:
     assert excluded_rows([], 0, 10) == frozenset()
 
 
-def test_a_clip_is_followed_from_the_start_by_hand_and_frames_excluded_are_lost() -> None:
+def test_a_clip_is_tracked_from_a_manual_pose_and_excluded_frames_are_lost() -> None:
     die, frames = DICE["cube"], 24
     drift, spin = np.array([0.3, 0.1, 0.0]), np.array([9.0, 20.0, 3.0])
     turn = State(0.0, np.array([0.0, 0.0, 0.035]), random_quaternion(np.random.default_rng(4)), drift, spin)
@@ -128,7 +128,7 @@ def test_a_clip_is_followed_from_the_start_by_hand_and_frames_excluded_are_lost(
     _, quaternions = throw.poses(track.time_s)
     off = rotation_between(track.quaternion[track.tracked], quaternions[track.tracked])
     assert np.degrees(np.linalg.norm(off, axis=1)).max() < 1.0
-    with pytest.raises(ValueError, match=r"start\.frame = 9: wanted a frame of the clip"):
+    with pytest.raises(ValueError, match=r"start\.frame = 9\b"):
         follow(
             clip, ROOM.camera, die, background=np.rint(ROOM.table), start=replace(start, frame=9), excluded=[(8, 11)]
         )
