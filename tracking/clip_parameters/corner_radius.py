@@ -176,7 +176,9 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
     if radius_m > MOST_INRADIUS_SHARE * view.die.solid.inradius:
         return 0.0, np.inf
     settings = _free_poses(view)
-    sharp, round_ = (_misfits(with_corner_radius(view, r), frames, settings)[0] for r in (SHARP_PX / px_per_m, radius_m))
+    sharp, round_ = (
+        _misfits(with_corner_radius(view, r), frames, settings)[0] for r in (SHARP_PX / px_per_m, radius_m)
+    )
     return _winsorised_mean(sharp - round_)
 
 
