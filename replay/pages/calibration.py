@@ -147,9 +147,9 @@ def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m:
     if table is None or picture is None:
         return ""
     alternative = "The plane has no second pose."
-    if table.rival_rms_px is not None:
+    if table.other_rms_px is not None:
         alternative = (
-            f"This pose leaves {table.board.rms_px:.3g} px (RMS), the plane's other pose {table.rival_rms_px:.3g} px."
+            f"This pose leaves {table.board.rms_px:.3g} px (RMS), the plane's other pose {table.other_rms_px:.3g} px."
         )
     caption = (
         "The board on the table: found corners (blue circles), projected corners (orange crosses), and the world axes "

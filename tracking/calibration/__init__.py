@@ -1,4 +1,8 @@
-"""tracking.calibration."""
+"""A camera's intrinsics, distortion and place over the table, from pictures of a board, with their covariances.
+
+`boards` finds the corners of a board on pictures, `intrinsics` fits the camera to them, and `table_board` finds the world's
+axes from a board on the table. `diethrow calibrate` and its page use them; tracking takes the `Camera` that results.
+"""
 
 from .boards import Board as Board
 from .boards import BoardView as BoardView

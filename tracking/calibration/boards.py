@@ -1,12 +1,12 @@
-"""Calibration boards: what they look like, and where their corners are on a picture.
+"""Calibration boards: their patterns, and the pixels of their corners on a picture.
 
-A chessboard offers the corners where four squares meet; a ChArUco board has markers in its white squares, which name the
-corners, so that part of it may be out of view. Board axes: x along the columns, y along the rows, both as printed, and so
-z into the board; the origin is the outer corner at the upper left.
+The corners of a chessboard are the points where four squares meet. A ChArUco board has markers in its white squares that number
+the corners, so part of it may be out of view. Board axes: x along the columns and y along the rows, both as printed, so z points
+into the board; the origin is the outer corner at the upper left.
 
 The corners are found by OpenCV (ChArUco: `CharucoDetector`; chessboards: the sector-based detector of Duda and Frese,
 "Accurate detection and localization of checkerboard corners for calibration", BMVC 2018). Boards with an even number of
-rows were printed the other way round before OpenCV 4.6; both patterns are tried, and that which shows more corners holds.
+rows were printed the other way round before OpenCV 4.6; both patterns are tried, and the one that shows more corners is used.
 """
 
 from __future__ import annotations
@@ -22,17 +22,34 @@ from ..footage import Frame
 
 Array = NDArray[np.float64]
 
-CHARUCO, CHESSBOARD = "charuco", "chessboard"
-FEWEST_CORNERS = 6
-"""A planar pose and homography need four; two more say whether they are right."""
-MOST_SQUARES = 100
-"""Along one side: finer boards than this no camera resolves."""
-DARKEST, BRIGHTEST = 0.1, 99.9
-"""Percentiles of the grey levels that become black and white of the eight bits that the detectors want."""
-CLEAR_SHARE = 0.75
-"""Of the clear room beside a corner that its refinement may use; on rendered boards it halves the detectors' error."""
-HOMOGRAPHY_SHARE = 0.2
-"""Corners further than this share of a square from a plane's perspective are not those of the board."""
+CHARUCO = "charuco"
+CHESSBOARD = "chessboard"
+MIN_CORNERS = 6
+"""Fewest corners of a picture: the pose of a plane and its homography need four, and two more check them."""
+MIN_SQUARES = 3
+"""Fewest squares along one side."""
+MAX_SQUARES = 100
+"""Most squares along one side: no camera resolves finer boards."""
+MAX_SQUARE_M = 1.0
+"""Largest side of a square; a larger one is in another unit."""
+BLACK_PERCENTILE = 0.1
+"""Of the grey levels; it becomes 0 in the eight bits that the detectors take."""
+WHITE_PERCENTILE = 99.9
+"""Of the grey levels; it becomes 255."""
+REFINED_SHARE = 0.75
+"""Of the marker-free distance around a corner, used to refine it; on rendered boards this halves the detectors' error."""
+CHESSBOARD_CLEAR_SHARE = 0.25
+"""Of a square: distance around the corner of a chessboard that is used likewise, with a margin for perspective."""
+SMALL_SQUARE_PERCENTILE = 10
+"""Of the distances between neighbouring corners: the size of the smallest squares on the picture, less outliers."""
+MIN_REFINED_PX = 2
+"""Smallest half-width of a window for the refinement; with a smaller one the detector's corners stay."""
+REFINEMENT_STEPS = 100
+"""Most steps of the refinement of a corner; it usually takes five."""
+REFINEMENT_PX = 1e-4
+"""Step at which the refinement of a corner stops: far below its error."""
+MAX_OFF_PLANE = 0.2
+"""Largest distance of a corner from the homography of its board, in squares; one further away is not a corner of the board."""
 
 
 @dataclass(frozen=True)
@@ -47,50 +64,52 @@ class Board:
     """Squares along y."""
     square_m: float
     marker_m: float = 0.0
-    """Side of a marker; of no meaning for a chessboard."""
+    """Side of a marker; unused for a chessboard."""
     dictionary: str = "DICT_4X4_50"
     """OpenCV's name of the markers' dictionary."""
 
     @property
     def centre_m(self) -> Array:
-        """(3,) of the printed squares, in board axes."""
+        """(3,) [m] centre of the printed squares, in board axes."""
         return 0.5 * self.square_m * np.array([self.columns, self.rows, 0.0])
 
     def corner_m(self, ids: NDArray[np.int64]) -> Array:
-        """(n, 3) of inner corners by their numbers, which run along the rows."""
+        """(n, 3) [m] inner corners in board axes, by their numbers (n,), which run along the rows."""
         inner = self.columns - 1
         return self.square_m * np.stack([ids % inner + 1, ids // inner + 1, 0 * ids], axis=1).astype(float)
 
 
 @dataclass(frozen=True, eq=False)
 class BoardView:
-    """What one picture shows of the board."""
+    """The corners of the board on one picture."""
 
     name: str
-    """Of the picture."""
+    """Name of the picture."""
     ids: NDArray[np.int64]
     """(n,) numbers of the corners."""
     corners_m: Array
     """(n, 3) in board axes."""
     pixels: Array
-    """(n, 2) where they are seen; pixel centres at integers."""
+    """(n, 2) in the picture; pixel centres at integers."""
 
     def without(self, bad: NDArray[np.bool_]) -> BoardView:
-        """The view less some of its corners."""
+        """The view without some of its corners, `bad` (n,)."""
         return BoardView(self.name, self.ids[~bad], self.corners_m[~bad], self.pixels[~bad])
 
 
 def make_board(
     kind: str, columns: int, rows: int, square_m: float, marker_m: float | None = None, dictionary: str = "DICT_4X4_50"
 ) -> Board:
-    """A board; raises ValueError, in one sentence, for one that cannot be printed or detected."""
+    """A board. Raises ValueError for one that cannot be printed or detected."""
     if kind not in (CHARUCO, CHESSBOARD):
         raise ValueError(f"board = {kind}; wanted {CHARUCO} or {CHESSBOARD}")
-    if not (3 <= columns <= MOST_SQUARES and 3 <= rows <= MOST_SQUARES):
-        raise ValueError(f"squares = {columns}x{rows}; wanted 3 to {MOST_SQUARES} along each side, as in 7x5")
-    if not 0 < square_m <= 1:
+    if not (MIN_SQUARES <= columns <= MAX_SQUARES and MIN_SQUARES <= rows <= MAX_SQUARES):
         raise ValueError(
-            f"square_mm = {1e3 * square_m:g}; wanted the side of a square in millimetres, above 0 up to 1000"
+            f"squares = {columns}x{rows}; wanted {MIN_SQUARES} to {MAX_SQUARES} along each side, as in 7x5"
+        )
+    if not 0 < square_m <= MAX_SQUARE_M:
+        raise ValueError(
+            f"square_mm = {1e3 * square_m:g}; wanted the side of a square in millimetres, above 0, at most {1e3 * MAX_SQUARE_M:g}"
         )
     if kind == CHESSBOARD:
         return Board(kind, columns, rows, square_m)
@@ -102,19 +121,19 @@ def make_board(
         )
     if not (dictionary.startswith("DICT_") and hasattr(cv2.aruco, dictionary)):
         raise ValueError(
-            f"dictionary = {dictionary}; wanted a name of OpenCV's, for example DICT_4X4_50 or DICT_5X5_100"
+            f"dictionary = {dictionary}; wanted a dictionary of OpenCV, for example DICT_4X4_50 or DICT_5X5_100"
         )
     markers, known = (columns * rows) // 2, len(_dictionary(dictionary).bytesList)
     if markers > known:
         raise ValueError(
             f"dictionary = {dictionary}: it has {known} markers and a board of {columns}x{rows} needs {markers}; "
-            "wanted the dictionary that the board was printed with"
+            "give the dictionary that the board was printed with"
         )
     return Board(kind, columns, rows, square_m, marker_m, dictionary)
 
 
 def find_boards(pictures: Sequence[tuple[str, Frame]], board: Board) -> list[BoardView | None]:
-    """What each named grey picture (height, width) shows of the board; None where it is not found.
+    """The corners of the board on each named grey picture (height, width); None where it is not found.
 
     Raises ValueError where it is found only in the mirror image of a picture.
     """
@@ -125,13 +144,13 @@ def find_boards(pictures: Sequence[tuple[str, Frame]], board: Board) -> list[Boa
     found = [[_find_charuco(name, grey, board, detector) for name, grey in greys] for detector in detectors]
     totals = [sum(len(view.ids) for view in views if view is not None) for views in found]
     best = int(np.argmax(totals))
-    _refuse_mirrored(greys, found[best], board, detectors[best])
+    _check_not_mirrored(greys, found[best], board, detectors[best])
     return found[best]
 
 
 def eight_bits(picture: Frame) -> NDArray[np.uint8]:
-    """Grey levels stretched to 0 ... 255, so that dark pictures of deep cameras are seen too."""
-    low, high = np.percentile(picture[::2, ::2], [DARKEST, BRIGHTEST])
+    """Grey levels stretched to 0 ... 255, for dark pictures of cameras with many bits."""
+    low, high = np.percentile(picture[::2, ::2], [BLACK_PERCENTILE, WHITE_PERCENTILE])
     scaled = (picture.astype(np.float32) - low) * (255.0 / max(high - low, 1.0))
     return np.clip(np.rint(scaled), 0, 255).astype(np.uint8)
 
@@ -152,11 +171,11 @@ def _find_charuco(
     name: str, grey: NDArray[np.uint8], board: Board, detector: cv2.aruco.CharucoDetector
 ) -> BoardView | None:
     pixels, ids, _, _ = detector.detectBoard(grey)
-    if ids is None or len(ids) < FEWEST_CORNERS:
+    if ids is None or len(ids) < MIN_CORNERS:
         return None
     found = np.asarray(pixels, float).reshape(-1, 2)
-    room = 0.5 * (1.0 - board.marker_m / board.square_m)
-    return _view(name, np.asarray(ids, np.int64).ravel(), _refined(grey, found, room), board)
+    clear_share = 0.5 * (1.0 - board.marker_m / board.square_m)
+    return _view(name, np.asarray(ids, np.int64).ravel(), _refined(grey, found, clear_share), board)
 
 
 def _find_chessboard(name: str, grey: NDArray[np.uint8], board: Board) -> BoardView | None:
@@ -168,20 +187,20 @@ def _find_chessboard(name: str, grey: NDArray[np.uint8], board: Board) -> BoardV
     grid = np.asarray(corners, float).reshape(size[1], size[0], 2)
     across, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
     if across[0] * down[1] - across[1] * down[0] < 0:
-        grid = grid[:, ::-1]  # a plain board looks the same from either end; on no picture it is seen from behind
-    return _view(name, np.arange(size[0] * size[1]), _refined(grey, grid.reshape(-1, 2), 0.25), board)
+        grid = grid[:, ::-1]  # a chessboard looks the same from either end; no picture shows it from behind
+    return _view(name, np.arange(size[0] * size[1]), _refined(grey, grid.reshape(-1, 2), CHESSBOARD_CLEAR_SHARE), board)
 
 
-def _refined(grey: NDArray[np.uint8], pixels: Array, room: float) -> Array:
-    """Corners (n, 2) where the grey level's gradients meet, within the share `room` of a square that is free of markers.
+def _refined(grey: NDArray[np.uint8], pixels: Array, clear_share: float) -> Array:
+    """Corners (n, 2) refined to the point where the gradients of the grey level meet (`cv2.cornerSubPix`).
 
-    The smallest square on the picture counts; where less than two pixels are free the detector's corners stay.
+    `clear_share` of a square around a corner is free of markers. The smallest squares on the picture decide the window.
     """
     apart = np.linalg.norm(pixels[:, None] - pixels[None], axis=2) + 1e9 * np.eye(len(pixels))
-    half = int(CLEAR_SHARE * room * float(np.percentile(apart.min(1), 10)))
-    if half < 2:
+    half = int(REFINED_SHARE * clear_share * float(np.percentile(apart.min(1), SMALL_SQUARE_PERCENTILE)))
+    if half < MIN_REFINED_PX:
         return pixels
-    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+    criteria = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, REFINEMENT_STEPS, REFINEMENT_PX)
     start = pixels.astype(np.float32).reshape(-1, 1, 2)
     moved = np.asarray(cv2.cornerSubPix(grey, start, (half, half), (-1, -1), criteria), float).reshape(-1, 2)
     near = np.linalg.norm(moved - pixels, axis=1) < half
@@ -189,37 +208,37 @@ def _refined(grey: NDArray[np.uint8], pixels: Array, room: float) -> Array:
 
 
 def _view(name: str, ids: NDArray[np.int64], pixels: Array, board: Board) -> BoardView | None:
-    """The view, less corners that do not lie on the plane of the others; None where too few are left."""
+    """The view without corners that are off the plane of the others; None where too few are left."""
     corners = board.corner_m(ids)
     if min(len(np.unique(corners[:, 0])), len(np.unique(corners[:, 1]))) < 2:
         return None
     plane, _ = cv2.findHomography(
-        corners[:, :2], pixels, cv2.RANSAC, HOMOGRAPHY_SHARE * _square_px(corners, pixels, board)
+        corners[:, :2], pixels, cv2.RANSAC, MAX_OFF_PLANE * _square_px(corners, pixels, board)
     )
     if plane is None:
         return None
-    drawn = cv2.perspectiveTransform(corners[None, :, :2], plane)[0]
-    bad = np.linalg.norm(drawn - pixels, axis=1) > HOMOGRAPHY_SHARE * _square_px(corners, pixels, board)
+    projected = cv2.perspectiveTransform(corners[None, :, :2], plane)[0]
+    bad = np.linalg.norm(projected - pixels, axis=1) > MAX_OFF_PLANE * _square_px(corners, pixels, board)
     view = BoardView(name, ids, corners, pixels).without(bad)
-    return view if len(view.ids) >= FEWEST_CORNERS else None
+    return view if len(view.ids) >= MIN_CORNERS else None
 
 
 def _square_px(corners_m: Array, pixels: Array, board: Board) -> float:
-    """Usual size [px] of a square on the picture, from the spread of the corners."""
+    """Mean size [px] of a square on the picture, from the spread of the corners."""
     spread_m, spread_px = corners_m[:, :2].std(0).sum(), pixels.std(0).sum()
     return float(board.square_m * spread_px / spread_m)
 
 
-def _refuse_mirrored(
+def _check_not_mirrored(
     greys: Sequence[tuple[str, NDArray[np.uint8]]],
     views: Sequence[BoardView | None],
     board: Board,
     detector: cv2.aruco.CharucoDetector,
 ) -> None:
-    """Markers cannot be read in a mirror, so that a mirrored picture shows no board, and its mirror image does."""
+    """Raise ValueError for a mirrored picture: its markers can be read only in its mirror image."""
     for (name, grey), view in zip(greys, views, strict=True):
         if view is None and _find_charuco(name, np.ascontiguousarray(grey[:, ::-1]), board, detector) is not None:
             raise ValueError(
-                f"{name}: the picture is mirrored, its board can only be read in its mirror image; "
+                f"{name}: the picture is mirrored: its board can only be read in its mirror image; "
                 "turn off the mirroring (flip) in the camera's software, for the clips as well"
             )

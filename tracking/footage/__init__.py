@@ -1,4 +1,9 @@
-"""tracking.footage."""
+"""Clips of any format as grey frames with their times, behind one interface.
+
+One reader a format: video containers, numbered pictures and TIFF, Photron and Phantom. `open_clip` chooses the reader by the
+content of the file. `FrameSource` hands out blocks of frames of synchronised cameras, read ahead; `Decimation` leaves out
+frames or makes the pictures smaller; the background is read or estimated. All other folders read pictures through this one.
+"""
 
 from .background import estimate_background as estimate_background
 from .background import load_background as load_background

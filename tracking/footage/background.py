@@ -1,4 +1,4 @@
-"""The scene without the die: from a picture, or from the clip itself."""
+"""The background, a picture of the scene without the die: read from a file, or estimated from the clip."""
 
 from __future__ import annotations
 
@@ -10,23 +10,25 @@ from numpy.typing import NDArray
 from .clip import Clip
 from .images import read_picture
 
-SAMPLES = 60
-"""Frames that the median is taken over: its noise is then a sixth of one frame's."""
-BAND_BYTES = 2**25
-"""Memory for the float work of the median at one time; the sampled frames themselves are kept at native depth."""
+MAX_SAMPLES = 60
+"""Most frames in the median: its noise is then a sixth of one frame's."""
+MIN_SAMPLES = 9
+"""Fewest frames in the median, however large they are."""
 SAMPLED_BYTES = 2**28
-"""Memory for the sampled frames: large frames are sampled less often, never fewer than 9 times."""
+"""Memory for the sampled frames, at native depth; of large frames fewer are sampled."""
+BAND_BYTES = 2**25
+"""Memory for the floating-point work of the median at one time."""
 
 
 def estimate_background(clip: Clip) -> NDArray[np.float32]:
-    """(height, width) grey levels of the scene, as the median of up to 60 frames spread over the clip.
+    """(height, width) grey levels of the scene, as the median of up to MAX_SAMPLES frames spread over the clip.
 
-    A pixel is right as long as the die covers it in fewer than half of the sampled frames, which holds for a die that
-    falls and bounces. Where the die lies still for half the clip it becomes part of the background: give a picture of
-    the empty scene, or restrict the frames to those before it comes to rest.
+    A pixel is right if the die covers it in fewer than half of the sampled frames, as a die that falls and bounces does. A die
+    that lies still for half the clip becomes part of the background: give a picture of the empty scene, or restrict the frames
+    to those before it comes to rest.
     """
     frame_bytes = clip.width_px * clip.height_px * (1 if clip.bit_depth <= 8 else 2)
-    count = min(len(clip), max(9, min(SAMPLES, SAMPLED_BYTES // frame_bytes)))
+    count = min(len(clip), max(MIN_SAMPLES, min(MAX_SAMPLES, SAMPLED_BYTES // frame_bytes)))
     chosen = np.unique(np.linspace(0, len(clip) - 1, count).round().astype(int))
     stack: NDArray[np.uint8 | np.uint16] = np.stack([clip.frame(int(k)) for k in chosen])
     rows = max(1, BAND_BYTES // (4 * len(stack) * clip.width_px))
@@ -37,7 +39,7 @@ def estimate_background(clip: Clip) -> NDArray[np.float32]:
 def load_background(path: Path, clip: Clip) -> NDArray[np.float32]:
     """(height, width) grey levels of a picture of the empty scene.
 
-    Raises FileNotFoundError, and ValueError for what is no picture or has another size or depth than the clip.
+    Raises FileNotFoundError, and ValueError for a file that is no picture, or of another size or depth than the clip.
     """
     if not path.is_file():
         raise FileNotFoundError(
@@ -47,7 +49,7 @@ def load_background(path: Path, clip: Clip) -> NDArray[np.float32]:
     height, width = picture.shape
     if (width, height) != (clip.width_px, clip.height_px):
         raise ValueError(
-            f"{path.name}: the background is {width} × {height} px and the clip {clip.width_px} × {clip.height_px}; "
+            f"{path.name}: the background has {width} × {height} px; wanted the clip's {clip.width_px} × {clip.height_px}; "
             "use a frame of the same camera setting"
         )
     if (picture.dtype == np.uint8) != (clip.bit_depth <= 8) or int(picture.max()) >= 2**clip.bit_depth:

@@ -6,21 +6,21 @@ file, little-endian, read a frame at a time.
 
 Pixels are 8 bit, 16 bit (10 to 16 of them in use), or packed with the high bits first: two pixels of 12 bit in three
 bytes, four of 10 bit in five. The rows of unpacked frames run from the bottom up, as in a Windows bitmap, those of packed
-ones from the top down; on top of that the camera's software may have been told to flip the picture, which is done here,
-since it shows and exports it so.
+frames from the top down. A setting of the camera's software may flip the picture in addition; the flip is carried out here, as
+that software does when it shows and exports the picture.
 
-Packed 10-bit samples are not linear. They are 12-bit levels behind the transfer curve of ITU-R BT.709 (section 1.2), black
+Packed 10-bit samples are not linear. They are 12-bit levels after the transfer curve of ITU-R BT.709 (section 1.2), with black
 at 64 in both scales, white at 1014 of 1024 and 4064 of 4096:
 
     level = 64 + 4000 L((code - 63.4) / 950.5),    L(V) = V / 4.5                          for V < 0.081
                                                    L(V) = ((V + 0.099) / 1.099)^(1 / 0.45) else
 
-which is the maker's table of 1024 entries to one level of 4096, its rounding, everywhere but at code 0. Brighter codes are
-saturated. Frames are handed out as these 12-bit levels, so that noise, contrast and blur mean what they do elsewhere.
+This agrees with the maker's table of 1024 entries to one level of 4096, its rounding, everywhere but at code 0. Brighter codes
+are saturated. The reader returns these 12-bit levels, so noise, contrast and blur mean the same as in other formats.
 
 Times are those of the camera's clock (32.32 fixed-point seconds). Where they are even to a hundredth of a frame, they are
-the rounding of k / rate, which is then used; else they are used as they stand. The rate that the header declares is not
-always that at which the frames that were saved follow each other, and is only believed where there are no times.
+roundings of k / rate, and k / rate is used; else they are used as they are. The rate in the header may differ from that of the
+saved frames, and is used only where there are no times.
 """
 
 from __future__ import annotations
@@ -43,32 +43,46 @@ Array = NDArray[np.float64]
 FILE_HEADER = struct.Struct("<2sHHHiIiIIIIQ")
 BITMAP_HEADER = struct.Struct("<IiiHHIIiiII")
 SETUP_NEEDED_BYTES = 900
-"""The shortest setup that says how many bits are real; older ones are of cameras before 2003."""
-AT_MARK, AT_FLIPS, AT_FRAME_RATE, AT_FILTERS, AT_ROTATE, AT_REAL_BITS, AT_SHUTTER_NS = (
-    140,
-    756,
-    768,
-    808,
-    884,
-    896,
-    1568,
-)
-"""Places in SETUP [bytes]: the mark ST and the length, two flips, rate, colour filters, rotation, bits, exposure."""
-TIMES_TAG, EXPOSURES_TAG = 1002, 1003
-UNPACKED, PACKED_10, PACKED_12 = 0, 256, 1024
-"""biCompression of BITMAPINFOHEADER."""
-JPEG, COLOUR_FILTERED = 1, 2
-"""Compression of CINEFILEHEADER; 0 is grey, or colour of three samples a pixel."""
+"""Length of the shortest setup that declares the number of significant bits; older ones are from cameras before 2003."""
+# Offsets in SETUP [bytes].
+AT_MARK = 140
+"""The mark ST, and the length of SETUP."""
+AT_FLIPS = 756
+AT_FRAME_RATE = 768
+AT_FILTERS = 808
+"""Colour filters of the sensor."""
+AT_ROTATE = 884
+AT_REAL_BITS = 896
+AT_SHUTTER_NS = 1568
+"""Exposure time."""
+TIMES_TAG = 1002
+EXPOSURES_TAG = 1003
+# biCompression of BITMAPINFOHEADER.
+UNPACKED = 0
+PACKED_10 = 256
+PACKED_12 = 1024
+# Compression of CINEFILEHEADER; 0 is grey, or colour of three samples a pixel.
+JPEG = 1
+COLOUR_FILTERED = 2
 FIXED_POINT = 2.0**32
+"""Units of a stored time in a second."""
 IRIG_BITS = 3
-"""The lowest bits of a time, which say whether an outside clock was locked and not what it showed."""
-EVEN_FRAMES = 0.01
-"""Share of a frame by which times may be off k / rate and still be its rounding: a die moves 0.02 mm in it at most."""
+"""The lowest bits of a stored time: flags of an external clock, not part of the time."""
+MAX_ROUNDING = 0.01
+"""Largest deviation of a time from k / rate that counts as rounding, in frames: a die moves 0.02 mm in it at most."""
+RATE_ROUNDING = 1e-6
+"""Largest relative difference between a declared rate and that of the times that counts as rounding."""
+GAP_FRAMES = 1.5
+"""Step between time stamps, in frames, from which frames are missing."""
+MAX_EXPOSURE_SPREAD = 0.01
+"""Range of the exposures, as a share of their median, up to which they count as equal."""
+MAX_LISTED = 8
+"""Most frame numbers that a notice lists."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a .cine file says of its pixels and their times."""
+    """The pixels and their times, as a .cine file declares them."""
 
     width_px: int
     height_px: int
@@ -77,19 +91,19 @@ class Header:
     stored_bits: int
     """Of a pixel in the file: 8, 10, 12 or 16."""
     bit_depth: int
-    """Of a grey level as it is handed out."""
+    """Of a grey level after reading."""
     first_image: int
     """Number of the first frame, counted from the trigger; often negative."""
     image_count: int
     recorded_count: int
-    """Frames that the camera held, of which those of the file were saved."""
+    """Frames that the camera recorded; the file holds some of them."""
     offsets_at: int
-    """Place of the frames' offsets in the file [bytes]."""
+    """Offset in the file of the table of the frames' offsets [bytes]."""
     flip_sideways: bool
     flip_over: bool
     rotate_deg: int
     frame_rate_hz: int
-    """As declared; 0 where it is not."""
+    """As declared; 0 where it is not declared."""
     shutter_ns: int
 
     @property
@@ -99,18 +113,18 @@ class Header:
 
 
 def is_cine(path: Path) -> bool:
-    """Whether a file begins as a .cine does: CI, and the size of its first header."""
+    """Whether a file begins like a .cine: CI, and the size of its first header."""
     with path.open("rb") as file:
         return file.read(4) == b"CI" + FILE_HEADER.size.to_bytes(2, "little")
 
 
 def open_cine(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
-    """The film in a .cine file; raises ValueError for one that is broken, coloured or compressed, or contradicts fps."""
+    """The clip in a .cine file. Raises ValueError for one that is broken, coloured or compressed, or contradicts fps."""
     return CineClip(path, fps, frame_range)
 
 
 class CineClip(Footage):
-    """Frames read one at a time from their offsets."""
+    """A Phantom clip; each frame is read from its offset."""
 
     def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
         with path.open("rb") as file:
@@ -124,7 +138,7 @@ class CineClip(Footage):
         times, late = _times(path, stamps, declared, fps, count, header)
         step_s = float(np.median(np.diff(times))) if count > 1 else None
         if exposures is not None and step_s is not None:
-            exposures = exposures[exposures <= step_s]  # a last frame with neither has been seen
+            exposures = exposures[exposures <= step_s]  # some files declare a longer one for their last frame
         exposure_s = (
             float(np.median(exposures)) if exposures is not None and len(exposures) else header.shutter_ns * 1e-9
         )
@@ -135,7 +149,7 @@ class CineClip(Footage):
             bit_depth=header.bit_depth,
             file_times_s=times,
             frame_range=frame_range,
-            notices=(*cut_off, *late, *_varying(path, exposures), *_turned(path, header)),
+            notices=(*cut_off, *late, *_exposure_notices(path, exposures), *_orientation_notices(path, header)),
             facts={
                 "format": "phantom",
                 "record_rate_hz": _rate_hz(step_s, declared) if step_s is not None else declared,
@@ -168,7 +182,7 @@ class CineClip(Footage):
 
 @compiled
 def unpack_10bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """(4n,) codes from (5n,) bytes, high bits first; they are not linear (`linear_levels`)."""
+    """(4n,) codes from (5n,) bytes, high bits first. The codes are not linear (`linear_levels`)."""
     codes = np.empty(len(packed) // 5 * 4, np.uint16)
     for i in range(len(packed) // 5):
         a, b, c = np.uint16(packed[5 * i]), np.uint16(packed[5 * i + 1]), np.uint16(packed[5 * i + 2])
@@ -182,7 +196,7 @@ def unpack_10bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 @lru_cache
 def linear_levels() -> NDArray[np.uint16]:
-    """(1024,) the linear 12-bit level of each packed 10-bit code; see the module's text."""
+    """(1024,) linear 12-bit level of each packed 10-bit code; the module states the equation."""
     signal = (np.arange(1024) - 63.4) / 950.5
     light = np.where(signal < 0.081, signal / 4.5, ((np.maximum(signal, 0.0) + 0.099) / 1.099) ** (1.0 / 0.45))
     levels = np.rint(64.0 + 4000.0 * light).astype(np.uint16)
@@ -191,7 +205,7 @@ def linear_levels() -> NDArray[np.uint16]:
 
 
 def read_header(content: _Reader) -> tuple[Header, int]:
-    """The three headers, and where the tagged blocks begin; ValueError names what cannot be."""
+    """The three headers, and the offset of the tagged blocks. Raises ValueError for an impossible entry."""
     path = content.path
     _, _, compression, version, _, recorded, first, count, bitmap_at, setup_at, offsets_at, _ = content.unpack(
         FILE_HEADER, 0, "its first header"
@@ -206,8 +220,8 @@ def read_header(content: _Reader) -> tuple[Header, int]:
     (filters,) = content.unpack(struct.Struct("<I"), setup_at + AT_FILTERS, "its setup")
     if compression == JPEG or compression not in (0, COLOUR_FILTERED) or filters & 0xFF or bits not in (8, 16):
         raise ValueError(
-            f"{path.name}: Compression = {compression}, biBitCount = {bits}, CFA = {filters}; grey pictures that are "
-            "not compressed can be read, so save the film as a grey raw cine or as TIFF"
+            f"{path.name}: Compression = {compression}, biBitCount = {bits}, CFA = {filters}; wanted uncompressed "
+            "grey pictures; save the film as a grey raw cine or as TIFF"
         )
     check_size(path, width, height)
     stored, depth = _depths(content, packing, bits, setup_at)
@@ -242,7 +256,7 @@ def read_header(content: _Reader) -> tuple[Header, int]:
 
 
 class _Reader:
-    """A file whose every read is checked against its size first."""
+    """A file that checks every read against its size first."""
 
     def __init__(self, path: Path, file: BinaryIO) -> None:
         self.path = path
@@ -250,7 +264,7 @@ class _Reader:
         self.size = path.stat().st_size
 
     def bytes(self, place: int, count: int, what: str) -> bytes:
-        """`count` bytes; ValueError where the file ends before them, or the place cannot be."""
+        """`count` bytes. Raises ValueError where the file ends before them, or the offset is impossible."""
         if place < 0 or place + count > self.size:
             raise ValueError(f"{self.path.name}: the file of {self.size} bytes ends before {what}; copy it again")
         self._file.seek(place)
@@ -264,7 +278,7 @@ class _Reader:
 
 
 def _depths(content: _Reader, packing: int, bits: int, setup_at: int) -> tuple[int, int]:
-    """Bits of a pixel in the file, and of the grey level made of it."""
+    """Bits of a pixel in the file, and of its grey level after reading."""
     if packing == PACKED_10:
         return 10, 12
     if packing == PACKED_12:
@@ -272,18 +286,18 @@ def _depths(content: _Reader, packing: int, bits: int, setup_at: int) -> tuple[i
     (real,) = content.unpack(struct.Struct("<I"), setup_at + AT_REAL_BITS, "its setup")
     if packing != UNPACKED or not (real == 8 if bits == 8 else 8 <= real <= 16):
         raise ValueError(
-            f"{content.path.name}: biCompression = {packing}, biBitCount = {bits}, RealBPP = {real}; 8 or 16 bit, or packed "
-            "10 or 12 bit can be read, so save the film as one of these"
+            f"{content.path.name}: biCompression = {packing}, biBitCount = {bits}, RealBPP = {real}; wanted 8 or 16 bit, or "
+            "packed 10 or 12 bit; save the film as one of these"
         )
     return bits, real
 
 
 def _offsets(content: _Reader, header: Header) -> tuple[NDArray[np.uint64], tuple[str, ...]]:
-    """(n,) places of the frames that the file holds whole, and a notice where the header declares more."""
+    """(n,) offsets of the frames that are complete in the file, and a notice where the header declares more."""
     path, declared = content.path, header.image_count
     check_count(path, declared)
     table = np.frombuffer(content.bytes(header.offsets_at, 8 * declared, "the offsets of its frames"), "<u8")
-    # Eight bytes before the pixels at least: the sizes of annotation and picture.
+    # At least eight bytes precede the pixels: the sizes of annotation and picture.
     ends = table + np.uint64(8 + header.frame_bytes)
     held = int(np.argmin(np.append(ends <= content.size, False)))
     if held == declared:
@@ -299,14 +313,14 @@ def _pixels(content: _Reader, place: int, header: Header, number: int) -> bytes:
     (annotation,) = content.unpack(struct.Struct("<I"), place, what)
     if annotation < 8:
         raise ValueError(
-            f"{content.path.name}: frame {number} has an annotation of {annotation} bytes, at least 8 belong there; "
-            "the file is damaged"
+            f"{content.path.name}: frame {number} has an annotation of {annotation} bytes; wanted at least 8; "
+            "the file is damaged, copy it again"
         )
     (size,) = content.unpack(struct.Struct("<I"), place + annotation - 4, what)
     if size != header.frame_bytes:
         raise ValueError(
-            f"{content.path.name}: frame {number} has {size} bytes of pixels, and {header.frame_bytes} belong to "
-            f"{header.width_px} × {header.height_px} px of {header.stored_bits} bit; the file is damaged"
+            f"{content.path.name}: frame {number} has {size} bytes of pixels; wanted {header.frame_bytes} for "
+            f"{header.width_px} × {header.height_px} px of {header.stored_bits} bit; the file is damaged, copy it again"
         )
     return content.bytes(place + annotation, size, what)
 
@@ -319,7 +333,7 @@ def _tagged_blocks(content: _Reader, header: Header, place: int) -> tuple[NDArra
     while more and place + 8 <= header.offsets_at:
         size, kind, more = content.unpack(struct.Struct("<IHH"), place, "its tagged blocks")
         if size < 8:
-            break  # nothing could follow; what is known is enough
+            break  # the size is impossible, so no block can follow
         if kind == TIMES_TAG and size - 8 == 8 * header.image_count:
             stamps = np.frombuffer(content.bytes(place + 8, size - 8, "its times"), "<u8")
         if kind == EXPOSURES_TAG and size - 8 == 4 * header.image_count:
@@ -336,42 +350,45 @@ def _times(
     count: int,
     header: Header,
 ) -> tuple[Array, tuple[str, ...]]:
-    """Frame times (count,) [s] from the first frame on, and what there is to say of them."""
+    """Frame times (count,) [s] since the first frame, and notices on them."""
     if stamps is None or count < 2:
-        _agree(path, fps, declared_hz, "header says")
+        _check_rate(path, fps, declared_hz, "header declares")
         return times_from_rate(path, fps or declared_hz, count), ()
     stamps = stamps[:count] & ~np.uint64(IRIG_BITS)
     since_s = (stamps - stamps[0]).view(np.int64) / FIXED_POINT
     step_s = float(np.median(np.diff(since_s)))
     if not step_s > 0:
-        _agree(path, fps, declared_hz, "header says")
-        told = f"{path.name}: the time stamps do not rise; the frames are taken to be evenly spaced at the given rate."
-        return times_from_rate(path, fps or declared_hz, count), (told,)
-    _agree(path, fps, 1.0 / step_s, "time stamps say")
-    since_s, wrong = _believable(path, since_s, step_s, header.recorded_count)
+        _check_rate(path, fps, declared_hz, "header declares")
+        notice = f"{path.name}: the time stamps do not rise; the frames count as evenly spaced at the given rate."
+        return times_from_rate(path, fps or declared_hz, count), (notice,)
+    _check_rate(path, fps, 1.0 / step_s, "time stamps have")
+    since_s, replaced = _without_impossible_times(path, since_s, step_s, header.recorded_count)
     rate = _rate_hz(step_s, fps or declared_hz)
     even = np.arange(count) / rate
-    if np.abs(since_s - even).max() <= EVEN_FRAMES / rate:
-        return even, wrong
-    return since_s, (*wrong, *_gaps(path, since_s, step_s))
+    if np.abs(since_s - even).max() <= MAX_ROUNDING / rate:
+        return even, replaced
+    return since_s, (*replaced, *_gaps(path, since_s, step_s))
 
 
 def _rate_hz(step_s: float, stated: float | None) -> float:
-    """The stated rate where the step between frames is its rounding, else that of the step."""
-    return stated if stated is not None and abs(stated * step_s - 1.0) < 1e-6 else 1.0 / step_s
+    """The stated rate where the step between frames is a rounding of it, else the rate of the step."""
+    return stated if stated is not None and abs(stated * step_s - 1.0) < RATE_ROUNDING else 1.0 / step_s
 
 
-def _agree(path: Path, fps: float | None, found_hz: float | None, who: str) -> None:
+def _check_rate(path: Path, fps: float | None, found_hz: float | None, source: str) -> None:
+    """Raise ValueError for an impossible fps, or one that contradicts the rate in the file."""
     if fps is not None and not (np.isfinite(fps) and fps > 0):
-        raise ValueError(f"{path.name}: fps = {fps}; the recording rate must be above 0 frames per second")
+        raise ValueError(f"{path.name}: fps = {fps}; wanted a recording rate above 0 frames per second")
     if fps is not None and found_hz is not None and abs(fps - found_hz) > RATE_TOLERANCE * fps:
         raise ValueError(
-            f"{path.name}: fps = {fps:g} and the {who} {found_hz:.6g} frames/s; correct fps, or leave it out"
+            f"{path.name}: fps = {fps:g}; the {source} {found_hz:.6g} frames/s; correct fps, or leave it out"
         )
 
 
-def _believable(path: Path, since_s: Array, step_s: float, recorded: int) -> tuple[Array, tuple[str, ...]]:
-    """The times with those replaced that cannot be: they fall, or lie beyond all that the camera can have recorded."""
+def _without_impossible_times(
+    path: Path, since_s: Array, step_s: float, recorded: int
+) -> tuple[Array, tuple[str, ...]]:
+    """The times, interpolated where they are impossible: where they fall, or exceed the length of the recording."""
     longest_s = (recorded + 1) * step_s
     good = np.ones(len(since_s), bool)
     last = 0.0
@@ -384,21 +401,19 @@ def _believable(path: Path, since_s: Array, step_s: float, recorded: int) -> tup
     known = np.interp(rows, rows[good], since_s[good])
     behind = rows > rows[good][-1]
     known[behind] = since_s[good][-1] + step_s * (rows[behind] - rows[good][-1])
-    names = _named(np.flatnonzero(~good))
-    told = (
-        f"{path.name}: the time stamps of {np.count_nonzero(~good)} frames ({names}) cannot be, and follow the others."
-    )
-    return known, (told,)
+    names = _listed(np.flatnonzero(~good))
+    notice = f"{path.name}: the time stamps of {np.count_nonzero(~good)} frames ({names}) are impossible, and were interpolated."
+    return known, (notice,)
 
 
 def _gaps(path: Path, since_s: Array, step_s: float) -> tuple[str, ...]:
-    """Where frames are missing, or the rate changes."""
+    """A notice on missing frames, or on a rate that changes."""
     steps = np.diff(since_s) / step_s
-    late = np.flatnonzero(steps > 1.5)
-    if len(late):
-        missing = int(np.rint(steps[late] - 1.0).sum())
+    after_gap = np.flatnonzero(steps > GAP_FRAMES)
+    if len(after_gap):
+        missing = int(np.rint(steps[after_gap] - 1.0).sum())
         return (
-            f"{path.name}: about {missing} frames are missing before frames {_named(late + 1)} by their time stamps, "
+            f"{path.name}: about {missing} frames are missing before frames {_listed(after_gap + 1)} by their time stamps, "
             "which are used as the frames' times.",
         )
     return (
@@ -407,24 +422,30 @@ def _gaps(path: Path, since_s: Array, step_s: float) -> tuple[str, ...]:
     )
 
 
-def _named(numbers: NDArray[np.int64]) -> str:
-    return ", ".join(map(str, numbers[:8])) + (", ..." if len(numbers) > 8 else "")
+def _listed(numbers: NDArray[np.int64]) -> str:
+    return ", ".join(map(str, numbers[:MAX_LISTED])) + (", ..." if len(numbers) > MAX_LISTED else "")
 
 
-def _varying(path: Path, exposures: Array | None) -> tuple[str, ...]:
-    if exposures is None or not len(exposures) or np.ptp(exposures) <= 0.01 * float(np.median(exposures)):
+def _exposure_notices(path: Path, exposures: Array | None) -> tuple[str, ...]:
+    if (
+        exposures is None
+        or not len(exposures)
+        or np.ptp(exposures) <= MAX_EXPOSURE_SPREAD * float(np.median(exposures))
+    ):
         return ()
     low, high = 1e6 * exposures.min(), 1e6 * exposures.max()
     return (f"{path.name}: the exposure varies from {low:.4g} to {high:.4g} µs over the clip; the median is used.",)
 
 
-def _turned(path: Path, header: Header) -> tuple[str, ...]:
-    """What the camera's software was told to do to the picture, where that matters to a calibration."""
+def _orientation_notices(path: Path, header: Header) -> tuple[str, ...]:
+    """Notices on rotations and flips in the file, which a calibration must share."""
     if header.rotate_deg:
-        return (f"{path.name}: a rotation by {header.rotate_deg}° is noted in the file and not carried out here.",)
+        return (
+            f"{path.name}: the file declares a rotation by {header.rotate_deg}°, which is not carried out; calibrate without it.",
+        )
     if header.flip_sideways == header.flip_over:
         return ()
     return (
-        f"{path.name}: the camera's software was told to mirror the picture, which is done here; "
-        "calibrate with pictures that were mirrored alike.",
+        f"{path.name}: the file declares a mirrored picture, which is carried out; "
+        "calibrate with pictures that are mirrored in the same way.",
     )

@@ -1,6 +1,7 @@
-"""Frames and their times, read lazily: one small interface in front of every file format.
+"""Frames and their times, read on demand: one interface for every file format.
 
-`open_clip` looks at what a file holds, not only at its name. A new format is one more reader: a `Footage` with `_read`.
+`open_clip` recognises a format by the content of the file, not only by its name. A new format is one more reader: a `Footage`
+with `_read`, and a line in `open_clip`.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from .photron import is_photron, open_photron, photron_files
 from .reader import Frame as Frame
 from .video import open_video
 
-PICTURE_STARTS = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"P5\n", b"P2\n", b"P6\n", b"\0\0\0\x0cjP  ")
-"""First bytes of PNG, JPEG, BMP, PGM, PPM and JPEG 2000; TIFF and WebP are asked in their own way."""
+PICTURE_SIGNATURES = (b"\x89PNG", b"\xff\xd8\xff", b"BM", b"P5\n", b"P2\n", b"P6\n", b"\0\0\0\x0cjP  ")
+"""First bytes of PNG, JPEG, BMP, PGM, PPM and JPEG 2000; TIFF and WebP have more than one signature."""
 
 
 class Clip(Protocol):
-    """A film of `len(clip)` grey frames; no reader holds more than a few of them in memory."""
+    """A film of `len(clip)` grey frames. No reader holds more than a few of them in memory."""
 
     width_px: int
     height_px: int
@@ -36,7 +37,7 @@ class Clip(Protocol):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What a careful user should know: a variable rate, duplicated frames, a truncated file; one sentence each."""
+        """Problems of the file, one sentence each: a variable rate, repeated frames, a truncated file."""
         ...
 
     def __len__(self) -> int: ...
@@ -50,33 +51,34 @@ class Clip(Protocol):
         ...
 
     def metadata(self) -> dict[str, Any]:
-        """What the file says of itself; `record_rate_hz` and `exposure_s` are None where it does not say."""
+        """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them."""
         ...
 
 
 @runtime_checkable
 class FillsFrames(Protocol):
-    """A clip that writes frames where they are wanted, and no more of them than is wanted: see `Footage.fill`."""
+    """A clip that writes frames, or parts of them, into given memory: see `Footage.fill`."""
 
     @property
     def in_any_order(self) -> bool:
-        """Whether a frame takes as long wherever the one before was. If not, to pass some over saves nothing."""
+        """Whether reading a frame takes the same time whichever frame was read before. If not, leaving out frames saves
+        nothing."""
         ...
 
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
-        """Frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
+        """Write the frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
         ...
 
 
 def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None) -> Clip:
-    """A film, whatever it is kept in: video, numbered pictures, multi-page TIFF, Photron, Phantom.
+    """A clip of any format: video, numbered pictures, multi-page TIFF, Photron, Phantom.
 
-    `path` is a film; a folder of numbered pictures, one of them (for all of its sequence) or a glob pattern; a TIFF;
-    a .cih or .cihx header or its .mraw; a .cine. `fps` [1/s] is the recording rate, needed where the file carries only a playback
-    rate. `frame_range` (first, stop) restricts the frames; times still count from the file's first frame.
+    `path` is a video; a folder of numbered pictures, one of them (for the whole sequence) or a glob pattern; a TIFF; a .cih or
+    .cihx header or its .mraw; a .cine. `fps` [1/s] is the recording rate, required where the file has only a playback rate.
+    `frame_range` (first, stop) restricts the frames; times still count from the file's first frame.
 
-    Raises FileNotFoundError where nothing is there, and ValueError, in one sentence, for what is no film, for a rate that
-    is missing or contradicts the file's, and for a range outside the film.
+    Raises FileNotFoundError where there is no such file, and ValueError for a file that is no film, for a rate that is missing
+    or contradicts the file's, and for a range outside the film.
     """
     path = Path(path)
     if path.is_dir() or (not path.exists() and any(mark in path.name for mark in "*?[")):
@@ -97,7 +99,7 @@ def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, i
 def clip_files(path: Path) -> tuple[Path, ...]:
     """Every file that `open_clip` reads: the pixels beside a Photron header, and all pictures of a sequence.
 
-    What is not there, or is no film, is returned as it was named; `open_clip` says what is wrong with it.
+    A path without a file, or of no film, is returned as it is; `open_clip` raises the error.
     """
     path = Path(path)
     try:
@@ -120,4 +122,4 @@ def scan_notices(clip: Clip) -> tuple[str, ...]:
 def _is_picture(path: Path) -> bool:
     with path.open("rb") as file:
         start = file.read(16)
-    return is_tiff(path) or start.startswith(PICTURE_STARTS) or (start[:4] == b"RIFF" and start[8:12] == b"WEBP")
+    return is_tiff(path) or start.startswith(PICTURE_SIGNATURES) or (start[:4] == b"RIFF" and start[8:12] == b"WEBP")

@@ -1,9 +1,9 @@
-"""Photron footage: a header (.cih text or .cihx XML) and the bare pixels (.mraw) beside it.
+"""Photron footage: a header (.cih text or .cihx XML) and the raw pixels (.mraw) next to it.
 
 Pixels are 8 bit, 16 bit little-endian, or 12 bit packed: two pixels in three bytes, the first pixel's high bits first,
 a = b0 << 4 | b1 >> 4, b = (b1 & 15) << 8 | b2.
 
-The camera may keep every n-th frame only (`Save Step`, `skipFrame`): frame k of the file then was exposed at
+The camera may save every n-th frame only (`Save Step`, `skipFrame`): frame k of the file was then exposed at
 k n / record rate. In .cihx `shutterSpeed` is the reciprocal of the exposure: 50000 means 1/50000 s.
 """
 
@@ -22,10 +22,13 @@ from numpy.typing import NDArray
 from ...model.compiled import compiled, inner
 from .reader import Footage, Frame, check_size, cut_off, times_from_rate
 
-LARGEST_HEADER_BYTES = 2**24
+MAX_HEADER_BYTES = 2**24
+"""A thousand times a header; a larger file is something else."""
+RECOGNISED_BYTES = 4096
+"""Start of a file in which a header shows."""
 HEADER_SUFFIXES = (".cihx", ".cih")
 RATE_TOLERANCE = 1e-3
-"""Relative difference between the header's rate and the scene's that is taken for rounding."""
+"""Largest relative difference between the header's rate and the scene's that counts as rounding."""
 CIHX_KEYS = {
     "Image Width": "imageDataInfo/resolution/width",
     "Image Height": "imageDataInfo/resolution/height",
@@ -42,12 +45,12 @@ CIHX_KEYS = {
     "Camera Type": "deviceInfo/deviceName",
     "Date": "fileInfo/date",
 }
-"""Where the XML header keeps what the text header names."""
+"""Paths in the XML header, by the keys of the text header."""
 
 
 @dataclass(frozen=True)
 class Header:
-    """What a Photron header says of its pixels and their times."""
+    """The pixels and their times, as a Photron header declares them."""
 
     width_px: int
     height_px: int
@@ -55,7 +58,7 @@ class Header:
     """8, 12 (packed) or 16."""
     effective_bits: int
     high_side: bool
-    """The effective bits are the upper ones of those stored."""
+    """Whether the effective bits are the upper ones of those stored."""
     total_frames: int
     start_frame: int
     """Number of the first frame, counted from the trigger."""
@@ -72,41 +75,41 @@ class Header:
 
     @property
     def bit_depth(self) -> int:
-        """Bits of a grey level as it is handed out."""
+        """Bits of a grey level after reading."""
         return min(self.stored_bits, self.effective_bits) if self.stored_bits == 16 else self.stored_bits
 
 
 def is_photron(path: Path) -> bool:
-    """Whether a file is a Photron header, or is named as its pixels, which have no mark of their own."""
+    """Whether a file is a Photron header, or has the name of its pixels, which have no signature."""
     with path.open("rb") as file:
-        start = file.read(4096)
+        start = file.read(RECOGNISED_BYTES)
     return (
         path.suffix.lower() == ".mraw" or b"<cih>" in start or start.lstrip().startswith(b"#Camera Information Header")
     )
 
 
 def open_photron(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
-    """The film behind a header or its pixels; raises ValueError or FileNotFoundError where the two do not fit."""
+    """The clip of a header or of its pixels. Raises ValueError or FileNotFoundError where the two do not match."""
     header, pixels = photron_files(path)
     return PhotronClip(header, pixels, fps, frame_range)
 
 
 def photron_files(path: Path) -> tuple[Path, Path]:
-    """Header and pixels, from either of them; raises FileNotFoundError where the other is not beside it."""
+    """Header and pixels, from either of them; raises FileNotFoundError where the other is not next to it."""
     if path.suffix.lower() == ".mraw":
-        return _beside(path, HEADER_SUFFIXES), path
-    return path, _beside(path, (".mraw",))
+        return _file_next_to(path, HEADER_SUFFIXES), path
+    return path, _file_next_to(path, (".mraw",))
 
 
 class PhotronClip(Footage):
-    """Frames are read one by one, as they are asked for."""
+    """A Photron clip; each frame is read when it is needed."""
 
     def __init__(self, header: Path, pixels: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
         self.header = read_header(header)
         check_size(header, self.header.width_px, self.header.height_px)
         count, notices = _readable_frames(pixels, self.header)
         rate_hz = _frame_rate_hz(header, self.header, fps)
-        self._pixels, self._rooms = pixels, threading.local()
+        self._pixels, self._buffers = pixels, threading.local()
         super().__init__(
             header,
             width_px=self.header.width_px,
@@ -134,14 +137,14 @@ class PhotronClip(Footage):
         return levels >> np.uint16(16 - header.bit_depth) if header.high_side else levels
 
     def _read_into(self, number: int, out: Frame, box: tuple[int, int, int, int]) -> None:
-        """No more than the lines of the box are read, and of packed ones no more than the box is unpacked."""
+        """Read only the lines of the box, and unpack only the box."""
         header, (x0, y0, x1, y1) = self.header, box
         line_bits = header.width_px * header.stored_bits
         if line_bits % 8 or header.stored_bits == 16:
             out[y0:y1, x0:x1] = self._read(number)[y0:y1, x0:x1]
             return
         line = line_bits // 8
-        raw = self._room()[: (y1 - y0) * line]
+        raw = self._line_buffer()[: (y1 - y0) * line]
         with self._pixels.open("rb", buffering=0) as file:
             file.seek(number * header.frame_bytes + y0 * line)
             if file.readinto(raw.data) < len(raw):
@@ -150,20 +153,20 @@ class PhotronClip(Footage):
         if header.stored_bits == 8:
             out[y0:y1, x0:x1] = raw[:, x0:x1]
             return
-        # Pixels are packed in pairs.
+        # Pixels are packed in pairs, so whole pairs are unpacked.
         first, last = x0 // 2, (x1 + 1) // 2
         _unpack_lines(raw[:, 3 * first : 3 * last], out[y0:y1, 2 * first : 2 * last])
 
-    def _room(self) -> NDArray[np.uint8]:
-        """Room for the bytes of one frame, the same one for all that a thread reads: new memory costs as much as reading."""
-        if not hasattr(self._rooms, "bytes"):
-            self._rooms.bytes = np.empty(self.header.frame_bytes, np.uint8)
-        return np.asarray(self._rooms.bytes)
+    def _line_buffer(self) -> NDArray[np.uint8]:
+        """Memory for the bytes of one frame, one for each thread: new memory costs as much time as reading."""
+        if not hasattr(self._buffers, "bytes"):
+            self._buffers.bytes = np.empty(self.header.frame_bytes, np.uint8)
+        return np.asarray(self._buffers.bytes)
 
 
 @compiled(nogil=True)
 def unpack_12bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """(2n,) levels from (3n,) bytes; ten times as fast compiled as in numpy, which makes three passes and copies."""
+    """(2n,) levels from (3n,) bytes. Ten times as fast as numpy, which needs three passes and copies."""
     levels = np.empty(len(packed) // 3 * 2, np.uint16)
     _unpack(packed, levels)
     return levels
@@ -171,7 +174,7 @@ def unpack_12bit(packed: NDArray[np.uint8]) -> NDArray[np.uint16]:
 
 @compiled(nogil=True)
 def _unpack_lines(packed: NDArray[np.uint8], levels: NDArray[np.uint16]) -> None:
-    """The same line by line into levels (lines, 2n) from bytes (lines, 3n)."""
+    """The same, line by line, into levels (lines, 2n) from bytes (lines, 3n)."""
     for k in range(len(packed)):
         _unpack(packed[k], levels[k])
 
@@ -185,8 +188,8 @@ def _unpack(packed: NDArray[np.uint8], levels: NDArray[np.uint16]) -> None:
 
 
 def read_header(path: Path) -> Header:
-    """A .cih or .cihx header; ValueError names the key that is missing or impossible."""
-    if path.stat().st_size > LARGEST_HEADER_BYTES:
+    """A .cih or .cihx header. Raises ValueError with the key that is missing or impossible."""
+    if path.stat().st_size > MAX_HEADER_BYTES:
         raise ValueError(
             f"{path.name}: {path.stat().st_size} bytes are too many for a Photron header; give its .cih or .cihx"
         )
@@ -211,11 +214,11 @@ def read_header(path: Path) -> Header:
 
 
 def _check(path: Path, header: Header, colour: str) -> None:
-    """Refuse what the reader would otherwise misread."""
+    """Raise ValueError for a header whose pixels cannot be read."""
     if colour.lower() not in ("mono", "raw") or header.stored_bits not in (8, 12, 16):
         raise ValueError(
             f"{path.name}: Color Type = {colour}, Color Bit = {header.stored_bits}; "
-            "Mono or Raw of 8, 12 or 16 bit can be read, so export the film as one of these"
+            "wanted Mono or Raw of 8, 12 or 16 bit; export the film as one of these"
         )
     if header.stored_bits == 12 and header.width_px * header.height_px % 2:
         raise ValueError(
@@ -224,12 +227,12 @@ def _check(path: Path, header: Header, colour: str) -> None:
         )
     if not 1 <= header.effective_bits <= 16:
         raise ValueError(
-            f"{path.name}: EffectiveBit Depth = {header.effective_bits}; a camera has 1 to 16, so export the film again"
+            f"{path.name}: EffectiveBit Depth = {header.effective_bits}; wanted 1 to 16; export the film again"
         )
 
 
 def _text_keys(content: bytes) -> dict[str, str]:
-    """`Key : Value` lines; the first of a name counts, since tables of versions follow."""
+    """`Key : Value` lines; the first line of a key counts, since tables of versions follow."""
     keys: dict[str, str] = {}
     for line in content.decode("latin-1").splitlines():
         key, colon, value = line.partition(" : ")
@@ -239,10 +242,10 @@ def _text_keys(content: bytes) -> dict[str, str]:
 
 
 def _xml_keys(path: Path, content: bytes) -> dict[str, str]:
-    """The text header's keys, from the XML that stands inside a binary file."""
+    """The keys of the text header, from the XML inside a binary file."""
     end = content.find(b"</cih>")
     if end < 0:
-        raise ValueError(f"{path.name}: the header breaks off before </cih>; copy it again from the camera")
+        raise ValueError(f"{path.name}: the header ends before </cih>; copy it again from the camera")
     try:
         root = ElementTree.fromstring(
             content[content.index(b"<cih>") : end + len(b"</cih>")].decode("utf-8", "replace")
@@ -255,13 +258,13 @@ def _xml_keys(path: Path, content: bytes) -> dict[str, str]:
 def _whole(path: Path, keys: dict[str, str], key: str, default: str | None = None) -> int:
     text = keys.get(key, default)
     if text is None or not re.fullmatch(r"[+-]?\d{1,15}", text):
-        raise ValueError(f"{path.name}: {key} = {text}; a whole number belongs there, so export the film again")
+        raise ValueError(f"{path.name}: {key} = {text}; wanted a whole number; export the film again")
     return int(text)
 
 
 def _number(text: str) -> float | None:
     """A decimal number or a fraction above zero; None for anything else."""
-    # No powers of ten: 1e999999999 would be worked out digit by digit.
+    # Powers of ten are excluded: Fraction("1e999999999") would compute every digit.
     if not re.fullmatch(r"\d{1,15}(\.\d{0,15}|/\d{1,15})?", text.strip()):
         return None
     try:
@@ -272,7 +275,7 @@ def _number(text: str) -> float | None:
 
 
 def _rate_hz(keys: dict[str, str]) -> float | None:
-    """None where the camera was clocked from outside and knows no rate."""
+    """The record rate; None where an external clock drove the camera."""
     return _number(keys.get("Record Rate(fps)", ""))
 
 
@@ -285,25 +288,25 @@ def _exposure_s(keys: dict[str, str]) -> float | None:
 
 
 def _frame_rate_hz(path: Path, header: Header, fps: float | None) -> float | None:
-    """Frames of the file per second; `fps` may name the camera's rate or, where frames were left out, that of the file."""
+    """Frame rate of the file; `fps` may be the camera's rate or, where frames were left out, that of the file."""
     recorded = header.record_rate_hz
     if recorded is None:
         return fps / header.save_step if fps else fps
     if fps is not None and min(abs(fps - recorded), abs(fps - recorded / header.save_step)) > RATE_TOLERANCE * fps:
         step = f" (every {header.save_step}th frame kept)" if header.save_step > 1 else ""
         raise ValueError(
-            f"{path.name}: fps = {fps:g} and the header says {recorded:g} frames/s{step}; correct fps, or leave it out"
+            f"{path.name}: fps = {fps:g}; the header declares {recorded:g} frames/s{step}; correct fps, or leave it out"
         )
     return recorded / header.save_step
 
 
 def _readable_frames(pixels: Path, header: Header) -> tuple[int, tuple[str, ...]]:
-    """How many whole frames the file holds, and a notice where the header says otherwise."""
+    """Number of complete frames in the file, and a notice where the header declares another."""
     size = pixels.stat().st_size
     held = size // header.frame_bytes
     if held == 0:
         raise ValueError(
-            f"{pixels.name}: {size} bytes, and one frame takes {header.frame_bytes}; the file is empty or cut off"
+            f"{pixels.name}: {size} bytes; one frame takes {header.frame_bytes}, so the file is empty or cut off; copy it again"
         )
     count = min(held, header.total_frames) if header.total_frames > 0 else held
     if held < header.total_frames:
@@ -312,17 +315,17 @@ def _readable_frames(pixels: Path, header: Header) -> tuple[int, tuple[str, ...]
         )
     if size > header.total_frames * header.frame_bytes:
         return count, (
-            f"{pixels.name}: the file is longer than the {header.total_frames} frames of its header; {count} are used.",
+            f"{pixels.name}: the file is longer than the {header.total_frames} frames in its header; {count} are used.",
         )
     return count, ()
 
 
-def _beside(path: Path, suffixes: tuple[str, ...]) -> Path:
+def _file_next_to(path: Path, suffixes: tuple[str, ...]) -> Path:
     """The file of the same name with one of these suffixes, in either case."""
     for suffix in suffixes:
         for candidate in (path.with_suffix(suffix), path.with_suffix(suffix.upper())):
             if candidate.is_file():
                 return candidate
     raise FileNotFoundError(
-        f"{path.name}: there is no {path.stem}{' or '.join(suffixes)} beside it; keep header and pixels together"
+        f"{path.name}: there is no {path.stem}{' or '.join(suffixes)} next to it; keep header and pixels together"
     )

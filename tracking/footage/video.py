@@ -1,17 +1,16 @@
-"""Films in any container and codec that FFmpeg reads, through PyAV: every frame exactly once, at its native depth.
+"""Reads videos in any container and codec of FFmpeg, through PyAV: every frame exactly once, at its native depth.
 
-The packets are listed once, undecoded; containers lie about their frame counts. A frame is then found by its place in the film:
-decoding starts at a key packet, recognised by its offset in the file, and frames are counted as they come out. Timestamps
-would not do: a 1 ms time base (Matroska) gives two frames of a 1500 frames/s film the same one.
+The packets are listed once without decoding, because the frame counts in containers are often wrong. A frame is found by its
+place in the film: decoding starts at a key packet, recognised by its offset in the file, and the decoded frames are counted.
+Timestamps cannot identify frames: with a time base of 1 ms (Matroska), two frames of a 1500 frames/s film have the same one.
 
-**Grey levels.** The luma plane, at full scale. Video with chroma is stored in limited range (16 to 235 in 8 bit)
-unless it says otherwise, and is expanded; grey (monochrome) video is stored as it was, whatever its tag says: FFmpeg marks
-monochrome HEVC as limited by default, and hands out monochrome H.264 as untagged yuv420p, which is why the stream's own
-parameter set is asked. Getting this wrong moves grey levels by up to 20. RGB becomes luma with the weights of BT.601.
+**Grey levels** are the luma plane at full scale. Video with chroma is stored in limited range (16 to 235 in 8 bit) unless its tag
+declares full range, and is expanded. Monochrome video is stored at full scale whatever its tag declares: FFmpeg marks
+monochrome HEVC as limited by default, and decodes monochrome H.264 as untagged yuv420p, so the parameter set of the stream
+decides. A wrong choice changes grey levels by up to 20. RGB becomes luma with the weights of ITU-R BT.601.
 
-**Times.** t = k / fps. The container's timestamps are for playback and only serve as a witness: where they are uneven a
-notice says so; where they are uneven, run at the recording rate and are fine enough, they are believed instead, since the
-gaps then are dropped frames.
+**Times** are t = k / fps. The timestamps of the container are for playback, and serve as a check: a notice reports uneven ones.
+Uneven timestamps that run at the recording rate and are fine enough show dropped frames, and are used as the frames' times.
 """
 
 from __future__ import annotations
@@ -33,36 +32,45 @@ from numpy.typing import NDArray
 
 from .reader import Footage, Frame, check_size, times_from_rate
 
-NOT_FILMS = {"tty", "concat", "hls", "dash", "image2", "imf", "webm_dash_manifest"}
-"""FFmpeg formats refused: text taken for a film, and lists that make it open other files."""
+REFUSED_FORMATS = {"tty", "concat", "hls", "dash", "image2", "imf", "webm_dash_manifest"}
+"""Formats of FFmpeg that are not films: text, and lists that make it open other files."""
 LUMA_FIRST = re.compile(
     r"(gray(8|9|10|12|14|16)?(le|be)?|yuvj?4\d\dp(9|1\d)?(le|be)?|yuva4\d\dp(9|1\d)?(le|be)?|nv\d\d)$"
 )
-"""Pixel formats whose first plane is luma and nothing else, in the low bits."""
+"""Pixel formats whose first plane is luma only, in the low bits."""
 FULL_RANGE = 2
+"""FFmpeg's AVCOL_RANGE_JPEG."""
+MAX_ROUNDING_TICKS = 2.0
+"""Wander of the timestamps that rounding explains: half a tick for each time, and one for the mean rate over the film."""
+MAX_WANDER_FRAMES = 0.1
+"""Wander beyond the rounding, in frames, up to which timestamps count as even."""
+SAME_RATE = 0.01
+"""Largest relative difference of the timestamps' rate from the recording rate, for use as the frames' times."""
+MAX_TICK_FRAMES = 0.2
+"""Largest tick, in frames, of timestamps that are used as the frames' times: a coarser one blurs the motion."""
 
 
 def open_video(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
-    """A film in a container; raises ValueError where FFmpeg finds none, or where fps is missing."""
+    """The clip in a container. Raises ValueError where FFmpeg finds none, or where fps is missing."""
     return VideoClip(path, fps, frame_range)
 
 
 @dataclass(frozen=True, eq=False)
 class Packets:
-    """The packets of a film in the order of decoding, one row each."""
+    """The packets of a film in decoding order, one row each."""
 
     offset: NDArray[np.int64]
-    """Place in the file [bytes], -1 where unknown."""
+    """Offset in the file [bytes], -1 where unknown."""
     time: NDArray[np.int64]
-    """Presentation, or else decoding, timestamp in ticks of the time base."""
+    """Presentation timestamp, or else decoding timestamp, in ticks of the time base."""
     key: NDArray[np.bool_]
-    """Decoding can begin here."""
+    """Whether decoding can begin here."""
     broken: bool
-    """The list ended in damage."""
+    """Whether the list ends at damage."""
 
     @property
     def rank(self) -> NDArray[np.int64]:
-        """(n,) place of each key packet's frame in the film: packets decoded before it, and later ones shown before it."""
+        """(n,) place in the film of each key packet's frame: the number of frames that are shown before it."""
         n = len(self.time)
         later_minimum = np.minimum.accumulate(self.time[::-1])[::-1]
         rank = np.arange(n)
@@ -72,7 +80,7 @@ class Packets:
 
 
 class VideoClip(Footage):
-    """See the module's text."""
+    """A video clip; the module states how frames, grey levels and times are found."""
 
     in_any_order = False
 
@@ -104,7 +112,7 @@ class VideoClip(Footage):
             bit_depth=_bit_depth(sample),
             file_times_s=times,
             frame_range=frame_range,
-            notices=self._truncation(count) + notices,
+            notices=self._truncation_notices(count) + notices,
             facts=facts,
         )
 
@@ -113,13 +121,13 @@ class VideoClip(Footage):
         if frame.shape != (self.height_px, self.width_px):
             h, w = frame.shape
             raise ValueError(
-                f"{self.path.name}: frame {number} is {w} × {h} px and the first {self.width_px} × {self.height_px}; "
+                f"{self.path.name}: frame {number} has {w} × {h} px; wanted the first one's {self.width_px} × {self.height_px}; "
                 "cut the film where its size changes"
             )
         return frame
 
     def _decode(self, number: int) -> av.VideoFrame:
-        """Decode on to frame `number`, from the key packet before it unless the decoder is already nearer."""
+        """Decode up to frame `number`, from the key packet before it unless the decoder is nearer."""
         keys = np.flatnonzero(self._packets.key)
         before = keys[self._rank[keys] <= number]
         key = int(before[-1]) if len(before) else 0
@@ -143,12 +151,12 @@ class VideoClip(Footage):
         for packet in packets:
             for frame in decoder.decode(packet):
                 if has_leading and frame.pts is not None and frame.pts < begin:
-                    continue  # shown before the key frame, and broken without the frames before that
+                    continue  # shown before the key frame, and damaged without the frames before that
                 yield place, frame
                 place += 1
 
     def _packets_from(self, key: int) -> Iterator[av.Packet | None]:
-        """The packets from number `key` on, then None, which empties the decoder."""
+        """The packets from number `key` on, then None, which flushes the decoder."""
         container, stream = self._container, self._video
         try:
             container.seek(int(self._packets.time[key]), stream=stream, backward=True)
@@ -156,7 +164,7 @@ class VideoClip(Footage):
             first = next(packets, None)
             found = self._index_at.get(first.pos, key + 1) if first is not None and first.pos >= 0 else key + 1
         except av.error.FFmpegError:
-            found = key + 1  # some containers cannot seek; they can be read again
+            found = key + 1  # some containers cannot seek; they are read from their beginning
         if found <= key:
             return chain(islice(chain([first], packets), key - found, None), [None])
         container.close()
@@ -164,7 +172,7 @@ class VideoClip(Footage):
         return chain(islice(_filled(self._container.demux(self._video)), key, None), [None])
 
     def _count_readable(self) -> int:
-        """The number of frames, without those at the end of a damaged file that cannot be decoded."""
+        """Number of frames, without those at the end of a damaged file that cannot be decoded."""
         count = len(self._packets.time)
         while self._packets.broken and count > 0:
             try:
@@ -173,10 +181,10 @@ class VideoClip(Footage):
             except ValueError:
                 count -= 1
         if count == 0:
-            raise ValueError(f"{self.path.name}: no frame can be decoded; the file is empty or damaged")
+            raise ValueError(f"{self.path.name}: no frame can be decoded; the file is empty or damaged, copy it again")
         return count
 
-    def _truncation(self, count: int) -> tuple[str, ...]:
+    def _truncation_notices(self, count: int) -> tuple[str, ...]:
         declared = self._video.frames
         if count < declared:
             return (
@@ -201,7 +209,7 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
         raise ValueError(
             f"{path.name}: FFmpeg finds no film in it; give a film, pictures or a Photron header"
         ) from error
-    if not container.streams.video or NOT_FILMS & set(container.format.name.split(",")):
+    if not container.streams.video or REFUSED_FORMATS & set(container.format.name.split(",")):
         name = container.format.name
         container.close()
         raise ValueError(
@@ -210,18 +218,18 @@ def _open(path: Path) -> tuple[av.container.InputContainer, av.VideoStream]:
     stream = container.streams.video[0]
     if stream.codec_context is None:
         container.close()
-        raise ValueError(f"{path.name}: FFmpeg does not know the film's codec; save it again, as FFV1 for example")
+        raise ValueError(f"{path.name}: FFmpeg has no decoder for it; save it again, as FFV1 for example")
     stream.thread_type = "AUTO"
     return container, stream
 
 
 def _filled(packets: Iterator[av.Packet]) -> Iterator[av.Packet]:
-    """The packets that hold something: AVI marks dropped frames, and PyAV the end, by empty ones."""
+    """The packets with content: empty ones mark dropped frames in AVI, and the end in PyAV."""
     return (packet for packet in packets if packet.size and not packet.is_corrupt)
 
 
 def _list_packets(container: av.container.InputContainer, stream: av.VideoStream) -> Packets:
-    """Read all packets once, undecoded."""
+    """Read all packets once, without decoding."""
     rows: list[tuple[int, int, bool]] = []
     broken = False
     try:
@@ -233,10 +241,10 @@ def _list_packets(container: av.container.InputContainer, stream: av.VideoStream
                     (-1 if packet.pos is None else packet.pos, len(rows) if time is None else time, packet.is_keyframe)
                 )
     except av.error.FFmpegError:
-        broken = True  # what was listed before is readable, and the notices tell
+        broken = True  # the packets before are readable, and a notice reports the damage
     offset, time, key = (np.array([row[i] for row in rows]) for i in range(3)) if rows else (np.empty(0),) * 3
     if len(key):
-        key[0] = True  # there is nothing before it to begin at
+        key[0] = True  # decoding has to begin there
     return Packets(
         offset.astype(np.int64), time.astype(np.int64), key.astype(bool), broken or len(rows) < stream.frames
     )
@@ -245,27 +253,26 @@ def _list_packets(container: av.container.InputContainer, stream: av.VideoStream
 def _times(
     path: Path, even_s: NDArray[np.float64], playback_s: NDArray[np.float64], time_base_s: float
 ) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Frame times and what there is to say of them, from k / fps and the container's own times (both (n,) [s])."""
+    """Frame times and notices on them, from k / fps and the container's own times (both (n,) [s])."""
     if len(even_s) < 3 or playback_s[-1] <= playback_s[0]:
         return even_s, ()
     k = np.arange(len(even_s))
     mean_s = (playback_s[-1] - playback_s[0]) / k[-1]
     tick_s = _tick(playback_s, time_base_s)
     wander_s = np.ptp(playback_s - k * mean_s)
-    # Rounding to the tick moves every time by half a tick at most, and the mean rate by one over the film.
-    if wander_s <= 2.0 * tick_s + 0.1 * mean_s:
+    if wander_s <= MAX_ROUNDING_TICKS * tick_s + MAX_WANDER_FRAMES * mean_s:
         return even_s, ()
     step_s = float(np.median(np.diff(playback_s)))
     uneven = f"{path.name}: the timestamps are uneven (a variable frame rate, or dropped frames)"
-    if abs(step_s - even_s[1]) <= 0.01 * even_s[1] and tick_s <= 0.2 * even_s[1]:
+    if abs(step_s - even_s[1]) <= SAME_RATE * even_s[1] and tick_s <= MAX_TICK_FRAMES * even_s[1]:
         return playback_s - playback_s[0], (
             f"{uneven}; they run at the recording rate, and are used as the frames' times.",
         )
-    return even_s, (f"{uneven}; the frames are taken to be evenly spaced at fps.",)
+    return even_s, (f"{uneven}; the frames count as evenly spaced at fps.",)
 
 
 def _tick(times_s: NDArray[np.float64], time_base_s: float) -> float:
-    """The rounding of the timestamps [s]: the time base, or more where frames share one (a film once kept in Matroska)."""
+    """The rounding of the timestamps [s]: the time base, or more where frames share one (a film that was once in Matroska)."""
     steps = np.diff(times_s)
     return float(steps[steps > 0].min()) if (steps == 0).any() else time_base_s
 
@@ -281,7 +288,7 @@ def _facts(container: av.container.InputContainer, stream: av.VideoStream, sampl
 
 
 def _bit_depth(frame: av.VideoFrame) -> int:
-    """Significant bits of the grey levels that `_grey` makes of such a frame."""
+    """Significant bits of the grey levels that `_grey` returns for such a frame."""
     if LUMA_FIRST.match(frame.format.name):
         return int(frame.format.components[0].bits)
     return 8 if max(c.bits for c in frame.format.components) <= 8 else 16
@@ -290,7 +297,7 @@ def _bit_depth(frame: av.VideoFrame) -> int:
 def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
     """(height, width) grey levels at full scale."""
     if frame.planes[0].line_size < 0:
-        return _grey(_turned_over(frame), mono)[::-1].copy()
+        return _grey(_flipped(frame), mono)[::-1].copy()
     name = frame.format.name
     if LUMA_FIRST.match(name):
         depth = int(frame.format.components[0].bits)
@@ -301,8 +308,8 @@ def _grey(frame: av.VideoFrame, mono: bool) -> Frame:
         expanded: Frame = _expansion(depth)[luma]
         return expanded
     if re.search(r"f(16|32|64)?(le|be)$", name):
-        raise ValueError(f"pixels of the kind {name} are not whole numbers; convert the film to 8, 12 or 16 bit grey")
-    # Everything else (RGB, palettes, packed YUV) goes through RGB, which FFmpeg makes at full scale.
+        raise ValueError(f"pixels of type {name}; wanted whole numbers; convert the film to 8, 12 or 16 bit grey")
+    # All other formats (RGB, palettes, packed YUV) are converted to RGB, which FFmpeg returns at full scale.
     rgb = frame.to_ndarray(format="rgb24" if _bit_depth(frame) == 8 else "rgb48le")
     return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY))
 
@@ -316,11 +323,11 @@ def _plane(frame: av.VideoFrame, depth: int, big_endian: bool) -> Frame:
     return whole.astype(np.uint8) if depth <= 8 else whole.astype(np.uint16)
 
 
-def _turned_over(frame: av.VideoFrame) -> av.VideoFrame:
-    """The frame with its lines in the other order.
+def _flipped(frame: av.VideoFrame) -> av.VideoFrame:
+    """The frame with its lines in reverse order.
 
-    Lines stored from the bottom up have a negative size, and the plane begins at the last of them: what PyAV would read
-    from there on lies behind the picture. FFmpeg's own flip only moves the beginning and turns the sign.
+    Lines that are stored from the bottom up have a negative size, and the plane begins at the last of them: PyAV would read
+    memory after the picture. FFmpeg's own flip only moves the beginning and changes the sign.
     """
     graph = av.filter.Graph()
     graph.link_nodes(
@@ -331,9 +338,9 @@ def _turned_over(frame: av.VideoFrame) -> av.VideoFrame:
         graph.add("buffersink"),
     ).configure()
     graph.push(frame)
-    turned = graph.pull()
-    assert isinstance(turned, av.VideoFrame)
-    return turned
+    flipped = graph.pull()
+    assert isinstance(flipped, av.VideoFrame)
+    return flipped
 
 
 @lru_cache
@@ -349,7 +356,7 @@ def _is_monochrome_h264(codec: av.VideoCodecContext) -> bool:
     if codec.name != "h264" or not codec.extradata:
         return False
     data = bytes(codec.extradata)
-    # avcC (MP4, Matroska) holds the set at byte 8; a byte stream (AVI, TS) behind a start code and the byte x7.
+    # avcC (MP4, Matroska) holds the set at byte 8; a byte stream (AVI, TS) after a start code and the byte x7.
     start = (
         8 if data[0] == 1 else next((m.end() - 1 for m in re.finditer(rb"\x00\x00\x01[\x07\x27\x47\x67]", data)), -1)
     )

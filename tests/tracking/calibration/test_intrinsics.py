@@ -114,20 +114,20 @@ def test_a_picture_that_does_not_fit_and_single_bad_corners_are_left_out_and_nam
     found = calibrate(views, WIDTH, HEIGHT)
     assert [name for name, _ in found.left_out] == ["4.png"]
     assert found.corners_left_out == 1
-    assert any("4.png was left out" in told for told in found.notices)
+    assert any("4.png" in notice for notice in found.notices)
     assert np.abs((found.values - clean.values)[:4] / clean.sigmas[:4]).max() < 3.0
 
 
-def test_too_few_pictures_and_boards_seen_face_on_are_refused_or_told() -> None:
+def test_too_few_pictures_and_boards_seen_face_on_are_refused_or_reported() -> None:
     views = corner_views(CHARUCO_BOARD, poses(3, CHARUCO_BOARD), 0.05, 2)
-    with pytest.raises(ValueError, match=r"usable on 3 pictures; wanted 4"):
+    with pytest.raises(ValueError, match=r"3 pictures; wanted 4"):
         calibrate(views, WIDTH, HEIGHT)
     face_on = [(np.eye(3), np.array([0.002 * k, 0.0, 0.36]) - CHARUCO_BOARD.centre_m) for k in range(5)]
     try:
         notices = calibrate(corner_views(CHARUCO_BOARD, face_on, 0.05, 2), WIDTH, HEIGHT).notices
     except ValueError as error:
         notices = (str(error),)
-    assert any("tilted" in told for told in notices)
+    assert any("tilted" in notice for notice in notices)
 
 
 def test_an_older_print_of_the_pattern_is_read_too() -> None:
@@ -139,11 +139,11 @@ def test_an_older_print_of_the_pattern_is_read_too() -> None:
 
 def test_a_mirrored_picture_is_refused() -> None:
     R, t = poses(1, CHARUCO_BOARD)[0]
-    with pytest.raises(ValueError, match=r"0\.png: the picture is mirrored"):
+    with pytest.raises(ValueError, match=r"0\.png: .*mirrored"):
         find_boards([("0.png", np.ascontiguousarray(picture(CHARUCO_BOARD, R, t)[:, ::-1]))], CHARUCO_BOARD)
 
 
-def test_deep_and_dark_pictures_are_seen_and_empty_ones_are_not() -> None:
+def test_a_board_is_found_on_a_dark_deep_picture_and_not_on_an_empty_one() -> None:
     R, t = poses(1, CHARUCO_BOARD)[0]
     dark = picture(CHARUCO_BOARD, R, t).astype(np.uint16) * 2
     views = find_boards([("dark.tif", dark), ("empty.tif", np.full_like(dark, 90))], CHARUCO_BOARD)
@@ -156,7 +156,7 @@ def calibrated(where: list, noise_px: float = 0.05, seed: int = 2) -> Calibratio
 
 
 @pytest.mark.parametrize("thickness_m", [0.0, 0.003])
-def test_the_camera_stands_over_the_table_where_it_does(thickness_m: float) -> None:
+def test_the_pose_of_the_camera_lies_within_its_covariance(thickness_m: float) -> None:
     rotation, shift = table_pose_of()
     where = [*poses(10, CHARUCO_BOARD), on_table(CHARUCO_BOARD, rotation, shift, thickness_m)]
     nees = []
@@ -171,24 +171,24 @@ def test_the_camera_stands_over_the_table_where_it_does(thickness_m: float) -> N
     assert 3.0 < np.mean(nees) < 10.0
 
 
-def test_of_the_two_poses_of_a_plane_the_right_one_is_taken_and_the_other_is_told() -> None:
+def test_the_right_one_of_the_two_poses_of_a_plane_is_chosen_and_the_other_reported() -> None:
     rotation, shift = table_pose_of(pitch_deg=65.0)
     found = table_pose(
         calibrated([*poses(10, CHARUCO_BOARD), on_table(CHARUCO_BOARD, rotation, shift)]), CHARUCO_BOARD, "10.png"
     )
     assert np.abs(found.camera.rotation - rotation).max() < 0.01
-    assert found.rival_rotation is not None
-    assert found.rival_rms_px is not None
-    assert found.rival_rms_px > 2.0 * found.board.rms_px
-    assert np.abs(found.rival_rotation - rotation).max() > 0.1
+    assert found.other_rotation is not None
+    assert found.other_rms_px is not None
+    assert found.other_rms_px > 2.0 * found.board.rms_px
+    assert np.abs(found.other_rotation - rotation).max() > 0.1
 
 
-def test_a_table_that_either_pose_explains_is_refused() -> None:
+def test_a_picture_that_both_poses_explain_is_refused() -> None:
     small = make_board("charuco", 5, 4, 0.0025, 0.0018)
     rotation, shift = table_pose_of(pitch_deg=70.0)
     where = [*poses(10, small), on_table(small, rotation, shift)]
     views = corner_views(small, where, 0.3, 4)
-    with pytest.raises(ValueError, match="two poses of the table draw the board alike"):
+    with pytest.raises(ValueError, match=r"10\.png: two poses"):
         table_pose(calibrate(views, WIDTH, HEIGHT), small, "10.png")
 
 
@@ -204,7 +204,7 @@ def test_a_board_numbered_as_in_a_mirror_puts_the_camera_below_the_table_and_is_
 
 def test_a_table_picture_that_was_left_out_is_named() -> None:
     found = calibrated(poses(6, CHARUCO_BOARD))
-    with pytest.raises(ValueError, match=r"table\.png: the picture with the board on the table does not fit"):
+    with pytest.raises(ValueError, match=r"table\.png: "):
         table_pose(found, CHARUCO_BOARD, "table.png")
 
 
@@ -220,6 +220,6 @@ def test_a_table_picture_that_was_left_out_is_named() -> None:
         (("charuco", 17, 15, 0.01, 0.007), "it has 50 markers and a board of 17x15 needs 127"),
     ],
 )
-def test_a_board_that_cannot_be_is_refused_in_one_sentence(given: tuple, message: str) -> None:
+def test_an_impossible_board_is_refused(given: tuple, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make_board(*given)

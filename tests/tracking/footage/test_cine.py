@@ -57,7 +57,7 @@ def test_another_decoder_sees_the_same_unpacked_picture(flip_over: int, tmp_path
     np.testing.assert_array_equal(ours.frame(0), theirs >> 8)
 
 
-def test_what_the_file_says_of_itself_is_told(tmp_path: Path) -> None:
+def test_the_metadata_are_those_of_the_file(tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=16, real_bits=14, annotation=b"noted" * 3)
     clip = open_clip(path)
     said = clip.metadata()
@@ -72,7 +72,7 @@ def test_times_of_the_clock_win_over_the_declared_rate(tmp_path: Path) -> None:
     for fps in (None, 1500.0, 1500.1):
         # Fixed point has 2e-10 s; a stated rate within a thousandth is taken for rounding.
         np.testing.assert_allclose(open_clip(path, fps=fps).times_s, np.arange(9) / 1500, atol=1e-6)
-    with pytest.raises(ValueError, match=r"fps = 15000 .*time stamps.* 1500"):
+    with pytest.raises(ValueError, match=r"fps = 15000; .*time stamps.* 1500"):
         open_clip(path, fps=15000)
 
 
@@ -97,13 +97,13 @@ def test_a_stamp_that_cannot_be_follows_the_others_and_is_named(tmp_path: Path) 
     times[8] += 2.5e7
     clip = open_clip(write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, times_s=times))
     np.testing.assert_allclose(clip.times_s, np.arange(9) / 1500, atol=1e-9)
-    assert "time stamps of 1 frames (8) cannot be" in clip.notices[0]
+    assert "time stamps of 1 frames (8)" in clip.notices[0]
 
 
 def test_a_file_without_times_has_the_declared_rate_and_one_without_either_needs_the_scene(tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, timed=False)
     np.testing.assert_allclose(open_clip(path).times_s, np.arange(9) / 1500, rtol=1e-15)
-    with pytest.raises(ValueError, match=r"fps = 1000 .*header.* 1500"):
+    with pytest.raises(ValueError, match=r"fps = 1000; .*header.* 1500"):
         open_clip(path, fps=1000)
     path = write_cine(tmp_path / "y.cine", FRAMES, stored_bits=12, timed=False, times_s=np.zeros(9), rate_hz=0)
     with pytest.raises(ValueError, match="fps"):
@@ -136,7 +136,7 @@ def test_a_film_cut_off_gives_its_whole_frames_and_says_so(tmp_path: Path) -> No
         (6, "<H", 0, "a .cine of an old kind"),
         (48, "<i", 2**30, "the header is broken"),
         (48, "<i", -64, "the header is broken"),
-        (48, "<i", 63, "12-bit packed needs a number of pixels divisible by 2, got 63 × 47"),
+        (48, "<i", 63, "divisible by 2, got 63 × 47"),
         (58, "<H", 24, "biBitCount = 24"),
         (60, "<I", 77, "biCompression = 77"),
         (84 + 808, "<I", 3, "CFA = 3"),

@@ -44,7 +44,7 @@ def test_the_shutter_is_a_reciprocal_second(suffix: str, tmp_path: Path) -> None
 
 def test_a_rate_that_contradicts_the_header_is_an_error_that_names_both(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, record_rate_hz=1500)
-    with pytest.raises(ValueError, match=r"fps = 1000 .*header.* 1500"):
+    with pytest.raises(ValueError, match=r"fps = 1000; .*header.* 1500"):
         open_clip(path, fps=1000)
 
 
@@ -82,7 +82,7 @@ def test_pixels_cut_off_within_a_frame_give_the_whole_ones_and_a_notice(tmp_path
 def test_pixels_beyond_the_header_are_left_alone_and_reported(tmp_path: Path) -> None:
     clip = open_clip(write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, declared_frames=5))
     assert len(clip) == 5
-    assert "longer than the 5 frames" in clip.notices[0]
+    assert "the 5 frames" in clip.notices[0]
 
 
 @pytest.mark.parametrize(
@@ -90,14 +90,14 @@ def test_pixels_beyond_the_header_are_left_alone_and_reported(tmp_path: Path) ->
     [
         ("Image Width : 64", "Image Width : 999999999", "the header is broken"),
         ("Image Width : 64", "Image Width : -64", "the header is broken"),
-        ("Image Width : 64", "Image Width : wide", "Image Width = wide; a whole number belongs there"),
+        ("Image Width : 64", "Image Width : wide", "Image Width = wide"),
         ("Image Width : 64\n", "", "Image Width = None"),
         ("Total Frame : 9", "Total Frame : 999999999999", "declares 999999999999 frames"),
-        ("Image Height : 48", "Image Height : 16000", "the file is empty or cut off"),
-        ("Color Bit : 12", "Color Bit : 10", "Color Bit = 10; Mono or Raw of 8, 12 or 16 bit"),
+        ("Image Height : 48", "Image Height : 16000", "cut off"),
+        ("Color Bit : 12", "Color Bit : 10", "Color Bit = 10"),
         ("Color Type : Mono", "Color Type : Color", "Color Type = Color"),
         ("EffectiveBit Depth : 12", "EffectiveBit Depth : 77", "EffectiveBit Depth = 77"),
-        ("Image Width : 64\nImage Height : 48", "Image Width : 63\nImage Height : 47", "12-bit packed needs an even"),
+        ("Image Width : 64\nImage Height : 48", "Image Width : 63\nImage Height : 47", "63 × 47"),
     ],
 )
 def test_a_hostile_header_is_refused_before_memory_is_taken(old: str, new: str, message: str, tmp_path: Path) -> None:

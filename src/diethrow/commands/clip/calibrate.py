@@ -186,6 +186,6 @@ def _table_record(table: TablePose) -> dict[str, Any]:
         "covariance_rad_m": table.covariance.tolist(),
         "sigma_vertical_rad": table.tilt_sigma_rad,
         "rms_px": table.board.rms_px,
-        "other_pose_rms_px": table.rival_rms_px,
-        "other_pose_rotation": None if table.rival_rotation is None else table.rival_rotation.tolist(),
+        "other_pose_rms_px": table.other_rms_px,
+        "other_pose_rotation": None if table.other_rotation is None else table.other_rotation.tolist(),
     }
