@@ -63,14 +63,14 @@ def faces(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.i
 
 def decidability(starts: Array, chi: float, precision: Precision) -> tuple[NDArray[np.int64], NDArray[np.bool_], Array]:
     """`decidable_in_double_precision_many` for the cube."""
-    return decidable_in_double_precision_many(CUBE, starts, SmoothImpact(chi), precision=precision)
+    return decidable_in_double_precision_many(ThrowSetup(CUBE, SmoothImpact(chi), precision=precision), starts)
 
 
 def main(count: int, seed: int) -> None:
     """Print the table."""
     starts = releases(count, seed)
     fine, coarse = Precision(contact_tolerance_m=1e-13), Precision(contact_tolerance_m=1e-11)
-    decidable_in_double_precision_many(CUBE, starts[:2], SmoothImpact(0.5))
+    decidable_in_double_precision_many(ThrowSetup(CUBE, SmoothImpact(0.5)), starts[:2])
     faces(starts[:2], 0.5, EXACT)
     print(f"{count} throws each, seed {seed}")
     print(

@@ -41,19 +41,8 @@ from numpy.typing import NDArray
 from .. import engine
 from ..die import Die
 from ..engine import derivatives
-from ..laws import LEVEL, ImpactLaw, Table
-from ..throw import (
-    BOUNCING_CAP,
-    ENDINGS,
-    EXACT,
-    IMPACT_CAP,
-    Ending,
-    Precision,
-    State,
-    body_of,
-    checked_release,
-    is_endless,
-)
+from ..throw import ENDINGS, Ending, State, body_of, checked_release
+from .landings import ThrowSetup
 
 Array = NDArray[np.float64]
 
@@ -137,84 +126,72 @@ class LyapunovExponents:
     """(orbits, impacts) time [s] since the last impact that was left out."""
 
 
-def error_growth(
-    die: Die,
-    release: State,
-    law: ImpactLaw,
-    *,
-    table: Table = LEVEL,
-    precision: Precision = EXACT,
-    impacts: int | None = None,
-) -> ErrorGrowth:
+def error_growth(setup: ThrowSetup, release: State, *, impacts: int | None = None) -> ErrorGrowth:
     """The growth of disturbances along a throw, until its face is decided or a number of impacts is reached.
 
     A throw that never ends is stopped after BOUNCING_CAP impacts. Raises ValueError as `throw_die` does.
     """
-    body, plane, start = body_of(die), table.plane, checked_release(die, release, table)
-    packed = engine.law_of(law.code, law.parameters)
+    body, law, plane = body_of(setup.die), setup.packed_law, setup.table.plane
+    start, start_s = checked_release(setup.die, release, setup.table), float(release.time_s)
     code, _, _, _, _, log, knots = engine.run_throw(
         body,
-        packed,
+        law,
         plane,
-        precision.packed,
+        setup.precision.packed,
         start,
-        float(release.time_s),
+        start_s,
         np.inf,
         _NO_LIMIT if impacts is None else impacts,
         impacts is None,
-        _cap(law, table),
+        setup.impact_cap,
         True,
     )
-    maps, exponents = derivatives.run_growth(body, packed, plane, start, float(release.time_s), log, knots)
+    maps, exponents = derivatives.run_growth(body, law, plane, start, start_s, log, knots)
     largest = np.linalg.norm(maps, ord=2, axis=(1, 2)) if len(log) else np.empty(0)
-    return ErrorGrowth(
-        log[:, 0].copy(), log[:, 1].astype(np.int64), np.log10(largest) + exponents, _ending(code, law, table)
-    )
+    log10_growth = np.log10(largest) + exponents
+    return ErrorGrowth(log[:, 0].copy(), log[:, 1].astype(np.int64), log10_growth, setup.ending(code))
 
 
-def decidable_in_double_precision(
-    die: Die, release: State, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
-) -> Decidability:
+def decidable_in_double_precision(setup: ThrowSetup, release: State) -> Decidability:
     """Whether the outcome of a throw is certain in double precision, at this precision of the simulation.
 
     The release is taken as exact to the last bit. Raises ValueError as `throw_die` does.
     """
-    body, plane, start = body_of(die), table.plane, checked_release(die, release, table)
+    body, start = body_of(setup.die), checked_release(setup.die, release, setup.table)
     face, impacts, code, error, margin = derivatives.decide(
         body,
-        engine.law_of(law.code, law.parameters),
-        plane,
-        precision.packed,
+        setup.packed_law,
+        setup.table.plane,
+        setup.precision.packed,
         start,
         float(release.time_s),
         release_error(start[None], body.radius),
-        _cap(law, table),
+        setup.impact_cap,
     )
-    grown = error_growth(die, release, law, table=table, precision=precision).at_end
+    grown = error_growth(setup, release).at_end
     decidable = bool(margin > 1.0) and (face >= 0 or code not in _UNFINISHED)
-    ending = _ending(code, law, table)
-    sentence = _sentence(decidable, ending, int(impacts), grown, float(margin))
+    sentence = _sentence(decidable, setup.ending(code), int(impacts), grown, float(margin))
     return Decidability(decidable, grown, float(error) * body.radius, float(margin), sentence)
 
 
 def decidable_in_double_precision_many(
-    die: Die, starts: Array, law: ImpactLaw, *, table: Table = LEVEL, precision: Precision = EXACT
+    setup: ThrowSetup, starts: Array
 ) -> tuple[NDArray[np.int64], NDArray[np.bool_], Array]:
     """Throws from packed starts (n, 13), as the kernels take them, each with its decidability.
 
     Returns (n, 3) row of the face or -1, number of impacts, code of the ending; (n,) whether the outcome is certain in double
     precision; (n,) margins as in `Decidability`. It runs without the interpreter's lock, so threads may share the work.
     """
-    body, starts = body_of(die), np.ascontiguousarray(starts, float)
+    body, starts = body_of(setup.die), np.ascontiguousarray(starts, float)
     landed, figures = np.empty((len(starts), 3), np.int64), np.empty((len(starts), 2))
     derivatives.decide_many(
         body,
-        engine.law_of(law.code, law.parameters),
-        table.plane,
-        precision.packed,
+        setup.packed_law,
+        setup.table.plane,
+        setup.precision.packed,
         starts,
         release_error(starts, body.radius),
-        _cap(law, table),
+        setup.impact_cap,
         landed,
         figures,
     )
@@ -234,12 +211,9 @@ def release_error(starts: Array, radius_m: float) -> Array:
 
 
 def largest_lyapunov_exponent(
-    die: Die,
+    setup: ThrowSetup,
     start: State,
-    law: ImpactLaw,
     *,
-    table: Table = LEVEL,
-    precision: Precision = EXACT,
     impacts: int = 10_000,
     orbits: int = 8,
     left_out: int = 200,
@@ -254,37 +228,23 @@ def largest_lyapunov_exponent(
     """
     if impacts < 2 or orbits < 1 or left_out < 0:
         raise ValueError(f"impacts = {impacts}, orbits = {orbits}, left_out = {left_out}: wanted at least 2, 1 and 0")
-    if not table.moves and law.parameters[0] < 1.0:
+    chi = setup.law.parameters[0]
+    if not setup.table.moves and chi < 1.0:
         raise ValueError(
-            f"chi = {law.parameters[0]:g} on a table at rest: every throw ends, with a finite growth and no exponent; "
+            f"chi = {chi:g} on a table at rest: every throw ends, with a finite growth and no exponent; "
             "wanted chi = 1 or an oscillating table"
         )
-    body, packed = body_of(die), checked_release(die, start, table)
-    streams = np.random.SeedSequence(seed).spawn(orbits)
+    first = checked_release(setup.die, start, setup.table)
     logs, times = np.empty((orbits, impacts)), np.empty((orbits, impacts))
-    for k, stream in enumerate(streams):
+    for k, stream in enumerate(np.random.SeedSequence(seed).spawn(orbits)):
         rng = np.random.default_rng(stream)
-        run = np.empty((left_out + impacts, 1)), np.empty(left_out + impacts)
-        code, reached, _, _ = derivatives.run_exponents(
-            body,
-            engine.law_of(law.code, law.parameters),
-            table.plane,
-            precision.packed,
-            _nearby(packed, body, table, rng) if k else packed,
-            float(start.time_s),
-            _random_direction(rng) * derivatives.scales_of(body, table.plane)[:, None],
-            *run,
-        )
-        if reached < left_out + impacts:
-            raise ValueError(
-                f"the die bounced only {reached} times ({ENDINGS[code].value}); wanted {left_out + impacts} impacts; try a "
-                "stronger oscillation or a larger chi"
-            )
-        before = run[1][left_out - 1] if left_out else float(start.time_s)
-        logs[k], times[k] = run[0][left_out:, 0], run[1][left_out:] - before
+        packed = _nearby(setup, first, rng) if k else first
+        growth, clock = _orbit(setup, packed, float(start.time_s), left_out + impacts, rng)
+        before = clock[left_out - 1] if left_out else float(start.time_s)
+        logs[k], times[k] = growth[left_out:], clock[left_out:] - before
         if progress is not None:
             progress(k + 1, orbits)
-    return exponents_of(die, logs, times, left_out)
+    return exponents_of(setup.die, logs, times, left_out)
 
 
 def exponents_of(die: Die, logs: Array, times_s: Array, left_out: int) -> LyapunovExponents:
@@ -319,30 +279,46 @@ def _ratio(logs: Array, spans: Array) -> tuple[float, float]:
     return ratio, float(max(errors) / spans.sum())
 
 
-def _random_direction(rng: np.random.Generator) -> Array:
-    """A disturbance (12, 1) in a random direction."""
-    return np.asarray(rng.normal(size=(12, 1)))
+def _orbit(
+    setup: ThrowSetup, packed: Array, start_s: float, impacts: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Logarithms of the growth (impacts,) of a random disturbance, and the times (impacts,) [s], along one orbit.
+
+    Raises ValueError if the orbit ends before so many impacts.
+    """
+    growth, clock = np.empty((impacts, 1)), np.empty(impacts)
+    code, reached, _, _ = derivatives.run_exponents(
+        body_of(setup.die),
+        setup.packed_law,
+        setup.table.plane,
+        setup.precision.packed,
+        packed,
+        start_s,
+        _random_disturbance(setup, rng),
+        growth,
+        clock,
+    )
+    if reached < impacts:
+        raise ValueError(
+            f"the die bounced only {reached} times ({ENDINGS[code].value}); wanted {impacts} impacts; try a stronger "
+            "oscillation or a larger chi"
+        )
+    return growth[:, 0], clock
 
 
-def _nearby(start: Array, body: engine.Body, table: Table, rng: np.random.Generator) -> Array:
+def _random_disturbance(setup: ThrowSetup, rng: np.random.Generator) -> Array:
+    """A disturbance (12, 1) in a random direction, in units of R and √(R/g)."""
+    return rng.normal(size=(12, 1)) * derivatives.scales_of(body_of(setup.die), setup.table.plane)[:, None]
+
+
+def _nearby(setup: ThrowSetup, start: Array, rng: np.random.Generator) -> Array:
     """A start (13,) at NEIGHBOUR_DISTANCE, whose lowest vertex is no lower."""
-    moved = np.empty(13)
-    direction = _random_direction(rng) * derivatives.scales_of(body, table.plane)[:, None]
-    derivatives.displaced(start, direction, 0, NEIGHBOUR_DISTANCE, moved)
-    lowest = np.min([engine.clearance(vertex, moved, 0.0) for vertex in body.vertices])
-    before = np.min([engine.clearance(vertex, start, 0.0) for vertex in body.vertices])
+    moved, vertices = np.empty(13), body_of(setup.die).vertices
+    derivatives.displaced(start, _random_disturbance(setup, rng), 0, NEIGHBOUR_DISTANCE, moved)
+    lowest = np.min([engine.clearance(vertex, moved, 0.0) for vertex in vertices])
+    before = np.min([engine.clearance(vertex, start, 0.0) for vertex in vertices])
     moved[2] += max(0.0, before - lowest)
     return moved
-
-
-def _cap(law: ImpactLaw, table: Table) -> int:
-    """Impacts after which a throw is stopped, as by `throw_die`."""
-    return BOUNCING_CAP if is_endless(law, table) else IMPACT_CAP
-
-
-def _ending(code: int, law: ImpactLaw, table: Table) -> Ending:
-    """How a throw ended, from the code of the kernels."""
-    return Ending.BOUNCING if code == engine.IMPACT_CAP and is_endless(law, table) else ENDINGS[code]
 
 
 def _sentence(decidable: bool, ending: Ending, impacts: int, grown: float, margin: float) -> str:

@@ -75,16 +75,28 @@ class ThrowSetup:
     table: Table = LEVEL
     precision: Precision = EXACT
 
+    @property
+    def packed_law(self) -> engine.Law:
+        """The law as the kernels take it."""
+        return engine.law_of(self.law.code, self.law.parameters)
+
+    @property
+    def impact_cap(self) -> int:
+        """Impacts after which a throw is stopped, as by `throw_die`."""
+        return BOUNCING_CAP if is_endless(self.law, self.table) else IMPACT_CAP
+
+    def ending(self, code: int) -> Ending:
+        """How a throw ended, from the code of the kernels."""
+        return Ending.BOUNCING if code == engine.IMPACT_CAP and is_endless(self.law, self.table) else ENDINGS[code]
+
     def throw(self, states: Array, after: int = 0) -> Landings:
         """Throw from each of `states` (n, 13), in world axes, at time 0, until the face is decided.
 
         `after` is the number of impacts at which the lowest face is recorded. A throw that may never end is stopped after
         BOUNCING_CAP impacts. Raises ValueError for friction on a die with an anisotropic tensor.
         """
-        endless = is_endless(self.law, self.table)
         landed, lowest = np.zeros((len(states), 3), np.int64), np.zeros((len(states), after + 1), np.int64)
-        law = engine.law_of(self.law.code, self.law.parameters)
-        cap = BOUNCING_CAP if endless else IMPACT_CAP
+        law, cap = self.packed_law, self.impact_cap
         starts = kernel_states(self.die, self.table, states)
         # For a loaded die and the smooth impact the asymmetric kernels prove more: that it spins for ever.
         is_smooth = self.law.code == engine.SMOOTH
@@ -103,7 +115,7 @@ class ThrowSetup:
                 asymmetric, law, self.table.plane, self.precision.packed, starts, cap, landed, lowest
             )
         endings = np.where(landed[:, 2] == BELOW_TABLE, -1, _INDEX_OF_CODE[landed[:, 2]])
-        if endless:
+        if is_endless(self.law, self.table):
             endings[landed[:, 2] == engine.IMPACT_CAP] = _BOUNCING
         return Landings(landed[:, 0] + 1, landed[:, 1], endings, lowest + 1)
 

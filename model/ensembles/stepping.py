@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..die import Die
+from ..engine import Body
 from ..throw import body_of
 from ..world import GRAVITY_M_S2
 
@@ -48,51 +49,31 @@ def stepped_landings(die: Die, chi: float, starts: Array, step_s: float, *, sing
     body = body_of(die)
     states = np.array(starts, np.float32 if single else np.float64)
     landed = np.empty(len(states), np.int64)
-    _step_many(
-        body.vertices,
-        body.plumb_normals,
-        body.barrier_heights,
-        body.inertia / body.mass,
-        chi,
-        GRAVITY_M_S2,
-        step_s,
-        states,
-        landed,
-    )
+    _step_many(body, chi, step_s, states, landed)
     return landed
 
 
 @compiled(nogil=True)
-def _step_many(
-    vertices: Array,
-    plumb_normals: Array,
-    barrier_heights: Array,
-    inertia: float,
-    chi: float,
-    g: float,
-    h: float,
-    states: Array,
-    landed: Indices,
-) -> None:
-    """Step every row of `states` (n, 13) until its face is decided; `inertia` is per mass [m²]."""
-    arms = np.empty((vertices.shape[0], 3))
+def _step_many(body: Body, chi: float, h: float, states: Array, landed: Indices) -> None:
+    """Step every row of `states` (n, 13), by steps of h [s], until its face is decided."""
+    arms, inertia = np.empty((body.vertices.shape[0], 3)), body.inertia / body.mass
     for k in range(states.shape[0]):
         landed[k] = 0
         state = states[k]
         for _ in range(MAX_STEPS):
-            _move_freely(state, h, g)
-            _lever_arms(vertices, state, arms)
+            _move_freely(state, h)
+            _lever_arms(body.vertices, state, arms)
             _apply_impulses(arms, state, chi, inertia)
-            face = _decided_face(plumb_normals, barrier_heights, state, inertia, g)
+            face = _decided_face(body, state)
             if face >= 0:
                 landed[k] = face + 1
                 break
 
 
 @compiled
-def _move_freely(state: Array, h: float, g: float) -> None:
+def _move_freely(state: Array, h: float) -> None:
     """Free motion over one step."""
-    state[9] -= h * g
+    state[9] -= h * GRAVITY_M_S2
     for j in range(3):
         state[j] += h * state[7 + j]
     x, y, z = 0.5 * h * state[10], 0.5 * h * state[11], 0.5 * h * state[12]
@@ -143,17 +124,18 @@ def _apply_impulses(arms: Array, state: Array, chi: float, inertia: float) -> No
 
 
 @compiled
-def _decided_face(plumb_normals: Array, barrier_heights: Array, state: Array, inertia: float, g: float) -> int:
+def _decided_face(body: Body, state: Array) -> int:
     """Row of the face that the die can no longer leave, or -1; see `throw.simulate`."""
-    turning = inertia * (state[10] * state[10] + state[11] * state[11])
-    energy = g * state[2] + 0.5 * (state[9] * state[9] + turning)
-    if energy >= g * barrier_heights.max():
+    turning = body.inertia / body.mass * (state[10] * state[10] + state[11] * state[11])
+    energy = GRAVITY_M_S2 * state[2] + 0.5 * (state[9] * state[9] + turning)
+    if energy >= GRAVITY_M_S2 * body.barrier_heights.max():
         return -1
     w, x, y, z = state[3], state[4], state[5], state[6]
     up_x, up_y, up_z = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
     best, face = 0.0, -1
-    for k in range(plumb_normals.shape[0]):
-        down = -(up_x * plumb_normals[k, 0] + up_y * plumb_normals[k, 1] + up_z * plumb_normals[k, 2])
+    for k in range(body.plumb_normals.shape[0]):
+        nx, ny, nz = body.plumb_normals[k]
+        down = -(up_x * nx + up_y * ny + up_z * nz)
         if down > best:
             best, face = down, k
-    return face if energy < g * barrier_heights[face] else -1
+    return face if energy < GRAVITY_M_S2 * body.barrier_heights[face] else -1

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from ..model.die import Die, Solid, lowest_face
-from ..model.ensembles import CONDITIONS, error_growth, states_of
+from ..model.ensembles import CONDITIONS, ThrowSetup, error_growth, states_of
 from ..model.laws import SmoothImpact
 from ..model.rotations import matrix_from_quat, quat_from_matrix, quat_multiply
 from ..model.throw import Impact, State, ThrowResult, Until, throw_die, unpacked_state
@@ -259,7 +259,7 @@ def _decided(die: Die, variant: Variant, run: Run) -> dict[str, Any]:
             for _ in range(run.effort.shadows)
         ]
         rows.append({"disturbance": size, "least": int(min(common)), "median": float(np.median(common))})
-    grown = error_growth(die, released(turn, variant.v0z_m_s), SmoothImpact(CHI), impacts=until).at_impacts
+    grown = error_growth(ThrowSetup(die, SmoothImpact(CHI)), released(turn, variant.v0z_m_s), impacts=until).at_impacts
     return {
         "placement": variant.placement,
         "v0z_m_s": variant.v0z_m_s,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..model.die import Die
-from ..model.ensembles import CONDITIONS, LyapunovExponents, largest_lyapunov_exponent, states_of
+from ..model.ensembles import CONDITIONS, LyapunovExponents, ThrowSetup, largest_lyapunov_exponent, states_of
 from ..model.laws import LEVEL, SmoothImpact, Table
 from ..model.throw import State, unpacked_state
 from ..replay.elements import FACE_COLOURS, hex_colour
@@ -64,10 +64,8 @@ def _exponent(run: Run, die: Die, height_m: float, chi: float, table: Table) -> 
     """The exponent, or the reason why there is none: on a weakly oscillating table a die comes to rest."""
     try:
         return largest_lyapunov_exponent(
-            die,
+            ThrowSetup(die, SmoothImpact(chi), table),
             start_of(height_m),
-            SmoothImpact(chi),
-            table=table,
             impacts=run.effort.orbit_impacts,
             orbits=run.effort.orbits,
             left_out=LEFT_OUT,

@@ -13,6 +13,7 @@ from diethrow.model.ensembles.chaos import (
     error_growth,
     largest_lyapunov_exponent,
 )
+from diethrow.model.ensembles.landings import ThrowSetup
 from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import (
     matrix_from_quat,
@@ -23,10 +24,11 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.body import body_of, checked_release, unpacked_state
 from diethrow.model.throw.motion import State
-from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, throw_die
+from diethrow.model.throw.simulate import Ending, Precision, Until, throw_die
 
 SHAKEN = Table(amplitude_m=0.002, frequency_hz=25.0, phase_rad=0.7)
 CUBE = DICE["cube"]
+ELASTIC = ThrowSetup(CUBE, SmoothImpact(1.0))
 LAWS = {
     "smooth": SmoothImpact(0.6),
     "coulomb": CoulombImpact(0.6, 0.15),
@@ -212,7 +214,7 @@ def test_the_largest_exponent_at_chi_one_equals_the_known_value_from_two_neighbo
     shape, edge_m, per_second, per_impact
 ):
     die = make_die(shape, edge_m, 0.016)
-    found = largest_lyapunov_exponent(die, paper_start(), SmoothImpact(1.0), impacts=3000, orbits=3)
+    found = largest_lyapunov_exponent(ThrowSetup(die, SmoothImpact(1.0)), paper_start(), impacts=3000, orbits=3)
     assert found.per_second == pytest.approx(per_second, abs=0.15 + 3 * found.per_second_error)
     assert found.per_impact == pytest.approx(per_impact, abs=0.05 + 3 * found.per_impact_error)
     assert found.per_unit == pytest.approx(found.per_second * np.sqrt(edge_m / 9.81))
@@ -232,7 +234,7 @@ def test_the_exponent_is_that_of_two_neighbouring_throws(chi, table):
         logs.append(np.log(np.linalg.norm(gap) / apart_by))
         two = disturbed(one, gap / np.linalg.norm(gap) * apart_by * unit)
     rates = np.array(logs[50:]).reshape(-1, 10).mean(1) / step_s
-    found = largest_lyapunov_exponent(CUBE, paper_start(), law, table=table, impacts=3000, orbits=3)
+    found = largest_lyapunov_exponent(ThrowSetup(CUBE, law, table), paper_start(), impacts=3000, orbits=3)
     error = np.hypot(found.per_second_error, rates.std(ddof=1) / np.sqrt(len(rates)))
     assert rates.mean() == pytest.approx(found.per_second, abs=3 * error)
 
@@ -249,7 +251,7 @@ def test_a_bouncing_point_mass_has_no_positive_exponent():
 
 
 def test_the_exponent_scales_with_the_size_of_the_die_through_its_unit_alone():
-    small = largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    small = largest_lyapunov_exponent(ELASTIC, paper_start(), impacts=50, orbits=1, left_out=0)
     large_start = State(
         0.0,
         100 * paper_start().position_m,
@@ -258,19 +260,19 @@ def test_the_exponent_scales_with_the_size_of_the_die_through_its_unit_alone():
         paper_start().omega_rad_s / 10,
     )
     die = make_die("cube", 2.0, 0.016)
-    large = largest_lyapunov_exponent(die, large_start, SmoothImpact(1.0), impacts=50, orbits=1, left_out=0)
+    large = largest_lyapunov_exponent(ThrowSetup(die, SmoothImpact(1.0)), large_start, impacts=50, orbits=1, left_out=0)
     # The orbits are the same until rounding has grown by e^2.9 an impact: compare the first eight.
     np.testing.assert_allclose(large.logs[0, :8], small.logs[0, :8], rtol=1e-4)
 
 
 def test_a_motion_without_an_exponent_raises_and_names_the_reason():
     with pytest.raises(ValueError, match=r"chi = 0\.5 on a table at rest"):
-        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(0.5))
+        largest_lyapunov_exponent(ThrowSetup(CUBE, SmoothImpact(0.5)), paper_start())
     with pytest.raises(ValueError, match="orbits = 0"):
-        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(1.0), orbits=0)
+        largest_lyapunov_exponent(ELASTIC, paper_start(), orbits=0)
     weak = Table(amplitude_m=1e-5, frequency_hz=10.0)
     with pytest.raises(ValueError, match=r"the die bounced only .* times"):
-        largest_lyapunov_exponent(CUBE, paper_start(), SmoothImpact(0.3), table=weak)
+        largest_lyapunov_exponent(ThrowSetup(CUBE, SmoothImpact(0.3), weak), paper_start())
 
 
 def on_an_edge(tilt_rad: float) -> State:
@@ -282,25 +284,25 @@ def on_an_edge(tilt_rad: float) -> State:
 
 def test_a_die_dropped_by_a_millimetre_onto_a_face_is_decidable():
     start = State(0.0, np.array([0.0, 0.0, 0.011]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
-    check = decidable_in_double_precision(CUBE, start, SmoothImpact(0.5))
+    check = decidable_in_double_precision(ThrowSetup(CUBE, SmoothImpact(0.5)), start)
     assert check.decidable
     assert check.margin > 1e6
 
 
 def test_a_die_that_is_tilted_on_an_edge_is_decidable_and_one_tilted_by_rounding_is_not():
-    law = SmoothImpact(0.3)
-    assert decidable_in_double_precision(CUBE, on_an_edge(1e-3), law).decidable
+    setup = ThrowSetup(CUBE, SmoothImpact(0.3))
+    assert decidable_in_double_precision(setup, on_an_edge(1e-3)).decidable
     for tilt_rad in (0.0, 1e-15, -3e-16):
-        check = decidable_in_double_precision(CUBE, on_an_edge(tilt_rad), law)
+        check = decidable_in_double_precision(setup, on_an_edge(tilt_rad))
         assert not check.decidable, (tilt_rad, check)
         assert check.margin <= 1.0
 
 
 def test_a_throw_of_hundreds_of_elastic_bounces_is_not_decidable_because_errors_grow():
-    check = decidable_in_double_precision(CUBE, paper_start(), SmoothImpact(1.0))
+    check = decidable_in_double_precision(ELASTIC, paper_start())
     assert not check.decidable
     assert check.error_growth > 1e16
-    grown = error_growth(CUBE, paper_start(), SmoothImpact(1.0), impacts=20)
+    grown = error_growth(ELASTIC, paper_start(), impacts=20)
     assert grown.ending is Ending.IMPACTS_REACHED
     assert len(grown.at_impacts) == 20
     # e^2.9 an impact on average, with a wide spread.
@@ -320,9 +322,9 @@ def random_starts(count: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize(("chi", "least_share"), [(0.3, 0.99), (0.5, 0.95), (0.7, 0.4)])
 def test_every_throw_whose_face_a_tolerance_changes_is_found_not_decidable(chi, least_share):
     starts, law = random_starts(3000, 90), SmoothImpact(chi)
-    fine, _, _ = decidable_in_double_precision_many(CUBE, starts, law, precision=Precision(contact_tolerance_m=1e-13))
-    coarse, decidable, _ = decidable_in_double_precision_many(
-        CUBE, starts, law, precision=Precision(contact_tolerance_m=1e-11)
+    (fine, _, _), (coarse, decidable, _) = (
+        decidable_in_double_precision_many(ThrowSetup(CUBE, law, precision=Precision(contact_tolerance_m=root)), starts)
+        for root in (1e-13, 1e-11)
     )
     assert not ((fine[:, 0] != coarse[:, 0]) & decidable).any()
     assert decidable.mean() > least_share
@@ -331,19 +333,19 @@ def test_every_throw_whose_face_a_tolerance_changes_is_found_not_decidable(chi, 
 
 
 def test_many_throws_together_have_the_decidability_and_the_face_of_each_alone():
-    starts, law = random_starts(20, 91), SmoothImpact(0.6)
-    landed, decidable, _ = decidable_in_double_precision_many(CUBE, starts, law, precision=EXACT)
+    starts, setup = random_starts(20, 91), ThrowSetup(CUBE, SmoothImpact(0.6))
+    landed, decidable, _ = decidable_in_double_precision_many(setup, starts)
     for k, start in enumerate(starts):
         release = unpacked_state(start, 0.0)
-        assert decidable_in_double_precision(CUBE, release, law).decidable == decidable[k]
-        assert throw_die(CUBE, release, law).landed_face == landed[k, 0] + 1
+        assert decidable_in_double_precision(setup, release).decidable == decidable[k]
+        assert throw_die(CUBE, release, setup.law).landed_face == landed[k, 0] + 1
 
 
 @each_law
 @pytest.mark.parametrize("table", [LEVEL, Table(tilt_rad=0.1), SHAKEN], ids=["at rest", "tilted", "oscillating"])
 def test_every_law_and_table_has_an_answer(law, table):
     start = random_release(np.random.default_rng(92), CUBE)
-    check = decidable_in_double_precision(CUBE, start, law, table=table)
+    check = decidable_in_double_precision(ThrowSetup(CUBE, law, table), start)
     assert np.isfinite(check.error_growth)
     assert check.error_growth > 1.0
     assert isinstance(check.decidable, bool)

@@ -15,7 +15,7 @@ from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.tables import write_json
 from ...model.die import Die, make_die
-from ...model.ensembles import ErrorGrowth, LyapunovExponents, error_growth, largest_lyapunov_exponent
+from ...model.ensembles import ErrorGrowth, LyapunovExponents, ThrowSetup, error_growth, largest_lyapunov_exponent
 from ...model.laws import LEVEL, ImpactLaw, Table
 from ...model.rotations import matrix_from_quat, quat_from_euler
 from ...model.throw import State, checked_release
@@ -118,13 +118,12 @@ def lyapunov(
 
 
 def _computed(plan: LyapunovPlan, progress: Progress) -> LyapunovExponents | ErrorGrowth:
+    setup = ThrowSetup(plan.die, plan.law, plan.table)
     if plan.ends:
-        return error_growth(plan.die, plan.start, plan.law, table=plan.table)
+        return error_growth(setup, plan.start)
     return largest_lyapunov_exponent(
-        plan.die,
+        setup,
         plan.start,
-        plan.law,
-        table=plan.table,
         impacts=plan.impacts,
         orbits=plan.orbits,
         left_out=plan.left_out,

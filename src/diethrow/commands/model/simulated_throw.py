@@ -16,7 +16,7 @@ from ...files.provenance import Stopwatch, write_provenance
 from ...files.settings import refuse
 from ...files.tables import write_json
 from ...files.throw_records import simulated_track, write_bounces, write_simulated, write_vertices
-from ...model.ensembles import decidable_in_double_precision
+from ...model.ensembles import ThrowSetup, decidable_in_double_precision
 from ...model.throw import Ending, ThrowResult, Until, throw_die
 from ...replay.figures import throw_heights
 from ...replay.pages import throw_page
@@ -79,7 +79,8 @@ def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
     if result.landed_face is None and result.ending is not Ending.RESTED:
         messages.append("Landing face unknown: the die is not at rest on a face when the throw ends.")
     ended = result.landed_face is not None or result.ending not in _STOPPED
-    check = decidable_in_double_precision(plan.die, plan.release, plan.law, table=plan.model_table) if ended else None
+    setup = ThrowSetup(plan.die, plan.law, plan.model_table)
+    check = decidable_in_double_precision(setup, plan.release) if ended else None
     messages.append(
         check.sentence
         if check
