@@ -40,6 +40,7 @@ from ...model.throw import Throw
 from ..picture import (
     BIWEIGHT_CUT,
     LOG_NOISE,
+    NORMAL_MAD,
     PIXELS,
     ROBUST_COST,
     STRETCHES,
@@ -56,7 +57,6 @@ from ..picture import (
 from ..pose import Picture, SampledFrames, refine_and_score
 from ..throw import flights_only, outline_growth
 from ..track import Track
-from .light import NORMAL_MAD
 
 Array = NDArray[np.float64]
 

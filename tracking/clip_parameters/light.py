@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..picture import LIGHT_DEGREE, LIGHT_TERMS, View
+from ..picture import LIGHT_DEGREE, LIGHT_TERMS, NORMAL_MAD, View
 from ..pose import ClipPoses, Picture, wholly_in_view
 
 Array = NDArray[np.float64]
@@ -58,8 +58,6 @@ DARKEST_SHARE = 0.5
 """Least brightness that is predicted, in units of that of the darkest faces."""
 DARKEST_QUANTILE = 0.02
 """Quantile of the greys that counts as the darkest faces."""
-NORMAL_MAD = 1.4826
-"""Standard deviation over median absolute deviation of a normal distribution."""
 SPHERE_POINTS = 200
 """Normals over which the prior and the mean accuracy are computed."""
 

@@ -12,6 +12,7 @@ estimates blur, light and corner radius. `tracking.surface_marks` shares the pro
 
 from .edge_equations import add_edge_equations as add_edge_equations
 from .edge_stretch import BIWEIGHT_CUT as BIWEIGHT_CUT
+from .edge_stretch import NORMAL_MAD as NORMAL_MAD
 from .edge_stretch import update_shared_greys as update_shared_greys
 from .kernel_types import BACKGROUND_SHARE as BACKGROUND_SHARE
 from .kernel_types import BLUR as BLUR

@@ -54,7 +54,7 @@ BIWEIGHT_CUT = 4.685
 """Cut of the biweight in sigmas: 95 % efficient on clean Gaussian residuals."""
 BIWEIGHT_VARIANCE = 0.8281
 """Mean square of Gaussian residuals of unit variance under the biweight's own weights with that cut."""
-MAD_SIGMA = 1.4826
+NORMAL_MAD = 1.4826
 """Standard deviation of a Gaussian over its median absolute value."""
 MEDIAN_TOLERANCE = 0.02
 """Part of itself to which a median is found; that of 200 Gaussian residuals is known to a fifteenth."""
@@ -67,6 +67,7 @@ CLEAR_SIGMAS = 3.0
 FAINT_SIGMAS = 1.0
 """The same if the stretch has more than FAINT_PIXELS effective pixels, whose mean is surer."""
 FAINT_PIXELS = 30
+"""Sum of the robust weights of a stretch from which a fainter step is clear."""
 STRIP_NOISE_GREY = 2.0
 """Least noise that the prior on a rounded strip is scaled by: on noiseless pictures it would hold nothing."""
 LEAST_PIVOT = 1e-9
@@ -155,7 +156,7 @@ def add_stretch(
         else:
             _four_residuals(n, c, phi, grey, res, size)
         if reweighting < REWEIGHTINGS - 1:
-            scale = max(noise_floor, MAD_SIGMA * _median_size(size, n))
+            scale = max(noise_floor, NORMAL_MAD * _median_size(size, n))
         else:
             scale = max(noise_floor, _robust_scale(n, icut, res))
         icut = 1.0 / (BIWEIGHT_CUT * scale)

@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .edge_stretch import NORMAL_MAD
+
 Mask = NDArray[np.bool_]
 
 Image = NDArray[np.float32]
@@ -25,8 +27,6 @@ DITHERED = 0.5
 more than exp(-2π²/4)/π of a step then, a four hundredth."""
 ROUNDING_SHARE = 0.3
 """Standard deviation of rounding, in steps: 1/√12."""
-NORMAL_MAD = 1.4826
-"""Standard deviation of a Gaussian over its median absolute value."""
 
 MEAN_PX = 3
 """Side of the square whose mean is compared with the background."""

@@ -23,6 +23,7 @@ from ..picture import (
     THREADS,
     UNEXPLAINED_COST,
     Blob,
+    Image,
     Mask,
     View,
     differs_from_background,
@@ -40,6 +41,7 @@ from .refine import Pose, refine_pose
 from .refine_kernels import COARSE_STEPS
 
 Array = NDArray[np.float64]
+Box = tuple[int, int, int, int]
 
 SYMMETRY_ORDERS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60, "icosahedron": 60}
 """Order of each die's rotation group: the grid needs that many times fewer orientations."""
@@ -96,9 +98,9 @@ ALL_CAMERAS_COARSE_STEPS = 3
 """Coarse steps of the refinement on all cameras that follows that on the first."""
 
 
-def initial_poses(view: View, image: NDArray[np.float32]) -> list[tuple[float, Pose]]:
-    """Candidate poses of one frame (height, width), or (cameras, height, width) for several cameras: each with its
-    region cost, the lowest first. Empty if the first camera shows no die."""
+def initial_poses(view: View, image: Image) -> list[tuple[float, Pose]]:
+    """Candidate poses of one frame (height, width), or (cameras, height, width) for several cameras: each with its cost
+    in the first camera's picture, the lowest first. Empty if the first camera shows no die."""
     images = image if image.ndim == 3 else image[None]
     if not die_blobs(view, images[0]):
         return []
@@ -110,7 +112,7 @@ def initial_poses(view: View, image: NDArray[np.float32]) -> list[tuple[float, P
     return found
 
 
-def _candidates_in_regions(view: View, images: NDArray[np.float32], blobs: list[Blob]) -> list[tuple[float, Pose]]:
+def _candidates_in_regions(view: View, images: Image, blobs: list[Blob]) -> list[tuple[float, Pose]]:
     """Candidates about some readings of one region, of which not all need be right."""
     if not blobs:
         return []
@@ -126,12 +128,13 @@ def _candidates_in_regions(view: View, images: NDArray[np.float32], blobs: list[
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
     found = [pair for blob in blobs for pair in _search(view, images, blob, box)]
     found.sort(key=lambda pair: pair[0])
-    apart = _distinct(view, found)[: view.quality.max_initial_poses]
-    kept = apart[:FEW_KEPT] + [pair for pair in apart[FEW_KEPT:] if pair[0] < apart[0][0] + ACCEPTED_EXCESS_COST]
-    return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in kept]
+    distinct = _distinct(view, found)[: view.quality.max_initial_poses]
+    limit = distinct[0][0] + ACCEPTED_EXCESS_COST if distinct else 0.0
+    kept = distinct[:FEW_KEPT] + [pair for pair in distinct[FEW_KEPT:] if pair[0] < limit]
+    return [(cost, refine_pose(view, images, pose.position_m, pose.rotation)) for cost, pose in kept]
 
 
-def _candidates_in_smaller(view: View, images: NDArray[np.float32], shrink: int) -> list[tuple[float, Pose]]:
+def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple[float, Pose]]:
     """The candidates of pictures reduced by a factor, each refined on the whole ones."""
     less = Decimation(shrink=shrink)
     sizes = [(camera.height_px, camera.width_px) for camera in view.cameras]
@@ -145,12 +148,12 @@ def _candidates_in_smaller(view: View, images: NDArray[np.float32], shrink: int)
         quality=view.quality,
     )  # fmt: skip
     found = initial_poses(small, stack_pictures(smaller))
-    return [(score, refine_pose(view, images, pose.position_m, pose.rotation)) for score, pose in found]
+    return [(cost, refine_pose(view, images, pose.position_m, pose.rotation)) for cost, pose in found]
 
 
-def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
-    """The regions that may be the die and are not cut by the image border: without what looks like shadow, and with
-    it."""
+def die_blobs(view: View, image: Image) -> list[Blob]:
+    """Regions that may be the die and are not cut by the image border: without what looks like shadow, brighter than
+    the table, and with the shadow."""
     mask, lit = _masks(view, image)
     rest, whole = largest_blob(lit), largest_blob(mask)
     if rest is None or whole is None or rest.area_px < LIT_SHARE * whole.area_px:
@@ -162,7 +165,7 @@ def die_blobs(view: View, image: NDArray[np.float32]) -> list[Blob]:
     return [b for b in (rest, largest_blob(mask & (image > view.background)), whole) if b and not b.touches_border]
 
 
-def _die_regions(view: View, image: NDArray[np.float32]) -> Iterator[list[Blob]]:
+def _die_regions(view: View, image: Image) -> Iterator[list[Blob]]:
     """Regions that the die alone may be, likely ones first: bulky parts without shadow, and parts brighter than the
     table. If none of them shows a die, as of one that is as grey as its shadow, everything that differs follows."""
     mask, lit = _masks(view, image)
@@ -174,16 +177,14 @@ def _die_regions(view: View, image: NDArray[np.float32]) -> Iterator[list[Blob]]
         yield list({(b.box, b.area_px): b for b in inside}.values())
 
 
-def _masks(view: View, image: NDArray[np.float32]) -> tuple[Mask, Mask]:
+def _masks(view: View, image: Image) -> tuple[Mask, Mask]:
     """What differs from the background, and what of it does not look like a shadow. A mirror shows no shadow: dark
     parts there are dark faces, or the reflection."""
     mask = differs_from_background(image, view.background, view.noise_grey)
     return mask, mask if view.mirror else without_shadow(image, view.background, view.noise_grey, mask)
 
 
-def _search(
-    view: View, images: NDArray[np.float32], blob: Blob, box: tuple[int, int, int, int]
-) -> list[tuple[float, Pose]]:
+def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float, Pose]]:
     """Grid search about one blob of the first camera's picture, then refinement of the best trials on all cameras."""
     solid = view.die.solid
     positions, rotations = _trials(view, blob)
@@ -194,17 +195,17 @@ def _search(
         parts = pool.map(
             lambda part: _region_costs(view, images[0], box, positions[part], rotations[part], SEARCH_PIXELS)[0], cuts
         )
-        scores = np.concatenate(list(parts))
-    best = np.argsort(scores, kind="stable")[:REFINED]
+        costs = np.concatenate(list(parts))
+    best = np.argsort(costs, kind="stable")[:REFINED]
     poses = _refined_trials(view, images, positions[best], rotations[best])
     poses = [p for p in poses if p.covariance is not None and p.position_m[2] >= LEAST_HEIGHT * solid.inradius]
     if not poses:
         return []
     places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
-    scores, differs = _region_costs(view, images[0], box, places, turns, JUDGED_PIXELS)
+    costs, differs = _region_costs(view, images[0], box, places, turns, JUDGED_PIXELS)
     return [
-        (float(score) + SUPPORT_COST * (1.0 - pose.support) + UNEXPLAINED_COST * pose.unexplained, pose)
-        for score, share, pose in zip(scores, differs, poses, strict=True)
+        (float(cost) + SUPPORT_COST * (1.0 - pose.support) + UNEXPLAINED_COST * pose.unexplained, pose)
+        for cost, share, pose in zip(costs, differs, poses, strict=True)
         if share > LEAST_DIFFERING_SHARE and pose.support > LEAST_SUPPORT
     ]
 
@@ -216,13 +217,13 @@ def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
     rotations = _rotation_grid(GRID_ROTATIONS // SYMMETRY_ORDERS.get(solid.name, LEAST_SYMMETRY_ORDER))
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
-    windows = ray / np.linalg.norm(ray)
+    line_of_sight = ray / np.linalg.norm(ray)
     # The visible faces of a convex body project to its silhouette, each by its area and slant.
     areas, middles = _face_areas(solid)
-    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ windows, 0.0) * areas
+    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ line_of_sight, 0.0) * areas
     silhouette_m2 = shares.sum(1)
     middle = np.einsum("nij,nj->ni", rotations, shares @ middles / silhouette_m2[:, None])
-    aside = middle - np.outer(middle @ windows, windows)
+    aside = middle - np.outer(middle @ line_of_sight, line_of_sight)
     depth = focal * np.sqrt(silhouette_m2 / blob.area_px)
     places = np.concatenate([camera.centre_m + np.outer(depth * factor, ray) - aside for factor in DISTANCE_FACTORS])
     rotations = np.tile(rotations, (len(DISTANCE_FACTORS), 1, 1))
@@ -231,17 +232,17 @@ def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
 
 
 def _region_costs(
-    view: View, image: NDArray[np.float32], box: tuple[int, int, int, int], positions_m: Array, rotations: Array,
+    view: View, image: Image, box: Box, positions_m: Array, rotations: Array,
     samples: int,
 ) -> tuple[Array, Array]:  # fmt: skip
     """`region_costs`; on a mirror the shadows that it does not show are added."""
-    scores, differs = region_costs(view, image, box, positions_m, rotations, samples)
+    costs, differs = region_costs(view, image, box, positions_m, rotations, samples)
     if view.mirror:
-        scores = scores + mirror_region_costs(view, image, box, positions_m, rotations, samples)
-    return scores, differs
+        costs = costs + mirror_region_costs(view, image, box, positions_m, rotations, samples)
+    return costs, differs
 
 
-def _refined_trials(view: View, images: NDArray[np.float32], positions_m: Array, rotations: Array) -> list[Pose]:
+def _refined_trials(view: View, images: Image, positions_m: Array, rotations: Array) -> list[Pose]:
     """Poses refined on the first camera's picture, and then on all cameras.
 
     The distance may be off by a fifth at first. A second camera sees that error from the side, too far off for any edge
@@ -249,7 +250,7 @@ def _refined_trials(view: View, images: NDArray[np.float32], positions_m: Array,
     """
     first, loose_m = with_first_camera_only(view), SIZE_PRIOR_REACH * view.reach_m
 
-    def some(rows: NDArray[np.int64]) -> list[Pose]:
+    def refined(rows: NDArray[np.int64]) -> list[Pose]:
         work = new_workspace(view.shape, view.rig)
         poses = [
             refine_pose(
@@ -267,7 +268,7 @@ def _refined_trials(view: View, images: NDArray[np.float32], positions_m: Array,
         ]
 
     with ThreadPoolExecutor(THREADS) as pool:
-        parts = pool.map(some, np.array_split(np.arange(len(positions_m)), THREADS))
+        parts = pool.map(refined, np.array_split(np.arange(len(positions_m)), THREADS))
         return [pose for part in parts for pose in part]
 
 

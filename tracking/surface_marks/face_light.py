@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import inner_fast_sums, inner_no_memory, inner_nogil
-from ..picture import solve_positive
+from ..picture import NORMAL_MAD, solve_positive
 from .kernel_types import (
     DECIMATED_FROM,
     FIRST_GRADIENT,
@@ -25,8 +25,6 @@ from .kernel_types import (
 
 FIRST_LEVEL_GREY = 255.0
 """Scattered light by which the prior of its gradients is scaled before the first solution."""
-NORMAL_MAD = 1.4826
-"""Standard deviation over median absolute deviation of a normal distribution."""
 
 
 @inner_no_memory

@@ -79,7 +79,7 @@ def test_a_sharp_die_has_radius_zero(shape: str) -> None:
     frames = sampled(lambda state, rng: photograph(STUDIO, die, state, rng), MANY, error=1.0)
     gain, sigma = rounding_gain(view, frames, compared_radius_px(view))
     assert gain < -3.0 * sigma  # the penalty for the two more intensities of a rounded edge, and a little more
-    assert not is_rounded(view, frames.some)
+    assert not is_rounded(view, frames.sample)
     free = radius_by_free_poses(view, frames)
     assert free is not None
     assert free.radius_m == 0.0
@@ -91,11 +91,11 @@ def test_a_sharp_die_out_of_focus_is_not_taken_for_rounded(shape: str, blur_px: 
     """A die whose radius exceeds the blur is."""
     setting, die = replace(STUDIO, blur_px=blur_px), DICE[shape]
     assert not is_rounded(
-        setting.view(die), sampled(lambda at, rng: photograph(setting, die, at, rng), MANY, error=1.0).some
+        setting.view(die), sampled(lambda at, rng: photograph(setting, die, at, rng), MANY, error=1.0).sample
     )
     ball = replace(CUBE, corner_radius_m=1.5 * blur_px / PX_PER_M)
     frames = sampled(lambda at, rng: photograph_rounded(setting, ball, at, rng), FEW)
-    assert is_rounded(setting.view(CUBE), frames.some)
+    assert is_rounded(setting.view(CUBE), frames.sample)
 
 
 # From half a pixel, a little less than the lens blur, to a die that is nearly a ball: 0.6 to 9 pixels.
@@ -103,7 +103,7 @@ def test_a_sharp_die_out_of_focus_is_not_taken_for_rounded(shape: str, blur_px: 
 def test_the_radius_of_a_rounded_die_is_found_within_its_error(radius_m: float) -> None:
     frames, view = round_frames(radius_m), STUDIO.view(CUBE)
     # Half a pixel is distinguished from none by more frames than these.
-    assert is_rounded(view, frames.some) or radius_m < 0.5 / PX_PER_M + 0.1e-3
+    assert is_rounded(view, frames.sample) or radius_m < 0.5 / PX_PER_M + 0.1e-3
     free = radius_by_free_poses(view, frames)
     assert free is not None
     assert abs(free.radius_m - radius_m) < 2.0 * free.sigma_m
