@@ -1,10 +1,10 @@
-"""Fuzz the readers of everything that strangers send: headers, scenes, throws, tracks, fits.
+"""Fuzz the readers of all files that users receive from others: headers, scenes, throws, tracks, fits.
 
-    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --runs 100000            # own mutations, shared out over the kinds of file
-    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --minutes 30 --atheris cine    # led by coverage; needs pip install atheris
+    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --runs 100000            # own mutations, divided among the kinds of file
+    PYTHONPATH=tests/helpers python benchmarks/fuzz.py --minutes 30 --atheris cine    # guided by coverage; pip install atheris
 
-A file may be read or be refused in a sentence. A find is any other exception, a file that takes longer than 10 s, and more
-than 1 GB of memory; its bytes are kept in the folder of --finds, and the exit status is 1.
+A reader may read a file or refuse it with a message. Any other exception, more than 10 s for a file, and more than 1 GB of memory
+are defects. The bytes of such a file are kept in the folder of --finds, and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -24,24 +24,25 @@ from types import FrameType
 import numpy as np
 from fuzz_targets import Target, mutated, targets
 
-SLOW_S = 10
+MAX_S = 10
+"""Longest time for one file."""
 MEMORY_BYTES = 2**30
-"""Beyond what the program and its libraries hold before the first file."""
+"""Memory for one file, in addition to that of the program and its libraries before the first file."""
 
 
 class TooSlowError(BaseException):
-    """Of no kind that a reader catches."""
+    """A reader took too long; a BaseException, which no reader catches."""
 
 
 def main() -> int:
-    """Fuzz, and tell what was found."""
+    """Fuzz, and print the defects found."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=100_000, help="files of all kinds together")
     parser.add_argument("--minutes", type=float, help="instead of --runs")
     parser.add_argument("--kinds", nargs="+", help="left out: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--finds", type=Path, default=Path("finds"))
-    parser.add_argument("--atheris", metavar="KIND", help="let atheris lead the mutations of one kind by coverage")
+    parser.add_argument("--atheris", metavar="KIND", help="let atheris guide the mutations of one kind by coverage")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as temporary:
@@ -49,10 +50,10 @@ def main() -> int:
         every = {target.name: target for target in targets(folder)}
         for target in every.values():
             for content in target.seeds:
-                target.read(folder, content)  # loads what is loaded once, before the memory is limited
+                target.read(folder, content)  # loads modules before the memory is limited
         _limit_memory()
         if options.atheris:
-            return _led_by_coverage(every[options.atheris], folder, options.minutes or 1.0, options.finds)
+            return _guided_by_coverage(every[options.atheris], folder, options.minutes or 1.0, options.finds)
         chosen = [every[name] for name in options.kinds or every]
         return _mutations(chosen, folder, options.runs, options.minutes, options.seed, options.finds)
 
@@ -67,35 +68,35 @@ def _mutations(chosen: list[Target], folder: Path, runs: int, minutes: float | N
         while done < runs // len(chosen) if share_until is None else time.monotonic() < share_until:
             content = mutated(target, random)
             started = time.monotonic()
-            trouble = _trouble(target, folder, content)
+            defect = _defect(target, folder, content)
             slowest = max(slowest, time.monotonic() - started)
-            if trouble:
+            if defect:
                 found += 1
-                _keep(finds, target.name, content, trouble)
+                _keep(finds, target.name, content, defect)
             done += 1
         spent = time.monotonic() - begin
         print(f"{target.name:12} {done:8} files in {spent:6.0f} s, slowest {slowest:.3f} s", flush=True)
     most_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print(f"{found} finds; most memory {most_mb:.0f} MB, the program and its libraries among it")
+    print(f"{found} defects; most memory {most_mb:.0f} MB, the program and its libraries among it")
     return 1 if found else 0
 
 
-def _trouble(target: Target, folder: Path, content: bytes) -> str:
-    """What is wrong with how a file is taken; empty where nothing is."""
+def _defect(target: Target, folder: Path, content: bytes) -> str:
+    """The defect in reading a file; empty without one."""
     try:
-        with _at_most(SLOW_S):
+        with _at_most(MAX_S):
             target.read(folder, content)
     except TooSlowError:
-        return f"longer than {SLOW_S} s"
+        return f"longer than {MAX_S} s"
     except MemoryError:
         return f"more than {MEMORY_BYTES} bytes"
-    except Exception as error:  # whatever it is, it is a find
+    except Exception as error:  # any other exception is a defect
         return f"{type(error).__name__}: {error}"
     return ""
 
 
-def _led_by_coverage(target: Target, folder: Path, minutes: float, finds: Path) -> int:
-    """Atheris changes the seeds where that reaches new lines of the readers."""
+def _guided_by_coverage(target: Target, folder: Path, minutes: float, finds: Path) -> int:
+    """Fuzz with atheris, which keeps mutations that reach new lines of the readers."""
     import atheris
 
     for module in [name for name in sys.modules if name.startswith("diethrow.") and "kernels" not in name]:
@@ -108,11 +109,11 @@ def _led_by_coverage(target: Target, folder: Path, minutes: float, finds: Path) 
         (corpus / str(number)).write_bytes(content)
 
     def one(content: bytes) -> None:
-        if trouble := _trouble(target, folder, content):
-            _keep(finds, target.name, content, trouble)
-            raise AssertionError(trouble)
+        if defect := _defect(target, folder, content):
+            _keep(finds, target.name, content, defect)
+            raise AssertionError(defect)
 
-    # 0 leaves the memory to the limit that is set already.
+    # 0: the limit of memory is set already.
     words = [
         sys.argv[0],
         str(corpus),
@@ -125,15 +126,15 @@ def _led_by_coverage(target: Target, folder: Path, minutes: float, finds: Path) 
     return 0
 
 
-def _keep(finds: Path, name: str, content: bytes, trouble: str) -> None:
+def _keep(finds: Path, name: str, content: bytes, defect: str) -> None:
     finds.mkdir(parents=True, exist_ok=True)
     number = len(list(finds.iterdir()))
     (finds / f"{name}_{number}").write_bytes(content)
-    print(f"{name}: {trouble[:300]} ({finds / f'{name}_{number}'})", flush=True)
+    print(f"{name}: {defect[:300]} ({finds / f'{name}_{number}'})", flush=True)
 
 
 def _limit_memory() -> None:
-    """Let the process grow by MEMORY_BYTES and no more."""
+    """Limit the growth of the process to MEMORY_BYTES."""
     held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (held + MEMORY_BYTES, resource.RLIM_INFINITY))
 

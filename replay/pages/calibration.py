@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from ...tracking.calibration import INTRINSICS, Calibration, SeenBoard, TablePose
+from ...tracking.calibration import INTRINSICS, Calibration, PosedBoard, TablePose
 from ..elements import AXIS_COLOURS, IMPACT, MEASURED, SIMULATED, hex_colour
 from .page_parts import WIDE, as_address, as_table, captioned, drawing, plotted, whole_page
 
@@ -171,7 +171,7 @@ def _table(table: TablePose | None, picture: NDArray[np.uint8] | None, square_m:
 
 
 def _on_table(table: TablePose, picture: NDArray[np.uint8], square_m: float) -> str:
-    board: SeenBoard = table.board
+    board: PosedBoard = table.board
     height, width = picture.shape
     with drawing((WIDE, WIDE * height / width)) as figure:
         ax = figure.subplots()

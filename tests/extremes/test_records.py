@@ -1,4 +1,4 @@
-"""Records and pages: one frame and sixty thousand, everything known and nothing."""
+"""Records and pages: one frame and sixty thousand, all poses known and none."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from diethrow.replay.pages.report import write_report
 from diethrow.replay.recording.throw_recording import write_recording
 from diethrow.tracking.track import LOST, TRACKED, Track
 
-Told = Callable[[str], None]
+Report = Callable[[str], None]
 
 
 def tracked(frames: int) -> Track:
-    """So many frames of the throw by hand, evenly over its time."""
+    """A track of so many frames of the throw by hand, evenly over its time."""
     times = np.linspace(0.0, 0.04, frames)
     positions, quaternions = made.throw().poses(times)
     covariance = np.tile(1e-9 * np.eye(6), (frames, 1, 1))
     return Track(np.arange(frames), times, positions, quaternions, covariance, np.full(frames, TRACKED, dtype="<U7"))
 
 
-def told(path: Path) -> str:
-    """The size of a file, roughly."""
+def size_of(path: Path) -> str:
+    """Name and rounded size of a file."""
     return f"{path.name} {path.stat().st_size / 1e6:.1g} MB"
 
 
 @pytest.mark.parametrize(
     "frames", [1, pytest.param(60_000, marks=pytest.mark.slow)], ids=lambda n: f"{n} frame" + "s" * (n > 1)
 )
-def test_a_recording_and_a_page_of_any_length(frames: int, tmp_path: Path, happened: Told) -> None:
-    """A throw on one frame and on sixty thousand is recorded, and told on a page; the table reads back as it was."""
+def test_a_recording_and_a_page_of_any_length(frames: int, tmp_path: Path, happened: Report) -> None:
+    """A throw on one frame and on sixty thousand has a recording and a page, and its table is read back as it was."""
     track = tracked(frames)
     record = made.record(clip=None, track=track, simulated=None, fps=1500.0)
     write_recording(tmp_path / "replay.rrd", record)
@@ -44,11 +44,11 @@ def test_a_recording_and_a_page_of_any_length(frames: int, tmp_path: Path, happe
     again = read_track(tmp_path / "track.csv")
     assert len(again) == frames
     np.testing.assert_allclose(again.position_m, track.position_m, rtol=1e-12)
-    happened(", ".join(told(tmp_path / name) for name in ("replay.rrd", "report.html", "track.csv")))
+    happened(", ".join(size_of(tmp_path / name) for name in ("replay.rrd", "report.html", "track.csv")))
 
 
-def test_a_page_of_nothing_known_says_so(tmp_path: Path, happened: Told) -> None:
-    """A page of a track that knows no pose, with no fit, is written, and shows no number that is none."""
+def test_a_track_without_poses_has_a_page(tmp_path: Path, happened: Report) -> None:
+    """A track without any pose, and without a fit, has a page that shows no NaN."""
     lost = replace(
         tracked(40), position_m=np.full((40, 3), np.nan), quaternion=np.full((40, 4), np.nan),
         covariance=np.full((40, 6, 6), np.nan), status=np.full(40, LOST, dtype="<U7"),
@@ -57,4 +57,4 @@ def test_a_page_of_nothing_known_says_so(tmp_path: Path, happened: Told) -> None
     write_recording(tmp_path / "replay.rrd", record)
     write_report(tmp_path / "report.html", record)
     assert "nan" not in (tmp_path / "report.html").read_text(encoding="utf-8").split("<body")[-1].split("base64")[0]
-    happened(", ".join(told(tmp_path / name) for name in ("replay.rrd", "report.html")))
+    happened(", ".join(size_of(tmp_path / name) for name in ("replay.rrd", "report.html")))

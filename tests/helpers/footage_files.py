@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 
 def noisy_frames(count: int, *, bits: int = 8, height: int = 48, width: int = 64, seed: int = 1) -> NDArray[np.uint16]:
-    """(count, height, width) of a moving bright square in noise, over all of the depth; no two frames alike."""
+    """(count, height, width) of a moving bright square in noise, over the full depth; no two frames are equal."""
     rng = np.random.default_rng(seed)
     top = 2**bits - 1
     frames = rng.integers(0, top // 4, (count, height, width))
@@ -55,7 +55,7 @@ def write_video(
 
 
 def video_frame(levels: NDArray, pixels: str) -> av.VideoFrame:
-    """A grey frame for the encoder, written plane by plane since PyAV knows only some depths."""
+    """A grey frame for the encoder, written by its plane, since PyAV supports some depths only."""
     height, width = levels.shape
     frame = av.VideoFrame(width, height, pixels)
     lines = np.zeros((height, frame.planes[0].line_size // levels.itemsize), levels.dtype)
@@ -156,13 +156,13 @@ def write_cine(
     struct.pack_into("<I", setup, 1568, round(1e9 * float(np.mean(exposure_s))))
     trigger_s = 1_785_000_000.25
     times = np.arange(count) / rate_hz if times_s is None else np.asarray(times_s)
-    # In two steps, since the seconds of our days and 32 bits of fraction do not fit a double.
+    # In two steps: seconds since 1970 and 32 bits of fraction exceed a double.
     stamps = (np.uint64(int(trigger_s * 2**32)) + np.rint(times * 2**32).astype(np.int64).view(np.uint64)).astype("<u8")
     exposures = np.rint(np.broadcast_to(exposure_s, count) * 2.0**32).astype("<u4")
     blocks = b""
     if timed:
         blocks += struct.pack("<IHH", 8 + 8 * count, 1002, 1) + stamps.tobytes()
-        blocks += struct.pack("<IHH", 8 + 5, 1007, 1) + b"later"  # a block that nobody needs to know
+        blocks += struct.pack("<IHH", 8 + 5, 1007, 1) + b"later"  # a block that no reader needs
     blocks += struct.pack("<IHH", 8 + 4 * count, 1003, 0) + exposures.tobytes()
     offsets_at = 44 + 40 + len(setup) + len(blocks)
     picture = [pack_cine(frame, stored_bits) for frame in frames]

@@ -1,7 +1,7 @@
-"""What is fuzzed: small files of every kind that strangers send, and the readers that must survive any change of them.
+"""Targets of fuzzing: small files of every kind that users receive from others, and the readers that must survive any change.
 
-A target takes the bytes of one file and reads it as a command would. It returns when the file was read or refused in a
-sentence (ValueError, OSError); anything else that it raises is a find.
+A target takes the bytes of one file and reads it as a command does. It returns if the file was read, or refused with a message
+(ValueError, OSError); any other exception is a defect.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ class Target:
 
     name: str
     seeds: tuple[bytes, ...]
-    """Whole files to begin from."""
+    """Valid files that mutations start from."""
     words: tuple[bytes, ...]
-    """What a mutation may put in."""
+    """Bytes that a mutation may insert."""
     read: Callable[[Path, bytes], None]
     """Write the bytes into a folder and read them."""
 
 
-def refused(read: Callable[[], object]) -> None:
-    """Read, and take a refusal in a sentence for an answer."""
+def read_or_refused(read: Callable[[], object]) -> None:
+    """Read; accept an error with a message of reasonable length."""
     try:
         read()
     except (ValueError, OSError) as error:
-        sentence = str(error)
-        if not sentence or len(sentence) > 2000:
-            raise AssertionError(f"no sentence: {sentence[:200]!r}") from error
+        message = str(error)
+        if not message or len(message) > 2000:
+            raise AssertionError(f"no readable message: {message[:200]!r}") from error
 
 
 def _read_clip(path: Path) -> None:
@@ -56,7 +56,7 @@ def _read_clip(path: Path) -> None:
         for k in {0, len(clip) // 2, len(clip) - 1}:
             clip.frame(k)
 
-    refused(read)
+    read_or_refused(read)
 
 
 def _cih(folder: Path, content: bytes) -> None:
@@ -86,38 +86,38 @@ def _scene(folder: Path, content: bytes) -> None:
         if not (folder / name).exists():
             (folder / name).write_bytes(b"")
     (folder / "scene.toml").write_bytes(content)
-    refused(lambda: read_scene(folder / "scene.toml"))
+    read_or_refused(lambda: read_scene(folder / "scene.toml"))
 
 
 def _plan(folder: Path, content: bytes) -> None:
     (folder / "throw.toml").write_bytes(content)
-    refused(lambda: read_plan(folder / "throw.toml"))
+    read_or_refused(lambda: read_plan(folder / "throw.toml"))
 
 
 def _track(folder: Path, content: bytes) -> None:
     (folder / "track.csv").write_bytes(content)
     (folder / "track_covariance.npy").unlink(missing_ok=True)
-    refused(lambda: read_track(folder / "track.csv"))
+    read_or_refused(lambda: read_track(folder / "track.csv"))
 
 
 def _covariance(track: bytes, folder: Path, content: bytes) -> None:
     (folder / "other.csv").write_bytes(track)
     (folder / "other_covariance.npy").write_bytes(content)
-    refused(lambda: read_track(folder / "other.csv"))
+    read_or_refused(lambda: read_track(folder / "other.csv"))
 
 
 def _bounces(folder: Path, content: bytes) -> None:
     (folder / "bounces.csv").write_bytes(content)
-    refused(lambda: read_bounces(folder / "bounces.csv"))
+    read_or_refused(lambda: read_bounces(folder / "bounces.csv"))
 
 
 def _fit(folder: Path, content: bytes) -> None:
     (folder / "fit.json").write_bytes(content)
-    refused(lambda: read_parameters(folder / "fit.json"))
+    read_or_refused(lambda: read_parameters(folder / "fit.json"))
 
 
 def targets(folder: Path) -> tuple[Target, ...]:
-    """Every kind, with seeds that are written into `folder` once."""
+    """All targets; their seeds are written into `folder` once."""
     tiff = [
         write_tiff(folder / "s.tif", FRAMES).read_bytes(),
         write_tiff(folder / "z.tif", FRAMES[:1], compression="zlib").read_bytes(),
@@ -208,7 +208,7 @@ def mutated(target: Target, random: np.random.Generator) -> bytes:
 
 
 def _place(content: bytearray, random: np.random.Generator) -> int:
-    """Where to change: in the first bytes, at one that says something, or anywhere."""
+    """A place to change: in the first bytes, at one that is not zero, or anywhere."""
     size, kind = len(content), random.integers(3)
     if not size:
         return 0
@@ -216,13 +216,13 @@ def _place(content: bytearray, random: np.random.Generator) -> int:
         return int(random.integers(min(size, 128)))
     place = int(random.integers(size))
     if kind == 1:
-        said = np.flatnonzero(np.frombuffer(bytes(content[: 2**13]), np.uint8))
-        return int(random.choice(said)) if len(said) else place
+        nonzero = np.flatnonzero(np.frombuffer(bytes(content[: 2**13]), np.uint8))
+        return int(random.choice(nonzero)) if len(nonzero) else place
     return place
 
 
 def _change(content: bytearray, words: tuple[bytes, ...], random: np.random.Generator) -> None:
-    """Flip a bit, set or copy bytes, cut, or put a word in."""
+    """Flip a bit, set or copy bytes, delete some, or insert a word."""
     size = len(content)
     place = _place(content, random)
     kind = random.integers(7)

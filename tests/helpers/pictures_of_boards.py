@@ -1,4 +1,4 @@
-"""Calibration boards whose truth is known: seen through a camera with distortion, as corners alone and as pictures."""
+"""Calibration boards with a known camera with distortion: corners alone, and rendered pictures."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def corner_views(
 
 
 def picture(board: Board, R: Array, t: Array, *, legacy: bool = False, noise_grey: float = 0.0) -> NDArray[np.uint8]:
-    """A board, white border and grey table round it, averaged over each pixel's area, with a little lens blur."""
+    """A picture of a board with white border on a grey table, averaged over each pixel's area, with a little lens blur."""
     printed = _print(board, legacy)
     rays = _rays()
     depth = (R[:, 2] @ t) / (rays @ R[:, 2])
@@ -60,8 +60,10 @@ def picture(board: Board, R: Array, t: Array, *, legacy: bool = False, noise_gre
     # A point at x metres lies at x / square · PRINT_PX - ½ in the print, behind a border of one square.
     at = (on_board[:, :2] / board.square_m + 1.0) * PRINT_PX - 0.5
     at = at.reshape(FINER * HEIGHT, FINER * WIDTH, 2).astype(np.float32)
-    seen = cv2.remap(printed, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=110)
-    levels = seen.reshape(HEIGHT, FINER, WIDTH, FINER).mean((1, 3))
+    rendered = cv2.remap(
+        printed, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=110
+    )
+    levels = rendered.reshape(HEIGHT, FINER, WIDTH, FINER).mean((1, 3))
     levels = 25.0 + 0.75 * cv2.GaussianBlur(levels, (0, 0), 0.6)
     levels = levels + noise_grey * np.random.default_rng(5).normal(size=levels.shape)
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)

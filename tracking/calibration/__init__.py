@@ -11,7 +11,7 @@ from .boards import find_boards as find_boards
 from .boards import make_board as make_board
 from .intrinsics import INTRINSICS as INTRINSICS
 from .intrinsics import Calibration as Calibration
-from .intrinsics import SeenBoard as SeenBoard
+from .intrinsics import PosedBoard as PosedBoard
 from .intrinsics import calibrate as calibrate
 from .table_board import TablePose as TablePose
 from .table_board import table_pose as table_pose

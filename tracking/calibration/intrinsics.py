@@ -59,7 +59,7 @@ RELATIVE_STEP = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class SeenBoard:
+class PosedBoard:
     """One picture of the board with its pose."""
 
     view: BoardView
@@ -94,7 +94,7 @@ class Calibration:
     """(9, 9) in the order of INTRINSICS; 0 for parameters that were not fitted."""
     sigma_px: float
     """Standard error of one coordinate of a corner, from the residuals."""
-    boards: tuple[SeenBoard, ...]
+    boards: tuple[PosedBoard, ...]
     left_out: tuple[tuple[str, float], ...]
     """Pictures that do not fit the others: name, and residual [px] to them."""
     corners_left_out: int
@@ -288,7 +288,7 @@ def _calibration(
     covariance = np.zeros((9, 9))
     covariance[np.ix_(used, used)] = variance * C
     boards = tuple(
-        SeenBoard(view, R, t, np.asarray(variance * (E + E @ B.T @ C @ B @ E), float), residuals)
+        PosedBoard(view, R, t, np.asarray(variance * (E + E @ B.T @ C @ B @ E), float), residuals)
         for view, R, t, residuals, (_, B, E) in zip(
             fit.views, fit.turns, fit.shifts, fit.residuals, blocks, strict=True
         )

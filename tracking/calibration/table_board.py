@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ..camera import Camera
 from .boards import Board
-from .intrinsics import Calibration, SeenBoard
+from .intrinsics import Calibration, PosedBoard
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class TablePose:
     camera: Camera
     covariance: Array
     """(6, 6) of (δθ [rad], δt [m]) in camera axes: rotation_true = exp(δθ) rotation, and translation_m."""
-    board: SeenBoard
+    board: PosedBoard
     other_rotation: Array | None
     """(3, 3) world to camera of the other planar pose; None where there is none."""
     other_rms_px: float | None
@@ -60,32 +60,32 @@ def table_pose(calibration: Calibration, board: Board, name: str, thickness_m: f
 
     Raises ValueError where that picture was left out, does not distinguish the two planar poses, or shows the board from below.
     """
-    seen = next((each for each in calibration.boards if each.view.name == name), None)
-    if seen is None:
+    posed = next((each for each in calibration.boards if each.view.name == name), None)
+    if posed is None:
         raise ValueError(
             f"{name}: the picture with the board on the table does not fit the others; take it again, sharp, with "
             "the same lens setting as for the others and the clips"
         )
-    poses = _planar_poses(calibration, seen)
+    poses = _planar_poses(calibration, posed)
     (R, t, squares), others = poses[0], poses[1:]
     other = next((pose for pose in others if _angle(pose[0], R) > SAME_POSE_RAD), None)
     if other is not None:
         _check_distinguished(calibration, name, squares, other)
     camera = _camera(calibration, board, R, t, thickness_m)
     _check_above_table(camera, name)
-    n = len(seen.view.ids)
+    n = len(posed.view.ids)
     return TablePose(
         camera,
-        _covariance_at_world_origin(seen.covariance, camera, t),
-        seen,
+        _covariance_at_world_origin(posed.covariance, camera, t),
+        posed,
         None if other is None else other[0] @ HALF_TURN,
         None if other is None else float(np.sqrt(other[2] / n)),
     )
 
 
-def _planar_poses(calibration: Calibration, seen: SeenBoard) -> list[tuple[Array, Array, float]]:
+def _planar_poses(calibration: Calibration, posed: PosedBoard) -> list[tuple[Array, Array, float]]:
     """Both poses of the plane, refined, best first: rotation, translation, sum of squares [px²]."""
-    points, pixels = seen.view.corners_m, seen.view.pixels
+    points, pixels = posed.view.corners_m, posed.view.pixels
     middle = points.mean(0)
     arguments = (calibration.matrix, calibration.distortion)
     _, turns, shifts, _ = cv2.solvePnPGeneric(points - middle, pixels, *arguments, flags=cv2.SOLVEPNP_IPPE)
