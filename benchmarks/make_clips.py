@@ -1,4 +1,4 @@
-"""Render a bench of clips with truth: other dice, surfaces and troubles, each from a seed.
+"""Render a set of clips with ground truth: other dice, surfaces and difficulties, each from a seed.
 
     PYTHONPATH=tests/helpers python benchmarks/make_clips.py OUT_FOLDER [NAME...] [--variant llvm_ad_mono] [--samples 48]
 
@@ -36,14 +36,15 @@ FPS = 1500.0
 SIZE_PX = 384
 DENSITY_KG_M3 = 1180.0
 """Acrylic."""
-MOST_SEEDS = 2000
-LONE_FRAMES = 2.0
-"""Bounces nearer together are one contact to a camera."""
+MAX_SEEDS = 2000
+"""Most seeds that are tried for a throw with enough bounces in view."""
+MIN_BOUNCE_FRAMES = 2.0
+"""Least time between two bounces, in frames: closer ones are one contact to a camera."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """What one clip is about."""
+    """The die, table and camera of one clip."""
 
     shape: str
     edge_m: float
@@ -57,9 +58,9 @@ class Case:
     exposure_s: float = 2e-4
     frames: int = 170
     width_m: float = 0.088
-    """Across the picture, at the die."""
+    """Width of the picture at the die."""
     height_m: float = 0.04
-    """Of the release above contact."""
+    """Height of the release above contact."""
     distortion: float = 0.0
     """k1."""
     bit_depth: int = 8
@@ -69,7 +70,7 @@ class Case:
     brightest: float = 0.8
     rod: bool = False
     bounces: int = 2
-    """At least so many in view."""
+    """Fewest bounces in view."""
     note: str = ""
 
 
@@ -165,14 +166,14 @@ def job_of(name: str, case: Case, effort: RenderSettings) -> FilmJob:
     density = DENSITY_KG_M3 * volume_m3(case.shape, case.edge_m)
     die = make_die(case.shape, case.edge_m, density, corner_radius_m=case.corner_radius_m, marks=case.marks)
     law = CoulombImpact(case.chi, case.mu, "newton") if case.mu else SmoothImpact(case.chi)
-    for draw in range(MOST_SEEDS):
+    for draw in range(MAX_SEEDS):
         rng = np.random.default_rng([case.seed, draw])
         camera = random_camera(case, rng)
         throw = throw_die(die, random_release(case, die, rng), law, until=Until(time_s=case.frames / FPS)).throw
         if stays_in_view(throw, die, camera, case):
             break
     else:
-        raise ValueError(f"{name}: none of {MOST_SEEDS} throws stays in view; widen the picture")
+        raise ValueError(f"{name}: none of {MAX_SEEDS} throws stays in view; widen the picture")
     look = Appearance(
         lamp_beside(camera),
         die_reflectance=case.paint,
@@ -245,12 +246,12 @@ def stays_in_view(throw: Throw, die: Die, camera: Camera, case: Case) -> bool:
     times = np.arange(case.frames) / FPS
     positions, _ = throw.poses(times)
     rotations = np.array([throw.at(float(t)).rotation for t in times])
-    wholly, _ = visibility(die, camera, positions, rotations)
+    whole, _ = visibility(die, camera, positions, rotations)
     strikes = np.array([impact.time_s for impact in throw.bounces])
     first = int(strikes[0] * FPS) - 12 if len(strikes) else 0
-    apart = np.diff(strikes, prepend=-1.0, append=np.inf) * FPS > LONE_FRAMES
+    apart = np.diff(strikes, prepend=-1.0, append=np.inf) * FPS > MIN_BOUNCE_FRAMES
     lone = apart[:-1] & apart[1:] & (strikes < times[-1] - 0.01)
-    return first >= 0 and bool(wholly[first:].all()) and int(lone.sum()) >= case.bounces
+    return first >= 0 and bool(whole[first:].all()) and int(lone.sum()) >= case.bounces
 
 
 def rod_before(throw: Throw, camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...], float]:

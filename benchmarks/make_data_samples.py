@@ -2,7 +2,7 @@
 
     PYTHONPATH=tests/helpers python benchmarks/make_data_samples.py ORIGINAL_FOLDER data_samples
 
-The original is kept elsewhere (17 MB); what the two samples lose against it is printed and stands in data_samples/README.md.
+The original (17 MB) is not in the repository. The error of both samples against it is printed, and is in data_samples/README.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ from diethrow.tracking.footage.clip import open_clip
 
 FPS = 1500
 X264 = {"preset": "veryslow", "crf": "6.7", "tune": "psnr", "g": "60"}
-"""tune=psnr leaves out x264's psychovisual tricks, which shift edges: without it the same size costs 1.7 times the error."""
+"""tune=psnr turns off x264's psychovisual optimisation, which shifts edges: without it the error is 1.7 times as large at the
+same size."""
 FIRST, STOP = 90, 130
 """Frames of the Photron sample: 15 of flight, two impacts (105.4 and 116.8), 13 of flight."""
 LEFT, TOP, WIDTH, HEIGHT = 86, 136, 152, 216

@@ -1,9 +1,9 @@
-"""Film the throws in data_samples/throws and make samples of them, small enough to clone.
+"""Render the throws in data_samples/throws as clips small enough for the repository.
 
     PYTHONPATH=tests/helpers python benchmarks/make_film_samples.py data_samples tests/data [NAME...] [--variant llvm_ad_mono]
 
-Each is what `diethrow film data_samples/throws/NAME.toml` with the settings of `FILMS` writes, coded as monochrome H.264
-like the other sample (`make_data_samples`), with its truth in tests/data/NAME. Needs Mitsuba, and some minutes a film.
+Each clip is the output of `diethrow film data_samples/throws/NAME.toml` with the settings of `FILMS`, encoded as monochrome
+H.264 like the other sample (`make_data_samples`), with its truth in tests/data/NAME. Needs Mitsuba, and some minutes a clip.
 """
 
 from __future__ import annotations
@@ -30,15 +30,18 @@ FILMS = {
     "icosahedron_cork": FilmSettings(frames=170, start_s=0.312, size_px=384, exposure_s=1e-4, seed=6),
     "tetrahedron_wood": FilmSettings(frames=170, start_s=0.07, size_px=384, exposure_s=2e-4, seed=7),
 }
-"""A die that falls from 60 cm is in view for the last 30 ms of it; the rest of the fall is left out."""
-LARGEST_BYTES = 3_000_000
-COARSER = (1.0, 1.6, 2.5, 4.0)
-"""Added to x264's crf, one after the other, until the film is small enough."""
+"""A die that falls from 60 cm is in view for the last 30 ms of its fall; the rest is left out."""
+MAX_BYTES = 3_000_000
+"""Size of a clip that a clone of the repository bears."""
+BACKGROUND_BYTES = 200_000
+"""Of them, for the background."""
+CRF_STEPS = (1.0, 1.6, 2.5, 4.0)
+"""Added to x264's crf, one after the other, until the clip is small enough."""
 TRUTH = ("truth.csv", "bounces.csv", "truth.toml", "vertices.csv", "faces.csv")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Make the samples named, and print what coding them costs."""
+    """Make the named samples, and print the error of their encoding."""
     parser = argparse.ArgumentParser(description="Film the throws in data_samples/throws.")
     parser.add_argument("samples", type=Path)
     parser.add_argument("truths", type=Path)
@@ -51,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def make_sample(samples: Path, truth: Path, name: str, variant: str) -> None:
-    """One sample: film, code, and lay scene, background and truth beside it."""
+    """One sample: render, encode, and write scene, background and truth next to it."""
     folder = samples / name
     with tempfile.TemporaryDirectory() as scratch:
         whole = Path(scratch) / name
@@ -76,11 +79,11 @@ def settings_with(settings: FilmSettings, variant: str) -> FilmSettings:
 
 
 def code(path: Path, frames: np.ndarray) -> int:
-    """Write the film, as fine as fits, and return its size in bytes."""
-    for coarser in (0.0, *COARSER):
-        options = X264 | {"crf": str(float(X264["crf"]) + coarser)}
+    """Write the clip at the highest quality that fits, and return its size in bytes."""
+    for step in (0.0, *CRF_STEPS):
+        options = X264 | {"crf": str(float(X264["crf"]) + step)}
         write_video(path, frames, codec="libx264", pixels="gray", fps=int(FPS), options=options)
-        if path.stat().st_size <= LARGEST_BYTES - 200_000:  # the background lies beside it
+        if path.stat().st_size <= MAX_BYTES - BACKGROUND_BYTES:
             break
     return path.stat().st_size
 

@@ -1,4 +1,4 @@
-"""Disks that fill up, files that change or shrink under the reader, and what cannot be read: one sentence each."""
+"""Full disks, files that change or shrink while they are read, and unreadable files: one message each."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fill(output: Path, number: int) -> None:
     ("number", "reason"),
     [(errno.ENOSPC, "the disk is full"), (errno.EDQUOT, "quota"), (errno.EFBIG, "larger than allowed")],
 )
-def test_a_disk_that_fills_up_is_one_sentence_and_leaves_nothing(tmp_path: Path, number: int, reason: str) -> None:
+def test_a_disk_that_fills_up_gives_one_message_and_leaves_nothing(tmp_path: Path, number: int, reason: str) -> None:
     with pytest.raises(OutputPlaceError, match=f"out was not written: .*{reason}"):
         fill(tmp_path / "out", number)
     assert list(tmp_path.iterdir()) == []
@@ -73,7 +73,7 @@ def test_an_input_that_changes_meanwhile_is_refused_and_a_copy_of_it_is_not(tmp_
         clip.unlink()
 
 
-def test_a_large_input_is_read_beside_the_work_and_guarded_as_a_small_one(tmp_path: Path) -> None:
+def test_a_large_input_is_hashed_during_the_work_and_checked_like_a_small_one(tmp_path: Path) -> None:
     clip = tmp_path / "clip.mraw"
     clip.write_bytes(bytes(MAX_FOREGROUND_BYTES + 1))
     with unchanged_inputs([clip]) as inputs:
@@ -105,7 +105,7 @@ def test_a_second_large_input_that_changes_before_its_turn_is_refused(
         rewritten()
 
 
-def test_a_run_that_ends_early_reads_no_further(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_ends_early_stops_hashing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clip, scene, stop = tmp_path / "clip.mraw", tmp_path / "scene.toml", threading.Event()
     clip.write_bytes(bytes(MAX_FOREGROUND_BYTES + 1))
     scene.write_bytes(b"[clip]")
@@ -141,7 +141,7 @@ def test_a_change_explains_the_error_that_it_caused(tmp_path: Path) -> None:
         fail(lambda: clip.write_bytes(b"as"))
 
 
-def test_an_input_that_cannot_be_read_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreadable_input_gives_one_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "clip.avi").write_bytes(b"mine")
 
     def refuse(path: Path, stop: object) -> str:
@@ -152,7 +152,7 @@ def test_an_input_that_cannot_be_read_is_one_sentence(tmp_path: Path, monkeypatc
         files_read([tmp_path / "clip.avi"])
 
 
-def test_a_clip_that_is_replaced_under_way_gives_no_result(tmp_path: Path) -> None:
+def test_a_clip_that_is_replaced_during_the_run_gives_no_result(tmp_path: Path) -> None:
     scene = shutil.copytree(SAMPLE, tmp_path / "clip") / "scene.toml"
     pixels = tmp_path / "clip" / "clip.mraw"
 
@@ -166,7 +166,7 @@ def test_a_clip_that_is_replaced_under_way_gives_no_result(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("kind", ["Photron", "Phantom", "TIFF", "pictures"])
-def test_a_film_that_shrinks_while_it_is_read_is_one_sentence(kind: str, tmp_path: Path) -> None:
+def test_a_film_that_shrinks_while_it_is_read_gives_one_message(kind: str, tmp_path: Path) -> None:
     path, pixels = {
         "Photron": lambda: (write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=16), tmp_path / "x.mraw"),
         "Phantom": lambda: (write_cine(tmp_path / "x.cine", FRAMES, stored_bits=16), tmp_path / "x.cine"),
@@ -202,7 +202,7 @@ with whole_folder(Path(sys.argv[1])) as aside:
 """
 
 
-def test_a_killed_run_leaves_no_lock_and_the_next_one_sweeps_up(
+def test_a_killed_run_leaves_no_lock_and_the_next_one_removes_its_files(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"

@@ -1,4 +1,4 @@
-"""Files from strangers are read or refused in a sentence: a short run; `benchmarks/fuzz.py` makes the long ones."""
+"""Mutated files are read or refused with a message: a short run; `benchmarks/fuzz.py` makes long ones."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 NAMES = ("cih", "cihx", "cine", "tiff", "scene", "throw", "track", "covariance", "bounces", "fit")
 EACH = int(os.environ.get("DIETHROW_FUZZ", "60"))
-"""Mutated files of each kind, and as many that hypothesis makes."""
+"""Mutated files of each kind, and as many from hypothesis."""
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def test_mutated_files_are_read_or_refused(by_name: dict[str, tuple[Path, Target
     folder, target = by_name[name]
     random = np.random.default_rng(12)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # numbers at the end of the scale may overflow on the way to a refusal
+        warnings.simplefilter("ignore")  # numbers near the largest may overflow before they are refused
         for content in target.seeds:
             target.read(folder, content)
         for _ in range(EACH):
@@ -36,7 +36,7 @@ def test_mutated_files_are_read_or_refused(by_name: dict[str, tuple[Path, Target
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_files_of_any_parts_are_read_or_refused(by_name: dict[str, tuple[Path, Target]], name: str) -> None:
+def test_files_of_random_parts_are_read_or_refused(by_name: dict[str, tuple[Path, Target]], name: str) -> None:
     folder, target = by_name[name]
     parts = st.one_of(st.sampled_from([*target.words, *target.seeds]), st.binary(max_size=40))
 
@@ -52,7 +52,7 @@ def test_files_of_any_parts_are_read_or_refused(by_name: dict[str, tuple[Path, T
         read()
 
 
-def test_a_header_that_asks_for_a_terabyte_is_refused(by_name: dict[str, tuple[Path, Target]], tmp_path: Path) -> None:
+def test_a_header_that_declares_a_terabyte_is_refused(by_name: dict[str, tuple[Path, Target]], tmp_path: Path) -> None:
     from diethrow.files.throw_records import read_track
     from diethrow.tracking.footage.clip import open_clip
 

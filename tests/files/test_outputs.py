@@ -1,4 +1,4 @@
-"""A folder of results appears whole or not at all."""
+"""A folder of results appears complete or not at all."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The throw file: one release, said in the paper's words or in ours."""
+"""The throw file: one release, in the paper's angles or as a quaternion."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_table_of_a_throw_may_be_left_out(tmp_path: Path) -> None:
     assert (plan.chi, plan.until_impacts, plan.until_s, plan.fps) == (0.5, 8, None, 1500.0)
 
 
-def test_friction_and_an_oscillating_table_reach_the_model_and_cost_nothing_where_they_are_left_out(
+def test_friction_and_an_oscillating_table_reach_the_model_only_where_they_are_given(
     tmp_path: Path,
 ) -> None:
     assert read_plan(plan_file(tmp_path)).law == SmoothImpact(0.5)

@@ -238,7 +238,7 @@ def test_a_byte_order_mark_changes_nothing(folder: Path) -> None:
     assert read_scene(scene_file(folder, "\ufeff" + SCENE)).clip.fps == 1500.0
 
 
-def test_a_rotation_with_four_decimals_is_brought_onto_the_nearest_rotation(folder: Path) -> None:
+def test_a_rotation_with_four_decimals_becomes_the_nearest_rotation(folder: Path) -> None:
     angle = 0.9
     c, s = round(float(np.cos(angle)), 4), round(float(np.sin(angle)), 4)
     text = SCENE.replace("[0.0, -0.6, -0.8], [0.0, 0.8, -0.6]", f"[0.0, {-c}, {-s}], [0.0, {s}, {-c}]")

@@ -1,4 +1,5 @@
-"""Laws of a calibration: the camera comes back within its sigmas, the sigmas are honest, and what cannot be is refused."""
+"""Laws of a calibration: the camera lies within its standard errors, these are consistent with the errors, and impossible input
+is refused."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def test_packed_ten_bit_levels_are_linear_light() -> None:
     assert (levels[1015:] == 4095).all()
 
 
-def test_packed_ten_bit_frames_come_back_as_levels_of_twelve_bits(tmp_path: Path) -> None:
+def test_packed_ten_bit_frames_are_read_as_levels_of_twelve_bits(tmp_path: Path) -> None:
     codes = noisy_frames(9, bits=10)
     clip = open_clip(write_cine(tmp_path / "x.cine", codes, stored_bits=10))
     assert clip.bit_depth == 12
@@ -49,7 +49,7 @@ def test_flips_of_the_camera_software_are_carried_out(stored_bits: int, flips: t
 
 
 @pytest.mark.parametrize("flip_over", [0, 1])
-def test_another_decoder_sees_the_same_unpacked_picture(flip_over: int, tmp_path: Path) -> None:
+def test_another_decoder_reads_the_same_unpacked_picture(flip_over: int, tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES >> 4, stored_bits=8, flips=(0, flip_over))
     ours = open_clip(path)
     with av.open(str(path)) as container:
@@ -66,7 +66,7 @@ def test_the_metadata_are_those_of_the_file(tmp_path: Path) -> None:
     np.testing.assert_array_equal(clip.frame(8), FRAMES[8])
 
 
-def test_times_of_the_clock_win_over_the_declared_rate(tmp_path: Path) -> None:
+def test_time_stamps_are_used_rather_than_the_declared_rate(tmp_path: Path) -> None:
     # Every tenth frame of 15000 a second was saved, and the header still says 15000.
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, rate_hz=15000, times_s=np.arange(9) / 1500)
     for fps in (None, 1500.0, 1500.1):
@@ -76,7 +76,7 @@ def test_times_of_the_clock_win_over_the_declared_rate(tmp_path: Path) -> None:
         open_clip(path, fps=15000)
 
 
-def test_missing_frames_are_named_and_move_those_behind_them(tmp_path: Path) -> None:
+def test_missing_frames_are_named_and_delay_the_frames_after_them(tmp_path: Path) -> None:
     ticks = np.array([0, 1, 2, 3, 6, 7, 8, 10, 11])
     clip = open_clip(write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, times_s=ticks / 1500))
     np.testing.assert_allclose(clip.times_s, ticks / 1500, atol=1e-9)
@@ -91,7 +91,7 @@ def test_uneven_times_are_used_and_reported(tmp_path: Path) -> None:
     assert "time stamps are uneven" in clip.notices[0]
 
 
-def test_a_stamp_that_cannot_be_follows_the_others_and_is_named(tmp_path: Path) -> None:
+def test_an_impossible_time_stamp_is_interpolated_and_named(tmp_path: Path) -> None:
     # Seen in a camera's own file: the last frame of 235 stamped 292 days after the others.
     times = np.arange(9) / 1500
     times[8] += 2.5e7
@@ -100,7 +100,7 @@ def test_a_stamp_that_cannot_be_follows_the_others_and_is_named(tmp_path: Path) 
     assert "time stamps of 1 frames (8)" in clip.notices[0]
 
 
-def test_a_file_without_times_has_the_declared_rate_and_one_without_either_needs_the_scene(tmp_path: Path) -> None:
+def test_without_times_the_declared_rate_counts_and_without_both_fps_is_required(tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12, timed=False)
     np.testing.assert_allclose(open_clip(path).times_s, np.arange(9) / 1500, rtol=1e-15)
     with pytest.raises(ValueError, match=r"fps = 1000; .*header.* 1500"):
@@ -117,7 +117,7 @@ def test_an_exposure_that_varies_is_reported(tmp_path: Path) -> None:
     assert clip.metadata()["exposure_s"] == pytest.approx(1e-4, rel=1e-5)
 
 
-def test_a_film_cut_off_gives_its_whole_frames_and_says_so(tmp_path: Path) -> None:
+def test_a_truncated_film_gives_its_complete_frames_and_a_notice(tmp_path: Path) -> None:
     path = write_cine(tmp_path / "x.cine", FRAMES, stored_bits=12)
     path.write_bytes(path.read_bytes()[:-1])
     clip = open_clip(path)

@@ -81,7 +81,7 @@ def film(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Format, Path, 
     return form, form.write(tmp_path, frames), frames
 
 
-def test_every_frame_comes_back_exactly_in_order_at_native_depth(film: tuple[Format, Path, NDArray]) -> None:
+def test_every_frame_is_read_exactly_in_order_at_native_depth(film: tuple[Format, Path, NDArray]) -> None:
     form, path, frames = film
     clip = open_clip(path, fps=form.fps)
     read = list(clip.frames())
@@ -92,7 +92,7 @@ def test_every_frame_comes_back_exactly_in_order_at_native_depth(film: tuple[For
     assert scan_notices(clip) == ()
 
 
-def test_random_access_finds_the_frames_that_iteration_passes(film: tuple[Format, Path, NDArray]) -> None:
+def test_random_access_gives_the_frames_of_the_iteration(film: tuple[Format, Path, NDArray]) -> None:
     form, path, frames = film
     clip = open_clip(path, fps=form.fps)
     for k in (COUNT - 1, 0, 9, 8, 10, 16, 7, 7, 15, 3, *range(COUNT - 1, -1, -1)):
@@ -173,7 +173,7 @@ def test_an_exact_copy_among_noisy_frames_is_reported_and_a_still_rendering_is_n
         ("noise.cine", b"CI\x2c\0" + np.random.default_rng(6).bytes(20000)),
     ],
 )
-def test_what_is_no_film_ends_in_one_sentence_that_names_it(
+def test_a_file_that_is_no_film_is_refused_by_name(
     name: str, content: bytes, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / name
@@ -186,7 +186,7 @@ def test_what_is_no_film_ends_in_one_sentence_that_names_it(
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_clip_that_does_not_exist_is_said_to_be_missing(tmp_path: Path) -> None:
+def test_a_clip_that_does_not_exist_is_reported_as_missing(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="no such clip"):
         open_clip(tmp_path / "none.avi", fps=1500)
     with pytest.raises(ValueError, match="no pictures there"):

@@ -174,7 +174,7 @@ def test_boxes_hold_the_pixels_of_their_frames_and_frames_without_one_are_skippe
 
 
 @pytest.mark.usefixtures("nothing_kept")
-def test_a_clip_that_cannot_fill_frames_hands_out_those_without_a_box_too() -> None:
+def test_a_clip_that_cannot_fill_frames_reads_those_without_a_box_too() -> None:
     clip, boxes = clip_of(12, 1000), np.zeros((1000, 1, 4), np.int64)
     boxes[::9, 0, 2:] = 5
     blocks = list(FrameSource([clip]).blocks_within(boxes))

@@ -1,4 +1,4 @@
-"""Laws of films kept as pictures, and of the background."""
+"""Laws of clips stored as pictures, and of the background."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_missing_number_is_reported(tmp_path: Path) -> None:
     assert "1 numbers are missing between frame_1.png and frame_12.png" in clip.notices[0]
 
 
-def test_a_folder_of_two_sequences_asks_for_one_of_them(tmp_path: Path) -> None:
+def test_a_folder_of_two_sequences_is_refused(tmp_path: Path) -> None:
     folder = write_pictures(tmp_path / "p", FRAMES)
     cv2.imwrite(str(folder / "background.png"), FRAMES[0])  # carries no number, so it is no frame
     assert len(open_clip(folder, fps=1500)) == 12
@@ -42,7 +42,7 @@ def test_a_picture_of_another_size_is_named(tmp_path: Path) -> None:
         clip.frame(6)
 
 
-def test_colour_without_colour_is_the_grey_it_was(tmp_path: Path) -> None:
+def test_a_colour_picture_of_greys_is_read_as_these_greys(tmp_path: Path) -> None:
     folder = tmp_path / "p"
     folder.mkdir()
     cv2.imwrite(str(folder / "a_1.png"), np.repeat(FRAMES[0][..., None], 3, axis=2))
@@ -51,7 +51,7 @@ def test_colour_without_colour_is_the_grey_it_was(tmp_path: Path) -> None:
         np.testing.assert_array_equal(open_clip(folder / name, fps=1500).frame(0), FRAMES[0])
 
 
-def test_a_tiff_that_counts_down_from_white_is_turned_round(tmp_path: Path) -> None:
+def test_a_tiff_with_white_as_zero_is_inverted(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "x.tif", 255 - FRAMES, photometric="miniswhite")
     np.testing.assert_array_equal(open_clip(tmp_path / "x.tif", fps=1500).frame(4), FRAMES[4])
 
@@ -65,7 +65,7 @@ def test_a_stack_of_imagej_is_read_in_either_byte_order(byteorder: str, tmp_path
 
 
 @pytest.mark.parametrize("kept", [0.3, 0.5, 0.97])
-def test_a_tiff_that_is_cut_off_gives_its_whole_pages_and_says_so(kept: float, tmp_path: Path) -> None:
+def test_a_truncated_tiff_gives_its_complete_pages_and_a_notice(kept: float, tmp_path: Path) -> None:
     content = write_tiff(tmp_path / "whole.tif", FRAMES).read_bytes()
     path = tmp_path / "x.tif"
     path.write_bytes(content[: int(kept * len(content))])
@@ -75,13 +75,13 @@ def test_a_tiff_that_is_cut_off_gives_its_whole_pages_and_says_so(kept: float, t
     np.testing.assert_array_equal(np.stack(list(clip.frames())), FRAMES[: len(clip)])
 
 
-def test_pixels_that_are_no_whole_numbers_are_refused(tmp_path: Path) -> None:
+def test_pixels_that_are_not_whole_numbers_are_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "x.tif", FRAMES.astype(np.float32))
     with pytest.raises(ValueError, match="float32"):
         open_clip(tmp_path / "x.tif", fps=1500)
 
 
-def test_the_background_is_what_stands_behind_a_die_that_moves(tmp_path: Path) -> None:
+def test_the_background_is_the_scene_behind_a_moving_die(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     scene = rng.integers(20, 200, (60, 80))
     frames = np.clip(scene + rng.normal(0.0, 3.0, (150, 60, 80)), 0, 255).round().astype(np.uint8)

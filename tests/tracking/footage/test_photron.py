@@ -20,7 +20,7 @@ def test_twelve_bits_are_packed_high_bits_first() -> None:
 
 
 @pytest.mark.parametrize("suffix", [".cih", ".cihx"])
-def test_frames_left_out_stretch_the_times(suffix: str, tmp_path: Path) -> None:
+def test_left_out_frames_stretch_the_times(suffix: str, tmp_path: Path) -> None:
     path = write_photron(
         tmp_path / f"x{suffix}", FRAMES, stored_bits=12, record_rate_hz=15000, save_step=100, start_frame=-36
     )
@@ -48,7 +48,7 @@ def test_a_rate_that_contradicts_the_header_is_an_error_that_names_both(tmp_path
         open_clip(path, fps=1000)
 
 
-def test_a_camera_clocked_from_outside_needs_the_rate_of_the_scene(tmp_path: Path) -> None:
+def test_an_externally_clocked_camera_needs_the_rate_of_the_scene(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cih", FRAMES, stored_bits=12, record_rate_hz=0)
     with pytest.raises(ValueError, match="fps"):
         open_clip(path)
@@ -69,7 +69,7 @@ def test_the_upper_eight_of_twelve_bits_stay_eight(tmp_path: Path) -> None:
     np.testing.assert_array_equal(clip.frame(3), FRAMES[3] >> 4)
 
 
-def test_pixels_cut_off_within_a_frame_give_the_whole_ones_and_a_notice(tmp_path: Path) -> None:
+def test_pixels_truncated_within_a_frame_give_the_complete_frames_and_a_notice(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
     pixels = path.with_suffix(".mraw")
     pixels.write_bytes(pixels.read_bytes()[:-1])
@@ -79,7 +79,7 @@ def test_pixels_cut_off_within_a_frame_give_the_whole_ones_and_a_notice(tmp_path
     np.testing.assert_array_equal(clip.frame(7), FRAMES[7])
 
 
-def test_pixels_beyond_the_header_are_left_alone_and_reported(tmp_path: Path) -> None:
+def test_pixels_beyond_the_header_are_ignored_and_reported(tmp_path: Path) -> None:
     clip = open_clip(write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12, declared_frames=5))
     assert len(clip) == 5
     assert "the 5 frames" in clip.notices[0]
@@ -113,7 +113,7 @@ def test_a_hostile_header_is_refused_before_memory_is_taken(old: str, new: str, 
     assert str(caught.value).startswith("x.")
 
 
-def test_header_and_pixels_must_stand_together(tmp_path: Path) -> None:
+def test_header_and_pixels_must_lie_in_one_folder(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
     path.with_suffix(".mraw").rename(tmp_path / "y.mraw")
     with pytest.raises(FileNotFoundError, match=r"x\.mraw"):
@@ -124,7 +124,7 @@ def test_header_and_pixels_must_stand_together(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("stored_bits", [8, 12, 16])
 @pytest.mark.parametrize("width_px", [16, 15])
-def test_a_part_of_a_frame_is_what_the_whole_frame_has_there(stored_bits: int, width_px: int, tmp_path: Path) -> None:
+def test_a_part_of_a_frame_equals_that_part_of_the_whole_frame(stored_bits: int, width_px: int, tmp_path: Path) -> None:
     # Two pixels share three bytes: with an odd width every other line begins in the middle of a byte.
     levels = np.random.default_rng(stored_bits).integers(0, 2 ** min(stored_bits, 12), (5, 14, width_px))
     frames = levels.astype(np.uint8 if stored_bits == 8 else np.uint16)
@@ -139,7 +139,7 @@ def test_a_part_of_a_frame_is_what_the_whole_frame_has_there(stored_bits: int, w
         np.testing.assert_array_equal(frame[y0:y1, x0:x1], wanted[y0:y1, x0:x1])
 
 
-def test_a_file_cut_off_while_it_is_read_is_said_to_be(tmp_path: Path) -> None:
+def test_a_file_that_is_truncated_while_it_is_read_is_reported(tmp_path: Path) -> None:
     path = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=12)
     clip = open_clip(path)
     assert isinstance(clip, FillsFrames)

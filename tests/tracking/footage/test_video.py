@@ -53,7 +53,7 @@ def test_no_pixel_format_shifts_the_grey_levels(
 
 
 @pytest.mark.parametrize(("pixels", "top"), [("gray", 2**8), ("gray12le", 2**12), ("rgb24", 2**8)])
-def test_lines_stored_from_the_bottom_up_are_read_the_right_way_round(pixels: str, top: int, tmp_path: Path) -> None:
+def test_lines_stored_from_the_bottom_up_are_read_from_the_top_down(pixels: str, top: int, tmp_path: Path) -> None:
     levels = np.random.default_rng(5).integers(0, top, (3, 34, 50)).astype(np.uint8 if top == 2**8 else np.uint16)
     path = write_video(tmp_path / "x.nut", levels, codec="rawvideo", pixels=pixels, extradata=b"BottomUp\0")
     with av.open(str(path)) as container:
@@ -90,7 +90,7 @@ def test_rounded_timestamps_are_no_variable_rate(tmp_path: Path) -> None:
     assert clip.notices == ()
 
 
-def test_a_gap_at_the_recording_rate_moves_the_frames_behind_it(tmp_path: Path) -> None:
+def test_a_gap_at_the_recording_rate_delays_the_frames_after_it(tmp_path: Path) -> None:
     ticks = [*range(10), *range(13, 30)]
     clip = _film_with_times(tmp_path / "x.mp4", ticks, 1500)
     assert "timestamps are uneven" in clip.notices[0]
@@ -99,7 +99,7 @@ def test_a_gap_at_the_recording_rate_moves_the_frames_behind_it(tmp_path: Path) 
     np.testing.assert_allclose(clip.times_s, np.array(ticks) / 1500, atol=1e-5)
 
 
-def test_a_variable_playback_rate_is_reported_and_not_believed(tmp_path: Path) -> None:
+def test_a_variable_playback_rate_is_reported_and_not_used(tmp_path: Path) -> None:
     clip = _film_with_times(tmp_path / "x.mp4", [*range(10), *range(13, 30)], 30)
     assert "evenly spaced at fps" in clip.notices[0]
     np.testing.assert_allclose(clip.times_s, np.arange(27) / 1500, rtol=1e-15)
@@ -107,7 +107,7 @@ def test_a_variable_playback_rate_is_reported_and_not_believed(tmp_path: Path) -
 
 @pytest.mark.parametrize("name", ["x.avi", "x.mkv"])
 @pytest.mark.parametrize("kept", [0.5, 0.99])
-def test_a_film_that_is_cut_off_gives_its_whole_frames_and_says_so(name: str, kept: float, tmp_path: Path) -> None:
+def test_a_truncated_film_gives_its_complete_frames_and_a_notice(name: str, kept: float, tmp_path: Path) -> None:
     frames = noisy_frames(40)
     whole = write_video(tmp_path / f"whole_{name}", frames, fps=30).read_bytes()
     path = tmp_path / name
