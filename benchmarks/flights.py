@@ -82,9 +82,9 @@ def seen(throw: Throw, times_s: NDArray[np.float64], rng: np.random.Generator) -
     covariance[:, :3, :3] = ACROSS_M**2 * across + ALONG_M**2 * np.outer(sight, sight)
     covariance[:, 3:, 3:] = TURN_RAD**2 * np.eye(3)
     errors = rng.normal(size=(len(times_s), 6)) @ np.linalg.cholesky(covariance[0]).T
-    turned = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
+    rotated = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
     status = np.full(len(times_s), TRACKED)
-    return Track(np.arange(len(times_s)), times_s, position + errors[:, :3], turned, covariance, status)
+    return Track(np.arange(len(times_s)), times_s, position + errors[:, :3], rotated, covariance, status)
 
 
 def report(throw: Throw, track: Track, runs: int) -> None:
@@ -92,10 +92,10 @@ def report(throw: Throw, track: Track, runs: int) -> None:
     camera = studio().camera
     found, measuring = timed(lambda: measure(track, CUBE, camera), runs)
     sure, calibrating = timed(lambda: with_calibrated_covariance(track, CUBE, camera), runs)
-    _, smoothing = timed(lambda: smooth(sure, found.own, found.floor), runs)
+    _, smoothing = timed(lambda: smooth(sure, found.throw_without_shared_errors, found.shared_covariance), runs)
     tracemalloc.start()
     measure(track, CUBE, camera)
-    smooth(sure, found.own, found.floor)
+    smooth(sure, found.throw_without_shared_errors, found.shared_covariance)
     most_mb = tracemalloc.get_traced_memory()[1] / 1e6
     tracemalloc.stop()
     right, wrong = score(throw, found.throw, float(np.median(np.diff(track.time_s))))

@@ -41,7 +41,7 @@ def found(throw: Throw, track: Track) -> tuple[int, int]:
 def fitted(track: Track) -> Fit:
     """As an analysis does it."""
     measured = measure(track, CUBE)
-    return fit_throw(measured.independent, measured.throw, CUBE)
+    return fit_throw(measured.independent_frames, measured.throw, CUBE)
 
 
 def counted(number: int, what: str) -> str:

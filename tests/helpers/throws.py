@@ -96,8 +96,8 @@ def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames
     errors = white.copy()
     for k in range(1, len(errors)):
         errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * white[k]
-    turned = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions)
-    return replace(track, position_m=positions + errors[:, :3], quaternion=turned)
+    rotated = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions)
+    return replace(track, position_m=positions + errors[:, :3], quaternion=rotated)
 
 
 def initial_errors(fitted: State, true: State) -> Array:

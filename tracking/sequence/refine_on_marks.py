@@ -111,8 +111,8 @@ def _learned(source: FrameSource, view: View, found: MeasuredThrow, scatter: flo
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), source.frame(int(k))[0]) for k in rows)
     # A table that is not where the scene has it tells no distance.
-    told = determines_table_height(found.joined)
-    strikes = [link.strike if told else None for link in found.joined.links[: len(throw.impacts)]]
+    told = determines_table_height(found.chain)
+    strikes = [link.impact if told else None for link in found.chain.links[: len(throw.impacts)]]
     return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** source.clips[0].bit_depth - 1))
 
 
@@ -124,7 +124,7 @@ def _in_flight(track: Track, throw: Throw) -> Track:
 
 def _edges_of(second: EdgeRefinement, seen: ClipPoses, found: MeasuredThrow, scatter: float) -> Track:
     """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
-    view, shared = second.view, found.joined.shared
+    view, shared = second.view, found.chain.shared
     track = as_track(view, second.source, seen, wholly_in_view(view, seen))
     straight = without_shared_bias(
         track, shared_bias_jacobian(track, view.camera, view.die)[:, :, : len(shared)], shared
@@ -156,7 +156,7 @@ def _are_worth_it(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool
     """Whether marks tell of the same motion as edges, and tell more. One frame in `every` had edges."""
     learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
     both = [(found.throw.flights[k], marks.flights[k]) for k in learned]
-    own = [found.own.flights[k] for k in learned]
+    own = [found.throw_without_shared_errors.flights[k] for k in learned]
     return _contradiction(both) <= CONTRADICTED and _gain(both, own, every) >= WORTHWHILE
 
 

@@ -327,7 +327,7 @@ def _corners_in_flight(
     except NoFlightError:
         return corners, 0.0
     looks = sample_in_flight(view, source.frame, track, found.throw)
-    again = radius_on_flights(view, looks, corners.radius_m, found.joined.contour_sigma_px)
+    again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
     if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
         return corners, 0.0
     return again, contour_sigma_px(view, again.sigma_m, p, R)

@@ -1,4 +1,10 @@
-"""tracking.throw."""
+"""From the poses of single frames to a throw: flights, impacts and the end on the table.
+
+A track is segmented into flights (`segmentation`), neighbouring flights are joined by impacts and fitted together (`flights`,
+`flight_chain`, `chain_solver`), contacts are identified (`contacts`, `contact_clusters`), the error model and the errors common
+to all frames are estimated (`error_model`, `shared_bias`), and the end during which the table supports the die is set aside
+(`rest`). `measure` returns all of that; `measure_throw` the throw alone. Tracking uses these flights to refine poses and to
+calibrate covariances (`with_calibrated_covariance`), commands to smooth the track (`smoothing`), fitting as measured throws."""
 
 from .flight_chain import CONTACT_SIGMA_M as CONTACT_SIGMA_M
 from .flight_chain import TABLE_SIGMA_M as TABLE_SIGMA_M
@@ -29,4 +35,3 @@ from .shared_bias import LATERAL_SHARE as LATERAL_SHARE
 from .shared_bias import outline_growth as outline_growth
 from .shared_bias import shared_bias_jacobian as shared_bias_jacobian
 from .shared_bias import without_shared_bias as without_shared_bias
-from .smoothing import smooth as smooth

@@ -1,18 +1,18 @@
-"""Least squares along a chain of flights, link by link, at a cost that grows with the number of links.
+"""Least squares along a chain of flights, link by link, at a cost linear in the number of links.
 
-To the first order, flight k costs x_kᵀ H_k x_k + 2 g_kᵀ x_k for a change x_k of its state and of what all flights share, a
-link takes x_k over to the next flight by its own changes u_k,
+To first order, flight k costs x_kᵀ H_k x_k + 2 g_kᵀ x_k for a change x_k of its state and of the parameters that all flights
+share. A link takes x_k over to the next flight by its own changes u_k,
 
     x_{k+1} = F_k x_k + G_k u_k,
 
-and what a contact obeys adds |R_k x_k + S_k u_k + r_k|². That is a linear-quadratic problem, as in optimal control, and is
-solved as such (Riccati; e.g. Bertsekas, Dynamic Programming and Optimal Control, 1995, 4.1): from the last flight to the
-first, what all that follows costs is brought down to a quadratic xᵀ P x + 2 pᵀ x of the state before the link, by the best
-u = K x + k; then the changes are found from the first flight to the last. P is taken together as Aᵀ P A with A = F + G K, a sum
-of squares, which rounding cannot make negative as it can a difference.
+and the conditions of an impact add |R_k x_k + S_k u_k + r_k|². That is the linear-quadratic problem of optimal control, solved by
+its Riccati recursion (e.g. Bertsekas, Dynamic Programming and Optimal Control, 1995, 4.1). From the last flight to the first, the
+cost of all that follows is reduced to a quadratic xᵀ P x + 2 pᵀ x of the state before the link, by the best u = K x + k; then the
+changes are found from the first flight to the last. P is computed as Aᵀ P A with A = F + G K, a sum of squares, which rounding
+cannot make negative as it can a difference.
 
-**How sure it is.** The gradients p are sums of independent parts with known covariances (`noises`: those of the flights, and
-the identity for what a contact obeys). With C_k the response of x_k to p_k, and a_k what x_k owes to the flights before,
+**Covariance.** The gradients p are sums of independent parts with known covariances: those of the flights, and the identity for
+the conditions of impacts. With C_k the response of x_k to p_k, and a_k the contribution of the flights before to x_k,
 
     x_k = a_k + C_k p_k,     C_{k+1} = A C_k Aᵀ - G Q⁻¹ Gᵀ,
 
@@ -32,101 +32,128 @@ from .flights import scaled_inverse
 
 Array = NDArray[np.float64]
 
-MOST = 12
-"""Numbers that a link may have; those of one that has fewer come first, and the others are zero."""
-HELD = 1e-9
-"""Added to the matrix of every change: a number that no frame knows of, as of a flight between two frames, stays where it is."""
+MAX_LINK_SIZE = 12
+"""Most parameters of a link; those of a link with fewer come first, and the others are zero."""
+LEAST_DAMPING = 1e-9
+"""Added to the diagonal of every damped matrix: a parameter that no frame determines, as of a flight between two frames, stays
+where it is."""
 OPEN_PIVOT = 1e-13
-"""Squared pivot of a scaled matrix below which nothing but rounding is left: that number is open, and stays where it is."""
+"""Squared pivot of a scaled matrix below which only rounding is left: that parameter is undetermined, and stays where it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stages:
-    """The links of a chain, for states of d numbers: how the state behind each follows from that before, and what its
-    contact obeys."""
+    """The links of a chain, for states of d numbers: how the state behind each follows from that before, and the conditions of
+    its impact."""
 
     sizes: NDArray[np.int64]
-    """(N,) how many numbers each has."""
-    onward: Array
+    """(N,) number of parameters of each."""
+    by_state: Array
     """F (N, d, d)."""
-    turned: Array
-    """G (N, d, MOST)."""
-    rows: Array
-    """R (N, 4, d); zero where nothing is obeyed."""
-    own_rows: Array
-    """S (N, 4, MOST)."""
-    miss: Array
+    by_link: Array
+    """G (N, d, MAX_LINK_SIZE)."""
+    impact_by_state: Array
+    """R (N, 4, d); zero without conditions."""
+    impact_by_link: Array
+    """S (N, 4, MAX_LINK_SIZE)."""
+    violation: Array
     """r (N, 4)."""
 
     @staticmethod
     def empty(count: int, d: int) -> Stages:
-        """So many links that do nothing yet."""
-        shapes = ((d, d), (d, MOST), (4, d), (4, MOST), (4,))
+        """So many links, all zero."""
+        shapes = ((d, d), (d, MAX_LINK_SIZE), (4, d), (4, MAX_LINK_SIZE), (4,))
         return Stages(np.zeros(count, np.int64), *(np.zeros((count, *shape)) for shape in shapes))
 
     @property
     def arrays(self) -> tuple[NDArray[np.int64], Array, Array, Array, Array, Array]:
         """All of them, in this order."""
-        return self.sizes, self.onward, self.turned, self.rows, self.own_rows, self.miss
+        return self.sizes, self.by_state, self.by_link, self.impact_by_state, self.impact_by_link, self.violation
 
 
 def solve_chain(normal: Array, gradient: Array, stages: Stages, damping: float) -> tuple[Array, Array]:
-    """The changes that cost least: of the first state (d,), and of each link (N, MOST).
+    """The changes of least cost: of the first state (d,), and of each link (N, MAX_LINK_SIZE).
 
-    `normal` (N + 1, d, d) and `gradient` (N + 1, d) are those of the flights, `damping` Levenberg's.
+    `normal` (N + 1, d, d) and `gradient` (N + 1, d) are those of the flights, `damping` is Levenberg's.
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[-1].copy(), gradient[-1].copy()
-    K, k, inverse = np.zeros((count, MOST, d)), np.zeros((count, MOST)), np.zeros((count, MOST, MOST))
-    _way_back(normal, gradient, *stages.arrays, damping, P, p, K, k, inverse)
-    first, changes = np.zeros(d), np.zeros((count, MOST))
-    _way_on(P, p, stages.onward, stages.turned, damping, K, k, first, changes)
+    K, k, inverse = _link_arrays(count, d)
+    _backward_pass(normal, gradient, *stages.arrays, damping, P, p, K, k, inverse)
+    first, changes = np.zeros(d), np.zeros((count, MAX_LINK_SIZE))
+    _forward_pass(P, p, stages.by_state, stages.by_link, damping, K, k, first, changes)
     return first, changes
 
 
-def spread_along(normal: Array, noises: Array, stages: Stages) -> tuple[Array, Array]:
-    """Covariance of the last state (d, d), and of each state before together with its link's numbers (N, d + MOST, d + MOST).
+def _link_arrays(count: int, d: int) -> tuple[Array, Array, Array]:
+    """K, k and inverse of `_backward_pass`, zero."""
+    return (
+        np.zeros((count, MAX_LINK_SIZE, d)),
+        np.zeros((count, MAX_LINK_SIZE)),
+        np.zeros((count, MAX_LINK_SIZE, MAX_LINK_SIZE)),
+    )
 
-    `noises` (N + 1, d, d) are the covariances of the flights' gradients; where they are `normal`, the result is the inverse
-    of the chain's normal matrix.
+
+def chain_covariance(normal: Array, noises: Array, stages: Stages) -> tuple[Array, Array]:
+    """Covariance of the last state (d, d), and joint covariance of each state before it with the parameters of its link
+    (N, d + MAX_LINK_SIZE, d + MAX_LINK_SIZE).
+
+    `noises` (N + 1, d, d) are the covariances of the flights' gradients; if they are `normal`, the result is the inverse of the
+    chain's normal matrix.
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[-1].copy(), np.zeros(d)
-    K, k, inverse = np.zeros((count, MOST, d)), np.zeros((count, MOST)), np.zeros((count, MOST, MOST))
-    _way_back(normal, np.zeros((count + 1, d)), *stages.arrays, 0.0, P, p, K, k, inverse)
-    A, R = stages.onward + stages.turned @ K, stages.rows + stages.own_rows @ K
-    ahead = np.empty_like(normal)
-    ahead[-1] = noises[-1]
-    for k_ in range(count - 1, -1, -1):
-        ahead[k_] = noises[k_] + A[k_].T @ ahead[k_ + 1] @ A[k_] + R[k_].T @ R[k_]
-    C, owed, beside = -scaled_inverse(P), np.zeros((d, d)), np.empty((count, d + MOST, d + MOST))
+    K, k, inverse = _link_arrays(count, d)
+    _backward_pass(normal, np.zeros((count + 1, d)), *stages.arrays, 0.0, P, p, K, k, inverse)
+    A, R = stages.by_state + stages.by_link @ K, stages.impact_by_state + stages.impact_by_link @ K
+    later_noise = np.empty_like(normal)
+    later_noise[-1] = noises[-1]
+    for j in range(count - 1, -1, -1):
+        later_noise[j] = noises[j] + A[j].T @ later_noise[j + 1] @ A[j] + R[j].T @ R[j]
+    C, earlier = -scaled_inverse(P), np.zeros((d, d))
+    joint = np.empty((count, d + MAX_LINK_SIZE, d + MAX_LINK_SIZE))
     for j in range(count):
-        F, G = stages.onward[j], stages.turned[j]
-        both = np.vstack([np.eye(d), K[j]])
-        answer = both @ C @ np.hstack([R[j].T, A[j].T])
-        answer[d:] -= inverse[j] @ np.hstack([stages.own_rows[j].T, G.T])
-        own, later = answer[:, :4], answer[:, 4:]
-        before = owed + C @ noises[j] @ C.T
-        beside[j] = both @ before @ both.T + own @ own.T + later @ ahead[j + 1] @ later.T
-        told = F @ own[:d] + G @ own[d:]
-        owed = A[j] @ before @ A[j].T + told @ told.T
+        F, G = stages.by_state[j], stages.by_link[j]
+        state_and_link = np.vstack([np.eye(d), K[j]])
+        response = state_and_link @ C @ np.hstack([R[j].T, A[j].T])
+        response[d:] -= inverse[j] @ np.hstack([stages.impact_by_link[j].T, G.T])
+        by_impact, by_later = response[:, :4], response[:, 4:]
+        before = earlier + C @ noises[j] @ C.T
+        joint[j] = (
+            state_and_link @ before @ state_and_link.T
+            + by_impact @ by_impact.T
+            + by_later @ later_noise[j + 1] @ by_later.T
+        )
+        passed_on = F @ by_impact[:d] + G @ by_impact[d:]
+        earlier = A[j] @ before @ A[j].T + passed_on @ passed_on.T
         C = A[j] @ C @ A[j].T - G @ inverse[j] @ G.T
-    return owed + C @ ahead[-1] @ C.T, beside
+    return earlier + C @ later_noise[-1] @ C.T, joint
 
 
 @compiled(nogil=True)
-def _way_back(
-    normal: Array, gradient: Array, sizes: NDArray[np.int64], onward: Array, turned: Array, rows: Array, own_rows: Array,
-    miss: Array, damping: float, P: Array, p: Array, K: Array, k: Array, inverse: Array,
+def _backward_pass(
+    normal: Array, gradient: Array, sizes: NDArray[np.int64], by_state: Array, by_link: Array, impact_by_state: Array,
+    impact_by_link: Array, violation: Array, damping: float, P: Array, p: Array, K: Array, k: Array, inverse: Array,
 ) -> None:  # fmt: skip
-    """From what the last flight costs (P, p) to what all costs seen from the first, and how each link answers (K, k) to the
-    state before it; with the inverse matrix of its numbers."""
+    """Riccati recursion from the cost of the last flight (P, p) to the cost-to-go of the first, in place.
+
+    Fills the response of each link (K, k) to the state before it, and the inverse matrix of its parameters."""
     d = len(p)
-    Q, cross, pull = np.empty((MOST, MOST)), np.empty((MOST, d)), np.empty(MOST)
-    PG, PA, A, R, onto = np.empty((d, MOST)), np.empty((d, d)), np.empty((d, d)), np.empty((4, d)), np.empty(d)
+    Q, cross, link_gradient = (
+        np.empty((MAX_LINK_SIZE, MAX_LINK_SIZE)),
+        np.empty((MAX_LINK_SIZE, d)),
+        np.empty(MAX_LINK_SIZE),
+    )
+    PG, PA, A, R, gradient_before = (
+        np.empty((d, MAX_LINK_SIZE)),
+        np.empty((d, d)),
+        np.empty((d, d)),
+        np.empty((4, d)),
+        np.empty(d),
+    )
     for link in range(len(sizes) - 1, -1, -1):
-        q, F, G = sizes[link], onward[link], turned[link]
-        S, r = own_rows[link], miss[link]
+        q, F, G = sizes[link], by_state[link], by_link[link]
+        S, r = impact_by_link[link], violation[link]
         for a in range(d):
             for b in range(q):
                 total = 0.0
@@ -139,7 +166,7 @@ def _way_back(
                 total += G[c, a] * p[c]
             for c in range(4):
                 total += S[c, a] * r[c]
-            pull[a] = total
+            link_gradient[a] = total
             for b in range(q):
                 total = 0.0
                 for c in range(d):
@@ -152,7 +179,7 @@ def _way_back(
                 for c in range(d):
                     total += PG[c, a] * F[c, b]
                 for c in range(4):
-                    total += S[c, a] * rows[link, c, b]
+                    total += S[c, a] * impact_by_state[link, c, b]
                 cross[a, b] = total
         _invert_damped(Q, q, damping, inverse[link])
         for a in range(q):
@@ -163,7 +190,7 @@ def _way_back(
                 K[link, a, b] = -total
             total = 0.0
             for c in range(q):
-                total += inverse[link, a, c] * pull[c]
+                total += inverse[link, a, c] * link_gradient[c]
             k[link, a] = -total
         for a in range(d):
             for b in range(d):
@@ -173,7 +200,7 @@ def _way_back(
                 A[a, b] = total
         for a in range(4):
             for b in range(d):
-                total = rows[link, a, b]
+                total = impact_by_state[link, a, b]
                 for c in range(q):
                     total += S[a, c] * K[link, c, b]
                 R[a, b] = total
@@ -182,17 +209,17 @@ def _way_back(
             for c in range(d):
                 total += F[c, a] * p[c]
             for c in range(4):
-                total += rows[link, c, a] * r[c]
+                total += impact_by_state[link, c, a] * r[c]
             for c in range(q):
                 total += cross[c, a] * k[link, c]
-            onto[a] = total
+            gradient_before[a] = total
             for b in range(d):
                 total = 0.0
                 for c in range(d):
                     total += P[a, c] * A[c, b]
                 PA[a, b] = total
         for a in range(d):
-            p[a] = onto[a]
+            p[a] = gradient_before[a]
             for b in range(a + 1):
                 total = normal[link, a, b]
                 for c in range(d):
@@ -206,12 +233,20 @@ def _way_back(
 
 
 @compiled(nogil=True)
-def _way_on(
-    P: Array, p: Array, onward: Array, turned: Array, damping: float, K: Array, k: Array, first: Array, changes: Array
+def _forward_pass(
+    P: Array,
+    p: Array,
+    by_state: Array,
+    by_link: Array,
+    damping: float,
+    K: Array,
+    k: Array,
+    first: Array,
+    changes: Array,
 ) -> None:
-    """The changes, from the first flight to the last."""
+    """Fill the changes, from the first flight to the last."""
     d = len(p)
-    inverse, x, behind = np.empty((d, d)), np.empty(d), np.empty(d)
+    inverse, x, state_after = np.empty((d, d)), np.empty(d), np.empty(d)
     _invert_damped(P, d, damping, inverse)
     for a in range(d):
         total = 0.0
@@ -220,7 +255,7 @@ def _way_on(
         first[a] = total
         x[a] = total
     for link in range(len(k)):
-        for a in range(MOST):
+        for a in range(MAX_LINK_SIZE):
             total = k[link, a]
             for b in range(d):
                 total += K[link, a, b] * x[b]
@@ -228,30 +263,30 @@ def _way_on(
         for a in range(d):
             total = 0.0
             for b in range(d):
-                total += onward[link, a, b] * x[b]
-            for b in range(MOST):
-                total += turned[link, a, b] * changes[link, b]
-            behind[a] = total
+                total += by_state[link, a, b] * x[b]
+            for b in range(MAX_LINK_SIZE):
+                total += by_link[link, a, b] * changes[link, b]
+            state_after[a] = total
         for a in range(d):
-            x[a] = behind[a]
+            x[a] = state_after[a]
 
 
 @inner
 def _invert_damped(matrix: Array, n: int, damping: float, inverse: Array) -> None:
-    """Inverse of the first (n, n) with Levenberg's damping."""
-    held = np.empty((n, n))
+    """Inverse of the leading (n, n) block with Levenberg's damping."""
+    damped = np.empty((n, n))
     for a in range(n):
         for b in range(n):
-            held[a, b] = matrix[a, b]
+            damped[a, b] = matrix[a, b]
         if damping > 0.0:
-            held[a, a] += damping * matrix[a, a] + HELD
-    _invert(held, n, inverse)
+            damped[a, a] += damping * matrix[a, a] + LEAST_DAMPING
+    _invert(damped, n, inverse)
 
 
 @inner
 def _invert(matrix: Array, n: int, inverse: Array) -> None:
-    """Inverse of the first (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; zero for a number that it
-    leaves open."""
+    """Inverse of the leading (n, n) block of a positive matrix by Cholesky, after scaling its diagonal to one; rows of
+    undetermined parameters (OPEN_PIVOT) are zero."""
     unit, L, x = np.zeros(n), np.zeros((n, n)), np.empty(n)
     for i in range(n):
         if matrix[i, i] > 0.0:

@@ -1,11 +1,10 @@
-"""What stands between two flights: an impact at a vertex, a jump of any kind, several contacts, or nothing.
+"""The contact between two flights: an impact at a vertex, any other jump, several contacts, or none.
 
-Neighbouring flights are joined at one instant each and all are fitted together (`joined`): first with any jump between
-them, then as impacts at the vertex that explains them best, each obeying what impacts obey, with the errors that the
-whole clip shares (`lean`) and the frames' own scatter and its memory (`scatter`) found on the way. A link that no single
-impact explains may be a few that follow each other within some frames (`quick`); where they cannot be told apart either,
-it stays open. Where the motion before, followed on, stays clear of the table, nothing struck: such a parting is undone.
-"""
+Neighbouring flights are joined at one instant each and fitted together (`flight_chain`): first with free jumps, then with impacts
+at the vertex that explains each best, under the conditions of an impact. The shared errors (`shared_bias`) and the error model of
+the frames (`error_model`) are estimated on the way. A link that no single impact explains may be a cluster of contacts within
+some frames (`contact_clusters`); if these cannot be separated either, it stays open. If the motion before it, continued, stays
+clear of the table, nothing was struck: such an impact is spurious and is removed."""
 
 from __future__ import annotations
 
@@ -20,55 +19,70 @@ from ...model.die import Die, inner_vertices
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
-from .contact_clusters import instant_s, is_crowded, resolved
+from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
 from .error_model import estimate_error_model
-from .flight_chain import FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
-from .flights import ErrorModel, Observations, fit_flight, misfits, scaled_inverse
-from .segmentation import TABLE_REACH
+from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
+from .flights import ErrorModel, Observations, fit_flight, rms_residuals, scaled_inverse
+from .segmentation import MIN_FRAMES, TABLE_REACH
 
 Array = NDArray[np.float64]
 
-OPEN_STRAIN = 5.0
-"""Frames beside a link that lie this many times further off than usual say that no single instant joins its flights."""
-FAULTY_STRAIN = 2.0
-"""The same, for a link that on top of it does not look like a bounce."""
-LONGEST = 40
-"""Frames of each flight that are enough to judge a contact between them."""
+OPEN_RATIO = 5.0
+"""Residual of the frames beside a link, over the usual one, from which no single instant joins its flights."""
+FAULTY_RATIO = 2.0
+"""The same for a link that does not look like an impact either."""
+ENOUGH_FRAMES_OF_FLIGHT = 40
+"""Frames of each flight that suffice to judge a contact between them."""
+FRAMES_BESIDE_LINK = 4
+"""Frames on either side of a link whose residuals judge it."""
 GROSS_RAD = 0.2
-"""Flights whose orientations stay further apart than this at their nearest are not joined at one instant."""
-STRIKE_STRAIN = 40.0
-"""Squared sigmas over its four rules beyond which a contact is no impact at one point (chi-square exceeds 18 in a
-thousandth of the cases; slow errors of the frames take the rest)."""
-HOPELESS = 1000.0
-"""Squared sigmas, to the first order, beyond which a contact is not tried at all: what that leaves out, how flights curve
-within the uncertainty of the instant, makes some tens."""
-SLIGHT = 25.0
-"""Squared sigmas that a link must explain. It has seven numbers, of which the rules leave three free; chance gives those more
-than that once in 70 000 cases, and there are not as many places for a link in a clip."""
-PRICE = SLIGHT / 3.0
-"""The same for each number that the rules leave free, where chains are compared."""
-STRIKE_ROWS = 4
-"""Numbers of a link that a strike tells."""
-PLAIN = 4.0
-"""A link that explains so many times as much to the first order needs no trial."""
-MOST_FRAMES = 0.7
-"""Share of its frames that a flight which is known has."""
-LIKELY_STRAIN = 9.5
-"""Squared sigmas that four rules cost by chance in one case of twenty."""
+"""Angle [rad] between two flights at their nearest from which they are not joined at one instant."""
+GROSS_CIRCUMRADII = 0.3
+"""Distance between two flights at their nearest, in circumradii, from which they are not joined at one instant."""
+OUTLIER_RATIO = 5.0
+"""Residual of a frame, over the median of its flight, from which it is left out of the flight's own fit."""
+LEAST_USUAL_SIGMAS = 0.5
+"""Least usual residual [sigmas]: frames with overstated sigmas lie nearer than one sigma."""
+TURN_LENGTH_M = 5e-3
+"""Length [m] that an angle of one radian counts as, where the nearest approach of two motions is looked for."""
+MAX_IMPACT_COST = 40.0
+"""Squared sigmas over its four conditions beyond which a contact is no impact at one point: chi-square exceeds 18 in a thousandth
+of the cases; correlated errors of the frames account for the rest."""
+MAX_FIRST_ORDER_COST = 1000.0
+"""Squared sigmas to first order beyond which an impact is not fitted at all: the neglected curvature of the flights within the
+uncertainty of the instant amounts to some tens."""
+LEAST_GAIN = 25.0
+"""Least squared sigmas that a link must explain. It has seven parameters, three of which the conditions leave free; chance gives
+those more than that once in 70 000 cases, and a clip has fewer places for a link than that."""
+PENALTY = LEAST_GAIN / 3.0
+"""The same for each free parameter, where chains are compared."""
+IMPACT_CONDITIONS = 4
+"""Parameters of a link that the conditions of an impact determine."""
+PLAIN_FACTOR = 4.0
+"""A link that explains this many times LEAST_GAIN to first order needs no trial without it."""
+KNOWN_FLIGHT_SHARE = 0.7
+"""Least share of its frames that lie on a flight which counts as known."""
+LIKELY_COST = 9.5
+"""Squared sigmas that four conditions cost by chance in one case of twenty."""
 REBOUND_SIGMAS = 2.0
-"""Normal velocities of the wrong sign by more than so many of their standard errors are no rebound's."""
+"""Standard errors by which a normal velocity may have the wrong sign and still be that of a rebound."""
 NEAR_SHARE = 0.1
-"""Vertices no higher than this above the lowest, as a share of an edge, may be the one that strikes."""
+"""Height above the lowest vertex, as a share of the spread of heights, up to which a vertex may be the one that strikes."""
 CLEAR_SHARE = 0.03
-"""A motion that stays this share of an edge above the table has touched nothing."""
-TOUCH_STEPS = 200
-"""Instants at which a motion is asked whether it has come down to the table: some twenty frames at the most lie between."""
+"""Height above the table, as a share of an edge, from which a motion has touched nothing."""
+TOUCH_SAMPLES = 200
+"""Instants at which the height of a motion is evaluated to find its first touch: some twenty frames at most lie between."""
+CLEAR_SAMPLES = 24
+"""Instants at which the height of a motion behind an open link is evaluated."""
 UNKNOWN_TABLE_M = 3e-3
-"""Height of the table where poses come without a camera, and with its depth error: half a per cent of the distance."""
-SAME_FRAMES = 1e-3
-"""Contacts nearer in time than this, in frames, are not two: no instant is known as well."""
-FAR_SIGMAS = 5.0
-"""A table found this many sigmas from where it should be was not calibrated as well as is taken for granted."""
+"""Prior standard deviation [m] of the table's height if poses come without a camera, and with its depth error: half a per cent of
+the distance."""
+SAME_INSTANT_FRAMES = 1e-3
+"""Contacts nearer in time than this, in frames, are one: no instant is known as well."""
+INCONSISTENT_SIGMAS = 5.0
+"""Deviation of a shared parameter, in units of its prior, that shows a calibration worse than assumed."""
+INLIER_WEIGHT = 0.5
+"""Weight from which a frame counts as lying on its flight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,21 +90,22 @@ class _Part:
     """A flight fitted by itself."""
 
     rows: NDArray[np.int64]
-    misfit: Array
+    residual: Array
     """(n,) distance of its frames, in sigmas."""
-    good: NDArray[np.int64]
-    """Its rows without those far off."""
+    inliers: NDArray[np.int64]
+    """Its rows without outliers."""
     state: State
-    """Of the good ones."""
+    """Of the inliers."""
 
     @staticmethod
-    def of(seen: Observations, rows: NDArray[np.int64]) -> _Part:
-        state, _, _ = fit_flight(seen.rows(rows))
-        misfit = misfits(seen.rows(rows), state)
-        good = rows[misfit < 5.0 * max(float(np.median(misfit)), 0.5)]
-        if not 3 <= len(good) < len(rows):
-            return _Part(rows, misfit, rows, state)
-        return _Part(rows, misfit, good, fit_flight(seen.rows(good))[0])
+    def of(observations: Observations, rows: NDArray[np.int64]) -> _Part:
+        """The flight through some rows."""
+        state, _, _ = fit_flight(observations.rows(rows))
+        residual = rms_residuals(observations.rows(rows), state)
+        inliers = rows[residual < OUTLIER_RATIO * max(float(np.median(residual)), LEAST_USUAL_SIGMAS)]
+        if not MIN_FRAMES <= len(inliers) < len(rows):
+            return _Part(rows, residual, rows, state)
+        return _Part(rows, residual, inliers, fit_flight(observations.rows(inliers))[0])
 
     @property
     def span(self) -> tuple[int, int]:
@@ -98,75 +113,83 @@ class _Part:
         return int(self.rows[0]), int(self.rows[-1])
 
 
-def join_flights(seen: Observations, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
-    """All flights fitted together. Links that one instant cannot explain are open: each is judged on its own two
-    flights, because one that is forced together where it does not hold spoils the fit of all. Links that cannot be
-    bounces are removed, of neighbours the weaker first; open ones stay, since one motion through both flights would be
-    neither."""
+def join_flights(observations: Observations, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
+    """All flights fitted together, given the rows of each.
+
+    Links that one instant cannot explain are open. Each link is judged on its own two flights, because one that is joined wrongly
+    spoils the fit of all. Links that cannot be impacts are removed, of neighbours the weaker first. Open links stay, since one
+    motion through both flights would be neither.
+    """
     judged: dict[tuple[tuple[int, int], tuple[int, int]], float] = {}
-    alone = [_Part.of(seen, rows) for rows in parts]
+    alone = [_Part.of(observations, rows) for rows in parts]
     while True:
-        strains = []
+        ratios = []
         for a, b in itertools.pairwise(alone):
             pair = a.span, b.span
             if pair not in judged:
-                judged[pair] = np.inf if _is_gross(seen, a, b, die) else _strain(seen, a, b)
-            strains.append(judged[pair])
-        opened = [strain > OPEN_STRAIN for strain in strains]
-        joined = _fit_parts(seen, alone, opened)
-        impossible = [not o and not _can_be_bounce(seen, joined, k, die) for k, o in enumerate(opened)]
-        faulty = [bad and strain > FAULTY_STRAIN for bad, strain in zip(impossible, strains, strict=True)]
+                is_gross = _are_far_apart(observations, a, b, die)
+                judged[pair] = np.inf if is_gross else _residual_ratio(observations, a, b)
+            ratios.append(judged[pair])
+        opened = [ratio > OPEN_RATIO for ratio in ratios]
+        chain = _fit_parts(observations, alone, opened)
+        impossible = [not o and not _can_be_impact(observations, chain, k, die) for k, o in enumerate(opened)]
+        faulty = [bad and ratio > FAULTY_RATIO for bad, ratio in zip(impossible, ratios, strict=True)]
         if any(faulty):
-            # Several contacts taken for one need not look like a bounce; what shows them is that one instant fits ill.
+            # Several contacts taken for one need not look like an impact; the misfit of a single instant shows them.
             opened = [o or bad for o, bad in zip(opened, faulty, strict=True)]
-            joined = _fit_parts(seen, alone, opened)
+            chain = _fit_parts(observations, alone, opened)
         jumps = {
-            k: _jump(joined, k, die) for k, o in enumerate(opened) if not o and not _can_be_bounce(seen, joined, k, die)
+            k: _jump(chain, k, die)
+            for k, o in enumerate(opened)
+            if not o and not _can_be_impact(observations, chain, k, die)
         }
         if not jumps:
-            return joined
+            return chain
         weakest = {k for k, jump in jumps.items() if jump <= min(jumps.get(j, np.inf) for j in (k - 1, k + 1))}
         merged = [alone[0]]
         for k, part in enumerate(alone[1:]):
             if k in weakest:
-                merged[-1] = _Part.of(seen, np.concatenate([merged[-1].rows, part.rows]))
+                merged[-1] = _Part.of(observations, np.concatenate([merged[-1].rows, part.rows]))
             else:
                 merged.append(part)
         alone = merged
 
 
-def _is_gross(seen: Observations, a: _Part, b: _Part, die: Die) -> bool:
-    """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the
-    track was lost there and taken up under another labelling. Forcing them together would spoil both."""
+def _are_far_apart(observations: Observations, a: _Part, b: _Part, die: Die) -> bool:
+    """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the track was
+    lost and resumed with another labelling. Joining them would spoil both."""
     before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
-    t = _meeting(a.state, b.state, float(seen.time_s[a.rows[-1]]), float(seen.time_s[b.rows[0]]))
+    t = _nearest_approach(
+        a.state, b.state, float(observations.time_s[a.rows[-1]]), float(observations.time_s[b.rows[0]])
+    )
     p, q = before.at(t), after.at(t)
-    turned = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
-    away = float(np.linalg.norm(p.position_m - q.position_m))
-    return turned > GROSS_RAD or away > 0.3 * die.solid.circumradius
+    angle = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
+    distance = float(np.linalg.norm(p.position_m - q.position_m))
+    return angle > GROSS_RAD or distance > GROSS_CIRCUMRADII * die.solid.circumradius
 
 
-def _strain(seen: Observations, before: _Part, after: _Part) -> float:
-    """How much further than usual the frames beside a contact lie from two flights joined at one instant. The worst is
-    left out: one frame may straddle the contact in its exposure."""
-    a = before if len(before.rows) <= LONGEST else _Part.of(seen, before.rows[-LONGEST:])
-    b = after if len(after.rows) <= LONGEST else _Part.of(seen, after.rows[:LONGEST])
-    joined = _fit_parts(seen, [a, b], [False], seen.rows(np.concatenate([a.rows, b.rows])))
-    usual = float(np.median(np.concatenate([a.misfit, b.misfit])))
-    beside = joined.scatter.scale[0] * joined.residual[max(len(a.rows) - 4, 0) : len(a.rows) + 4]
-    return float(np.mean(np.sort(beside)[:-1])) / max(usual, 0.5)
+def _residual_ratio(observations: Observations, before: _Part, after: _Part) -> float:
+    """Residual of the frames beside a contact from two flights joined at one instant, over the usual residual. The worst frame is
+    left out: the contact may lie within its exposure."""
+    enough = ENOUGH_FRAMES_OF_FLIGHT
+    a = before if len(before.rows) <= enough else _Part.of(observations, before.rows[-enough:])
+    b = after if len(after.rows) <= enough else _Part.of(observations, after.rows[:enough])
+    chain = _fit_parts(observations, [a, b], [False], observations.rows(np.concatenate([a.rows, b.rows])))
+    usual = float(np.median(np.concatenate([a.residual, b.residual])))
+    near = slice(max(len(a.rows) - FRAMES_BESIDE_LINK, 0), len(a.rows) + FRAMES_BESIDE_LINK)
+    beside = chain.errors.scale[0] * chain.residual[near]
+    return float(np.mean(np.sort(beside)[:-1])) / max(usual, LEAST_USUAL_SIGMAS)
 
 
-def _can_be_bounce(seen: Observations, joined: FlightChain, k: int, die: Die) -> bool:
-    """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before
-    and goes up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
+def _can_be_impact(observations: Observations, chain: FlightChain, k: int, die: Die) -> bool:
+    """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before and goes
+    up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
 
-    A weak bounce may do it within its errors alone: the corner of a fast die turns by 1500 m/s², and changes its speed by
-    as much as a weak impact does within the uncertainty of the instant. Then what it does to motion and spin together
-    must be that of an impact at one corner, which no drift is by chance.
-    """
-    t = float(joined.links_s[k])
-    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    A weak impact may do so within its errors only: the corner of a fast die accelerates at 1500 m/s², and within the uncertainty
+    of the instant changes its speed by as much as a weak impact does. Then the jumps of velocity and spin together must be those
+    of an impact at one corner, which no drift has by chance."""
+    t = float(chain.link_times_s[k])
+    a, b = chain.flights[k].at(t), chain.flights[k + 1].at(t)
     arms = die.solid.vertices @ a.rotation.T
     low = int(np.argmin(arms[:, 2]))
     edge = die.solid.edge_m
@@ -174,55 +197,55 @@ def _can_be_bounce(seen: Observations, joined: FlightChain, k: int, die: Die) ->
         return False
     if normal_velocity(a, arms[low]) < 0.0 < normal_velocity(b, arms[low]):
         return True
-    if joined.sigma_time_s[k] > instant_s(seen.time_s):
+    if chain.sigma_time_s[k] > instant_limit_s(observations.time_s):
         return False
     return any(
-        vertex_impact_cost(joined, k, strike, UNKNOWN_TABLE_M) < STRIKE_STRAIN and _may_rebound(joined, k, strike)
-        for strike in _lowest(joined, k, _strikes(die))
+        vertex_impact_cost(chain, k, impact, UNKNOWN_TABLE_M) < MAX_IMPACT_COST and _can_rebound(chain, k, impact)
+        for impact in _lowest(chain, k, _vertex_impacts(die))
     )
 
 
-def _may_rebound(joined: FlightChain, k: int, strike: VertexImpact) -> bool:
-    """Whether the contact came down before and goes up after, within two sigmas."""
-    t = float(joined.links_s[k])
-    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
-    arm = strike.arm(a.rotation)
-    rows = normal_velocity_rows(a, b, arm)
-    sigma = np.sqrt(np.maximum(np.diag(rows @ joined.beside[k] @ rows.T), 0.0))
+def _can_rebound(chain: FlightChain, k: int, impact: VertexImpact) -> bool:
+    """Whether the contact came down before and goes up after, within REBOUND_SIGMAS."""
+    t = float(chain.link_times_s[k])
+    a, b = chain.flights[k].at(t), chain.flights[k + 1].at(t)
+    arm = impact.arm(a.rotation)
+    rows = normal_velocity_jacobian(a, b, arm)
+    sigma = np.sqrt(np.maximum(np.diag(rows @ chain.joint_covariance[k] @ rows.T), 0.0))
     return normal_velocity(a, arm) < REBOUND_SIGMAS * sigma[0] and normal_velocity(b, arm) > -REBOUND_SIGMAS * sigma[1]
 
 
-def _jump(joined: FlightChain, k: int, die: Die) -> float:
+def _jump(chain: FlightChain, k: int, die: Die) -> float:
     """Size [m/s] of the change of motion at a link, at the die's surface."""
-    t = float(joined.links_s[k])
-    a, b = joined.flights[k].at(t), joined.flights[k + 1].at(t)
+    t = float(chain.link_times_s[k])
+    a, b = chain.flights[k].at(t), chain.flights[k + 1].at(t)
     spin = die.solid.circumradius * np.linalg.norm(b.omega_rad_s - a.omega_rad_s)
     return float(np.linalg.norm(b.velocity_m_s - a.velocity_m_s) + spin)
 
 
 def _fit_parts(
-    seen: Observations, parts: list[_Part], opened: list[bool], fitted: Observations | None = None
+    observations: Observations, parts: list[_Part], opened: list[bool], fitted: Observations | None = None
 ) -> FlightChain:
     """The joint fit of all frames, or of those given, from each flight's own fit."""
     links = []
     for before, after, is_open in zip(parts[:-1], parts[1:], opened, strict=True):
         if is_open:
-            # Between the frames that surely lie on either flight; where exactly, no single instant says.
-            t = 0.5 * float(seen.time_s[before.good[-1]] + seen.time_s[after.good[0]])
+            # Between the inliers of both flights; no single instant exists.
+            t = 0.5 * float(observations.time_s[before.inliers[-1]] + observations.time_s[after.inliers[0]])
         else:
-            low, high = float(seen.time_s[before.rows[-1]]), float(seen.time_s[after.rows[0]])
-            t = _meeting(before.state, after.state, low, high)
+            low, high = float(observations.time_s[before.rows[-1]]), float(observations.time_s[after.rows[0]])
+            t = _nearest_approach(before.state, after.state, low, high)
         links.append(Link(t, is_open))
-    return fit_chain(seen if fitted is None else fitted, [part.state for part in parts], links)
+    return fit_chain(observations if fitted is None else fitted, [part.state for part in parts], links)
 
 
-def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
-    """The instant near [low, high] at which two motions come closest, positions and turns (times 5 mm) together."""
-    spread = max(high_s - low_s, 1e-9)
-    times = np.linspace(low_s - 1.0 * spread, high_s + 1.0 * spread, 121)
+def _nearest_approach(before: State, after: State, low_s: float, high_s: float) -> float:
+    """The instant near [low, high] at which two motions come closest, angles counting as TURN_LENGTH_M a radian."""
+    duration = max(high_s - low_s, 1e-9)
+    times = np.linspace(low_s - 1.0 * duration, high_s + 1.0 * duration, 121)
     pa, qa = Flight(before, np.inf).poses(times)
     pb, qb = Flight(after, np.inf).poses(times)
-    distance = np.linalg.norm(pa - pb, axis=1) + 5e-3 * np.linalg.norm(rotation_between(qa, qb), axis=1)
+    distance = np.linalg.norm(pa - pb, axis=1) + TURN_LENGTH_M * np.linalg.norm(rotation_between(qa, qb), axis=1)
     return float(times[int(np.argmin(distance))])
 
 
@@ -231,290 +254,310 @@ def _meeting(before: State, after: State, low_s: float, high_s: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """What holds for all fits of a clip: the priors of the shared errors (m,) and of the height of the table [m]."""
+    """Prior standard deviations that hold for all fits of a clip: of the shared errors (m,) [px], and of the table's height
+    [m]."""
 
-    shared_bias_sigma: Array
+    shared_sigma: Array
     table_sigma_m: float
 
     def fit(
-        self, seen: Observations, starts: Sequence[State], links: Sequence[Link], scatter: ErrorModel | None = None
+        self,
+        observations: Observations,
+        starts: Sequence[State],
+        links: Sequence[Link],
+        errors: ErrorModel | None = None,
     ) -> FlightChain:
+        """`fit_chain` with these priors."""
         return fit_chain(
-            seen,
+            observations,
             starts,
             links,
-            scatter=scatter,
-            shared_bias_sigma=self.shared_bias_sigma,
+            errors=errors,
+            shared_sigma=self.shared_sigma,
             table_sigma_m=self.table_sigma_m,
         )
 
-    def again(
-        self, seen: Observations, joined: FlightChain, links: Sequence[Link], scatter: ErrorModel | None
+    def refit(
+        self, observations: Observations, chain: FlightChain, links: Sequence[Link], errors: ErrorModel | None
     ) -> FlightChain:
-        """The same flights with other links, or with another scatter."""
-        return self.fit(seen, [flight.start for flight in joined.flights], links, scatter)
+        """The same flights with other links, or with another error model."""
+        return self.fit(observations, [flight.start for flight in chain.flights], links, errors)
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedChain:
-    """A chain of flights with its links named."""
+    """A chain of flights whose contacts are identified."""
 
-    seen: Observations
-    """The frames, relabelled where need be."""
-    joined: FlightChain
-    rules: Priors
-    """Those that were given, or wider ones where the clip is not as they say."""
-
-
-def resolve_contacts(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> ResolvedChain:
-    """The chain with each joined link an impact at the vertex that explains it best, or free where none does, and with the
-    frames' own scatter. The scatter is that about flights joined anyhow: what an impact that is none would do to them must
-    show as a cost, not as scatter."""
-    found = rules.again(seen, joined, joined.links, None)
-    if (np.abs(found.shared) > FAR_SIGMAS * rules.shared_bias_sigma).any():
-        # A contour is not off by as much: the size of the die, the clock or the camera is not that of this clip, and a
-        # track that hid it would be worth less than one that shows it (`gravity`).
-        rules, seen = replace(rules, shared_bias_sigma=np.zeros(0)), seen.leaning(seen.lean[:, :, :0])
-        found = rules.again(seen, joined, joined.links, None)
-    found = rules.again(seen, found, found.links, _scatter_of(seen, found))
-    found = _struck(seen, found, die, rules)
-    found = _without_slight_ones(seen, found, rules)
-    found = _without_ghosts(seen, found, die, rules)
-    seen, found = _with_quick_ones(seen, found, die, rules)
-    if found.links and abs(found.table_m) > FAR_SIGMAS * rules.table_sigma_m:
-        rules = replace(rules, table_sigma_m=UNKNOWN_TABLE_M)
-        found = rules.again(seen, found, found.links, found.scatter)
-    found = _taken_together(seen, rules.again(seen, found, found.links, _scatter_of(seen, found)), rules)
-    return ResolvedChain(seen, _at_first_touches(seen, found, die, rules), rules)
+    observations: Observations
+    """The frames, relabelled where necessary."""
+    chain: FlightChain
+    priors: Priors
+    """Those that were given, or wider ones if the clip contradicts them."""
 
 
-def explains_better(seen: Observations, one: ResolvedChain, other: ResolvedChain) -> bool:
-    """Whether a chain of flights explains some frames better than another, each with its own labelling of them: by the wider
-    rules of the two, with the scatter of the one about which they scatter less, and at a price for each number."""
-    scatter = min((one.joined.scatter, other.joined.scatter), key=lambda each: float(np.log(each.variance).sum()))
-    table_sigma_m = max(one.rules.table_sigma_m, other.rules.table_sigma_m)
-    shared_bias_sigma = min(one.rules.shared_bias_sigma, other.rules.shared_bias_sigma, key=len)
-    rules = Priors(shared_bias_sigma, table_sigma_m)
-    lean = seen.lean[:, :, : len(shared_bias_sigma)]
+def resolve_contacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> ResolvedChain:
+    """The chain with each joined link an impact at the vertex that explains it best, or free if none does, and with the error
+    model of the frames.
+
+    The error model is estimated about flights joined by free jumps: a wrong impact must show as a cost, not as larger errors.
+    """
+    found = priors.refit(observations, chain, chain.links, None)
+    if (np.abs(found.shared) > INCONSISTENT_SIGMAS * priors.shared_sigma).any():
+        # No contour is off by as much: the size of the die, the clock or the camera is not that of this clip. A track that hides
+        # this would be worth less than one that shows it (`gravity`).
+        priors = replace(priors, shared_sigma=np.zeros(0))
+        observations = observations.with_bias_jacobian(observations.bias_jacobian[:, :, :0])
+        found = priors.refit(observations, chain, chain.links, None)
+    found = priors.refit(observations, found, found.links, _error_model_of(observations, found))
+    found = _with_vertex_impacts(observations, found, die, priors)
+    found = _without_insignificant_links(observations, found, priors)
+    found = _without_spurious_impacts(observations, found, die, priors)
+    observations, found = _with_resolved_clusters(observations, found, die, priors)
+    if found.links and abs(found.table_m) > INCONSISTENT_SIGMAS * priors.table_sigma_m:
+        priors = replace(priors, table_sigma_m=UNKNOWN_TABLE_M)
+        found = priors.refit(observations, found, found.links, found.errors)
+    found = priors.refit(observations, found, found.links, _error_model_of(observations, found))
+    found = _with_merged_contacts(observations, found, priors)
+    return ResolvedChain(observations, _with_links_at_first_touch(observations, found, die, priors), priors)
+
+
+def explains_better(observations: Observations, one: ResolvedChain, other: ResolvedChain) -> bool:
+    """Whether the first of two chains of flights explains some frames better, each with its own labelling of them.
+
+    Both are fitted with the wider priors of the two and the error model with the smaller errors, at a PENALTY for each free
+    parameter."""
+    errors = min((one.chain.errors, other.chain.errors), key=lambda each: float(np.log(each.variance).sum()))
+    table_sigma_m = max(one.priors.table_sigma_m, other.priors.table_sigma_m)
+    shared_sigma = min(one.priors.shared_sigma, other.priors.shared_sigma, key=len)
+    priors = Priors(shared_sigma, table_sigma_m)
+    bias_jacobian = observations.bias_jacobian[:, :, : len(shared_sigma)]
     costs = []
     for each in (one, other):
-        frames = replace(seen, quaternion=each.seen.quaternion).leaning(lean)
-        told = sum(STRIKE_ROWS for link in each.joined.links if link.strike is not None)
-        numbers = sum(link.size for link in each.joined.links) - told
-        costs.append(rules.again(frames, each.joined, each.joined.links, scatter).cost + PRICE * numbers)
+        frames = replace(observations, quaternion=each.observations.quaternion).with_bias_jacobian(bias_jacobian)
+        determined = sum(IMPACT_CONDITIONS for link in each.chain.links if link.impact is not None)
+        free = sum(link.size for link in each.chain.links) - determined
+        costs.append(priors.refit(frames, each.chain, each.chain.links, errors).cost + PENALTY * free)
     return costs[0] < costs[1]
 
 
-def _taken_together(seen: Observations, joined: FlightChain, rules: Priors) -> FlightChain:
-    """The chain with contacts that nothing tells apart as one, which stays open: two of which one is open and no frame
-    between, so that nothing is known of the flight between; and two that a fit has drawn to one instant."""
+def _with_merged_contacts(observations: Observations, chain: FlightChain, priors: Priors) -> FlightChain:
+    """The chain with indistinguishable contacts merged into one open link: two of which one is open with no inlier between them,
+    so that the flight between is unknown; and two that a fit has drawn to one instant."""
     while True:
-        borne_out = joined.borne_out(seen.time_s)[1:-1] > 0.0
-        opened = [a.is_open or b.is_open for a, b in itertools.pairwise(joined.links)]
-        alike = np.diff(joined.links_s) < SAME_FRAMES * _spacing(seen)
-        k = next((k for k, one in enumerate(alike) if one or (opened[k] and not borne_out[k])), None)
+        is_known = chain.inlier_share(observations.time_s)[1:-1] > 0.0
+        opened = [a.is_open or b.is_open for a, b in itertools.pairwise(chain.links)]
+        same_instant = np.diff(chain.link_times_s) < SAME_INSTANT_FRAMES * _spacing_s(observations)
+        k = next((k for k, same in enumerate(same_instant) if same or (opened[k] and not is_known[k])), None)
         if k is None:
-            return joined
-        middle_s = 0.5 * (joined.links[k].time_s + joined.links[k + 1].time_s)
-        links = [*joined.links[:k], Link(middle_s, is_open=True), *joined.links[k + 2 :]]
-        starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
-        joined = rules.fit(seen, starts, links, joined.scatter)
+            return chain
+        middle_s = 0.5 * (chain.links[k].time_s + chain.links[k + 1].time_s)
+        links = [*chain.links[:k], Link(middle_s, is_open=True), *chain.links[k + 2 :]]
+        starts = [flight.start for j, flight in enumerate(chain.flights) if j != k + 1]
+        chain = priors.fit(observations, starts, links, chain.errors)
 
 
-def _at_first_touches(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
-    """The chain with each open link where the first of its contacts must be: the motion before, followed on from its last
-    sure frame, comes down to the table. Where it does not before the next flight is sure, the link stays where it is."""
+def _with_links_at_first_touch(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+    """The chain with each open link at the instant of the first of its contacts: where the motion before, continued from its last
+    inlier, comes down to the table. If it does not before the next flight begins, the link stays where it is."""
     inner = inner_vertices(die.solid, die.corner_radius_m)
-    parts = joined.parts(seen.time_s)
-    links = list(joined.links)
-    for k, link in enumerate(joined.links):
-        sure = np.flatnonzero(joined.weights > 0.5)
-        before = sure[(sure >= parts[k].start) & (sure < parts[k].stop)]
-        behind = sure[sure >= parts[k].stop]
+    parts = chain.parts(observations.time_s)
+    links = list(chain.links)
+    for k, link in enumerate(chain.links):
+        inliers = np.flatnonzero(chain.weights > INLIER_WEIGHT)
+        before = inliers[(inliers >= parts[k].start) & (inliers < parts[k].stop)]
+        behind = inliers[inliers >= parts[k].stop]
         if not link.is_open or not len(before) or not len(behind):
             continue
-        times = np.linspace(float(seen.time_s[before[-1]]), float(seen.time_s[behind[0]]), TOUCH_STEPS)
-        p, q = Flight(joined.flights[k].start, np.inf).poses(times)
-        heights = (matrix_from_quat(q) @ inner.T)[:, 2].min(1) + p[:, 2] - die.corner_radius_m - joined.table_m
+        times = np.linspace(
+            float(observations.time_s[before[-1]]), float(observations.time_s[behind[0]]), TOUCH_SAMPLES
+        )
+        p, q = Flight(chain.flights[k].start, np.inf).poses(times)
+        heights = (matrix_from_quat(q) @ inner.T)[:, 2].min(1) + p[:, 2] - die.corner_radius_m - chain.table_m
         below = np.flatnonzero(heights < 0.0)
         if len(below):
             links[k] = replace(link, time_s=float(times[below[0]]))
-    perturbed = any(a.time_s != b.time_s for a, b in zip(links, joined.links, strict=True))
-    return rules.again(seen, joined, links, joined.scatter) if perturbed else joined
+    has_moved = any(a.time_s != b.time_s for a, b in zip(links, chain.links, strict=True))
+    return priors.refit(observations, chain, links, chain.errors) if has_moved else chain
 
 
-def _struck(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
-    """The chain with its joined links as impacts at the low vertex of least cost: those with one likely vertex at once, if
-    that holds, and the others one by one. Those that cost more than noise does are left free: two contacts at once, or an
-    edge that struck along its length, push at no one vertex."""
-    strikes = _strikes(die)
-    likely = [_likely(seen, joined, k, _lowest(joined, k, strikes), rules) for k in range(len(joined.links))]
-    alone = [k for k, found in enumerate(likely) if len(found) == 1]
-    for sure in (alone, [k for k in alone if likely[k][0][0] < LIKELY_STRAIN]):
-        struck = {k: replace(joined.links[k], strike=likely[k][0][1]) for k in sure}
-        links = [struck.get(k, link) for k, link in enumerate(joined.links)]
-        trial = rules.again(seen, joined, links, joined.scatter) if sure else joined
-        if trial.cost < joined.cost + LIKELY_STRAIN * len(sure):
-            joined = trial
+def _with_vertex_impacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+    """The chain with its joined links as impacts at the low vertex of least cost.
+
+    Links with one likely vertex become impacts at once, if that holds; the others one by one. Links that cost more than
+    MAX_IMPACT_COST stay free: two simultaneous contacts, or an edge that struck along its length, push at no single vertex."""
+    impacts = _vertex_impacts(die)
+    candidates = [
+        _candidates(observations, chain, k, _lowest(chain, k, impacts), priors) for k in range(len(chain.links))
+    ]
+    single = [k for k, found in enumerate(candidates) if len(found) == 1]
+    for chosen in (single, [k for k in single if candidates[k][0][0] < LIKELY_COST]):
+        replaced = {k: replace(chain.links[k], impact=candidates[k][0][1]) for k in chosen}
+        links = [replaced.get(k, link) for k, link in enumerate(chain.links)]
+        trial = priors.refit(observations, chain, links, chain.errors) if chosen else chain
+        if trial.cost < chain.cost + LIKELY_COST * len(chosen):
+            chain = trial
             break
-    for k, found in enumerate(likely):
-        if joined.links[k].strike is not None:
+    for k, found in enumerate(candidates):
+        if chain.links[k].impact is not None:
             continue
         trials = []
-        for _, strike in found:
-            links = list(joined.links)
-            links[k] = replace(links[k], strike=strike)
-            trials.append(rules.again(seen, joined, links, joined.scatter))
-        best = min(trials, key=lambda trial: trial.cost, default=joined)
-        joined = best if best.cost < joined.cost + STRIKE_STRAIN else joined
-    return joined
+        for _, impact in found:
+            links = list(chain.links)
+            links[k] = replace(links[k], impact=impact)
+            trials.append(priors.refit(observations, chain, links, chain.errors))
+        best = min(trials, key=lambda trial: trial.cost, default=chain)
+        chain = best if best.cost < chain.cost + MAX_IMPACT_COST else chain
+    return chain
 
 
-def _likely(
-    seen: Observations, joined: FlightChain, k: int, low: list[VertexImpact], rules: Priors
+def _candidates(
+    observations: Observations, chain: FlightChain, k: int, low: list[VertexImpact], priors: Priors
 ) -> list[tuple[float, VertexImpact]]:
-    """Of the contacts that link k may be, those that are not out of the question, with what they would cost to the first
-    order."""
-    if joined.links[k].is_open:
+    """Of the impacts `low` that link k may be, those not excluded, with their cost to first order."""
+    if chain.links[k].is_open:
         return []
-    costs = [(vertex_impact_cost(joined, k, strike, rules.table_sigma_m), strike) for strike in low]
-    if not _is_borne_out(seen, joined, k):
+    costs = [(vertex_impact_cost(chain, k, impact, priors.table_sigma_m), impact) for impact in low]
+    if not _has_known_flights(observations, chain, k):
         return costs
-    return [(cost, strike) for cost, strike in costs if cost < HOPELESS]
+    return [(cost, impact) for cost, impact in costs if cost < MAX_FIRST_ORDER_COST]
 
 
-def _is_borne_out(seen: Observations, joined: FlightChain, k: int) -> bool:
-    """Whether most frames of the flights on either side of a link lie on them. What a flight that others have spoilt makes
-    of a contact says nothing."""
-    return bool((joined.borne_out(seen.time_s)[k : k + 2] > MOST_FRAMES).all())
+def _has_known_flights(observations: Observations, chain: FlightChain, k: int) -> bool:
+    """Whether most frames of the flights on either side of a link lie on them. A flight that others have spoilt says nothing
+    about its contact."""
+    return bool((chain.inlier_share(observations.time_s)[k : k + 2] > KNOWN_FLIGHT_SHARE).all())
 
 
-def _numbered(joined: FlightChain) -> list[tuple[int, Link]]:
-    return list(enumerate(joined.links))
-
-
-def _strikes(die: Die) -> list[VertexImpact]:
-    """A contact at each vertex. A die that is no spherical top has none that could be judged so simply."""
+def _vertex_impacts(die: Die) -> list[VertexImpact]:
+    """An impact at each vertex; none for an asymmetric body, whose impacts the conditions do not describe."""
     if not die.is_spherical_top:
         return []
     inner = inner_vertices(die.solid, die.corner_radius_m)
     return [VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2) for point in inner]
 
 
-def _lowest(joined: FlightChain, k: int, strikes: list[VertexImpact]) -> list[VertexImpact]:
-    """The contacts that link k may be, the lowest vertex first."""
-    if not strikes:
+def _lowest(chain: FlightChain, k: int, impacts: list[VertexImpact]) -> list[VertexImpact]:
+    """The impacts that link k may be, the lowest vertex first."""
+    if not impacts:
         return []
-    state = joined.flights[k].at(joined.links[k].time_s)
-    heights = np.array([strike.arm(state.rotation)[2] for strike in strikes])
+    state = chain.flights[k].at(chain.links[k].time_s)
+    heights = np.array([impact.arm(state.rotation)[2] for impact in impacts])
     reach = NEAR_SHARE * float(np.ptp(heights))
-    return [strikes[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
+    return [impacts[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
 
 
-def _scatter_of(seen: Observations, joined: FlightChain) -> ErrorModel:
-    """The scatter of the frames about the fitted flights."""
+def _error_model_of(observations: Observations, chain: FlightChain) -> ErrorModel:
+    """The error model of the frames about the fitted flights."""
     return estimate_error_model(
-        seen, joined.parts(seen.time_s), [flight.start for flight in joined.flights], joined.shared, joined.weights
+        observations,
+        chain.parts(observations.time_s),
+        [flight.start for flight in chain.flights],
+        chain.shared,
+        chain.weights,
     )
 
 
-def _without_slight_ones(seen: Observations, joined: FlightChain, rules: Priors) -> FlightChain:
-    """The chain without joined links that explain no more than chance does, now that it is known how errors go together:
-    the slightest first."""
+def _without_insignificant_links(observations: Observations, chain: FlightChain, priors: Priors) -> FlightChain:
+    """The chain without joined links that explain no more than chance does under the error model: the weakest first."""
     while True:
         trials = []
-        for k, link in _numbered(joined):
-            if link.is_open or _gained(joined, k) > PLAIN * SLIGHT:
+        for k, link in enumerate(chain.links):
+            if link.is_open or _first_order_gain(chain, k) > PLAIN_FACTOR * LEAST_GAIN:
                 continue
-            trial = _merged(seen, joined, k, rules)
-            if trial.cost < joined.cost + SLIGHT:
+            trial = _without_link(observations, chain, k, priors)
+            if trial.cost < chain.cost + LEAST_GAIN:
                 trials.append(trial)
         if not trials:
-            return joined
-        joined = min(trials, key=lambda trial: trial.cost)
+            return chain
+        chain = min(trials, key=lambda trial: trial.cost)
 
 
-def _gained(joined: FlightChain, k: int) -> float:
-    """Squared sigmas that a joined link explains, to the first order: how surely the motion jumps there."""
-    t = float(joined.links_s[k])
-    a, b, C = joined.flights[k].at(t), joined.flights[k + 1].at(t), joined.beside[k]
+def _first_order_gain(chain: FlightChain, k: int) -> float:
+    """Squared sigmas that a joined link explains, to first order: its jump over the uncertainty of the jump."""
+    t = float(chain.link_times_s[k])
+    a, b, C = chain.flights[k].at(t), chain.flights[k + 1].at(t), chain.joint_covariance[k]
     jump = np.concatenate([b.velocity_m_s - a.velocity_m_s, b.omega_rad_s - a.omega_rad_s])
-    spread = C[6:12, 6:12] + C[18:24, 18:24] - C[6:12, 18:24] - C[18:24, 6:12]
-    return float(jump @ scaled_inverse(spread) @ jump)
+    covariance = C[6:12, 6:12] + C[18:24, 18:24] - C[6:12, 18:24] - C[18:24, 6:12]
+    return float(jump @ scaled_inverse(covariance) @ jump)
 
 
-def _merged(seen: Observations, joined: FlightChain, k: int, rules: Priors) -> FlightChain:
-    """The chain with the flights before and behind link k as one, begun from the longer."""
-    lasts = [flight.end_s - flight.start.time_s for flight in joined.flights[k : k + 2]]
-    dropped = k if lasts[0] < lasts[1] else k + 1
-    starts = [flight.start for j, flight in enumerate(joined.flights) if j != dropped]
-    links = [link for j, link in enumerate(joined.links) if j != k]
-    return rules.fit(seen, starts, links, joined.scatter)
+def _without_link(observations: Observations, chain: FlightChain, k: int, priors: Priors) -> FlightChain:
+    """The chain with the flights before and behind link k as one, initialised from the longer."""
+    durations = [flight.end_s - flight.start.time_s for flight in chain.flights[k : k + 2]]
+    dropped = k if durations[0] < durations[1] else k + 1
+    starts = [flight.start for j, flight in enumerate(chain.flights) if j != dropped]
+    links = [link for j, link in enumerate(chain.links) if j != k]
+    return priors.fit(observations, starts, links, chain.errors)
 
 
-def _without_ghosts(seen: Observations, joined: FlightChain, die: Die, rules: Priors) -> FlightChain:
-    """The chain without open links at which nothing can have struck: the motion before, followed on to where the next
-    flight is sure, stays clear of the table."""
-    strikes = _strikes(die)
-    for k, link in reversed(_numbered(joined)):
-        if not link.is_open or not strikes:
+def _without_spurious_impacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+    """The chain without open links at which nothing can have struck: the motion before, continued to the first inlier of the next
+    flight, stays clear of the table."""
+    impacts = _vertex_impacts(die)
+    for k, link in reversed(list(enumerate(chain.links))):
+        if not link.is_open or not impacts:
             continue
-        inside = np.flatnonzero((seen.time_s > link.time_s) & (joined.weights > 0.5))
-        until = float(seen.time_s[inside[0]]) if len(inside) else link.time_s
-        times = np.linspace(link.time_s, max(until, link.time_s + 4.0 * _spacing(seen)), 24)
-        lowest = min(_height(joined.flights[k].at(float(t)), strikes) for t in times)
-        if lowest - joined.table_m < CLEAR_SHARE * die.solid.edge_m:
+        inside = np.flatnonzero((observations.time_s > link.time_s) & (chain.weights > INLIER_WEIGHT))
+        until = float(observations.time_s[inside[0]]) if len(inside) else link.time_s
+        times = np.linspace(link.time_s, max(until, link.time_s + 4.0 * _spacing_s(observations)), CLEAR_SAMPLES)
+        lowest = min(_height(chain.flights[k].at(float(t)), impacts) for t in times)
+        if lowest - chain.table_m < CLEAR_SHARE * die.solid.edge_m:
             continue
-        starts = [flight.start for j, flight in enumerate(joined.flights) if j != k + 1]
-        links = [other for j, other in enumerate(joined.links) if j != k]
-        joined = rules.fit(seen, starts, links, joined.scatter)
-        joined = rules.again(seen, joined, joined.links, _scatter_of(seen, joined))
-    return joined
+        starts = [flight.start for j, flight in enumerate(chain.flights) if j != k + 1]
+        links = [other for j, other in enumerate(chain.links) if j != k]
+        chain = priors.fit(observations, starts, links, chain.errors)
+        chain = priors.refit(observations, chain, chain.links, _error_model_of(observations, chain))
+    return chain
 
 
-def _with_quick_ones(
-    seen: Observations, joined: FlightChain, die: Die, rules: Priors
+def _with_resolved_clusters(
+    observations: Observations, chain: FlightChain, die: Die, priors: Priors
 ) -> tuple[Observations, FlightChain]:
-    """The frames and the chain with open links, and such as leave frames beside them unexplained, resolved where the
-    model tells what may have happened there."""
-    strikes, scatter = _strikes(die), joined.scatter
+    """The frames and the chain, with open links, and links with unexplained frames beside them, resolved into several impacts
+    where the model determines these."""
+    impacts, errors = _vertex_impacts(die), chain.errors
 
     def fit(own: Observations, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
-        return rules.fit(own, starts, links, scatter)
+        return priors.fit(own, starts, links, errors)
 
-    k = len(joined.links) - 1
-    while k >= 0 and strikes:
-        told = None
-        if joined.links[k].is_open or is_crowded(seen, joined, k):
-            told = resolved(seen, joined, k, die, strikes, fit)
-        seen, joined, k = (told[0], told[1], told[2] - 1) if told else (seen, joined, k - 1)
-    return seen, joined
+    k = len(chain.links) - 1
+    while k >= 0 and impacts:
+        resolved = None
+        if chain.links[k].is_open or is_crowded(observations, chain, k):
+            resolved = resolve_cluster(observations, chain, k, die, impacts, fit)
+        if resolved:
+            observations, chain, first = resolved
+            k = first - 1
+        else:
+            k -= 1
+    return observations, chain
 
 
-def _spacing(seen: Observations) -> float:
-    return float(np.median(np.diff(seen.time_s)))
+def _spacing_s(observations: Observations) -> float:
+    """Median time [s] between frames."""
+    return float(np.median(np.diff(observations.time_s)))
 
 
-def _height(state: State, strikes: list[VertexImpact]) -> float:
-    """Of the lowest point of the die."""
-    return float(state.position_m[2] + min(strike.arm(state.rotation)[2] for strike in strikes))
+def _height(state: State, impacts: list[VertexImpact]) -> float:
+    """Height [m] of the lowest point of the die."""
+    return float(state.position_m[2] + min(impact.arm(state.rotation)[2] for impact in impacts))
 
 
 def normal_velocity(state: State, arm: Array) -> float:
-    """Vertical velocity [m/s] of a point of the die at `arm` from its centre."""
+    """Vertical velocity [m/s] of a point of the die at `arm` (3,) from its centre."""
     return float(state.velocity_m_s[2] + np.cross(state.omega_rad_s, arm)[2])
 
 
-def normal_velocity_rows(before: State, after: State, arm: Array) -> Array:
-    """Derivatives (2, 25) of the normal velocity of a point of the die before and after an impact with respect to the states
-    on both sides and the instant, as `FlightChain.beside` has them."""
-    rows = np.zeros((2, 25))
+def normal_velocity_jacobian(before: State, after: State, arm: Array) -> Array:
+    """Derivatives (2, 25) of the normal velocity of a point of the die before and after an impact with respect to the states on
+    both sides and the instant, in the order of `FlightChain.joint_covariance`."""
+    rows = np.zeros((2, JOINT))
     for row, first, state in zip(rows, (0, 12), (before, after), strict=True):
         w = state.omega_rad_s
         # ẑ·(ω × (δθ × r)) = δθ·(r × (ẑ × ω)).
         row[first + 3 : first + 6] = np.cross(arm, np.cross([0.0, 0.0, 1.0], w))
         row[first + 8] = 1.0
         row[first + 9 : first + 12] = np.cross(arm, [0.0, 0.0, 1.0])
-        # The corner of a spinning die changes its speed within the uncertainty of the instant: 500 m/s² is usual.
+        # The corner of a spinning die accelerates within the uncertainty of the instant: 500 m/s² is usual.
         row[24] = float(np.cross(w, np.cross(w, arm))[2]) - GRAVITY_M_S2
     return rows

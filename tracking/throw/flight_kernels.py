@@ -1,4 +1,4 @@
-"""The kernels of `flights`: frames about the motion of a flight, on plain arrays.
+"""Compiled kernels of `flights` and `flight_chain`: residuals and normal equations of frames about exact motion, on plain arrays.
 
 A state is packed into 14 numbers: time, position, quaternion, velocity, angular velocity.
 """
@@ -15,21 +15,35 @@ from ...model.world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 
+JACOBIAN_SERIES_RAD = 1e-3
+"""Angle [rad] below which exponential and left Jacobian are series: exact to rounding there, where (v - sin v)/v³ has lost seven
+digits."""
+TINY_ROTATION = 1e-12
+"""Sine of half an angle, or an angle [rad], below which a rotation is converted to first order."""
+SMALL_ANGLE_RAD = 1e-9
+"""Angle [rad] of a flight below which sin(x/2)/x is 1/2."""
+MAX_STEPS = 12
+"""Gauss-Newton steps of a single flight."""
+RELATIVE_GAIN = 1e-3
+"""A step that gains less than this share of the squares is the last."""
+LEAST_PIVOT = 1e-13
+"""Least squared pivot of a scaled matrix: what rounding leaves of a singular direction."""
+
 
 @compiled(nogil=True)
-def misses(
-    time: Array, position: Array, quaternion: Array, W: Array, lean: Array, shared: Array, cuts: NDArray[np.int64],
+def residuals(
+    time: Array, position: Array, quaternion: Array, W: Array, bias_jacobian: Array, shared: Array, cuts: NDArray[np.int64],
     states: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Seen minus motion, whitened."""
+    """Fill the whitened residuals (n, 6) of frames: observed minus motion, shared errors subtracted."""
     e = np.empty(6)
     for flight in range(len(states)):
         state = states[flight]
         for k in range(cuts[flight], cuts[flight + 1]):
-            _error(time[k], position[k], quaternion[k], state, e)
+            _pose_residual(time[k], position[k], quaternion[k], state, e)
             for j in range(len(shared)):
                 for b in range(6):
-                    e[b] -= lean[k, b, j] * shared[j]
+                    e[b] -= bias_jacobian[k, b, j] * shared[j]
             for i in range(6):
                 total = 0.0
                 for j in range(6):
@@ -38,10 +52,10 @@ def misses(
 
 
 @compiled(nogil=True)
-def weigh(W: Array, lean: Array, share: Array, information: Array, pulls: Array) -> None:
-    """What each frame says of its pose and of the shared errors: information (n, 6 + m, 6 + m), and (n, 6 + m, 6) that makes
-    the pull of whitened residuals. Of no motion: once for all steps of a fit."""
-    m = lean.shape[2]
+def frame_information(W: Array, bias_jacobian: Array, share: Array, information: Array, to_gradient: Array) -> None:
+    """Fill the information (n, 6 + m, 6 + m) of each frame on its pose and the shared errors, and the matrices (n, 6 + m, 6) from
+    whitened residuals to a gradient. They do not depend on the motion: a fit computes them once."""
+    m = bias_jacobian.shape[2]
     columns = np.empty((6, 6 + m))
     for k in range(len(W)):
         for i in range(6):
@@ -50,30 +64,32 @@ def weigh(W: Array, lean: Array, share: Array, information: Array, pulls: Array)
             for j in range(m):
                 total = 0.0
                 for b in range(6):
-                    total += W[k, i, b] * lean[k, b, j]
+                    total += W[k, i, b] * bias_jacobian[k, b, j]
                 columns[i, 6 + j] = total
         for a in range(6 + m):
             for i in range(6):
-                pulls[k, a, i] = share[i] * columns[i, a]
+                to_gradient[k, a, i] = share[i] * columns[i, a]
             for b in range(a + 1):
                 total = 0.0
                 for i in range(6):
-                    total += pulls[k, a, i] * columns[i, b]
+                    total += to_gradient[k, a, i] * columns[i, b]
                 information[k, a, b] = total
                 information[k, b, a] = total
 
 
 @compiled(nogil=True)
-def sums(
-    time: Array, information: Array, pulls: Array, off: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
+def normal_equations(
+    time: Array, information: Array, to_gradient: Array, residual: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
     normal: Array, gradient: Array,
 ) -> None:  # fmt: skip
-    """Fill the normal equations of each flight. With the information A of a frame about its pose, and D = (1, τ) for the
-    place and (E, τJ) for the turn, a frame adds Dᵀ A D: the twelve columns need not be whitened one by one."""
-    own = information.shape[1]
-    m = own - 6
-    A, u = np.empty((own, own)), np.empty(own)
-    turns, AT, TAT = np.empty((3, 6)), np.empty((own, 6)), np.empty((6, 6))
+    """Add the normal equations of each flight to `normal` and `gradient`.
+
+    With the information A of a frame on its pose, and D = (1, τ) for the position and (E, τJ) for the rotation, a frame adds
+    Dᵀ A D: the twelve columns need not be whitened one by one."""
+    size = information.shape[1]
+    m = size - 6
+    A, frame_gradient = np.empty((size, size)), np.empty(size)
+    rotation, AT, TAT = np.empty((3, 6)), np.empty((size, 6)), np.empty((6, 6))
     for flight in range(len(states)):
         state, N, g = states[flight], normal[flight], gradient[flight]
         for k in range(cuts[flight], cuts[flight + 1]):
@@ -81,28 +97,36 @@ def sums(
                 continue
             dt = time[k] - state[0]
             x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-            E, L = _turn_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
+            E, L = _rotation_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
             for i in range(3):
                 for j in range(3):
-                    turns[i, j], turns[i, 3 + j] = E[i, j], L[i, j]
-            for a in range(own):
-                pull = 0.0
+                    rotation[i, j], rotation[i, 3 + j] = E[i, j], L[i, j]
+            for a in range(size):
+                total = 0.0
                 for i in range(6):
-                    pull += pulls[k, a, i] * off[k, i]
-                u[a] = weight[k] * pull
-                for b in range(own):
+                    total += to_gradient[k, a, i] * residual[k, i]
+                frame_gradient[a] = weight[k] * total
+                for b in range(size):
                     A[a, b] = weight[k] * information[k, a, b]
-            for a in range(own):
+            for a in range(size):
                 for b in range(6):
-                    AT[a, b] = A[a, 3] * turns[0, b] + A[a, 4] * turns[1, b] + A[a, 5] * turns[2, b]
+                    AT[a, b] = A[a, 3] * rotation[0, b] + A[a, 4] * rotation[1, b] + A[a, 5] * rotation[2, b]
             for a in range(6):
                 for b in range(6):
-                    TAT[a, b] = turns[0, a] * AT[3, b] + turns[1, a] * AT[4, b] + turns[2, a] * AT[5, b]
+                    TAT[a, b] = rotation[0, a] * AT[3, b] + rotation[1, a] * AT[4, b] + rotation[2, a] * AT[5, b]
             for a in range(3):
-                g[a] -= u[a]
-                g[6 + a] -= dt * u[a]
-                g[3 + a] -= turns[0, a] * u[3] + turns[1, a] * u[4] + turns[2, a] * u[5]
-                g[9 + a] -= turns[0, 3 + a] * u[3] + turns[1, 3 + a] * u[4] + turns[2, 3 + a] * u[5]
+                g[a] -= frame_gradient[a]
+                g[6 + a] -= dt * frame_gradient[a]
+                g[3 + a] -= (
+                    rotation[0, a] * frame_gradient[3]
+                    + rotation[1, a] * frame_gradient[4]
+                    + rotation[2, a] * frame_gradient[5]
+                )
+                g[9 + a] -= (
+                    rotation[0, 3 + a] * frame_gradient[3]
+                    + rotation[1, 3 + a] * frame_gradient[4]
+                    + rotation[2, 3 + a] * frame_gradient[5]
+                )
                 for b in range(3):
                     N[a, b] += A[a, b]
                     N[6 + a, b] += dt * A[a, b]
@@ -115,7 +139,7 @@ def sums(
                     N[9 + a, 3 + b] += TAT[3 + a, b]
                     N[9 + a, 9 + b] += TAT[3 + a, 3 + b]
             for a in range(m):
-                g[12 + a] -= u[6 + a]
+                g[12 + a] -= frame_gradient[6 + a]
                 for b in range(3):
                     N[12 + a, b] += A[6 + a, b]
                     N[12 + a, 6 + b] += dt * A[6 + a, b]
@@ -129,44 +153,44 @@ def sums(
 
 
 @compiled(nogil=True)
-def meat(
-    time: Array, W: Array, lean: Array, weight: Array, strength: Array,
-    state: Array, wander: Array, memory_s: Array, meat: Array,
+def gradient_covariance(
+    time: Array, W: Array, bias_jacobian: Array, weight: Array, strength: Array,
+    state: Array, variance_ratio: Array, correlation_time_s: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Fill Xᵀ V X for V = 1 + a exp(-|t_j - t_k|/T), rows weighted: frame by frame against what the frames before have
-    left, so that the cost is linear."""
-    m = lean.shape[2]
+    """Add Xᵀ V X to `out`, for V = 1 + a exp(-|t_j - t_k|/T) and weighted rows X. Each frame is combined with the decayed sum of
+    the frames before it, so that the cost is linear."""
+    m = bias_jacobian.shape[2]
     size = 12 + m
     rows, before = np.empty((6, size)), np.zeros((6, size))
     for k in range(len(time)):
-        _rows(time[k], W[k], lean[k], state, rows)
+        _frame_jacobian(time[k], W[k], bias_jacobian[k], state, rows)
         for i in range(6):
             for a in range(size):
                 rows[i, a] *= weight[k]
         for i in range(6):
             if k > 0:
-                left = exp(-(time[k] - time[k - 1]) / memory_s[i])
+                decay = exp(-(time[k] - time[k - 1]) / correlation_time_s[i])
                 for a in range(size):
-                    before[i, a] *= left
-            slow = strength[i] * wander[i]
+                    before[i, a] *= decay
+            slow = strength[i] * variance_ratio[i]
             for a in range(size):
                 own, past = rows[i, a], before[i, a]
                 for b in range(a + 1):
-                    meat[a, b] += (strength[i] + slow) * own * rows[i, b]
-                    meat[a, b] += slow * (own * before[i, b] + past * rows[i, b])
+                    out[a, b] += (strength[i] + slow) * own * rows[i, b]
+                    out[a, b] += slow * (own * before[i, b] + past * rows[i, b])
             for a in range(size):
                 before[i, a] += rows[i, a]
     for a in range(size):
         for b in range(a):
-            meat[b, a] = meat[a, b]
+            out[b, a] = out[a, b]
 
 
 @inner
-def _rows(time: float, W: Array, lean: Array, state: Array, rows: Array) -> None:
-    """Rows of one frame: derivative of the whitened motion with respect to the state (12,) and the shared errors (m,)."""
+def _frame_jacobian(time: float, W: Array, bias_jacobian: Array, state: Array, rows: Array) -> None:
+    """Fill the rows of one frame: derivative of the whitened motion by the state (12,) and the shared errors (m,)."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
-    E, L = _turn_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
+    E, L = _rotation_matrices(x, y, z, sqrt(x * x + y * y + z * z), dt)
     for i in range(6):
         for j in range(3):
             rows[i, j] = W[i, j]
@@ -177,41 +201,43 @@ def _rows(time: float, W: Array, lean: Array, state: Array, rows: Array) -> None
                 spun += W[i, 3 + b] * L[b, j]
             rows[i, 3 + j] = turned
             rows[i, 9 + j] = spun
-        for j in range(lean.shape[1]):
-            leans = 0.0
+        for j in range(bias_jacobian.shape[1]):
+            bias = 0.0
             for b in range(6):
-                leans += W[i, b] * lean[b, j]
-            rows[i, 12 + j] = leans
+                bias += W[i, b] * bias_jacobian[b, j]
+            rows[i, 12 + j] = bias
 
 
 @inner
-def _error(time: float, position: Array, quaternion: Array, state: Array, e: Array) -> None:
-    """Seen minus motion (6,) of one frame."""
+def _pose_residual(time: float, position: Array, quaternion: Array, state: Array, e: Array) -> None:
+    """Fill the pose residual (6,) of one frame, observed minus motion: position [m], rotation vector [rad]."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
     angle = sqrt(x * x + y * y + z * z)
     for i in range(3):
         e[i] = position[i] - state[1 + i] - dt * state[8 + i]
     e[2] += 0.5 * GRAVITY_M_S2 * dt * dt
-    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
-    w, a, b, c = _product(quaternion[0], quaternion[1], quaternion[2], quaternion[3], q[0], -q[1], -q[2], -q[3])
+    half = sin(0.5 * angle) / angle if angle > SMALL_ANGLE_RAD else 0.5
+    q = _quaternion_product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    w, a, b, c = _quaternion_product(
+        quaternion[0], quaternion[1], quaternion[2], quaternion[3], q[0], -q[1], -q[2], -q[3]
+    )
     if w < 0.0:
         w, a, b, c = -w, -a, -b, -c
     sine = sqrt(a * a + b * b + c * c)
-    factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
+    factor = 2.0 * atan2(sine, w) / sine if sine > TINY_ROTATION else 2.0
     e[3], e[4], e[5] = factor * a, factor * b, factor * c
 
 
 @inner
-def _carry(state: Array, time: float, out: Array, M: Array) -> None:
-    """The state (14,) at another instant, and its derivative (12, 12)."""
+def _propagate_state(state: Array, time: float, out: Array, M: Array) -> None:
+    """Fill the state (14,) at another instant, and the transition matrix (12, 12) to it."""
     dt = time - state[0]
     x, y, z = state[11] * dt, state[12] * dt, state[13] * dt
     angle = sqrt(x * x + y * y + z * z)
-    E, L = _turn_matrices(x, y, z, angle, dt)
-    half = sin(0.5 * angle) / angle if angle > 1e-9 else 0.5
-    q = _product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
+    E, L = _rotation_matrices(x, y, z, angle, dt)
+    half = sin(0.5 * angle) / angle if angle > SMALL_ANGLE_RAD else 0.5
+    q = _quaternion_product(cos(0.5 * angle), half * x, half * y, half * z, state[4], state[5], state[6], state[7])
     for i in range(14):
         out[i] = state[i]
     out[0] = time
@@ -227,15 +253,15 @@ def _carry(state: Array, time: float, out: Array, M: Array) -> None:
 
 
 @compiled(nogil=True)
-def roll(
+def propagate(
     first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, states: Array, ends: Array,
-    passages: Array,
+    transitions: Array,
 ) -> None:  # fmt: skip
-    """Fill the states of a chain, flight by flight."""
+    """Fill the states of a chain, flight by flight, with the transition matrix of each flight."""
     for i in range(14):
         states[0, i] = first[i]
     for k in range(len(times_s)):
-        _carry(states[k], times_s[k], ends[k], passages[k])
+        _propagate_state(states[k], times_s[k], ends[k], transitions[k])
         for i in range(14):
             states[k + 1, i] = free[k, i] if is_open[k] else ends[k, i]
         if not is_open[k]:
@@ -244,52 +270,54 @@ def roll(
 
 
 @compiled(nogil=True)
-def step(
+def apply_step(
     first: Array, times_s: Array, jumps: Array, is_open: NDArray[np.bool_], free: Array, change: Array, changes: Array,
-    most_s: float,
+    max_shift_s: float,
 ) -> None:  # fmt: skip
-    """Change a chain in place: its first state, and each link, whose instant moves by `most_s` at the most."""
+    """Change a chain in place: its first state and its links. The instant of a link moves by `max_shift_s` at most."""
     perturbed = np.empty(14)
-    _moved(first, change, perturbed)
+    _apply_change(first, change, perturbed)
     for i in range(14):
         first[i] = perturbed[i]
     for k in range(len(times_s)):
         if is_open[k]:
-            _moved(free[k], changes[k], perturbed)
+            _apply_change(free[k], changes[k], perturbed)
             for i in range(14):
                 free[k, i] = perturbed[i]
         else:
-            times_s[k] += min(max(changes[k, 0], -most_s), most_s)
+            times_s[k] += min(max(changes[k, 0], -max_shift_s), max_shift_s)
             for i in range(6):
                 jumps[k, i] += changes[k, 1 + i]
 
 
 @compiled(nogil=True)
-def strike_rows(
-    ends: Array, jumps: Array, which: NDArray[np.int64], points: Array, rounding: Array, ratio: Array, table_m: float,
-    contact_sigma_m: float, lever_sigma: Array, by_end: Array, by_link: Array, miss: Array,
+def impact_equations(
+    ends: Array, jumps: Array, which: NDArray[np.int64], points: Array, rounding: Array, mass_over_inertia: Array, table_m: float,
+    contact_sigma_m: float, lever_sigma: Array, by_end: Array, by_link: Array, violation: Array,
 ) -> None:  # fmt: skip
-    """What each strike obeys, in sigmas: its point on the table, and J Δω = m r × Δv. Derivatives by the state at the end of
-    the flight before and by the link, and what is missed now."""
-    ball, arm, moves = np.empty(3), np.empty(3), np.empty(3)
+    """Fill the equations of each vertex impact, in sigmas: its lowest point lies on the table, and J Δω = m r × Δv.
+
+    `by_end` and `by_link` are derivatives with respect to the state at the end of the flight before and to the link, `violation`
+    the present values."""
+    inner_point, arm, moves = np.empty(3), np.empty(3), np.empty(3)
     for s in range(len(which)):
         k = which[s]
         w, x, y, z = ends[k, 4], ends[k, 5], ends[k, 6], ends[k, 7]
         a, b, c = points[s, 0], points[s, 1], points[s, 2]
-        ball[0] = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c
-        ball[1] = 2.0 * (x * y + w * z) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (y * z - w * x) * c
-        ball[2] = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
-        arm[0], arm[1], arm[2] = ball[0], ball[1], ball[2] - rounding[s]
-        turn = _cross_matrix(-ball[0], -ball[1], -ball[2])
+        inner_point[0] = (1.0 - 2.0 * (y * y + z * z)) * a + 2.0 * (x * y - w * z) * b + 2.0 * (x * z + w * y) * c
+        inner_point[1] = 2.0 * (x * y + w * z) * a + (1.0 - 2.0 * (x * x + z * z)) * b + 2.0 * (y * z - w * x) * c
+        inner_point[2] = 2.0 * (x * z - w * y) * a + 2.0 * (y * z + w * x) * b + (1.0 - 2.0 * (x * x + y * y)) * c
+        arm[0], arm[1], arm[2] = inner_point[0], inner_point[1], inner_point[2] - rounding[s]
+        turn = _cross_matrix(-inner_point[0], -inner_point[1], -inner_point[2])
         spin = _cross_matrix(ends[k, 11], ends[k, 12], ends[k, 13])
         push = _cross_matrix(jumps[k, 0], jumps[k, 1], jumps[k, 2])
         lever = _cross_matrix(arm[0], arm[1], arm[2])
         # δ(R p) = δθ × R p, and both p and R move on with the instant.
         for i in range(3):
-            moves[i] = spin[i, 0] * ball[0] + spin[i, 1] * ball[1] + spin[i, 2] * ball[2]
+            moves[i] = spin[i, 0] * inner_point[0] + spin[i, 1] * inner_point[1] + spin[i, 2] * inner_point[2]
         by_end[s, 0, 2] = 1.0 / contact_sigma_m
         by_link[s, 0, 0] = (moves[2] + ends[k, 10]) / contact_sigma_m
-        miss[s, 0] = (ends[k, 3] + arm[2] - table_m) / contact_sigma_m
+        violation[s, 0] = (ends[k, 3] + arm[2] - table_m) / contact_sigma_m
         tight = 1.0 / lever_sigma[k]
         for i in range(3):
             by_end[s, 0, 3 + i] = turn[2, i] / contact_sigma_m
@@ -297,16 +325,16 @@ def strike_rows(
             pushed = jumps[k, 3 + i]
             for j in range(3):
                 total = push[i, 0] * turn[0, j] + push[i, 1] * turn[1, j] + push[i, 2] * turn[2, j]
-                by_end[s, 1 + i, 3 + j] = ratio[s] * tight * total
-                by_link[s, 1 + i, 0] += ratio[s] * tight * push[i, j] * moves[j]
-                by_link[s, 1 + i, 1 + j] = -ratio[s] * tight * lever[i, j]
-                pushed -= ratio[s] * lever[i, j] * jumps[k, j]
-            miss[s, 1 + i] = tight * pushed
+                by_end[s, 1 + i, 3 + j] = mass_over_inertia[s] * tight * total
+                by_link[s, 1 + i, 0] += mass_over_inertia[s] * tight * push[i, j] * moves[j]
+                by_link[s, 1 + i, 1 + j] = -mass_over_inertia[s] * tight * lever[i, j]
+                pushed -= mass_over_inertia[s] * lever[i, j] * jumps[k, j]
+            violation[s, 1 + i] = tight * pushed
 
 
 @inner
 def _cross_matrix(x: float, y: float, z: float) -> Array:
-    """(3, 3) that multiplies by v × from the left."""
+    """(3, 3) that multiplies by v × from the chi2."""
     out = np.zeros((3, 3))
     out[0, 1], out[0, 2], out[1, 2] = -z, y, -x
     out[1, 0], out[2, 0], out[2, 1] = z, -y, x
@@ -314,10 +342,10 @@ def _cross_matrix(x: float, y: float, z: float) -> Array:
 
 
 @inner
-def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
-    """exp(v) and dt J(v) of v = (x, y, z); the series below 1e-3 rad as in `left_jacobians`."""
+def _rotation_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
+    """exp(v) and dt J(v) of v = (x, y, z); a series below JACOBIAN_SERIES_RAD, as in `flights.left_jacobians`."""
     square = angle * angle
-    if angle < 1e-3:
+    if angle < JACOBIAN_SERIES_RAD:
         sine, first, second = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
         sine = sin(angle) / angle
@@ -335,7 +363,7 @@ def _turn_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tup
 
 
 @inner
-def _product(
+def _quaternion_product(
     aw: float, ax: float, ay: float, az: float, bw: float, bx: float, by: float, bz: float
 ) -> tuple[float, float, float, float]:
     """Hamilton product of two quaternions wxyz."""
@@ -348,67 +376,68 @@ def _product(
 
 
 @inner
-def _fit(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
-    """Gauss-Newton through the frames of one flight, white errors; fills state (14,) and the inverse normal matrix."""
+def _fit_flight(time: Array, position: Array, quaternion: Array, W: Array, state: Array, inverse: Array) -> float:
+    """Gauss-Newton through the frames of one flight with independent errors. Fills the state (14,) and the inverse normal matrix;
+    returns the sum of squared sigmas."""
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
-    _guess(time, position, quaternion, states[0])
-    lean, weight, none = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0)
-    information, pulls = np.empty((n, 6, 6)), np.empty((n, 6, 6))
-    weigh(W, lean, np.ones(6), information, pulls)
+    _initial_state(time, position, quaternion, states[0])
+    bias_jacobian, weight, none = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0)
+    information, to_gradient = np.empty((n, 6, 6)), np.empty((n, 6, 6))
+    frame_information(W, bias_jacobian, np.ones(6), information, to_gradient)
     cuts = np.zeros(2, np.int64)
     cuts[1] = n
-    off, step = np.empty((n, 6)), np.empty(12)
-    misses(time, position, quaternion, W, lean, none, cuts, states, off)
-    left = _squares(off)
-    for _ in range(12):
+    residual, step = np.empty((n, 6)), np.empty(12)
+    residuals(time, position, quaternion, W, bias_jacobian, none, cuts, states, residual)
+    chi2 = _sum_of_squares(residual)
+    for _ in range(MAX_STEPS):
         normal, gradient = np.zeros((1, 12, 12)), np.zeros((1, 12))
-        sums(time, information, pulls, off, weight, cuts, states, normal, gradient)
+        normal_equations(time, information, to_gradient, residual, weight, cuts, states, normal, gradient)
         _invert(normal[0], inverse)
         for a in range(12):
             step[a] = 0.0
             for b in range(12):
                 step[a] -= inverse[a, b] * gradient[0, b]
-        _moved(states[0], step, trial[0])
-        misses(time, position, quaternion, W, lean, none, cuts, trial, off)
-        new_left = _squares(off)
-        if not new_left < left:
+        _apply_change(states[0], step, trial[0])
+        residuals(time, position, quaternion, W, bias_jacobian, none, cuts, trial, residual)
+        new_chi2 = _sum_of_squares(residual)
+        if not new_chi2 < chi2:
             break
-        gain = left - new_left
+        gain = chi2 - new_chi2
         for a in range(14):
             states[0, a] = trial[0, a]
-        left = new_left
-        if gain < 1e-3 * left:
+        chi2 = new_chi2
+        if gain < RELATIVE_GAIN * chi2:
             break
     for a in range(14):
         state[a] = states[0, a]
-    return left
+    return chi2
 
 
 @compiled(nogil=True)
-def fit_many(
+def fit_flights(
     time: Array, position: Array, quaternion: Array, W: Array, ends: NDArray[np.int64], states: Array, inverses: Array,
-    left: Array,
+    chi2: Array,
 ) -> None:  # fmt: skip
     """One flight through each group of frames, which lie one after the other."""
     for group in range(len(states)):
         a, b = ends[group], ends[group + 1]
-        left[group] = _fit(time[a:b], position[a:b], quaternion[a:b], W[a:b], states[group], inverses[group])
+        chi2[group] = _fit_flight(time[a:b], position[a:b], quaternion[a:b], W[a:b], states[group], inverses[group])
 
 
 @inner
-def _squares(off: Array) -> float:
+def _sum_of_squares(residual: Array) -> float:
     total = 0.0
-    for k in range(len(off)):
+    for k in range(len(residual)):
         for i in range(6):
-            total += off[k, i] ** 2
+            total += residual[k, i] ** 2
     return total
 
 
 @inner
-def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> None:
-    """A first state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
-    with the fall taken out. Errors of the frames between cancel in both."""
+def _initial_state(time: Array, position: Array, quaternion: Array, state: Array) -> None:
+    """Fill an initial state at the middle frame: the mean spin between neighbours, and a line from the first to the last frame
+    with the fall subtracted. Errors of the frames between cancel in both."""
     n = len(time)
     middle = n // 2
     t0 = time[middle]
@@ -419,11 +448,11 @@ def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> Non
     state[11], state[12], state[13] = 0.0, 0.0, 0.0
     for k in range(n - 1):
         a, b = quaternion[k], quaternion[k + 1]
-        w, x, y, z = _product(b[0], b[1], b[2], b[3], a[0], -a[1], -a[2], -a[3])
+        w, x, y, z = _quaternion_product(b[0], b[1], b[2], b[3], a[0], -a[1], -a[2], -a[3])
         if w < 0.0:
             w, x, y, z = -w, -x, -y, -z
         sine = sqrt(x * x + y * y + z * z)
-        factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 else 2.0
+        factor = 2.0 * atan2(sine, w) / sine if sine > TINY_ROTATION else 2.0
         state[11] += factor * x / span
         state[12] += factor * y / span
         state[13] += factor * z / span
@@ -436,7 +465,7 @@ def _guess(time: Array, position: Array, quaternion: Array, state: Array) -> Non
 
 
 @inner
-def _moved(state: Array, step: Array, out: Array) -> None:
+def _apply_change(state: Array, step: Array, out: Array) -> None:
     """The state after a change (12,) of position, rotation vector, velocity and angular velocity."""
     for i in range(14):
         out[i] = state[i]
@@ -445,8 +474,8 @@ def _moved(state: Array, step: Array, out: Array) -> None:
         out[8 + i] += step[6 + i]
         out[11 + i] += step[9 + i]
     angle = sqrt(step[3] ** 2 + step[4] ** 2 + step[5] ** 2)
-    half = sin(0.5 * angle) / angle if angle > 1e-12 else 0.5
-    q = _product(
+    half = sin(0.5 * angle) / angle if angle > TINY_ROTATION else 0.5
+    q = _quaternion_product(
         cos(0.5 * angle), half * step[3], half * step[4], half * step[5], state[4], state[5], state[6], state[7]
     )
     length = sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
@@ -456,8 +485,7 @@ def _moved(state: Array, step: Array, out: Array) -> None:
 
 @inner
 def _invert(matrix: Array, inverse: Array) -> None:
-    """Inverse (n, n) of a positive matrix by Cholesky, its diagonal scaled to one; what rounding leaves of a singular
-    direction is held by 1e-13."""
+    """Inverse (n, n) of a positive matrix by Cholesky after scaling its diagonal to one. Pivots stay above LEAST_PIVOT."""
     n = len(matrix)
     unit = np.empty(n)
     for i in range(n):
@@ -469,7 +497,7 @@ def _invert(matrix: Array, inverse: Array) -> None:
             for k in range(j):
                 total -= L[i, k] * L[j, k]
             if i == j:
-                L[i, i] = sqrt(max(total, 1e-13))
+                L[i, i] = sqrt(max(total, LEAST_PIVOT))
             else:
                 L[i, j] = total / L[j, j]
     for column in range(n):

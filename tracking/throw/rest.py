@@ -1,16 +1,16 @@
-"""The end of a throw: where the die no longer flies but rolls or lies on the table.
+"""The end of a throw: the die no longer flies but rolls or lies on the table.
 
-In flight the centre of the die falls with g. Once the table carries it, be it in contact that lasts or in bounces too
-small to be told apart, its lowest point stays at one height and its centre falls, on the average, much more slowly. The
-last frames over which both hold are no flight, and none is fitted to them.
+In flight the centre of the die falls with g. Once the table supports the die, in lasting contact or in impacts too small to be
+separated, its lowest point stays at one height and its centre falls, on average, much more slowly. The last frames over which
+both hold show no flight, and none is fitted to them.
 
-A die that nearly rests may fly for long with its lowest point hardly off the table: where it rocks from one corner over to
-another, a hop of a tenth of a millimetre lasts for 30 frames. What tells a flight from a die that tips over, which falls
-nearly as fast, is the spin: a contact that carries the share ν of its weight at the distance d beside its centre makes
+A die that nearly rests may fly for long with its lowest point hardly off the table: where it rocks from one corner to another, a
+hop of 0.1 mm lasts for 30 frames. A die that tips over falls nearly as fast as one in flight; the spin distinguishes them. A
+contact that carries the share ν of the weight at a horizontal distance d from the centre causes
 
-    a = (1 - ν) g   and   α = ν m g d/J;      while it lasts, ν = J/(J + m d²) at the least.
+    a = (1 - ν) g   and   α = ν m g d/J;      while it lasts, ν = J/(J + m d²) at least.
 
-Flights that follow each other without a stretch in which the table carries the die are flown.
+Flights that follow each other without an interval of support remain flights.
 """
 
 from __future__ import annotations
@@ -31,42 +31,56 @@ from .segmentation import TABLE_REACH
 
 Array = NDArray[np.float64]
 
-FEWEST = 12
-"""Frames that show a level."""
-LEFT = 3
-"""Frames that measure a flight behind a bounce."""
+MIN_LEVEL_FRAMES = 12
+"""Fewest frames that show a constant height."""
+FRAMES_LEFT_TO_FLIGHT = 3
+"""Level frames left to the last flight: they determine it behind the last impact."""
 LEVEL_SHARE = 0.01
-"""How far the lowest point may stray from its level, as a share of an edge, besides three sigmas: bounces below that are
-part of coming to rest."""
-HOPPING = 25.0
+"""Deviation of the lowest point from its constant height, as a share of an edge, besides three sigmas: smaller impacts are part
+of coming to rest."""
+LEVEL_SIGMAS = 3.0
+"""Sigmas that are added to it."""
+MEDIAN_EFFICIENCY = 0.64
+"""Efficiency of a median relative to a mean, for normal errors."""
+HOPPING_CHI2 = 25.0
 """Squared sigmas off the table from which the lowest point is surely not on it: the die hops."""
 LOW_SHARE = 0.15
-"""The same where the frames tell a flight from a die that is carried: hops of two millimetres last for 40 ms, and edges alone
-err by as much in the distance."""
-SMOOTHED = 5
-"""Frames whose median height is looked at, against the depth error of single frames."""
-HOPS = 1.5
-"""A hop that strays no further than that is over in 2 √(2h/g): what lasts so many times as long is none, nor its end."""
-FEWEST_FALLING = 8
-"""Frames that are tried first to tell a fall: good poses do so within 5 ms."""
-MOST_FALLING = 128
-"""Frames that are looked at of those over which a fall is told, or twice as many, spread evenly: more of a film far faster than
-the die is lie so near each other that they err alike, and taken for independent would say more than they know."""
-PASSED_OVER = 2
-"""Flights too short to be told do not last for so many times as many frames."""
-LONGEST_FALL_S = 0.1
-"""Frames over more than that are no hop of a die that nearly rests."""
-FALLING, TOLD = 16.0, 9.0
-"""Squared sigmas by which frames in flight stray from free motion at the most: four numbers exceed that in three cases of a
-thousand; and those by which they must stray from it if the table carried the die. They are taken for a flight where they
-are less than half as far, in sigmas, from the one as from the other."""
-CARRIED = 0.5
-"""Share of g below which the centre does not fall freely: half-way between a die in flight and one that lies."""
+"""Height, as a share of an edge, below which frames are tested for support by their accelerations: hops of 2 mm last for 40 ms,
+and edges alone err by as much in distance."""
+MEDIAN_FRAMES = 5
+"""Frames of the running median of the height, against the depth error of single frames."""
+HOP_DURATIONS = 1.5
+"""Durations of a hop that deviates no further, 2 √(2h/g): a longer interval is neither a hop nor the end of one."""
+FIRST_WINDOW = 8
+"""Frames of the shortest window that is tested for free fall: good poses show it within 5 ms."""
+MAX_WINDOW_FRAMES = 128
+"""Frames that are used of a window, or up to twice as many, evenly spread: more of a film far faster than the die have correlated
+errors, and would count as more information than they are."""
+GAP_WINDOWS = 2
+"""Longest interval between two flights, in windows, that is not taken for support: flights shorter than a window are not
+detected."""
+LONGEST_WINDOW_S = 0.1
+"""Duration [s] beyond which a window is no hop of a die that nearly rests."""
+MAX_FLIGHT_CHI2 = 16.0
+"""Most squared sigmas between frames in flight and free motion: four numbers exceed that in three cases of a thousand."""
+LEAST_SUPPORT_CHI2 = 9.0
+"""Least squared sigmas between free motion and the motion of a supported die for a window to distinguish them."""
+NEARER_SHARE = 0.25
+"""Frames show a flight if their chi-square from free motion is below this share of that between the two: they are less than half
+as far, in sigmas, from the one as from the other."""
+LEVER_SAMPLES = 9
+"""Distances of a supporting contact from the centre that are evaluated."""
+SUPPORTED_SHARE = 0.5
+"""Share of g below which the centre does not fall freely: half-way between a die in flight and one at rest."""
+FALL_SIGMAS = 3.0
+"""Standard errors by which the acceleration must differ from g."""
+TOUCHING_SHARE = 0.01
+"""Height above the lowest vertex, as a share of an edge, up to which a vertex touches the table."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SupportedMotion(Flight):
-    """What was seen of a die that the table carries: the poses of its frames, and straight lines between."""
+    """The motion of a die that the table supports: the poses of its frames, and straight lines between."""
 
     times_s: Array
     """(n,) of the frames."""
@@ -81,9 +95,9 @@ class SupportedMotion(Flight):
         k = int(np.clip(np.searchsorted(self.times_s, time_s), 1, len(self.times_s) - 1))
         dt = float(self.times_s[k] - self.times_s[k - 1])
         inside = self.times_s[0] <= time_s <= self.times_s[-1]
-        share = 1.0 / dt if inside else 0.0
-        velocity = share * (self.positions_m[k] - self.positions_m[k - 1])
-        omega = share * rotation_between(self.quaternions[k - 1], self.quaternions[k])
+        rate = 1.0 / dt if inside else 0.0
+        velocity = rate * (self.positions_m[k] - self.positions_m[k - 1])
+        omega = rate * rotation_between(self.quaternions[k - 1], self.quaternions[k])
         return State(float(time_s), positions[0], quaternions[0], velocity, omega)
 
     def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
@@ -95,126 +109,149 @@ class SupportedMotion(Flight):
         return positions, quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-def first_low_row(seen: Observations, die: Die) -> int:
-    """The first of the last rows over which the die stays near the table, LOW_SHARE; the number of rows where it does not."""
-    off = _off_level(seen, die)
-    return len(seen) if off is None else _last_rows(off < LOW_SHARE * die.solid.edge_m)
+# --- where the flights end ---------------------------------------------------------------------------------------------
 
 
-def first_supported_row(seen: Observations, die: Die) -> int:
-    """The first of the last rows over which the table carries the die; the number of rows where it flies to the end."""
-    n, off = len(seen), _off_level(seen, die)
-    if off is None:
+def first_low_row(observations: Observations, die: Die) -> int:
+    """The first of the last rows over which the die stays near the table (LOW_SHARE); the number of rows if it does not."""
+    deviation = _deviation_from_level(observations, die)
+    if deviation is None:
+        return len(observations)
+    return _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m)
+
+
+def first_supported_row(observations: Observations, die: Die) -> int:
+    """The first of the last rows over which the table supports the die; the number of rows if it flies to the end."""
+    n, deviation = len(observations), _deviation_from_level(observations, die)
+    if deviation is None:
         return n
-    first = _flown_on(seen, _last_rows(off < LOW_SHARE * die.solid.edge_m), die)
+    first = _row_behind_flights(observations, _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m), die)
     if first is None:
-        information = np.swapaxes(seen.whitener, 1, 2) @ seen.whitener
-        sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
-        # The efficiency of a median is 0.64.
-        stray = LEVEL_SHARE * die.solid.edge_m + 3.0 * sigma / np.sqrt(0.64 * SMOOTHED)
-        first = _last_rows(off <= stray)
-        hop = 2.0 * np.sqrt(2.0 * float(np.median(stray[first:])) / GRAVITY_M_S2) if first < n else 0.0
-        if first == n or seen.time_s[-1] - seen.time_s[first] < HOPS * hop or not _is_carried(seen, slice(first, n)):
+        first = _first_level_row(observations, deviation, die)
+        if first == n:
             return n
-    # The last bounce may lie a frame behind the first that is level: the frames that show it are left to it.
-    return min(first + LEFT, n)
+    # The last impact may lie a frame behind the first level frame: the frames that show it are left to the flight.
+    return min(first + FRAMES_LEFT_TO_FLIGHT, n)
 
 
-def _off_level(seen: Observations, die: Die) -> Array | None:
-    """(n,) [m] how far the lowest point is, smoothed, from where it stays at the end; None where that is not the table."""
-    if len(seen) < FEWEST:
+def _first_level_row(observations: Observations, deviation: Array, die: Die) -> int:
+    """The first of the last rows over which the lowest point stays at its height for longer than a hop, and the centre does not
+    fall freely; the number of rows if there are none."""
+    n = len(observations)
+    information = np.swapaxes(observations.whitener, 1, 2) @ observations.whitener
+    sigma = np.sqrt(np.linalg.inv(information)[:, 2, 2])
+    allowed = LEVEL_SHARE * die.solid.edge_m + LEVEL_SIGMAS * sigma / np.sqrt(MEDIAN_EFFICIENCY * MEDIAN_FRAMES)
+    first = _first_of_last_rows(deviation <= allowed)
+    hop_s = 2.0 * np.sqrt(2.0 * float(np.median(allowed[first:])) / GRAVITY_M_S2) if first < n else 0.0
+    duration_s = observations.time_s[-1] - observations.time_s[first] if first < n else 0.0
+    if first == n or duration_s < HOP_DURATIONS * hop_s or not _is_supported(observations, slice(first, n)):
+        return n
+    return first
+
+
+def _deviation_from_level(observations: Observations, die: Die) -> Array | None:
+    """(n,) [m] distance of the lowest point, by a running median, from its height at the end; None if that is not the table's."""
+    if len(observations) < MIN_LEVEL_FRAMES:
         return None
-    corners = matrix_from_quat(seen.quaternion) @ inner_vertices(die.solid, die.corner_radius_m).T
-    heights = corners[:, 2].min(1) + seen.position_m[:, 2] - die.corner_radius_m
-    level = float(np.median(heights[-FEWEST:]))
+    corners = matrix_from_quat(observations.quaternion) @ inner_vertices(die.solid, die.corner_radius_m).T
+    heights = corners[:, 2].min(1) + observations.position_m[:, 2] - die.corner_radius_m
+    level = float(np.median(heights[-MIN_LEVEL_FRAMES:]))
     if abs(level) > TABLE_REACH * die.solid.edge_m:
         return None
-    return np.asarray(np.abs(median_filter(heights, SMOOTHED, mode="nearest") - level))
+    return np.asarray(np.abs(median_filter(heights, MEDIAN_FRAMES, mode="nearest") - level))
 
 
-def _last_rows(holds: NDArray[np.bool_]) -> int:
-    """The first of the last rows over which something holds."""
+def _first_of_last_rows(holds: NDArray[np.bool_]) -> int:
+    """The first of the last rows over which a condition holds."""
     off = np.flatnonzero(~holds)
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def _flown_on(seen: Observations, first: int, die: Die) -> int | None:
-    """The row behind the flights that go on from row `first`, itself if the die does not fly there; None where the frames, or
-    too few behind, do not tell.
+def _row_behind_flights(observations: Observations, first: int, die: Die) -> int | None:
+    """The row behind the flights that follow from row `first`, itself if the die does not fly there; None if the frames, or too
+    few behind the flights, do not decide.
 
-    Over as many frames as tell: FEWEST_FALLING, or twice, four times as many. Shorter ones between two flights are passed
-    over. A die that is no spherical top does not keep its spin in flight, and is not asked.
-    """
-    span, n = FEWEST_FALLING, len(seen) - first if die.is_spherical_top else 0
-    while span <= n and seen.time_s[first + span - 1] - seen.time_s[first] < LONGEST_FALL_S:
-        begins, strays, tells = _strays(seen.rows(slice(first, len(seen))), span, die)
-        if np.median(tells) > TOLD:
-            reach = 0
-            for k in begins[(tells > TOLD) & (strays < np.minimum(FALLING, 0.25 * tells))].tolist():
-                if k <= reach + PASSED_OVER * span:
-                    reach = k + span
-            return first + reach if n - reach > PASSED_OVER * span else None
-        span *= 2
+    Windows of FIRST_WINDOW frames, then of twice and four times as many, are tested until most of them distinguish flight from
+    support. Shorter intervals between two flights are ignored. An asymmetric body does not keep its spin in flight, and is not
+    tested."""
+    window, n = FIRST_WINDOW, len(observations) - first if die.is_spherical_top else 0
+    while window <= n and observations.time_s[first + window - 1] - observations.time_s[first] < LONGEST_WINDOW_S:
+        begins, free_chi2, support_chi2 = _accelerations(
+            observations.rows(slice(first, len(observations))), window, die
+        )
+        if np.median(support_chi2) > LEAST_SUPPORT_CHI2:
+            end = 0
+            limit = np.minimum(MAX_FLIGHT_CHI2, NEARER_SHARE * support_chi2)
+            for k in begins[(support_chi2 > LEAST_SUPPORT_CHI2) & (free_chi2 < limit)].tolist():
+                if k <= end + GAP_WINDOWS * window:
+                    end = k + window
+            return first + end if n - end > GAP_WINDOWS * window else None
+        window *= 2
     return None
 
 
-def _strays(seen: Observations, span: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
-    """Of frames, `span` in a row of which MOST_FALLING are enough: the first row (w,), the squared sigmas by which they stray
-    from free motion, in how fast they fall and how their spin changes, and those by which they would at the least if the table
-    carried the die.
+def _accelerations(observations: Observations, window: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
+    """Test of windows of `window` frames for free motion: the first row (w,) of each, the chi-square (w,) of fall and angular
+    acceleration from free motion, and the least chi-square (w,) if the table supported the die.
 
-    Nothing is taken to push the die aside: what is seen across the line of sight then tells how it falls, whatever the
-    distance errs.
+    Nothing is assumed to push the die sideways: what is seen across the line of sight then determines how it falls, whatever the
+    error in distance.
     """
-    begins = np.arange(0, len(seen) - span + 1, max(span // FEWEST_FALLING, 1))
-    rows = begins[:, None] + np.arange(0, span, max(span // MOST_FALLING, 1))
+    begins = np.arange(0, len(observations) - window + 1, max(window // FIRST_WINDOW, 1))
+    rows = begins[:, None] + np.arange(0, window, max(window // MAX_WINDOW_FRAMES, 1))
     middle = rows[:, rows.shape[1] // 2, None]
-    tau = seen.time_s[rows] - seen.time_s[middle]
+    tau = observations.time_s[rows] - observations.time_s[middle]
+    # Unknowns: pose (6), rates (6), downward acceleration (1), angular acceleration (3).
     A = np.zeros((*rows.shape, 6, 16))
     A[..., :6] = np.eye(6)
     A[..., 6:12] = tau[..., None, None] * np.eye(6)
     A[..., 2, 12] = -0.5 * tau**2
     A[..., 3:, 13:] = 0.5 * tau[..., None, None] ** 2 * np.eye(3)
-    perturbed = seen.position_m[rows] - seen.position_m[middle]
-    turned = rotation_between(seen.quaternion[middle], seen.quaternion[rows])
-    W = seen.whitener[rows]
+    displacement = observations.position_m[rows] - observations.position_m[middle]
+    rotation = rotation_between(observations.quaternion[middle], observations.quaternion[rows])
+    W = observations.whitener[rows]
     A = (W @ A).reshape(len(rows), -1, 16)
-    y = (W @ np.concatenate([perturbed, turned], axis=2)[..., None]).reshape(len(rows), -1)
+    y = (W @ np.concatenate([displacement, rotation], axis=2)[..., None]).reshape(len(rows), -1)
     inverse = np.linalg.inv(np.einsum("wip,wiq->wpq", A, A))
     found = np.einsum("wpq,wiq,wi->wp", inverse, A, y)
-    left = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
-    C = inverse[:, 12:, 12:] * left[:, None, None]
-    off = found[:, 12:] - np.array([GRAVITY_M_S2, 0.0, 0.0, 0.0])
-    strays = np.einsum("wi,wi->w", off, np.linalg.solve(C, off[..., None])[..., 0])
-    return begins, strays, _told(C, die)
+    variance = ((y - np.einsum("wip,wp->wi", A, found)) ** 2).sum(1) / (A.shape[1] - 16)
+    C = inverse[:, 12:, 12:] * variance[:, None, None]
+    excess = found[:, 12:] - np.array([GRAVITY_M_S2, 0.0, 0.0, 0.0])
+    chi2 = np.einsum("wi,wi->w", excess, np.linalg.solve(C, excess[..., None])[..., 0])
+    return begins, chi2, _least_support_chi2(C, die)
 
 
-def _told(C: Array, die: Die) -> Array:
-    """(w,) squared sigmas of what a contact does at the least, for covariances C (w, 4, 4) of fall and angular acceleration."""
-    lever = float(np.sqrt(die.solid.circumradius**2 - die.solid.inradius**2))
-    beside = np.linspace(0.0, lever, 9)
-    share = die.inertia_kg_m2 / (die.inertia_kg_m2 + die.mass_kg * beside**2)
-    turning = share * die.mass_kg * GRAVITY_M_S2 * beside / die.inertia_kg_m2
-    least_known = np.linalg.eigvalsh(C[:, 1:, 1:])[:, -1:]
-    return np.asarray(((share * GRAVITY_M_S2) ** 2 / C[:, :1, 0] + turning**2 / least_known).min(1))
+def _least_support_chi2(C: Array, die: Die) -> Array:
+    """(w,) least squared sigmas by which a supporting contact changes fall and angular acceleration, whose covariances are C (w,
+    4, 4)."""
+    longest = float(np.sqrt(die.solid.circumradius**2 - die.solid.inradius**2))
+    lever = np.linspace(0.0, longest, LEVER_SAMPLES)
+    share = die.inertia_kg_m2 / (die.inertia_kg_m2 + die.mass_kg * lever**2)
+    angular = share * die.mass_kg * GRAVITY_M_S2 * lever / die.inertia_kg_m2
+    largest_variance = np.linalg.eigvalsh(C[:, 1:, 1:])[:, -1:]
+    return np.asarray(((share * GRAVITY_M_S2) ** 2 / C[:, :1, 0] + angular**2 / largest_variance).min(1))
 
 
-def _is_carried(seen: Observations, rows: slice) -> bool:
+def _is_supported(observations: Observations, rows: slice) -> bool:
     """Whether the centre clearly does not fall freely over these frames, but much more slowly."""
-    t, z = seen.time_s[rows] - seen.time_s[rows].mean(), seen.position_m[rows, 2]
+    t, z = observations.time_s[rows] - observations.time_s[rows].mean(), observations.position_m[rows, 2]
     basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)
     values, *_ = np.linalg.lstsq(basis, z, rcond=None)
     inverse = np.linalg.inv(basis.T @ basis)
-    scatter = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
-    sigma = float(np.sqrt(scatter * inverse[2, 2]))
-    return bool(values[2] > -CARRIED * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > 3.0 * sigma)
+    variance = float(((z - basis @ values) ** 2).sum()) / max(len(t) - 3, 1)
+    sigma = float(np.sqrt(variance * inverse[2, 2]))
+    return bool(values[2] > -SUPPORTED_SHARE * GRAVITY_M_S2 and values[2] + GRAVITY_M_S2 > FALL_SIGMAS * sigma)
+
+
+# --- frames on the table -----------------------------------------------------------------------------------------------
 
 
 def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, table_sigma_m: float) -> Track:
-    """The track with the poses of its frames `rows`, over which the table carries the die, corrected by what that says: the
-    lowest point is on the table, whose height is `table_m`, known to `table_sigma_m`, or hops by LEVEL_SHARE at the most, taken
-    for two sigmas. What is so known of the height one camera hardly sees, as distance. A frame that is too far off (HOPPING)
-    stays as it is."""
+    """The track with the poses of its frames `rows`, over which the table supports the die, conditioned on the contact.
+
+    The lowest point is on the table, whose height `table_m` is known to `table_sigma_m`, or hops by LEVEL_SHARE at most, taken
+    for two sigmas. That determines the height, which one camera hardly sees, since it is distance. A frame too far off
+    (HOPPING_CHI2) stays as it is."""
     p, q, C = track.position_m[rows], track.quaternion[rows], track.covariance[rows]
     corners = matrix_from_quat(q) @ inner_vertices(die.solid, die.corner_radius_m).T
     low = np.argmin(corners[:, 2], axis=1)
@@ -222,34 +259,34 @@ def on_table(track: Track, rows: NDArray[np.int64], die: Die, table_m: float, ta
     height = p[:, 2] + z - die.corner_radius_m - table_m
     # ẑ·(δp + δθ × r)
     row = np.stack([np.zeros_like(x), np.zeros_like(x), np.ones_like(x), y, -x, np.zeros_like(x)], axis=1)
-    told = np.einsum("nij,nj->ni", C, row)
+    with_height = np.einsum("nij,nj->ni", C, row)
     sigma_m = np.hypot(0.5 * LEVEL_SHARE * die.solid.edge_m, table_sigma_m)
-    spread = (row * told).sum(1) + sigma_m**2
-    share = np.where(height**2 < HOPPING * spread, 1.0 / spread, 0.0)[:, None] * told
-    change = -share * height[:, None]
+    variance = (row * with_height).sum(1) + sigma_m**2
+    gain = np.where(height**2 < HOPPING_CHI2 * variance, 1.0 / variance, 0.0)[:, None] * with_height
+    change = -gain * height[:, None]
     position, quaternion, covariance = track.position_m.copy(), track.quaternion.copy(), track.covariance.copy()
     position[rows] += change[:, :3]
     quaternion[rows] = quat_multiply(quat_from_rotvec(change[:, 3:]), q)
-    covariance[rows] = C - share[:, :, None] * told[:, None, :]
+    covariance[rows] = C - gain[:, :, None] * with_height[:, None, :]
     return replace(track, position_m=position, quaternion=quaternion, covariance=covariance)
 
 
 def flights_only(throw: Throw) -> Throw:
-    """The flights of a measured throw alone, without what the table carries at its end."""
+    """The flights of a measured throw, without the supported motion at its end."""
     if not isinstance(throw.flights[-1], SupportedMotion):
         return throw
     return Throw(throw.flights[:-1], throw.impacts[:-1])
 
 
 def frames_in_flight(track: Track, throw: Throw) -> Track:
-    """The track with the frames behind the last flight of a measured throw as lost: what a model of flights may be
-    fitted to. The poses stay as they are."""
+    """The track with the frames behind the last flight of a measured throw as lost: what a model of flights may be fitted to. The
+    poses stay as they are."""
     behind = track.tracked & (track.time_s > flights_only(throw).flights[-1].end_s)
     return replace(track, status=np.where(behind, LOST, track.status)) if behind.any() else track
 
 
 def resting_vertices(die: Die, rotation: Array) -> tuple[int, ...]:
-    """The vertices that touch the table with the die in this orientation, within a hundredth of an edge."""
+    """The vertices that touch the table with the die in this orientation (3, 3), the lowest first (TOUCHING_SHARE)."""
     heights = (rotation @ die.solid.vertices.T)[2]
     order = np.argsort(heights)
-    return tuple(int(i) for i in order if heights[i] - heights[order[0]] < 0.01 * die.solid.edge_m)
+    return tuple(int(i) for i in order if heights[i] - heights[order[0]] < TOUCHING_SHARE * die.solid.edge_m)

@@ -1,15 +1,17 @@
-"""What all poses of a clip get wrong alike.
+"""Pose errors that all frames of a clip share.
 
-Where the contour of the die is taken δ pixels too far out (a blur that is a little off, glare, the bevel of an edge), the
-die seems larger, and so nearer: with an outline of area A and perimeter P, moving it out by δ enlarges it by δ P/(2 A),
-and at a distance z along the line of sight d the centre seems to lie at
+If the contour of the die is taken δ pixels too far out (wrong blur, glare, bevelled edges), the die seems larger and therefore
+nearer. An outline of area A and perimeter P that moves out by δ grows by the factor 1 + δ P/(2 A). At a distance z along the line
+of sight d the centre then seems to lie at
 
     p - d z δ P/(2 A).
 
-Light from one side takes the contour further out there than on the other, and the inner edges to one side of where they
-are: the whole die seems moved across the picture and turned. No frame tells these six errors from a pose, and averaging
-over frames does not make them smaller. The flight does for the first: a die falls with g, in metres, and meets the table
-at a height of zero. The others it leaves open, and they are part of every covariance.
+Light from one side moves the contour out further on that side, and moves interior edges as well. The die then seems shifted
+across the picture and rotated. A single frame cannot distinguish these six errors from a pose, and averaging over frames does not
+reduce them. The flight determines the first: a die falls with g in metres, and touches the table at height zero. The other five
+remain undetermined and enter every covariance.
+
+The six columns of a bias Jacobian are, in this order: contour out; die right and down; die rotated about the camera's three axes.
 """
 
 from __future__ import annotations
@@ -26,60 +28,65 @@ from ..track import Track
 
 Array = NDArray[np.float64]
 
+SHARED_ERRORS = 6
+"""Number of shared errors: one of the contour, two of translation, three of rotation."""
 CONTOUR_SIGMA_PX = 0.05
-"""One sigma of δ for a sharp die: the blur is known to a few hundredths of a pixel, and a contour with it."""
-CONTOUR_FLOOR_PX = 0.008
-"""What of δ neither fall nor table can tell: it is not quite the same at the top of a flight and on the table, as the light on
-the faces that make the contour changes."""
+"""Prior standard deviation [px] of δ for a sharp die: the blur, and with it the contour, is known to a few hundredths of a
+pixel."""
+CONTOUR_UNDETERMINED_PX = 0.008
+"""Standard deviation [px] of the part of δ that neither fall nor table determines: δ at the top of a flight differs from δ at the
+table, because the light on the faces that form the contour changes."""
 CONTOUR_SHARE = 0.1
-"""And of a rounded one besides, as a share of the radius: how far down its bevel an edge still looks like one."""
-LATERAL_SIGMA_PX, LATERAL_SHARE = 0.01, 0.02
-"""One sigma of the shift of the whole die and of its edges against each other, of a sharp die and with the radius:
-opposite contours of a sharp die err by some hundredths of a pixel each, and there are several of them. A bevel of radius r
-is seen some 1.4 r wide, and what shade it has between its two faces' is the light's affair: where on it an edge seems to
-be varies from one edge to the next and as the die turns, and little of that is left in a flight. Where the light was
-not told, nine plain dice rounded by 1 to 4 px had a median NEES of 0.7 to 5.2 where 5.35 is expected; with a share of 0.1 seven
-of them had 0.1 to 1.0. Where it is (`light`) twelve have 0.2 to 2.3: half the share would do there."""
-TURN_SHARE = 0.75
-"""The same for the turn of the die, at its outline: several edges on either side of the axis take part in it."""
-SHARED = 6
-"""Contour out; die to the right and down; die turned about the camera's three axes."""
+"""Additional prior standard deviation of δ for a rounded die, as a share of the radius: how far down its bevel the contour
+appears."""
+LATERAL_SIGMA_PX = 0.01
+"""Prior standard deviation [px] of the shift of a sharp die across the picture: opposite contours err by some hundredths of a
+pixel each, and there are several of them."""
+LATERAL_SHARE = 0.02
+"""Additional lateral standard deviation of a rounded die, as a share of the radius r.
+
+A bevel is seen about 1.4 r wide, and the light determines where on it an edge appears. That varies between edges and as the die
+rotates, so that little of it remains in a flight. With the light unknown, nine plain dice rounded by 1 to 4 px had a median NEES
+of 0.7 to 5.2 (expected: 5.35); with a share of 0.1 seven of them had 0.1 to 1.0. With the light estimated (`light`), twelve dice
+have 0.2 to 2.3: half the share would suffice there."""
+ROTATION_SHARE = 0.75
+"""Rotation error at the outline over lateral error: several edges on both sides of the axis contribute to a rotation."""
 
 
 def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
-    """(n, 6, SHARED) change of each frame's pose, world axes, [m] and [rad] for a pixel of each shared error.
+    """(n, 6, SHARED_ERRORS) change of each frame's pose, world axes, in [m/px] and [rad/px] of each shared error.
 
-    The track's own `lean` takes the place of the first where it has one. NaN where the frame has no pose.
+    The first column is the track's own `lean` where it has one. Rows without a pose are NaN.
     """
-    lean = np.full((len(track), 6, SHARED), np.nan)
-    seen = track.tracked
-    sight = track.position_m[seen] - camera.centre_m
+    jacobian = np.full((len(track), 6, SHARED_ERRORS), np.nan)
+    tracked = track.tracked
+    sight = track.position_m[tracked] - camera.centre_m
     depth = sight @ camera.rotation[2]
-    growth = outline_growth(camera, die, track.position_m[seen], matrix_from_quat(track.quaternion[seen]))
-    new = np.zeros((len(sight), 6, SHARED))
+    growth = outline_growth(camera, die, track.position_m[tracked], matrix_from_quat(track.quaternion[tracked]))
+    new = np.zeros((len(sight), 6, SHARED_ERRORS))
     new[:, :3, 0] = -sight * growth[:, None]
     new[:, :3, 1] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
     new[:, :3, 2] = camera.rotation[1] * (depth / camera.matrix[1, 1])[:, None]
     new[:, 3:, 3:] = camera.rotation.T * growth[:, None, None]
     if track.lean is not None:
-        own = np.isfinite(track.lean[seen]).all(1)
-        new[own, :, 0] = track.lean[seen][own]
-    lean[seen] = new
-    return lean
+        measured = np.isfinite(track.lean[tracked]).all(1)
+        new[measured, :, 0] = track.lean[tracked][measured]
+    jacobian[tracked] = new
+    return jacobian
 
 
 def shared_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
-    """(SHARED,) prior standard deviations [px] of the shared errors."""
+    """(SHARED_ERRORS,) prior standard deviations [px] of the shared errors."""
     sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
     radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
-    size = np.sqrt(CONTOUR_SIGMA_PX**2 + (CONTOUR_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
-    aside = np.hypot(LATERAL_SIGMA_PX, LATERAL_SHARE * radius_px)
-    return np.array([size, aside, aside, *[TURN_SHARE * aside] * 3])
+    contour = np.sqrt(CONTOUR_SIGMA_PX**2 + (CONTOUR_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
+    lateral = np.hypot(LATERAL_SIGMA_PX, LATERAL_SHARE * radius_px)
+    return np.array([contour, lateral, lateral, *[ROTATION_SHARE * lateral] * 3])
 
 
-def without_shared_bias(track: Track, lean: Array, shared: Array) -> Track:
-    """The track with shared errors (m,) of that lean (n, 6, m) taken out of its poses, to the first order."""
-    change = lean @ shared
+def without_shared_bias(track: Track, jacobian: Array, shared: Array) -> Track:
+    """The track with shared errors (m,) [px] subtracted from its poses, to first order in `jacobian` (n, 6, m)."""
+    change = jacobian @ shared
     quaternion = track.quaternion.copy()
     use = track.tracked
     quaternion[use] = quat_multiply(quat_from_rotvec(-change[use, 3:]), track.quaternion[use])
@@ -87,8 +94,7 @@ def without_shared_bias(track: Track, lean: Array, shared: Array) -> Track:
 
 
 def outline_growth(camera: Camera, die: Die, position_m: Array, rotation: Array) -> Array:
-    """(n,) P/(2 A) [1/px] of the die's outline at each of n poses; 0 where it is behind the camera, where nothing is seen
-    to lean."""
+    """(n,) P/(2 A) [1/px] of the die's outline at n poses; 0 where the die is behind the camera and has no outline."""
     solid = die.solid
     corners = camera.project(solid.vertices @ np.swapaxes(rotation, 1, 2) + position_m[:, None])
     toward = camera.centre_m - position_m

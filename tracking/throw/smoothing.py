@@ -1,4 +1,4 @@
-"""The track smoothed by exact motion: within a flight, a parabola and a constant spin; never across a bounce."""
+"""The track smoothed by exact motion: a parabola and a constant spin within each flight, never across an impact."""
 
 from __future__ import annotations
 
@@ -14,18 +14,24 @@ from .flights import pose_jacobian
 
 Array = NDArray[np.float64]
 
-SURE_POSITION_M, SURE_ROTATION_RAD = 5e-4, 0.035
-"""A frame without a pose of its own, inside a flight, counts as tracked where the flight knows it this well (one sigma)."""
+KNOWN_POSITION_M = 5e-4
+"""Largest standard deviation [m] of a position that a flight may supply for a lost frame."""
+KNOWN_ROTATION_RAD = 0.035
+"""Largest standard deviation [rad] of an orientation that a flight may supply for a lost frame."""
 
 
-def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArray[np.bool_] | None = None) -> Track:
-    """The track with every pose replaced by that of its flight, with the flight's covariance and, on top of it, that of
-    what the poses err alike: `floor` (n, 6, 6), which is then not in the throw's (`bounces.MeasuredThrow.own`). Frames that stand
-    `alone` (n,), because no flight goes through them (`bounces.MeasuredThrow.alone`), keep their own poses.
+def smooth(
+    track: Track, throw: Throw, shared_covariance: Array | None = None, excluded: NDArray[np.bool_] | None = None
+) -> Track:
+    """The track with every pose replaced by that of its flight, and with the flight's covariance.
 
-    Lost frames between tracked frames of one flight become tracked where the flight knows the pose well; frames before
-    the first and after the last tracked one, and frames that were absent, stay as they are. Errors of neighbouring
-    frames are now correlated: a fit wants the track of single frames.
+    `shared_covariance` (n, 6, 6) is added to that covariance: errors common to all frames, which the throw must then not
+    contain (`MeasuredThrow.throw_without_shared_errors`). `excluded` frames (n,) keep their own poses: no flight passes through
+    them (`MeasuredThrow.unexplained`).
+
+    Lost frames between tracked frames of one flight become tracked if the flight determines their pose (KNOWN_POSITION_M,
+    KNOWN_ROTATION_RAD). Frames before the first and after the last tracked frame, and absent frames, stay as they are. Errors of
+    neighbouring frames are correlated afterwards: a fit needs the track of single frames instead.
     """
     tracked = np.flatnonzero(track.tracked)
     if len(tracked) == 0:
@@ -34,22 +40,22 @@ def smooth(track: Track, throw: Throw, floor: Array | None = None, alone: NDArra
     covariance, status = track.covariance.copy(), track.status.copy()
     rows = np.arange(int(tracked[0]), int(tracked[-1]) + 1)
     flight_of = throw.flights_at(track.time_s[rows])
-    told = np.isin(status[rows], (TRACKED, LOST))
-    if alone is not None:
-        told &= ~alone[rows]
+    candidate = np.isin(status[rows], (TRACKED, LOST))
+    if excluded is not None:
+        candidate &= ~excluded[rows]
     for k in np.unique(flight_of):
-        flight, mine = throw.flights[k], rows[told & (flight_of == k)]
-        if flight.covariance is None or not len(mine):
+        flight, own_rows = throw.flights[k], rows[candidate & (flight_of == k)]
+        if flight.covariance is None or not len(own_rows):
             continue
-        M = pose_jacobian(flight, track.time_s[mine])
+        M = pose_jacobian(flight, track.time_s[own_rows])
         poses = M @ flight.covariance @ np.swapaxes(M, 1, 2)
-        if floor is not None:
-            poses += floor[mine]
+        if shared_covariance is not None:
+            poses += shared_covariance[own_rows]
         sigma = np.sqrt(np.diagonal(poses, axis1=1, axis2=2))
-        unsure = (sigma[:, :3].max(1) > SURE_POSITION_M) | (sigma[:, 3:].max(1) > SURE_ROTATION_RAD)
-        seen = status[mine] == TRACKED
-        use = seen | ~unsure if seen.any() else seen
-        put = mine[use]
+        unknown = (sigma[:, :3].max(1) > KNOWN_POSITION_M) | (sigma[:, 3:].max(1) > KNOWN_ROTATION_RAD)
+        is_tracked = status[own_rows] == TRACKED
+        use = is_tracked | ~unknown if is_tracked.any() else is_tracked
+        put = own_rows[use]
         position[put], quaternion[put] = flight.poses(track.time_s[put])
         covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED
     return replace(

@@ -43,9 +43,11 @@ def test_the_die_of_each_sample_is_where_the_truth_projects_it(name: str, count:
         vertices_px = camera.project(body @ matrix_from_quat(quaternion).T + position)
         contour_px = cv2.convexHull(vertices_px.astype(np.float32))[:, 0]
         change = np.abs(clip.frame(k) - background) / 2 ** (bits - 8)
-        there, *beside = (_mean_slope_along(contour_px + s, change) for s in ((0, 0), (6, 0), (-6, 0), (0, 6), (0, -6)))
+        there, *joint_covariance = (
+            _mean_slope_along(contour_px + s, change) for s in ((0, 0), (6, 0), (-6, 0), (0, 6), (0, -6))
+        )
         # The contour is an edge of the picture at its own place, and at none that lies 6 px (a blur and a half) away.
-        assert there > 1.5 * max(beside)
+        assert there > 1.5 * max(joint_covariance)
 
 
 def test_the_two_samples_are_one_throw() -> None:

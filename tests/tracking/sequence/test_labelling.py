@@ -79,10 +79,10 @@ def test_behind_frames_without_a_pose_flights_tell_the_labelling(shape: str) -> 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the_first_pass(shape: str) -> None:
     view, first = spinning(shape, 3)
-    turned = matrix_from_quat(quat_from_rotvec([0.02, -0.03, 0.01]))
-    refined = relabelled(view, replace(first, rotation=turned @ first.rotation), slice(0, FRAMES), 4)
+    rotated = matrix_from_quat(quat_from_rotvec([0.02, -0.03, 0.01]))
+    refined = relabelled(view, replace(first, rotation=rotated @ first.rotation), slice(0, FRAMES), 4)
     wrong = relabelled(view, first, slice(0, FRAMES), 5)
-    right = turned @ first.rotation
+    right = rotated @ first.rotation
     assert with_labels_of_flights(view, refined, first, wrong).rotation == pytest.approx(right, abs=1e-12)
     astray = replace(first, rotation=matrix_from_quat(quat_from_rotvec([0.24, 0.15, -0.24])) @ first.rotation)
     assert with_labels_of_flights(view, refined, astray, first).rotation == pytest.approx(right, abs=1e-12)

@@ -63,8 +63,8 @@ def judged(view: View, states: list[State], images: list[Image]) -> tuple[Array,
         covariance = pose.covariance
         if covariance is None:
             continue
-        turned = rotvec_from_quat(quat_from_matrix(state.rotation @ pose.rotation.T))
-        errors = np.concatenate([state.position_m - pose.position_m, turned])
+        rotated = rotvec_from_quat(quat_from_matrix(state.rotation @ pose.rotation.T))
+        errors = np.concatenate([state.position_m - pose.position_m, rotated])
         nees.append(errors @ np.linalg.solve(covariance, errors))
         worst.append(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3])[-1]))
     return np.array(nees), np.array(worst)

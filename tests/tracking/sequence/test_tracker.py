@@ -84,13 +84,13 @@ def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
     _, track, _ = bouncing(bit_depth)
     assert (track.status == TRACKED).all()
     errors = errors_of(track, falling_cube())
-    turned = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
+    rotated = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
     across_m = np.linalg.norm(errors[:, :3] @ ROOM.camera.rotation[:2].T, axis=1)
     # 80 px across, contrast 60 and noise 2 grey levels: the pixels hold 0.04 degrees and 3 µm.
-    assert np.median(turned) < 0.08
+    assert np.median(rotated) < 0.08
     assert np.median(across_m) < 8e-6
     # One frame shows little more than a single face, and says so: its sigma is a third of a degree.
-    assert turned.max() < 0.9
+    assert rotated.max() < 0.9
     assert across_m.max() < 8e-5
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
     # The median of chi-square with six numbers is 5.35; over 64 frames it scatters by 0.5, and the shadow of this die
@@ -138,9 +138,9 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
 
     track = follow(clip, ROOM.camera, CUBE, background=table)
     assert (track.status == TRACKED).all()
-    turned = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
-    assert np.median(turned) < 0.08
-    assert np.quantile(turned, 0.95) < 0.3
+    rotated = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
+    assert np.median(rotated) < 0.08
+    assert np.quantile(rotated, 0.95) < 0.3
     (found,) = measure_throw(track, CUBE, ROOM.camera).impacts
     assert abs(found.time_s - bounce.time_s) < 0.02 / FPS
 
@@ -175,9 +175,9 @@ def test_on_such_a_film_a_spinning_die_that_lands_keeps_its_labelling_on_every_f
     ).track
     assert track.shared is not None, "marks were used"
     assert (track.status == TRACKED).all()
-    turned = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
-    assert np.median(turned) < 0.15
-    assert turned.max() < 1.0
+    rotated = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
+    assert np.median(rotated) < 0.15
+    assert rotated.max() < 1.0
     # How far it is, is told until the last pass is over.
     assert sum(done < total for done, total in told[-5:]) >= 2
 
@@ -185,8 +185,8 @@ def test_on_such_a_film_a_spinning_die_that_lands_keeps_its_labelling_on_every_f
 @pytest.mark.usefixtures("few_are_plenty")
 def test_a_frame_that_is_not_used_stays_lost_though_no_flight_leads_over_it() -> None:
     """Between frames that are left out in the first pass the second has starts; this one was left out for good."""
-    turned, still_m_s = np.array([0.9, 0.0, 0.0, 0.4]) / np.hypot(0.9, 0.4), np.zeros(3)
-    lies = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), turned, still_m_s, still_m_s)
+    rotated, still_m_s = np.array([0.9, 0.0, 0.0, 0.4]) / np.hypot(0.9, 0.4), np.zeros(3)
+    lies = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), rotated, still_m_s, still_m_s)
     still = np.rint(photograph(ROOM, CUBE, lies, np.random.default_rng(1), pips(CUBE))).astype(np.uint8)
     rng = np.random.default_rng(2)
     frames = np.clip(still + rng.integers(-2, 3, (3 * FRAMES, *still.shape)), 0, 255).astype(np.uint8)
@@ -228,14 +228,14 @@ def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
 def test_a_bar_that_hides_part_of_the_die_all_the_time_is_left_out() -> None:
     clip, table, _ = behind_a_bar()
     track = follow(clip, ROOM.camera, CUBE, background=table)
-    turned = np.degrees(np.linalg.norm(errors_of(track, falling_cube())[track.tracked, 3:], axis=1))
+    rotated = np.degrees(np.linalg.norm(errors_of(track, falling_cube())[track.tracked, 3:], axis=1))
     states = [falling_cube().at(float(t)) for t in track.time_s]
     whole = np.array([share_in_view(ROOM.view(CUBE), s.position_m, s.rotation) == 1.0 for s in states])
     assert track.tracked[whole].mean() > 0.9
     # Less of the contour is seen, and what is left of it says as much as before: usual frames are off by 0.1 degrees, and
     # none by what a pose drawn to the bar would be.
-    assert np.median(turned) < 0.3
-    assert turned.max() < 3.0
+    assert np.median(rotated) < 0.3
+    assert rotated.max() < 3.0
 
 
 def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
@@ -321,9 +321,9 @@ def test_a_die_that_comes_and_goes_is_absent_before_and_after() -> None:
 def test_a_die_wholly_in_the_picture_is_tracked_with_no_background_given() -> None:
     track, share = crossing()[1], shares(crossing()[1])
     assert (track.status[share == 1.0] == TRACKED).all()
-    turned = np.degrees(np.linalg.norm(errors_of(track, crossing_cube())[share == 1.0, 3:], axis=1))
-    assert np.median(turned) < 0.1
-    assert turned.max() < 1.0
+    rotated = np.degrees(np.linalg.norm(errors_of(track, crossing_cube())[share == 1.0, 3:], axis=1))
+    assert np.median(rotated) < 0.1
+    assert rotated.max() < 1.0
 
 
 def test_where_nothing_is_known_nothing_is_said() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diethrow.tracking.throw.chain_solver import MOST, Stages, solve_chain, spread_along
+from diethrow.tracking.throw.chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
 
 Array = NDArray[np.float64]
 
@@ -26,13 +26,13 @@ class Chain:
         for k in range(count):
             size = 12 if k % 3 == 2 else 7
             self.stages.sizes[k] = size
-            self.stages.onward[k, 12, 12] = 1.0  # what all flights share
-            self.stages.turned[k, :12, :size] = rng.normal(size=(12, size))
+            self.stages.by_state[k, 12, 12] = 1.0  # what all flights share
+            self.stages.by_link[k, :12, :size] = rng.normal(size=(12, size))
             if size == 7:
-                self.stages.onward[k, :12, :12] = rng.normal(size=(12, 12)) / 3.0
-                self.stages.rows[k] = rng.normal(size=(4, D))
-                self.stages.own_rows[k, :, :7] = rng.normal(size=(4, 7))
-                self.stages.miss[k] = rng.normal(size=4)
+                self.stages.by_state[k, :12, :12] = rng.normal(size=(12, 12)) / 3.0
+                self.stages.impact_by_state[k] = rng.normal(size=(4, D))
+                self.stages.impact_by_link[k, :, :7] = rng.normal(size=(4, 7))
+                self.stages.violation[k] = rng.normal(size=4)
 
     def maps(self) -> tuple[list[Array], list[Array]]:
         """Of all numbers (first state, then each link's) onto each flight's state, and onto each link's numbers."""
@@ -40,10 +40,10 @@ class Chain:
         state, column = np.eye(D, total), D
         states, links = [state], []
         for k, size in enumerate(self.stages.sizes):
-            own = np.zeros((MOST, total))
+            own = np.zeros((MAX_LINK_SIZE, total))
             own[np.arange(size), column + np.arange(size)] = 1.0
             links.append(own)
-            state = self.stages.onward[k] @ state + self.stages.turned[k] @ own
+            state = self.stages.by_state[k] @ state + self.stages.by_link[k] @ own
             states.append(state)
             column += int(size)
         return states, links
@@ -52,7 +52,10 @@ class Chain:
         """Rows of each link's rules in all numbers, and what they miss."""
         states, links = self.maps()
         s = self.stages
-        return [(s.rows[k] @ states[k] + s.own_rows[k] @ links[k], s.miss[k]) for k in range(self.count)]
+        return [
+            (s.impact_by_state[k] @ states[k] + s.impact_by_link[k] @ links[k], s.violation[k])
+            for k in range(self.count)
+        ]
 
     def matrix(self) -> tuple[Array, Array]:
         """The large normal matrix and gradient."""
@@ -79,11 +82,11 @@ def test_white_noise_leaves_the_inverse_of_the_large_matrix(count: int) -> None:
     chain = Chain(20 + count, count)
     inverse = np.linalg.inv(chain.matrix()[0])
     states, links = chain.maps()
-    last, beside = spread_along(chain.normal, chain.normal, chain.stages)
+    last, joint_covariance = chain_covariance(chain.normal, chain.normal, chain.stages)
     np.testing.assert_allclose(last, states[-1] @ inverse @ states[-1].T, atol=1e-9)
     for k in range(count):
         both = np.vstack([states[k], links[k]])
-        np.testing.assert_allclose(beside[k], both @ inverse @ both.T, atol=1e-9)
+        np.testing.assert_allclose(joint_covariance[k], both @ inverse @ both.T, atol=1e-9)
 
 
 @pytest.mark.parametrize("count", [1, 4, 9])
@@ -96,21 +99,21 @@ def test_noise_of_another_kind_makes_the_sandwich(count: int) -> None:
     B = sum(M.T @ N @ M for M, N in zip(states, noises, strict=True))
     B = B + sum(obeyed.T @ obeyed for obeyed, _ in chain.rules())
     sandwich = np.linalg.inv(A) @ B @ np.linalg.inv(A)
-    last, beside = spread_along(chain.normal, noises, chain.stages)
+    last, joint_covariance = chain_covariance(chain.normal, noises, chain.stages)
     np.testing.assert_allclose(last, states[-1] @ sandwich @ states[-1].T, atol=1e-9)
     for k in range(count):
         both = np.vstack([states[k], links[k]])
-        np.testing.assert_allclose(beside[k], both @ sandwich @ both.T, atol=1e-9)
+        np.testing.assert_allclose(joint_covariance[k], both @ sandwich @ both.T, atol=1e-9)
 
 
 def test_a_number_that_nothing_tells_of_stays_where_it_is() -> None:
     chain = Chain(3, 2)
     # The last flight has no frames: what its link does, but for its rules, is open.
     chain.normal[-1], chain.gradient[-1] = 0.0, 0.0
-    chain.stages.rows[-1], chain.stages.own_rows[-1], chain.stages.miss[-1] = 0.0, 0.0, 0.0
+    chain.stages.impact_by_state[-1], chain.stages.impact_by_link[-1], chain.stages.violation[-1] = 0.0, 0.0, 0.0
     first, changes = solve_chain(chain.normal, chain.gradient, chain.stages, 1e-12)
     np.testing.assert_array_equal(changes[-1], 0.0)
     assert np.isfinite(first).all()
-    last, beside = spread_along(chain.normal, chain.normal, chain.stages)
+    last, joint_covariance = chain_covariance(chain.normal, chain.normal, chain.stages)
     assert np.isfinite(last).all()
-    assert np.isfinite(beside).all()
+    assert np.isfinite(joint_covariance).all()

@@ -27,8 +27,8 @@ from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.throw import measurement
 from diethrow.tracking.throw.contacts import UNKNOWN_TABLE_M, Priors, ResolvedChain, explains_better, resolve_contacts
 from diethrow.tracking.throw.flight_chain import (
-    LEVER_RAD_S,
     LEVER_SHARE,
+    MIN_LEVER_SIGMA_RAD_S,
     TABLE_SIGMA_M,
     FlightChain,
     Link,
@@ -42,13 +42,13 @@ from diethrow.tracking.throw.flights import (
     Observations,
     packed,
     perturbed,
-    roll_out,
+    propagate_chain,
     transition_matrix,
     unpacked,
 )
 from diethrow.tracking.throw.measurement import determines_table_height, measure, measure_throw
 from diethrow.tracking.throw.rest import (
-    LEFT,
+    FRAMES_LEFT_TO_FLIGHT,
     SupportedMotion,
     first_supported_row,
     flights_only,
@@ -68,7 +68,7 @@ OCTA = make_die("octahedron", 0.016, 0.003)
 
 
 def observations_of(track: Track) -> Observations:
-    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
+    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:
@@ -83,7 +83,7 @@ def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Thr
 
 def joined_at(throw: Throw, track: Track, strike: VertexImpact | None) -> FlightChain:
     return fit_chain(
-        observations_of(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, strike=strike)]
+        observations_of(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, impact=strike)]
     )
 
 
@@ -107,10 +107,10 @@ def test_what_a_strike_costs_is_known_before_it_is_fitted(die: Die) -> None:
     throw, track = bounced(die, LAWS["friction"], 3, 40)
     starts, t = [f.start for f in throw.flights], throw.impacts[0].time_s
     white = ErrorModel.white()
-    free = fit_chain(observations_of(track), starts, [Link(t)], scatter=white)
+    free = fit_chain(observations_of(track), starts, [Link(t)], errors=white)
     vertex = throw.impacts[0].vertices[0]
     for v in range(8):
-        struck = fit_chain(observations_of(track), starts, [Link(t, strike=strike_at(die, v))], scatter=white)
+        struck = fit_chain(observations_of(track), starts, [Link(t, impact=strike_at(die, v))], errors=white)
         told, found = vertex_impact_cost(free, 0, strike_at(die, v), TABLE_SIGMA_M), struck.cost - free.cost
         if v == vertex:
             # To the first order, but for Tukey's loss, which a frame at one sigma feels by a twentieth.
@@ -138,7 +138,7 @@ def test_what_a_strike_obeys_changes_as_its_rows_say(die: Die) -> None:
         return np.asarray(new * scale)
 
     def lever(sides: list[State]) -> float:
-        return LEVER_SHARE * float(np.linalg.norm(sides[1].omega_rad_s - sides[0].omega_rad_s)) + LEVER_RAD_S
+        return LEVER_SHARE * float(np.linalg.norm(sides[1].omega_rad_s - sides[0].omega_rad_s)) + MIN_LEVER_SIGMA_RAD_S
 
     for k, step in enumerate(steps):
         change = np.zeros(25)
@@ -168,7 +168,7 @@ def test_a_state_is_carried_on_as_its_flight_says() -> None:
     )
     none, closed = np.zeros((1, 6)), np.zeros(1, bool)
     for after in (-0.01, 0.0, 1e-7, 0.03):
-        _, ends, passages = roll_out(packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14)))
+        _, ends, passages = propagate_chain(packed(state), np.array([0.2 + after]), none, closed, np.zeros((1, 14)))
         there, flight = unpacked(ends[0]), Flight(state, np.inf)
         wanted = flight.at(0.2 + after)
         for name in ("position_m", "quaternion", "velocity_m_s", "omega_rad_s"):
@@ -313,12 +313,12 @@ def test_a_measured_throw_has_all_frames_on_the_table_that_carries_them(every: i
     found = measure(unsure, CUBE, camera, every=every)
     still = track.time_s >= found.throw.impacts[-1].time_s + 1.5 * every / FPS
     p, _ = throw.poses(track.time_s[still])
-    assert np.std(found.frames.position_m[still] - p) > 1.5 * np.std(found.on_table.position_m[still] - p)
-    lowest = (matrix_from_quat(found.on_table.quaternion[still]) @ CUBE.solid.vertices.T)[:, 2].min(1)
-    assert np.abs(lowest + found.on_table.position_m[still, 2]).max() < 3e-4
+    assert np.std(found.frames.position_m[still] - p) > 1.5 * np.std(found.frames_on_table.position_m[still] - p)
+    lowest = (matrix_from_quat(found.frames_on_table.quaternion[still]) @ CUBE.solid.vertices.T)[:, 2].min(1)
+    assert np.abs(lowest + found.frames_on_table.position_m[still, 2]).max() < 3e-4
     # For a fit their errors are as slow as those of the others, and nothing in common comes on top of what the table told.
-    slow = found.joined.scatter.slow_variance(every / FPS).max()
-    fitted, told = (one.covariance[still, 1, 1] for one in (found.independent, found.on_table))
+    slow = found.chain.errors.long_run_variance(every / FPS).max()
+    fitted, told = (one.covariance[still, 1, 1] for one in (found.independent_frames, found.frames_on_table))
     assert np.median(fitted / told) < 1.2 * slow
 
 
@@ -341,9 +341,9 @@ def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
     # The centre of a cube on an edge turns about it with α = m g d/(J + m d²) at the distance d beside it, and falls with α d.
     edge, start = CUBE.solid.edge_m, np.radians(20.0)
     t = np.arange(80) / FPS
-    beside, up = 0.5 * np.sqrt(2.0) * edge * np.array([np.sin(start), np.cos(start)])
-    moment = CUBE.inertia_kg_m2 + CUBE.mass_kg * (beside**2 + up**2)
-    turn = 0.5 * CUBE.mass_kg * 9.81 * beside / moment * t**2
+    joint_covariance, up = 0.5 * np.sqrt(2.0) * edge * np.array([np.sin(start), np.cos(start)])
+    moment = CUBE.inertia_kg_m2 + CUBE.mass_kg * (joint_covariance**2 + up**2)
+    turn = 0.5 * CUBE.mass_kg * 9.81 * joint_covariance / moment * t**2
     angle = start + turn
     position = 0.5 * np.sqrt(2.0) * edge * np.stack([np.sin(angle), 0.0 * t, np.cos(angle)], axis=1)
     quaternion = quat_from_rotvec((np.radians(45.0) + angle)[:, None] * np.array([0.0, 1.0, 0.0]))
@@ -351,7 +351,7 @@ def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
     covariance = frame_covariance(rng, len(t), 0.2)
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(t), 6)))
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    assert first_supported_row(Observations.from_poses(t, *poses, covariance, slack=0.0), CUBE) == LEFT
+    assert first_supported_row(Observations.from_poses(t, *poses, covariance, unmodelled=0.0), CUBE) == FRAMES_LEFT_TO_FLIGHT
 
 
 def test_frames_that_no_flight_goes_through_keep_their_own_poses() -> None:
@@ -366,11 +366,11 @@ def test_frames_that_no_flight_goes_through_keep_their_own_poses() -> None:
     track = replace(track, position_m=position)
     found = measure(track, CUBE)
     assert [impact.contact for impact in found.throw.impacts] == ["unresolved"]
-    assert set(np.flatnonzero(found.alone)) <= set(between)
-    assert found.alone[between].sum() > 2
-    smoothed = smooth(track, found.own, found.floor, found.alone)
-    np.testing.assert_array_equal(smoothed.position_m[found.alone], position[found.alone])
-    assert (np.abs(smoothed.position_m - position)[~found.alone] > 0.0).any(1).all()
+    assert set(np.flatnonzero(found.unexplained)) <= set(between)
+    assert found.unexplained[between].sum() > 2
+    smoothed = smooth(track, found.throw_without_shared_errors, found.shared_covariance, found.unexplained)
+    np.testing.assert_array_equal(smoothed.position_m[found.unexplained], position[found.unexplained])
+    assert (np.abs(smoothed.position_m - position)[~found.unexplained] > 0.0).any(1).all()
 
 
 def test_a_weak_bounce_of_a_fast_die_is_found_though_its_errors_hide_its_signs() -> None:
@@ -415,7 +415,7 @@ def test_a_die_in_flight_is_not_at_rest_though_a_very_fast_film_shows_it_erring_
     whole = rng.standard_normal((len(time_s), 6)) + slow
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), whole)
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    seen_so = Observations.from_poses(time_s, *poses, covariance, slack=0.0)
+    seen_so = Observations.from_poses(time_s, *poses, covariance, unmodelled=0.0)
     assert first_supported_row(seen_so, CUBE) == len(time_s)
 
 
@@ -447,10 +447,10 @@ def test_a_table_at_another_height_than_stated_does_not_bend_the_flights() -> No
     track = seen(throw, rng)
     lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.004]))
     plain, found = measure(track, CUBE), measure(lifted, CUBE)
-    assert found.joined.table_m == pytest.approx(0.004, abs=5e-4)
-    assert determines_table_height(plain.joined)
+    assert found.chain.table_m == pytest.approx(0.004, abs=5e-4)
+    assert determines_table_height(plain.chain)
     # Neither what rests on it nor what strikes it is put where the scene has the table.
-    assert not determines_table_height(found.joined)
+    assert not determines_table_height(found.chain)
     assert found.throw.impacts[0].time_s == pytest.approx(plain.throw.impacts[0].time_s, abs=0.02 / FPS)
 
 
@@ -466,7 +466,7 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
     poses = observations_of(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
     links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
     chain = fit_chain(poses, [throw.flights[0].start, behind.start, behind.start], links)
-    settled = resolve_contacts(poses, chain, CUBE, Priors(np.zeros(0), TABLE_SIGMA_M)).joined
+    settled = resolve_contacts(poses, chain, CUBE, Priors(np.zeros(0), TABLE_SIGMA_M)).chain
     assert [link.is_open for link in settled.links] == [True]
     # It is told of where the motion before comes down to the table, which its many frames know to a tenth of a frame.
     assert abs(settled.links[0].time_s - t) < 0.3 / FPS
@@ -480,7 +480,7 @@ def test_contacts_that_no_frame_parts_are_one(second_is_open: bool) -> None:
 def chains_of(throw: Throw, track: Track) -> dict[str, FlightChain]:
     """The chain of the true impacts of a throw of two, and what else may be made of its frames."""
     strikes = [strike_at(CUBE, impact.vertices[0]) for impact in throw.impacts]
-    links = [Link(impact.time_s, strike=strike) for impact, strike in zip(throw.impacts, strikes, strict=True)]
+    links = [Link(impact.time_s, impact=strike) for impact, strike in zip(throw.impacts, strikes, strict=True)]
     starts = [flight.start for flight in throw.flights]
     middle_s = 0.5 * (throw.impacts[0].time_s + throw.impacts[1].time_s)
     some = {
@@ -519,10 +519,10 @@ def test_a_table_that_is_not_where_it_is_said_to_be_denies_no_impact() -> None:
         Priors(np.zeros(0), UNKNOWN_TABLE_M),
     )
     starts = [flight.start for flight in throw.flights]
-    struck = [Link(impact.time_s, strike=strike_at(CUBE, impact.vertices[0])) for impact in throw.impacts]
+    struck = [Link(impact.time_s, impact=strike_at(CUBE, impact.vertices[0])) for impact in throw.impacts]
     opened = [Link(impact.time_s, is_open=True) for impact in throw.impacts]
     true = ResolvedChain(poses, found.fit(poses, starts, struck), found)
-    assert true.joined.table_m == pytest.approx(0.002, abs=2e-4)
+    assert true.chain.table_m == pytest.approx(0.002, abs=2e-4)
     assert explains_better(poses, true, ResolvedChain(poses, told.fit(poses, starts, opened), told))
 
 
@@ -566,7 +566,7 @@ def test_what_no_frame_knows_of_stays_where_it_is() -> None:
     links = [Link(t), Link(0.5 * (t + inside))]
     third = perturbed(throw.flights[1].start, np.zeros(12))
     joined = fit_chain(observations_of(track), [throw.flights[0].start, throw.flights[1].start, third], links)
-    assert np.isfinite(joined.beside).all()
+    assert np.isfinite(joined.joint_covariance).all()
     assert all(np.isfinite(flight.covariance).all() for flight in joined.flights if flight.covariance is not None)
     assert np.median(joined.residual) < 2.0
 

@@ -18,14 +18,14 @@ from diethrow.tracking.throw.error_model import estimate_error_model
 from diethrow.tracking.throw.flights import (
     ErrorModel,
     Observations,
-    chain_meats,
-    chain_misses,
-    chain_sums,
+    chain_residuals,
     fit_flight,
-    informations,
+    flight_residuals,
+    frame_information,
+    gradient_covariances,
+    normal_equations,
     packed,
     perturbed,
-    seen_minus_motion,
 )
 from diethrow.tracking.throw.measurement import measure, with_calibrated_covariance
 from diethrow.tracking.throw.shared_bias import CONTOUR_SIGMA_PX, shared_bias_jacobian, shared_bias_sigma
@@ -45,25 +45,25 @@ def one_flight(rng: np.random.Generator, frames: int = 120) -> Throw:
     return Throw((Flight(start, frames / FPS),), ())
 
 
-def scattered(rng: np.random.Generator, wander: float, frames: float, flight_frames: int = 120) -> Track:
-    """A flight whose errors are white as stated, plus a slow part of `wander` times that variance."""
+def scattered(rng: np.random.Generator, variance_ratio: float, frames: float, flight_frames: int = 120) -> Track:
+    """A flight whose errors are white as stated, plus a slow part of `variance_ratio` times that variance."""
     throw = one_flight(rng, flight_frames)
     track = seen(throw, rng)
     slow = blurred_in_time(track, throw, rng, frames)
     p, q = throw.poses(track.time_s)
-    size = np.sqrt(wander)
-    turned = quat_multiply(quat_from_rotvec(size * rotation_between(q, slow.quaternion)), track.quaternion)
-    return replace(track, position_m=track.position_m + size * (slow.position_m - p), quaternion=turned)
+    size = np.sqrt(variance_ratio)
+    rotated = quat_multiply(quat_from_rotvec(size * rotation_between(q, slow.quaternion)), track.quaternion)
+    return replace(track, position_m=track.position_m + size * (slow.position_m - p), quaternion=rotated)
 
 
 def scatter_of(track: Track) -> ErrorModel:
-    observations_of = sightings_of(track)
-    state, _, _ = fit_flight(observations_of)
-    return estimate_error_model(observations_of, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
+    observations = observations_of(track)
+    state, _, _ = fit_flight(observations)
+    return estimate_error_model(observations, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
 
 
-def sightings_of(track: Track) -> Observations:
-    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, slack=0.0)
+def observations_of(track: Track) -> Observations:
+    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
@@ -72,7 +72,7 @@ def test_frames_that_err_each_for_itself_are_found_to_do_so_at_their_true_scale(
     found = scatter_of(seen(one_flight(rng), rng, stated=stated))
     # 720 numbers know a scale to 3 %; four frames' worth of the stated one add up to 9 · 4/120 to the variance.
     assert np.sqrt(found.variance).mean() == pytest.approx(1.0 / stated, rel=0.2)
-    assert (found.slow_variance(1.0 / FPS) / found.variance).max() < 3.0
+    assert (found.long_run_variance(1.0 / FPS) / found.variance).max() < 3.0
 
 
 def test_slow_errors_are_told_from_white_ones() -> None:
@@ -80,25 +80,25 @@ def test_slow_errors_are_told_from_white_ones() -> None:
     for seed in range(6):
         found = scatter_of(scattered(np.random.default_rng(seed), 3.0, 6.0))
         sizes.append(found.variance.mean())
-        ratios.append(found.slow_variance(1.0 / FPS).mean())
+        ratios.append(found.long_run_variance(1.0 / FPS).mean())
     # 1 + 3, and 1 + 3 (1 + φ)/(1 - φ) = 37 with φ = exp(-1/6). A flight of twenty memories knows its spectrum near zero
     # to a factor of two.
     assert np.mean(sizes) == pytest.approx(4.0, rel=0.3)
     assert 18.0 < np.median(ratios) < 74.0
 
 
-@pytest.mark.parametrize(("wander", "memory", "frames"), [(0.05, 500.0, 20_000), (0.01, 3000.0, 60_000)])
+@pytest.mark.parametrize(("variance_ratio", "memory", "frames"), [(0.05, 500.0, 20_000), (0.01, 3000.0, 60_000)])
 def test_slow_errors_of_a_film_far_faster_than_the_die_are_found_though_they_are_slight(
-    wander: float, memory: float, frames: int
+    variance_ratio: float, memory: float, frames: int
 ) -> None:
     ratios, sizes = [], []
     for seed in range(6):
-        found = scatter_of(scattered(np.random.default_rng(seed), wander, memory, frames))
+        found = scatter_of(scattered(np.random.default_rng(seed), variance_ratio, memory, frames))
         sizes.append(found.variance.mean())
-        ratios.append(found.slow_variance(1.0 / FPS).mean())
+        ratios.append(found.long_run_variance(1.0 / FPS).mean())
     # 1 + a, and 1 + 2 a T. A flight of twenty to forty memories knows its spectrum near zero to a factor of two.
-    lasting = 1.0 + 2.0 * wander * memory
-    assert np.mean(sizes) == pytest.approx(1.0 + wander, rel=0.1)
+    lasting = 1.0 + 2.0 * variance_ratio * memory
+    assert np.mean(sizes) == pytest.approx(1.0 + variance_ratio, rel=0.1)
     assert 0.5 * lasting < np.median(ratios) < 2.0 * lasting
 
 
@@ -106,41 +106,43 @@ def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
     rng = np.random.default_rng(1)
     found = scatter_of(seen(one_flight(rng, frames=6), rng, stated=0.1))
     np.testing.assert_array_equal(found.scale, 1.0)
-    np.testing.assert_array_equal(found.wander, 0.0)
+    np.testing.assert_array_equal(found.variance_ratio, 0.0)
 
 
 def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> None:
     rng = np.random.default_rng(5)
-    observations_of = sightings_of(seen(one_flight(rng), rng))
-    state, _, _ = fit_flight(observations_of)
-    ones, share = np.ones(len(observations_of)), np.full(6, 0.25)
-    cuts, states = np.array([0, len(observations_of)]), packed(state)[None]
-    misses = chain_misses(observations_of, cuts, states, np.zeros(0))
-    normal, _ = chain_sums(observations_of, cuts, states, misses, ones, informations(observations_of, share), 12)
+    observations = observations_of(seen(one_flight(rng), rng))
+    state, _, _ = fit_flight(observations)
+    ones, share = np.ones(len(observations)), np.full(6, 0.25)
+    cuts, states = np.array([0, len(observations)]), packed(state)[None]
+    misses = chain_residuals(observations, cuts, states, np.zeros(0))
+    normal, _ = normal_equations(observations, cuts, states, misses, ones, frame_information(observations, share), 12)
     # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
-    meats = chain_meats(observations_of, cuts, states, ones, share, ErrorModel.white(2.0), 12)
+    meats = gradient_covariances(observations, cuts, states, ones, share, ErrorModel.white(2.0), 12)
     unit = 1.0 / np.sqrt(np.diag(normal[0]))
     np.testing.assert_allclose(meats[0] * np.outer(unit, unit), normal[0] * np.outer(unit, unit), atol=1e-12)
 
 
 def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_makes_it() -> None:
     rng = np.random.default_rng(6)
-    observations_of = sightings_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
-    state, _, _ = fit_flight(observations_of)
-    n = len(observations_of)
+    observations = observations_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
+    state, _, _ = fit_flight(observations)
+    n = len(observations)
     scatter = ErrorModel(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
     steps = np.concatenate([1e-7 * np.ones(3), 1e-6 * np.ones(3), 1e-5 * np.ones(3), 1e-4 * np.ones(3)])
     X = np.empty((n, 6, 12))
     for a, step in enumerate(np.diag(steps)):
-        ahead, behind = (seen_minus_motion(observations_of, perturbed(state, sign * step)) for sign in (1.0, -1.0))
+        ahead, behind = (flight_residuals(observations, perturbed(state, sign * step)) for sign in (1.0, -1.0))
         X[:, :, a] = (behind - ahead) / (2.0 * steps[a])
-    apart = np.abs(observations_of.time_s[:, None] - observations_of.time_s)
+    apart = np.abs(observations.time_s[:, None] - observations.time_s)
     wanted = np.zeros((12, 12))
     for i in range(6):
-        V = scatter.scale[i] ** 2 * (np.eye(n) + scatter.wander[i] * np.exp(-apart / scatter.memory_s[i]))
+        V = scatter.scale[i] ** 2 * (
+            np.eye(n) + scatter.variance_ratio[i] * np.exp(-apart / scatter.correlation_time_s[i])
+        )
         wanted += X[:, i].T @ V @ X[:, i]
     cuts, states = np.array([0, n]), packed(state)[None]
-    found = chain_meats(observations_of, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
+    found = gradient_covariances(observations, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
     unit = 1.0 / np.sqrt(np.diag(wanted))
     # Central differences of noisy residuals: the derivative is that at the frame seen, off by its residual of 0.1 degrees.
     np.testing.assert_allclose(found * np.outer(unit, unit), wanted * np.outer(unit, unit), atol=0.02)
@@ -187,22 +189,22 @@ def test_frames_and_smoothed_track_know_how_good_they_are_however_long_errors_la
     assert 3.0 < np.median(smoothed) < 7.5
 
 
-def leaning(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
+def with_bias_jacobian(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
     """A throw seen in the studio with its contour taken so far out."""
     throw, rng = lone(seed)
     track = seen(throw, rng, noise=0.3)
     lean = shared_bias_jacobian(track, studio().camera, CUBE)[:, :, 0]
-    turned = quat_multiply(quat_from_rotvec(size_px * lean[:, 3:]), track.quaternion)
-    return throw, replace(track, position_m=track.position_m + size_px * lean[:, :3], quaternion=turned)
+    rotated = quat_multiply(quat_from_rotvec(size_px * lean[:, 3:]), track.quaternion)
+    return throw, replace(track, position_m=track.position_m + size_px * lean[:, :3], quaternion=rotated)
 
 
 def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> None:
     camera = studio().camera
-    throw, track = leaning(0.08)
+    throw, track = with_bias_jacobian(0.08)
     found = measure(track, CUBE, camera)
-    sigma = float(found.joined.shared_bias_sigma[0])
+    sigma = float(found.chain.shared_sigma[0])
     assert sigma < 0.3 * CONTOUR_SIGMA_PX
-    assert found.joined.shared[0] == pytest.approx(0.08, abs=3.0 * sigma + 0.003)
+    assert found.chain.shared[0] == pytest.approx(0.08, abs=3.0 * sigma + 0.003)
     p, _ = throw.poses(track.time_s)
     depth = camera.rotation[2]
     off = [np.abs((t.position_m - p) @ depth).mean() for t in (track, smooth(track, found.throw))]
@@ -211,7 +213,7 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
 
 def test_the_frames_come_without_the_error_that_they_share() -> None:
     camera = studio().camera
-    throw, track = leaning(0.08)
+    throw, track = with_bias_jacobian(0.08)
     p, _ = throw.poses(track.time_s)
     straight = measure(track, CUBE, camera).frames
     off = [float(np.mean((t.position_m - p) @ camera.rotation[2])) for t in (track, straight)]
@@ -221,19 +223,19 @@ def test_the_frames_come_without_the_error_that_they_share() -> None:
 
 def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
     camera = studio().camera
-    _, track = leaning(0.0)
+    _, track = with_bias_jacobian(0.0)
     # Ten per cent too large, it seems ten per cent farther away.
     far = replace(track, position_m=camera.centre_m + 1.1 * (track.position_m - camera.centre_m))
     found = measure(far, make_die("cube", 0.0176, 0.0048), camera)
-    assert len(found.joined.shared) == 0
+    assert len(found.chain.shared) == 0
     (notice,) = fall_notices(measure_fall(far, found.throw))
     assert "[die]" in notice
 
 
 def test_without_a_lean_none_is_found() -> None:
-    _, track = leaning(0.0)
+    _, track = with_bias_jacobian(0.0)
     found = measure(track, CUBE, studio().camera)
-    assert abs(found.joined.shared[0]) < 3.5 * float(found.joined.shared_bias_sigma[0])
+    assert abs(found.chain.shared[0]) < 3.5 * float(found.chain.shared_sigma[0])
 
 
 def test_the_lean_is_what_a_larger_outline_does_to_a_pose() -> None:
@@ -286,7 +288,10 @@ def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_know
     shared[:, :3, :3] = along[:, :, None] * along[:, None]
     shared[1::2] = np.nan
     found = measure(replace(track, shared=shared), CUBE, camera)
-    told = smooth(track, found.own, found.floor).covariance - smooth(track, found.own).covariance
+    told = (
+        smooth(track, found.throw_without_shared_errors, found.shared_covariance).covariance
+        - smooth(track, found.throw_without_shared_errors).covariance
+    )
     even = np.flatnonzero(track.tracked[:-1])[::2]
     even = even[even % 2 == 0]
     np.testing.assert_allclose(told[even], shared[even], atol=1e-15)
@@ -295,8 +300,8 @@ def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_know
     # A flight as a whole takes the middling one of its frames.
     flight = found.throw.flights[0]
     assert flight.covariance is not None
-    assert found.own.flights[0].covariance is not None
-    floor = (flight.covariance - found.own.flights[0].covariance)[:3, :3]
+    assert found.throw_without_shared_errors.flights[0].covariance is not None
+    floor = (flight.covariance - found.throw_without_shared_errors.flights[0].covariance)[:3, :3]
     assert np.abs(shared[even][:, :3, :3] - floor).max(axis=(1, 2)).min() < 1e-15
 
 
@@ -314,12 +319,14 @@ def test_what_all_frames_err_alike_makes_flights_no_less_sure_of_each_other(seed
         assert ours.vertices == theirs.vertices
         assert ours.time_s == pytest.approx(theirs.time_s, abs=1e-3 / FPS)
         assert ours.sigma_time_s == pytest.approx(theirs.sigma_time_s, rel=0.05)
-    for new, old in zip(again.own.flights, before.own.flights, strict=True):
+    for new, old in zip(
+        again.throw_without_shared_errors.flights, before.throw_without_shared_errors.flights, strict=True
+    ):
         assert new.covariance is not None
         assert old.covariance is not None
         np.testing.assert_allclose(np.diag(new.covariance), np.diag(old.covariance), rtol=0.05)
     # It is in what single frames and smoothed ones are said to err, once.
     assert np.linalg.eigvalsh(sure.covariance[0] - shared).min() > 0.0
-    told = smooth(again.on_table, again.own, again.floor).covariance
+    told = smooth(again.frames_on_table, again.throw_without_shared_errors, again.shared_covariance).covariance
     assert np.linalg.eigvalsh(told[0] - shared).min() > -1e-12
     assert np.trace(told[0][:3, :3]) < 1.1 * np.trace(shared[:3, :3])

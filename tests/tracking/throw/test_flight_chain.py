@@ -15,8 +15,8 @@ from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_b
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.throw.flight_chain import FlightChain, Link, fit_chain
 from diethrow.tracking.throw.flights import (
-    SLACK_POSITION_M,
-    SLACK_ROTATION_RAD,
+    UNMODELLED_POSITION_M,
+    UNMODELLED_ROTATION_RAD,
     Observations,
     fit_flight,
     left_jacobians,
@@ -96,8 +96,8 @@ def observations_of(track: Track) -> Observations:
 
 def with_slack(track: Track, rng: np.random.Generator) -> Track:
     """The track with the errors that the fit allows for beyond each frame's own sigma, so that its sigmas are true."""
-    aside = SLACK_POSITION_M * rng.normal(size=(len(track), 3))
-    turns = quat_from_rotvec(SLACK_ROTATION_RAD * rng.normal(size=(len(track), 3)))
+    aside = UNMODELLED_POSITION_M * rng.normal(size=(len(track), 3))
+    turns = quat_from_rotvec(UNMODELLED_ROTATION_RAD * rng.normal(size=(len(track), 3)))
     quaternion = quat_multiply(turns, track.quaternion)
     return replace(track, position_m=track.position_m + aside, quaternion=quaternion)
 
@@ -118,7 +118,7 @@ def test_a_chain_without_noise_is_found_exactly() -> None:
         errors = initial_errors(fitted.at(true.start.time_s), true.start)
         # Nothing but rounding and the stop of the fit (a relative 1e-9 of a cost that goes to zero) is left.
         np.testing.assert_allclose(errors, 0.0, atol=1e-3)
-    np.testing.assert_allclose(joined.links_s, [i.time_s for i in throw.impacts], atol=1e-8)
+    np.testing.assert_allclose(joined.link_times_s, [i.time_s for i in throw.impacts], atol=1e-8)
 
 
 def chains() -> tuple[Array, Array]:
@@ -137,7 +137,7 @@ def chains() -> tuple[Array, Array]:
         errors = initial_errors(first.start, throw.flights[0].at(first.start.time_s))
         unit = 1.0 / np.sqrt(np.diag(first.covariance))
         states.append(errors * unit @ np.linalg.solve(first.covariance * np.outer(unit, unit), errors * unit))
-        instants.append((joined.links_s - [i.time_s for i in throw.impacts]) / joined.sigma_time_s)
+        instants.append((joined.link_times_s - [i.time_s for i in throw.impacts]) / joined.sigma_time_s)
     return np.array(states), np.concatenate(instants)
 
 
@@ -188,7 +188,7 @@ def test_a_frame_far_off_carries_no_weight() -> None:
     joined = chain_through(throw, spoilt, np.random.default_rng(1))
     sigma = clean.sigma_time_s[0]
     # Leaving out two frames of some hundred moves an estimate by a small share of its sigma.
-    assert abs(joined.links_s[0] - clean.links_s[0]) < 0.5 * sigma
+    assert abs(joined.link_times_s[0] - clean.link_times_s[0]) < 0.5 * sigma
     assert joined.residual[10] > 20.0
     assert joined.residual[40] > 20.0
     assert (joined.weights[[10, 40]] == 0.0).all()
@@ -208,7 +208,7 @@ def test_a_short_flight_whose_guess_is_far_off_is_found_beside_a_long_one(seed: 
     )
     near = fit_chain(observations_of(track), [f.start for f in throw.flights], [Link(t)])
     assert far.weights[track.time_s > t].min() > 0.0
-    assert far.links_s[0] == pytest.approx(near.links_s[0], abs=0.05 * float(near.sigma_time_s[0]))
+    assert far.link_times_s[0] == pytest.approx(near.link_times_s[0], abs=0.05 * float(near.sigma_time_s[0]))
 
 
 def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
@@ -223,7 +223,7 @@ def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
     joined = fit_chain(observations_of(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
     np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(joined.sigma_time_s[0])
-    assert np.isnan(joined.beside[0]).all()
+    assert np.isnan(joined.joint_covariance[0]).all()
 
 
 def test_an_inverse_by_the_factor_is_the_pseudo_inverse_and_what_is_open_stays_finite() -> None:

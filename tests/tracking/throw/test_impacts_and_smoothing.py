@@ -114,7 +114,7 @@ def test_a_flight_that_few_of_its_frames_lie_on_is_none(period: float) -> None:
     found = measure(track, CUBE)
     assert [impact.contact for impact in found.throw.impacts] == ["vertex", "unresolved"]
     behind = track.time_s > found.throw.impacts[1].time_s
-    smoothed = smooth(found.frames, found.own, found.floor, found.alone)
+    smoothed = smooth(found.frames, found.throw_without_shared_errors, found.shared_covariance, found.unexplained)
     np.testing.assert_array_equal(smoothed.quaternion[behind], found.frames.quaternion[behind])
 
 
@@ -141,8 +141,8 @@ def test_a_pose_that_drifts_slowly_is_no_bounce(seed: int) -> None:
     track = seen(throw, rng)
     wave = 3.0 * np.sin(2.0 * np.pi * track.time_s * FPS / 40.0)[:, None]
     aside = track.position_m + wave * np.array([2e-5, -1e-5, 2e-5])
-    turned = quat_multiply(quat_from_rotvec(wave * np.radians([0.1, 0.05, -0.1])), track.quaternion)
-    assert measure_throw(replace(track, position_m=aside, quaternion=turned), CUBE).impacts == ()
+    rotated = quat_multiply(quat_from_rotvec(wave * np.radians([0.1, 0.05, -0.1])), track.quaternion)
+    assert measure_throw(replace(track, position_m=aside, quaternion=rotated), CUBE).impacts == ()
 
 
 @pytest.mark.parametrize("kept", [0, 1, 2])
@@ -237,8 +237,8 @@ def test_smoothing_makes_every_frame_surer_and_nearer_to_the_truth() -> None:
         before, after = (np.sqrt(t.covariance[use, axis, axis]) for t in (track, smoothed))
         assert np.median(after) < 0.6 * np.median(before)
     off = [np.linalg.norm(t.position_m[use] - p[use], axis=1) for t in (track, smoothed)]
-    turned = [np.linalg.norm(rotation_between(t.quaternion[use], q[use]), axis=1) for t in (track, smoothed)]
-    for before, after in (off, turned):
+    rotated = [np.linalg.norm(rotation_between(t.quaternion[use], q[use]), axis=1) for t in (track, smoothed)]
+    for before, after in (off, rotated):
         assert np.median(after) < 0.6 * np.median(before)
 
 

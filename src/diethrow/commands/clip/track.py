@@ -25,7 +25,7 @@ from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_b
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import TrackedClip, track_clip
 from ...tracking.surface_marks import read_faces, with_numbers
-from ...tracking.throw import NoFlightError, flights_only, measure, smooth
+from ...tracking.throw import NoFlightError, flights_only, measure
 from ...tracking.track import ABSENT, LOST, Track
 
 
@@ -206,7 +206,7 @@ def find_impacts(
             found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return found.independent, flights_only(found.throw), smooth(found.on_table, found.own, found.floor, found.alone)
+        return found.independent_frames, flights_only(found.throw), found.smoothed_frames
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:
