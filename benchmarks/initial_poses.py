@@ -103,7 +103,7 @@ def measured(folder: Path, count: int, print_all: bool) -> list[str]:
         frame_ms.append(ms)
         on_frame = "none"
         if hypothesis is not None:
-            on_frame = f"{'certain' if hypothesis.sure else 'uncertain'} {judge.verdict(hypothesis.seen, k)}"
+            on_frame = f"{'certain' if hypothesis.is_certain else 'uncertain'} {judge.verdict(hypothesis.poses, k)}"
         found, ms = timed(find_initial_pose, view, source, unused | (np.arange(len(source)) < k))
         clip_ms.append(ms)
         on_clip = "clip none" if found is None else f"clip {judge.verdict(found[1], 0)}"

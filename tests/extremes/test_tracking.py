@@ -20,7 +20,7 @@ from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.pose import initial_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence.tracker import NoDieError, follow
+from diethrow.tracking.sequence.tracker import NoDieError, track_clip
 from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
 from diethrow.tracking.track import Track
 
@@ -74,7 +74,7 @@ def followed(clip: ArrayClip, room: Studio, throw: Throw) -> Outcome | str:
     """What comes of a clip: a track with its errors, or the sentence with which it was given up."""
     table = np.rint(room.table * np.float32(2.0 ** (clip.bit_depth - 8)))
     try:
-        track = follow(clip, room.camera, CUBE, background=table)
+        track = track_clip(clip, room.camera, CUBE, background=table).track
         bounces = len(measure_throw(track, CUBE, room.camera).impacts)
     except (NoDieError, NoFlightError) as error:
         return str(error)
@@ -232,7 +232,7 @@ def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Told) -> None
     clip = film(ROOM, CUBE, thrown(), FRAMES)
     frozen = replace(clip, array=np.repeat(clip.array[10:11], FRAMES, axis=0))
     throw = thrown()
-    track = follow(frozen, ROOM.camera, CUBE, background=np.rint(ROOM.table))
+    track = track_clip(frozen, ROOM.camera, CUBE, background=np.rint(ROOM.table)).track
     away = np.linalg.norm(track.position_m - throw.at(10 / FPS).position_m, axis=1)
     assert track.tracked.all()
     assert away.max() < 2e-4
@@ -293,7 +293,7 @@ def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Told) -
     room = replace(studio(100, 100, focal_px=750.0), noise_grey=2.0)
     throw = thrown()
     clip = Live(room, throw, np.arange(frames) * (0.06 / frames))
-    track = follow(clip, room.camera, CUBE, background=np.rint(room.table), quality=FAST)
+    track = track_clip(clip, room.camera, CUBE, background=np.rint(room.table), quality=FAST).track
     measured = measure_throw(track, CUBE, room.camera)
     true_s = [impact.time_s for impact in throw.impacts if impact.time_s < 0.055]
     found_s = [impact.time_s for impact in measured.impacts if impact.time_s < 0.055]

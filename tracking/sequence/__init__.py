@@ -1,4 +1,9 @@
-"""tracking.sequence."""
+"""Poses of a whole clip: tracking from frame to frame, and refinement of every frame.
+
+`track_clip` is the entry: an initial pose is found (`initialisation`), the die is tracked in both directions (`frame_to_frame`,
+`motion_filter`, `tracking_pass`), depth reversals are corrected (`depth_reversal`), the labelling is made consistent
+(`labelling`), and all frames are refined along the measured flights, on edges (`refine_on_edges`) and on surface marks
+(`refine_on_marks`). Commands and the check of a clip use it."""
 
 from .tracker import NoDieError as NoDieError
 from .tracker import TrackedClip as TrackedClip

@@ -1,9 +1,8 @@
-"""Following the die from frame to frame.
+"""Tracking of a die from frame to frame.
 
-In flight the compiled `motion_filter.track_frames` predicts with the motion so far, refines and judges; it stops where picture
-and motion tell different stories. Then, here, other starts compete: bounces of several strengths on each low corner, the last
-pose, and turns about it; the one that explains the picture best is taken, and the chase goes on from there.
-"""
+In flight the compiled `motion_filter.track_frames` predicts the pose from the motion so far, refines and judges it; it stops
+where picture and motion disagree. There several initial poses compete: impacts of several strengths on each low corner, the last
+pose, and rotations about it. The pose that explains the picture best is taken, and tracking continues from there."""
 
 from __future__ import annotations
 
@@ -36,61 +35,104 @@ from .motion_filter import ACCEPTED_EXCESS_COST, MotionEstimate, predict_motion,
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
 
-UNKNOWN_REACH, UNKNOWN_RAD = 0.2, 0.12
-"""How far the die may move (in units of its reach) and turn from one frame to the next where nothing is known of its
-motion, one sigma: dice filmed well turn by 7 to 10 degrees a frame after a hard bounce."""
-BOUNCED_REACH, BOUNCED_RAD = 0.07, 0.07
-"""The same after a bounce whose strength is guessed."""
-NEW_REACH, NEW_RAD = 0.14, np.radians(2.0)
-"""A pose further than this from where the motion led belongs to a new flight."""
-BELIEVED = 2.5
-"""By how much a pose may cost more than usual and still be believed where nothing explains the picture better."""
-PLAINLY = 0.05
-"""A rival that costs no more than this above the usual ends the search for a better one."""
-PLAIN_SUPPORT = 0.8
-"""Share of the contour with a clear step that shows a die beyond doubt: a rod before it takes more away."""
+UNKNOWN_REACH = 0.2
+"""Standard deviation of the displacement from one frame to the next, in circumradii, if nothing is known of the motion."""
+UNKNOWN_RAD = 0.12
+"""The same of the rotation [rad]: well-filmed dice turn by 7 to 10 degrees a frame after a hard impact."""
+BOUNCED_REACH = 0.07
+"""UNKNOWN_REACH after an impact whose strength is guessed."""
+BOUNCED_RAD = 0.07
+"""UNKNOWN_RAD after an impact whose strength is guessed."""
+NEW_REACH = 0.14
+"""Distance from the predicted position, in circumradii, beyond which a pose belongs to a new flight."""
+NEW_RAD = np.radians(2.0)
+"""Angle [rad] from the predicted orientation beyond which a pose belongs to a new flight."""
+PREDICTED_SIGMAS = 3.0
+"""The same in standard errors of the prediction; the larger bound counts."""
+MIN_POSES_OF_FLIGHT = 3
+"""Poses of a flight from which on its prediction can show a new flight."""
+MAX_EXCESS_COST = 2.5
+"""Cost above the usual up to which a pose is accepted if no other explains the picture better."""
+SMALL_EXCESS_COST = 0.05
+"""Cost above the usual up to which a hypothesis ends the search for a better one."""
+LEAST_IMPROVEMENT = 0.02
+"""Cost by which a later hypothesis must be better: it departs further from the prediction."""
+MIN_CONTOUR_PX = 20.0
+"""Least length [px] of contour in view that determines a pose."""
+CLEAR_SUPPORT = 0.8
+"""Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
+MIN_SUPPORT = 0.45
+"""Least share of the contour with a clear step, of a die wholly in view."""
+MIN_SUPPORT_CUT = 0.6
+"""The same of a die that is cut by the border."""
+KNOWN_RAD = np.radians(6.0)
+"""Largest standard error [rad] of the orientation of an accepted pose."""
 BOUNCE_REACH = 0.35
-"""Height of the lowest corner, in units of the die's reach, below which a bounce may have come between two frames."""
+"""Height of the lowest corner, in circumradii, below which an impact may have occurred between two frames."""
 SEARCH_EVERY = 6
-"""Frames without a pose until a fresh start is looked for."""
-SETTLED, SURE_PX, SURPRISING = 20, 0.3, 30.0
-"""Frames that must have been seen of a flight, or since a surprise, before some are left out: so many the motion remembers; how
-sure it must be of where the next leap leads; and squared sigmas that poses behind a bounce lie away from there, and of honest
-ones one in 25 000."""
+"""Frames without a pose until a new initial pose is searched."""
+BACKWARDS_MISSES = 3
+"""Frames without a pose after which tracking backwards ends."""
+COST_MEMORY = 8.0
+"""Frames over which the usual cost is averaged."""
+PRIOR_SIGMAS = 4.0
+"""Width of the prior of a refinement, in standard errors of the prediction."""
+POSE_VARIANCE_FACTOR = 4.0
+"""Factor on the covariance of a pose that starts a motion: twice its standard errors."""
+MIN_POSES_TO_SKIP = 20
+"""Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
+MAX_PREDICTION_SIGMA_PX = 0.3
+"""Largest standard error [px] of a prediction over skipped frames."""
+SURPRISE_CHI2 = 30.0
+"""Squared sigmas between pose and prediction behind an impact: a pose of the same flight exceeds that once in 25 000 cases."""
+TRIAL_RESTITUTIONS = (0.5, 0.15, 0.85)
+"""Restitutions of the impacts that are tried."""
+TRIAL_SHARES = (0.2, 0.8)
+"""Shares of a frame interval that are left after the impacts that are tried."""
+TOUCH_SHARE = 0.12
+"""Height, as a share of an edge, below which a corner may touch the table between two frames."""
+SINK_FACTOR = 1.5
+"""Factor on a corner's descent over a frame interval, for the error of its velocity."""
+TRIAL_TURN_RAD = np.radians(6.0)
+"""Angle [rad] of the rotations about the last pose that are tried."""
 
 
 class FrameTracker:
-    """Follows the die through blocks of frames; the one place that remembers how it moved."""
+    """Tracks the die through blocks of frames, and holds its motion in between."""
 
     def __init__(
         self, view: View, motion: Array, rotation: Array, P: Array, clock: Array, unused: NDArray[np.bool_]
     ) -> None:
+        """`motion` (9,) position, velocity, spin; `rotation` (3, 3); `P` (12, 12) their covariance. `clock` (3,) holds the time
+        [s] of these, the usual cost of a pose, and the number of poses of this flight. Frames that are `unused` (n,) are
+        skipped."""
         self.view, self._occluders = with_occluder_mask(view)
         self.unused = unused
         self.motion, self.rotation, self.P, self.clock = motion, rotation, P, clock
         self.misses = 0
+        """Frames without a pose since the last one with a pose."""
         self.next_frame = 0
         self.backwards = False
-        self._longest, self._leaps_from, self._surprises = 1, 0, 0
+        self._longest_step, self._skip_from, self._surprises = 1, 0, 0
         self._work: Workspace = new_workspace(view.shape, view.rig)
 
     @staticmethod
-    def from_start(
-        view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], moving: Array | None = None
+    def from_pose(
+        view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], rates: Array | None = None
     ) -> FrameTracker:
-        """A chase of which only the pose on frame k is known, or, as after a bounce, also about how the die moves: `moving` (6,),
-        velocity [m/s] and spin [rad/s]. Frames that are `unused` (n,) are passed over."""
+        """A tracker that knows the pose on frame k, and, as after an impact, approximate `rates` (6,): velocity [m/s] and spin
+        [rad/s]."""
         near = times_s[max(k - 1, 0) : k + 2]
         frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
-        reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if moving is None else (BOUNCED_REACH, BOUNCED_RAD)
-        P = _unsure(view, pose, frame_s, reach, rad)
-        motion = np.concatenate([pose.position_m, np.zeros(6) if moving is None else moving])
+        reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if rates is None else (BOUNCED_REACH, BOUNCED_RAD)
+        P = _initial_covariance(view, pose, frame_s, reach, rad)
+        motion = np.concatenate([pose.position_m, np.zeros(6) if rates is None else rates])
         made = FrameTracker(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
         made.next_frame = k + 1
         return made
 
-    def turned_back(self) -> FrameTracker:
-        """The chase of the frames before those of this one, from what is known of the flight that it is in."""
+    def backwards_tracker(self) -> FrameTracker:
+        """A tracker of the frames before, from the present motion."""
         back = FrameTracker(
             self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused
         )
@@ -98,59 +140,67 @@ class FrameTracker:
         back.backwards = True
         return back
 
-    def to_the_end(
-        self, source: FrameSource, seen: ClipPoses, reached: Callable[[int], None], *, all_frames: bool
+    @property
+    def usual_cost(self) -> float:
+        """Usual cost of a pose on this clip."""
+        return float(self.clock[1])
+
+    def track_to_end(
+        self, source: FrameSource, poses: ClipPoses, report: Callable[[int], None], *, all_frames: bool
     ) -> None:
-        """Follow the die through the rest of a clip. Unless `all_frames` are wanted, those are left out over which little moves
-        and the motion is sure: of a film far faster than the die is. After a surprise, as a bounce is one, all are looked at."""
-        self._longest = 1 if all_frames else longest_stride(len(source))
+        """Track the die through the rest of a clip; `report` is called with the next frame.
+
+        Unless `all_frames` are wanted, frames are skipped over which the die hardly moves and the motion is known: on a film far
+        faster than the die. After a surprise, such as an impact, no frame is skipped for a while."""
+        self._longest_step = 1 if all_frames else longest_stride(len(source))
         while self.next_frame < len(source):
             for block in source.blocks(self.next_frame):
                 with block:
-                    self.over(block.frames, source.times_s, block.first, seen)
-                reached(self.next_frame)
-                if self._leap(source.times_s) > 1:
+                    self.track(block.frames, source.times_s, block.first, poses)
+                report(self.next_frame)
+                if self._step(source.times_s) > 1:
                     break
-            while (leap := self._leap(source.times_s)) > 1:
-                self._leap_over(source, seen, leap)
-                seen.frame_stride = self._longest
-                reached(self.next_frame)
-        seen.frame_stride = min(seen.frame_stride, self._longest)
+            while (step := self._step(source.times_s)) > 1:
+                self._track_every(source, poses, step)
+                poses.frame_stride = self._longest_step
+                report(self.next_frame)
+        poses.frame_stride = min(poses.frame_stride, self._longest_step)
 
-    def _leap(self, times_s: Array) -> int:
-        """From how many frames to look at one next: a power of two, so that multiples of a longer leap are some of a shorter. No
-        more than the fastest flight so far allows: a die that rests at last must not seem filmed as fast as that."""
+    def _step(self, times_s: Array) -> int:
+        """One in how many frames is needed next: a power of two, so that multiples of a longer step are multiples of a shorter
+        one. It never exceeds what the fastest flight so far allowed: a die that finally rests must not seem filmed that fast."""
         k = self.next_frame
-        if self._longest == 1 or self.misses > 0 or self.clock[2] < SETTLED or not self._leaps_from <= k < len(times_s):
+        is_new = self.clock[2] < MIN_POSES_TO_SKIP
+        if self._longest_step == 1 or self.misses > 0 or is_new or not self._skip_from <= k < len(times_s):
             return 1
         frame_s, reach_m, camera = float(times_s[k] - times_s[k - 1]), self.view.reach_m, self.view.camera
         speed, spin = (float(np.linalg.norm(rate)) for rate in (self.motion[3:6], self.motion[6:9]))
         moved = max(speed * frame_s / (SMALL_MOVE_REACH * reach_m), spin * frame_s / SMALL_TURN_RAD, 1e-9)
-        self._longest = power_of_two(min(self._longest, 1.0 / moved))
-        blind_m, blind_rad = widest_sigma(self.P, 6), widest_sigma(self.P, 9)
+        self._longest_step = power_of_two(min(self._longest_step, 1.0 / moved))
+        velocity_sigma, spin_sigma = widest_sigma(self.P, 6), widest_sigma(self.P, 9)
         scale_px_per_m = camera.matrix[0, 0] / float(np.linalg.norm(self.motion[:3] - camera.centre_m))
-        unsure_px = scale_px_per_m * (blind_m + reach_m * blind_rad) * frame_s
-        return power_of_two(min(self._longest, SURE_PX / unsure_px))
+        sigma_px = scale_px_per_m * (velocity_sigma + reach_m * spin_sigma) * frame_s
+        return power_of_two(min(self._longest_step, MAX_PREDICTION_SIGMA_PX / sigma_px))
 
-    def _leap_over(self, source: FrameSource, seen: ClipPoses, leap: int) -> None:
-        """Look at one frame in `leap`, some times, or until one surprises: from the one before on all are looked at then."""
-        rows = np.arange(-(-self.next_frame // leap) * leap, len(source), leap)[: source.block_frames]
+    def _track_every(self, source: FrameSource, poses: ClipPoses, step: int) -> None:
+        """Track one frame in `step`, a block of them, or until one surprises: from the frame before it on none is skipped."""
+        rows = np.arange(-(-self.next_frame // step) * step, len(source), step)[: source.block_frames]
         rows = rows[~self.unused[rows]]
         done = 0
         if len(rows):
             frames = np.stack([source.frame(int(k)) for k in rows])
-            done = self._in_flight(frames, rows, source.times_s, seen, SURPRISING)
+            done = self._track_in_flight(frames, rows, source.times_s, poses, SURPRISE_CHI2)
         if done:
             self.next_frame, self._surprises = int(rows[done - 1]) + 1, 0
         if done < len(rows) or not len(rows):
-            # What moves as no flight does, a die that rolls or rests, surprises again and again.
+            # A die that rolls or rests moves as no flight does, and surprises again and again.
             last = int(rows[done]) if len(rows) else self.next_frame
-            self._leaps_from = last + (SETTLED << self._surprises)
+            self._skip_from = last + (MIN_POSES_TO_SKIP << self._surprises)
             self._surprises += 1
 
-    def over(self, frames: Frames, times_s: Array, first: int, seen: ClipPoses) -> None:
-        """Follow the die over frames (n, cameras, height, width), of which the first is frame `first` of the clip, and
-        write what is seen; backwards from the last frame where the chase runs backwards."""
+    def track(self, frames: Frames, times_s: Array, first: int, poses: ClipPoses) -> None:
+        """Track the die over frames (n, cameras, height, width), the first of which is frame `first` of the clip, and write the
+        poses; from the last frame to the first if the tracker runs backwards."""
         order = np.flatnonzero(~self.unused[first : first + len(frames)])
         if self.backwards:
             order = order[::-1]
@@ -159,25 +209,25 @@ class FrameTracker:
         done = 0
         while done < len(order):
             left = order[done:]
-            # Contiguous either way, so that there is one compiled chase and not two; frames one after the other need no copy.
-            in_a_row = left[-1] - left[0] == len(left) - 1
-            some = np.ascontiguousarray(frames[left[0] : left[-1] + 1] if in_a_row else frames[left])
-            done += self._in_flight(some, first + left, times_s, seen)
+            # Contiguous in both directions: the kernel is compiled once, and consecutive frames need no copy.
+            is_consecutive = left[-1] - left[0] == len(left) - 1
+            some = np.ascontiguousarray(frames[left[0] : left[-1] + 1] if is_consecutive else frames[left])
+            done += self._track_in_flight(some, first + left, times_s, poses)
             if done == len(order):
                 break
             k = int(order[done])
-            found = self._resolved(np.asarray(frames[k], np.float32), float(times_s[first + k]))
+            found = self._pose_by_hypotheses(np.asarray(frames[k], np.float32), float(times_s[first + k]))
             if found is not None:
-                seen.put(first + k, found, self.motion[3:].copy())
+                poses.put(first + k, found, self.motion[3:].copy())
             done += 1
-            if self.backwards and self.misses > 3:
+            if self.backwards and self.misses > BACKWARDS_MISSES:
                 return
         self.next_frame = first + len(frames)
 
-    def _in_flight(
-        self, frames: Frames, rows: NDArray[np.int64], times_s: Array, seen: ClipPoses, surprising: float = np.inf
+    def _track_in_flight(
+        self, frames: Frames, rows: NDArray[np.int64], times_s: Array, poses: ClipPoses, surprise_chi2: float = np.inf
     ) -> int:
-        """As many frames, some rows of the clip, as the compiled chase can follow; how many."""
+        """Track as many frames, some rows of the clip, as the motion explains; returns how many."""
         if self.misses > 0:
             return 0
         n = len(rows)
@@ -187,131 +237,137 @@ class FrameTracker:
         )  # fmt: skip
         motion = MotionEstimate(self.motion, self.rotation, self.P, self.clock)
         model = self.view.model(self.view.tracking_settings)
-        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprising, found)
-        seen.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
+        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprise_chi2, found)
+        poses.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
         return int(done)
 
-    # --- where flight and picture disagree ---
+    # --- where the motion does not explain the picture ---
 
-    def _resolved(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
-        """The pose on one frame that the motion so far does not explain, or None where the die is lost or out of view."""
+    def _pose_by_hypotheses(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
+        """The pose on one frame that the motion so far does not explain, or None if the die is lost or out of view."""
         dt = time_s - float(self.clock[0])
-        ahead, P = self.motion.copy(), self.P.copy()
-        R = predict_motion(ahead, self.rotation, P, dt)
-        expected = _state(time_s, ahead, R)
+        predicted, P = self.motion.copy(), self.P.copy()
+        R = predict_motion(predicted, self.rotation, P, dt)
+        expected = _state(time_s, predicted, R)
         if share_in_view(self.view, expected.position_m, R) == 0.0:
             self.misses += 1
             return None
-        best = self._best(image, expected, time_s, P)
-        if best is None or not self._believable(best[0]) or not self._explained(best[0], expected, P):
+        best = self._best_hypothesis(image, expected, P)
+        if best is None or not self._is_acceptable(best[0]) or not self._is_explained(best[0], expected, P):
             self.misses += 1
             if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
                 return None
-            return self._found_again(image, time_s, R, abs(dt) / (self.misses + 1))
+            return self._initialised_again(image, time_s, R, abs(dt) / (self.misses + 1))
         pose, start = best
         pose = replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
-        self._remember(pose, start, ahead, R, P, time_s, abs(dt) / (self.misses + 1))
+        self._update(pose, start, predicted, R, P, time_s, abs(dt) / (self.misses + 1))
         return pose
 
-    def _best(self, image: NDArray[np.float32], expected: State, time_s: float, P: Array) -> tuple[Pose, State] | None:
-        """The pose that explains the picture best, with the start that led to it."""
+    def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
+        """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
-        usual, settings = float(self.clock[1]), self.view.settings
+        settings = self.view.settings
         tight = (
-            float(np.clip(4.0 * widest_sigma(P, 0), settings.tight_m, settings.loose_m)),
-            float(np.clip(4.0 * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
+            float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 0), settings.tight_m, settings.loose_m)),
+            float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
         )
         loose = settings.loose_m, settings.loose_rad
-        rivals = islice(self._rivals(expected, time_s), self.view.quality.max_hypotheses)
-        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in rivals)):
+        others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
+        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in others)):
             pose = refine_pose(
                 self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
                 omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
                 roughly=True, work=self._work,
             )  # fmt: skip
-            if pose.covariance is None or pose.contour_px < 20.0:
+            if pose.covariance is None or pose.contour_px < MIN_CONTOUR_PX:
                 continue
-            if best is None or pose.cost < best[0].cost - 0.02:
+            if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
                 best = pose, start
-            if best[0].cost < usual + PLAINLY:
+            if best[0].cost < self.usual_cost + SMALL_EXCESS_COST:
                 break
         return best
 
-    def _believable(self, pose: Pose) -> bool:
+    def _is_acceptable(self, pose: Pose) -> bool:
+        """Whether the picture by itself supports a pose."""
         whole = share_in_view(self.view, pose.position_m, pose.rotation) == 1.0
         covariance = pose.covariance
-        sure = covariance is not None and float(np.sqrt(np.trace(covariance[3:, 3:]))) < np.radians(6.0)
-        return sure and pose.support > (0.45 if whole else 0.6) and pose.cost < float(self.clock[1]) + BELIEVED
+        known = covariance is not None and float(np.sqrt(np.trace(covariance[3:, 3:]))) < KNOWN_RAD
+        has_support = pose.support > (MIN_SUPPORT if whole else MIN_SUPPORT_CUT)
+        return known and has_support and pose.cost < self.usual_cost + MAX_EXCESS_COST
 
-    def _explained(self, pose: Pose, expected: State, P: Array) -> bool:
-        """Whether something explains where the pose lies: the motion so far, a table near enough to bounce off, or a picture
-        that shows the die there beyond doubt. A die half hidden shows poses that are none of these."""
+    def _is_explained(self, pose: Pose, expected: State, P: Array) -> bool:
+        """Whether something explains where the pose lies: the motion so far, a table near enough for an impact, or a picture that
+        shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
         reach = self.view.reach_m
-        off = float(np.linalg.norm(pose.position_m - expected.position_m))
-        turned = float(np.arccos(np.clip(0.5 * (np.trace(pose.rotation @ expected.rotation.T) - 1.0), -1.0, 1.0)))
-        far_m, far_rad = max(NEW_REACH * reach, 3.0 * widest_sigma(P, 0)), max(NEW_RAD, 3.0 * widest_sigma(P, 3))
-        if off < far_m and turned < far_rad:
+        distance = float(np.linalg.norm(pose.position_m - expected.position_m))
+        angle = _angle(pose.rotation, expected.rotation)
+        far_m = max(NEW_REACH * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
+        far_rad = max(NEW_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
+        if distance < far_m and angle < far_rad:
             return True
         lowest = float((expected.rotation @ self.view.die.solid.vertices.T)[2].min() + expected.position_m[2])
-        whole = pose.support > PLAIN_SUPPORT
+        is_clear = pose.support > CLEAR_SUPPORT
         if lowest < BOUNCE_REACH * reach:
-            return whole or pose.cost < float(self.clock[1]) + PLAINLY
-        return whole and pose.cost < float(self.clock[1]) + ACCEPTED_EXCESS_COST
+            return is_clear or pose.cost < self.usual_cost + SMALL_EXCESS_COST
+        return is_clear and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
 
-    def _rivals(self, expected: State, time_s: float) -> Iterator[tuple[State, int]]:
-        """Other starts: bounces on the low corners, the last pose, and turns about it."""
+    def _other_states(self, expected: State) -> Iterator[tuple[State, int]]:
+        """Other initial states, each with the level of coarseness of its refinement: after impacts on the low corners, the last
+        pose, the expected one, and rotations about the last."""
+        time_s = expected.time_s
         last = _state(float(self.clock[0]), self.motion, self.rotation)
         if not self.backwards:
-            yield from ((state, 3) for state in _bounced(self.view.die, last, time_s))
+            yield from ((state, 3) for state in _after_impacts(self.view.die, last, time_s))
         yield State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s), 4
         yield expected, 4
         half = Flight(last, np.inf).at(0.5 * (last.time_s + time_s)).position_m
-        for axis in _TURNS:
-            q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(np.radians(6.0) * axis)) @ last.rotation)
+        for axis in _AXES:
+            q = quat_from_matrix(matrix_from_quat(quat_from_rotvec(TRIAL_TURN_RAD * axis)) @ last.rotation)
             yield State(time_s, half, q, np.zeros(3), np.zeros(3)), 4
 
-    def _found_again(self, image: NDArray[np.float32], time_s: float, R: Array, frame_s: float) -> Pose | None:
-        """A fresh start after frames without a pose."""
+    def _initialised_again(self, image: NDArray[np.float32], time_s: float, R: Array, frame_s: float) -> Pose | None:
+        """A new initial pose after frames without one; None if none is clear."""
         found = [
             pose
             for _, pose in initial_poses(self.view, image)
-            if self._believable(pose)
-            and pose.support > PLAIN_SUPPORT
-            and pose.cost < float(self.clock[1]) + ACCEPTED_EXCESS_COST
+            if self._is_acceptable(pose)
+            and pose.support > CLEAR_SUPPORT
+            and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
         ]
         if not found:
             return None
         pose = replace(found[0], rotation=nearest_equivalent_rotation(found[0].rotation, R, self.view.symmetries))
         self.motion = np.concatenate([pose.position_m, np.zeros(6)])
-        self.rotation, self.P = pose.rotation.copy(), _unsure(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
+        self.rotation = pose.rotation.copy()
+        self.P = _initial_covariance(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
         self.clock = np.array([time_s, pose.cost, 1.0])
         self.misses = 0
         return pose
 
-    def _remember(
-        self, pose: Pose, start: State, ahead: Array, R: Array, P: Array, time_s: float, frame_s: float
+    def _update(
+        self, pose: Pose, start: State, predicted: Array, R: Array, P: Array, time_s: float, frame_s: float
     ) -> None:
-        """Carry the motion to this frame: corrected by the pose, or, where that lies far off, begun anew with the
-        velocities of the start that led there."""
+        """Update the motion with the pose of this frame. If that lies far from the prediction, a new motion begins with the
+        velocities of the initial state that led to it."""
         self.misses = 0
-        off = float(np.linalg.norm(pose.position_m - ahead[:3]))
-        turned = float(np.arccos(np.clip(0.5 * (np.trace(pose.rotation @ R.T) - 1.0), -1.0, 1.0)))
+        distance = float(np.linalg.norm(pose.position_m - predicted[:3]))
+        angle = _angle(pose.rotation, R)
         count = float(self.clock[2])
-        if count >= 3 and (off > NEW_REACH * self.view.reach_m or turned > NEW_RAD):
-            guessed = np.any(start.velocity_m_s != 0.0)
-            reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if guessed else (UNKNOWN_REACH, UNKNOWN_RAD)
+        if count >= MIN_POSES_OF_FLIGHT and (distance > NEW_REACH * self.view.reach_m or angle > NEW_RAD):
+            has_rates = np.any(start.velocity_m_s != 0.0)
+            reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
-            self.rotation, self.P = pose.rotation.copy(), _unsure(self.view, pose, frame_s, reach, rad)
+            self.rotation, self.P = pose.rotation.copy(), _initial_covariance(self.view, pose, frame_s, reach, rad)
             count = 0.0
         else:
-            motion = ahead
+            motion = predicted
             self.rotation = update_motion(motion, R, P, pose.position_m, pose.rotation, pose.H, self.view.settings)
             self.motion, self.P = motion, P
-        usual = float(self.clock[1])
-        self.clock = np.array([time_s, usual + (pose.cost - usual) / 8.0, count + 1.0])
+        usual = self.usual_cost
+        self.clock = np.array([time_s, usual + (pose.cost - usual) / COST_MEMORY, count + 1.0])
 
 
-_TURNS = np.vstack(
+_AXES = np.vstack(
     [
         np.eye(3),
         -np.eye(3),
@@ -324,42 +380,47 @@ def _state(time_s: float, motion: Array, rotation: Array) -> State:
     return State(time_s, motion[:3].copy(), quat_from_matrix(rotation), motion[3:6].copy(), motion[6:9].copy())
 
 
+def _angle(a: Array, b: Array) -> float:
+    """Angle [rad] between two rotations (3, 3)."""
+    return float(np.arccos(np.clip(0.5 * (np.trace(a @ b.T) - 1.0), -1.0, 1.0)))
+
+
 def widest_sigma(P: Array, first: int) -> float:
-    """The largest standard deviation of three numbers of a motion. Carried back to where it was known their variances cancel, and
-    rounding may leave less than nothing."""
+    """The largest standard deviation of three numbers of a motion, from its covariance (12, 12). Predicted back to where they
+    were known, variances cancel, and rounding may make them negative."""
     return float(np.sqrt(max(np.diag(P)[first : first + 3].max(), 0.0)))
 
 
-def _unsure(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
-    """Covariance (12, 12) of a motion whose velocities are guesses: so far a frame, in units of the die's reach and in
-    radians."""
+def _initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, rad: float) -> Array:
+    """Covariance (12, 12) of a motion whose velocities are guesses, with these standard deviations per frame interval, in
+    circumradii and in radians."""
     P = np.zeros((12, 12))
     known = pose.covariance
-    P[:6, :6] = 4.0 * known if known is not None else 0.0
+    P[:6, :6] = POSE_VARIANCE_FACTOR * known if known is not None else 0.0
     P[6:9, 6:9] = np.eye(3) * (reach * view.reach_m / frame_s) ** 2
     P[9:, 9:] = np.eye(3) * (rad / frame_s) ** 2
     return P
 
 
-def _bounced(die: Die, last: State, time_s: float) -> Iterator[State]:
-    """Where the die would be after a bounce between the last frame and this one: the paper's smooth impact with several
-    restitutions on each corner that could reach the table."""
+def _after_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
+    """States of the die after an impact between the last frame and this one: smooth impacts with several restitutions on each
+    corner that could reach the table."""
     dt = time_s - last.time_s
     corners = last.rotation @ die.solid.vertices.T
     heights = corners[2] + last.position_m[2]
     sink = np.minimum(last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2], 0.0) * dt
     edge = die.solid.edge_m
-    for i in np.flatnonzero(heights + 1.5 * sink < 0.12 * edge):
+    for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * edge):
         arm = corners[:, i]
         normal = last.velocity_m_s[2] + np.cross(last.omega_rad_s, arm)[2]
         if normal >= 0:
             continue
         lever = np.cross(arm, [0.0, 0.0, 1.0])
-        for chi in (0.5, 0.15, 0.85):
+        for chi in TRIAL_RESTITUTIONS:
             impulse = -(1.0 + chi) * normal / (1.0 / die.mass_kg + lever @ lever / die.inertia_kg_m2)
             velocity = last.velocity_m_s + np.array([0.0, 0.0, impulse / die.mass_kg])
             omega = last.omega_rad_s + impulse * lever / die.inertia_kg_m2
-            for share in (0.2, 0.8):
+            for share in TRIAL_SHARES:
                 touch = Flight(last, np.inf).at(last.time_s + (1.0 - share) * dt)
                 yield Flight(State(touch.time_s, touch.position_m, touch.quaternion, velocity, omega), np.inf).at(
                     time_s

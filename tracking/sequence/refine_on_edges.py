@@ -1,8 +1,7 @@
-"""The second pass: frames refined on their edges, from where the flights lead.
+"""Refinement of all frames on their edges, from the poses that the flights give.
 
-That brings back frames that the first pass lost or got wrong. Where the first pass lies elsewhere, a frame is refined from
-there as well, and the better is kept. The poses are those of single frames: nothing is smoothed.
-"""
+That recovers frames that tracking lost or got wrong. Where the tracked pose lies elsewhere, a frame is refined from there as
+well, and the better result is kept. The poses are those of single frames: nothing is smoothed."""
 
 from __future__ import annotations
 
@@ -36,94 +35,100 @@ from .labelling import angles, with_labels_of_flights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Jobs = Callable[[Frames, Rows, Executor], list[Future[None]]]
 
-LOST_SUPPORT, CUT_SUPPORT = 0.45, 0.6
-"""Least share of the contour that bears a pose out, of a die wholly in view and of one that is cut by the border."""
-LEAST_IN_VIEW = 0.3
-"""Share of the corners that must lie in view for a frame to be refined from its flight."""
-APART_RAD, APART_REACH = np.radians(1.5), 0.1
-"""From how far off, in units of the die's reach the latter, a refinement may lead elsewhere."""
-HELD = (0.01, 0.1, 1.0)
-"""By how much the prior counts in the pose of a frame whose pixels leave a direction open: the first that inverts, its sigmas ten
-times as wide. It is the same flight's on all frames, and where it is none, beside a contact, it must not be found again for
-that."""
-OPEN_RAD = np.radians(6.0)
-"""A pose whose turn is less sure than this is no pose."""
+MIN_SUPPORT = 0.45
+"""Least share of the contour with a clear step, of a die wholly in view."""
+MIN_SUPPORT_CUT = 0.6
+"""The same of a die that is cut by the border."""
+MIN_CONTOUR_PX = 20.0
+"""Least length [px] of contour in view that determines a pose."""
+MIN_IN_VIEW = 0.3
+"""Least share of the corners in view for a frame to be refined."""
+SECOND_START_RAD = np.radians(1.5)
+"""Angle [rad] between flight and tracked pose from which a frame is refined from both: a refinement may not cover more."""
+SECOND_START_REACH = 0.1
+"""The same for the distance, in circumradii."""
+MAX_SHIFT_REACH = 0.5
+"""Largest displacement by a refinement, in circumradii."""
+MAX_TURN_RAD = np.radians(6.0)
+"""Largest rotation [rad] by a refinement."""
+KNOWN_RAD = np.radians(6.0)
+"""Largest standard error [rad] of the orientation of an accepted pose."""
+PRIOR_SHARES = (0.01, 0.1, 1.0)
+"""Shares of the prior in the information of a pose whose pixels leave a direction undetermined: the first that is invertible; its
+standard deviations are ten times as wide at 0.01. The prior is the same flight's on all frames, and beside a contact, where the
+flight may be none, it must not be recovered for that reason."""
 
 
 @dataclass(frozen=True, eq=False)
 class EdgeRefinement:
-    """What there is to start from. Any frames may then be refined, and others later."""
+    """The refinement of a clip. Some frames may be refined first, and others later."""
 
     view: View
     source: FrameSource
-    first: ClipPoses
-    """Of the first pass, with starts on rows that it left out."""
+    tracked: ClipPoses
+    """Tracked poses, and interpolated ones on rows that tracking skipped."""
     throw: Throw | None
-    """The flights that it shows."""
+    """The flights that they show."""
     usable: Mask
-    """(n,) frames that may be looked at."""
+    """(n,) frames whose pictures may be used."""
     offsets: ClockOffsets
     min_step_px: float = 0.0
-    """A step that moves no point of the die by more than this is the last one: see `along`."""
+    """A step that moves no point of the die by more than this is the last."""
 
     def along(self, throw: Throw) -> EdgeRefinement:
-        """The same from flights so sure that a step which hardly leaves them is the last: what is left of the way to what the
-        pixels of a frame say, about a tenth, is error rather than motion."""
+        """The same from flights so well known that a step which hardly leaves them is the last: the remaining distance to what
+        the pixels of a frame say, about a tenth, is error rather than motion."""
         return replace(self, throw=throw, min_step_px=self.view.quality.min_step_px)
 
-    def see(self, rows: Mask, reached: Callable[[int], None]) -> ClipPoses:
-        """Some frames (n,) of the clip, refined; the others are not known. `reached` is called with how far it is."""
-        view, first, count = self.view, self.first, len(self.source)
+    def refine(self, rows: Mask, report: Callable[[int], None]) -> ClipPoses:
+        """Some frames (n,) of the clip, refined; the others are not known. `report` is called with the frames done."""
+        view, tracked, count = self.view, self.tracked, len(self.source)
         rows, settings = rows & self.usable, view.settings._replace(min_step_px=self.min_step_px)
-        wanted, tries = (
-            first,
-            [_Settling(view, settings, first, first.known & rows, self.offsets, np.zeros(count, bool))],
-        )
+        reference = tracked
+        attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, np.zeros(count, bool))]
         if self.throw is not None:
-            wanted = _motions(self.throw, self.source.times_s)
-            apart = rows & self._apart_from(wanted)
-            tries = [
-                _Settling(view, settings, some, use, self.offsets, apart)
-                for some, use in ((wanted, rows), (first, apart))
+            reference = _poses_on_flights(self.throw, self.source.times_s)
+            from_both = rows & self._differ_from(reference)
+            attempts = [
+                _Attempt(view, settings, some, use, self.offsets, from_both)
+                for some, use in ((reference, rows), (tracked, from_both))
             ]
 
-        def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
-            return [job for one in tries for job in one.see(frames, shown, pool)]
+        def jobs(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+            return [job for one in attempts for job in one.refine(frames, shown, pool)]
 
-        see_all(self.source, _looked_at(view, tries, count), begun, reached)
-        seen = tries[0].seen(count)
-        for one in tries[1:]:
-            other = one.seen(count)
-            seen.take(np.flatnonzero(other.known & (~seen.known | (other.cost < seen.cost))), other)
-        return with_labels_of_flights(view, seen, wanted, first)
+        refine_blocks(self.source, _boxes(view, attempts, count), jobs, report)
+        poses = attempts[0].poses(count)
+        for attempt in attempts[1:]:
+            other = attempt.poses(count)
+            poses.take(np.flatnonzero(other.known & (~poses.known | (other.cost < poses.cost))), other)
+        return with_labels_of_flights(view, poses, reference, tracked)
 
-    def _apart_from(self, flown: ClipPoses) -> Mask:
-        """(n,) where the first pass lies further from flights than a refinement is sure to cover."""
-        moved = np.linalg.norm(flown.position_m - self.first.position_m, axis=1)
-        turned = angles(flown.rotation, self.first.rotation)
-        return np.asarray(self.first.known & ((turned > APART_RAD) | (moved > APART_REACH * self.view.reach_m)))
+    def _differ_from(self, flights: ClipPoses) -> Mask:
+        """(n,) where the tracked pose lies further from the flights than a refinement is certain to cover."""
+        distance = np.linalg.norm(flights.position_m - self.tracked.position_m, axis=1)
+        angle = angles(flights.rotation, self.tracked.rotation)
+        is_far = (angle > SECOND_START_RAD) | (distance > SECOND_START_REACH * self.view.reach_m)
+        return np.asarray(self.tracked.known & is_far)
 
 
-def see_all(
-    source: FrameSource,
-    boxes: NDArray[np.int64],
-    begun: Callable[[Frames, Rows, Executor], list[Future[None]]],
-    reached: Callable[[int], None],
-) -> None:
-    """Hand all frames of which `boxes` hold pixels, block by block, to what begins the jobs of a block in a pool; `reached` is
-    called with how many are done. The jobs of a block are waited for when those of the next are begun: no thread then has
-    nothing to do because another is late."""
+def refine_blocks(source: FrameSource, boxes: NDArray[np.int64], jobs: Jobs, report: Callable[[int], None]) -> None:
+    """Submit the jobs of all frames of which `boxes` hold pixels, block by block, to a pool; `report` is called with the frames
+    done.
+
+    The jobs of a block are waited for after those of the next are submitted: no thread is idle because another is late."""
     with ThreadPoolExecutor(THREADS) as pool:
         under_way: list[tuple[FrameBlock, list[Future[None]]]] = []
         for block in source.blocks_within(boxes):
-            under_way.append((block, begun(block.frames, block.rows, pool)))
+            under_way.append((block, jobs(block.frames, block.rows, pool)))
             if len(under_way) > 1:
                 _finish(*under_way.pop(0))
-            reached(block.first)
-        for block, jobs in under_way:
-            _finish(block, jobs)
-    reached(len(source))
+            report(block.first)
+        for block, submitted in under_way:
+            _finish(block, submitted)
+    report(len(source))
 
 
 def _finish(block: FrameBlock, jobs: list[Future[None]]) -> None:
@@ -134,110 +139,119 @@ def _finish(block: FrameBlock, jobs: list[Future[None]]) -> None:
 
 
 def among(rows: Rows, shown: Rows) -> tuple[slice, Rows]:
-    """Which of some `rows` lie between the first and the last that are `shown`, and the place of each among those."""
+    """Which of some `rows` lie between the first and the last that are `shown`, and the index of each among those."""
     a, b = (int(k) for k in np.searchsorted(rows, (shown[0], shown[-1] + 1)))
-    # One that is not shown has no pixels to be looked at: any frame will do for it.
+    # A row that is not shown has no pixels in its boxes: any frame will do for it.
     return slice(a, b), np.minimum(np.searchsorted(shown, rows[a:b]), len(shown) - 1)
 
 
-def _looked_at(view: View, tries: Sequence[_Settling], count: int) -> NDArray[np.int64]:
-    """(count, cameras, 4) pixels that hold all that a pass looks at."""
+def _boxes(view: View, attempts: Sequence[_Attempt], count: int) -> NDArray[np.int64]:
+    """(count, cameras, 4) boxes of pixels that contain all that the attempts read."""
     boxes = np.zeros((count, len(view.cameras), 4), np.int64)
-    for one in tries:
-        mine = refinement_boxes(view, one.position_m, one.rotation)
-        there = boxes[one.rows]
-        both = np.concatenate([np.minimum(there, mine)[..., :2], np.maximum(there, mine)[..., 2:]], axis=-1)
-        lone, blank = (np.asarray(~some.any(-1))[..., None] for some in (there, mine))
-        boxes[one.rows] = np.where(lone, mine, np.where(blank, there, both))
+    for attempt in attempts:
+        own = refinement_boxes(view, attempt.position_m, attempt.rotation)
+        present = boxes[attempt.rows]
+        both = np.concatenate([np.minimum(present, own)[..., :2], np.maximum(present, own)[..., 2:]], axis=-1)
+        is_new, is_empty = (np.asarray(~some.any(-1))[..., None] for some in (present, own))
+        boxes[attempt.rows] = np.where(is_new, own, np.where(is_empty, present, both))
     return boxes
 
 
-class _Settling:
-    """Some frames on their way from a start each to the pose that their pixels bear out: what there is to know without the
-    pictures is worked out for all of them at once."""
+class _Attempt:
+    """The refinement of some frames, each from an initial pose. What does not depend on the pictures is computed for all at
+    once."""
 
     def __init__(
-        self, view: View, settings: RefinementSettings, start: ClipPoses, use: Mask, offsets: ClockOffsets, judged: Mask
+        self,
+        view: View,
+        settings: RefinementSettings,
+        start: ClipPoses,
+        use: Mask,
+        offsets: ClockOffsets,
+        compared: Mask,
     ) -> None:
-        """Rows in `use` are refined from `start`. Pictures as a whole are judged where a frame is `judged`, or one near it:
-        where there is another start to compare with."""
-        in_view = shares_in_view(view, start.position_m, start.rotation) >= LEAST_IN_VIEW
+        """Rows in `use` are refined from `start`. The cost of the whole picture is computed in blocks with a `compared` frame:
+        one that has another initial pose as well."""
+        in_view = shares_in_view(view, start.position_m, start.rotation) >= MIN_IN_VIEW
         self.rows: NDArray[np.int64] = np.flatnonzero(use & in_view)
         n = len(self.rows)
-        self._view, self._settings, self._start, self._offsets, self._judged = view, settings, start, offsets, judged
+        self._view, self._settings, self._start, self._offsets = view, settings, start, offsets
+        self._compared = compared
         self._found = PoseRows(
             start.position_m[self.rows], start.rotation[self.rows], start.motion[self.rows],
             np.zeros((n, PARAMETERS, PARAMETERS)), np.zeros((n, STATISTICS)), np.full(n, np.inf),
         )  # fmt: skip
         self.position_m, self.rotation = self._found.position, self._found.rotation
 
-    def see(self, frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
-        """Refine those that are among some pictures (n, cameras, height, width), which are those of rows `shown` (n,), in the
-        threads of a pool: the jobs that were begun."""
-        mine, which = among(self.rows, shown)
-        settings = self._settings if self._judged[shown].any() else self._settings._replace(region_pixels=0)
+    def refine(self, frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+        """Refine those rows that are among some pictures (n, cameras, height, width) of rows `shown` (n,), in the threads of a
+        pool. Returns the jobs submitted."""
+        own, which = among(self.rows, shown)
+        settings = self._settings if self._compared[shown].any() else self._settings._replace(region_pixels=0)
         cuts = np.linspace(0, len(which), THREADS + 1).astype(int).tolist()
         return [
-            pool.submit(self._settle, frames, which[a:b], slice(mine.start + a, mine.start + b), settings)
+            pool.submit(self._refine_rows, frames, which[a:b], slice(own.start + a, own.start + b), settings)
             for a, b in pairwise(cuts)
             if b > a
         ]
 
-    def _settle(self, frames: Frames, which: Rows, mine: slice, settings: RefinementSettings) -> None:
+    def _refine_rows(self, frames: Frames, which: Rows, own: slice, settings: RefinementSettings) -> None:
+        """Refine the rows `own` of the attempt, whose pictures are frames[which]."""
         if not self._offsets.any:
-            self._settle_with(frames, which, mine, settings, self._view.rig)
+            self._refine_with_rig(frames, which, own, settings, self._view.rig)
             return
-        for k, row in enumerate(range(mine.start, mine.stop)):
-            # Late cameras stand elsewhere for every frame.
+        for k, row in enumerate(range(own.start, own.stop)):
+            # The pose of a camera with a clock offset depends on the motion in the frame.
             rig = rig_at(self._view.rig, self._offsets.seconds, self.position_m[row], self._found.motion[row])
-            self._settle_with(frames, which[k : k + 1], slice(row, row + 1), settings, rig)
+            self._refine_with_rig(frames, which[k : k + 1], slice(row, row + 1), settings, rig)
 
-    def _settle_with(
-        self, frames: Frames, which: Rows, mine: slice, settings: RefinementSettings, rig: CameraRig
+    def _refine_with_rig(
+        self, frames: Frames, which: Rows, own: slice, settings: RefinementSettings, rig: CameraRig
     ) -> None:
         refine_frames(
-            frames, which, self._view.model(settings, rig), PoseRows(*(values[mine] for values in self._found))
+            frames, which, self._view.model(settings, rig), PoseRows(*(values[own] for values in self._found))
         )
 
-    def seen(self, count: int) -> ClipPoses:
-        """What the pixels bear out of it, as rows of a clip of so many frames."""
-        # Of a tetrahedron with two faces in sight, one of them edge-on, two lines of the contour are all that is seen: what they
-        # leave open the refinement's own loose prior held.
-        pixels, prior = self._found.H[:, :6, :6], weak_prior(self._view)
-        known = covariances(pixels)
-        held = np.flatnonzero(self._found.H.any((1, 2)) & _are_open(known))
-        known[held] = covariances(pixels[held] + prior)
-        seen, good = ClipPoses.empty(count), self._borne_out(known)
-        for share in HELD:
-            told = pixels[held] + share * prior
-            inverts = ~_are_open(covariances(told))
-            self._found.H[held[inverts], :6, :6] = told[inverts]
-            held = held[~inverts]
-        rows = self.rows[good]
-        seen.put_rows(rows, PoseRows(*(values[good] for values in self._found)))
-        return seen
+    def poses(self, count: int) -> ClipPoses:
+        """The accepted poses, as rows of a clip of so many frames."""
+        # Of a tetrahedron with two faces in view, one of them edge-on, only two lines of the contour are visible: the
+        # refinement's own loose prior holds what they leave undetermined.
+        information, prior = self._found.H[:, :6, :6], weak_prior(self._view)
+        covariance = covariances(information)
+        singular = np.flatnonzero(self._found.H.any((1, 2)) & _are_singular(covariance))
+        covariance[singular] = covariances(information[singular] + prior)
+        out, accepted = ClipPoses.empty(count), self._are_accepted(covariance)
+        for share in PRIOR_SHARES:
+            with_prior = information[singular] + share * prior
+            is_invertible = ~_are_singular(covariances(with_prior))
+            self._found.H[singular[is_invertible], :6, :6] = with_prior[is_invertible]
+            singular = singular[~is_invertible]
+        rows = self.rows[accepted]
+        out.put_rows(rows, PoseRows(*(values[accepted] for values in self._found)))
+        return out
 
-    def _borne_out(self, known: Array) -> Mask:
-        """(n,) where the pixels bear a refined pose out, of which so much is `known`: (n, 6, 6) covariances, the prior's share
-        included where pixels leave a direction open."""
-        gone = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
-        turned = angles(self.rotation, self._start.rotation[self.rows])
+    def _are_accepted(self, covariance: Array) -> Mask:
+        """(n,) whether the pixels support a refined pose, whose covariances are (n, 6, 6): it stayed near its initial pose, shows
+        enough of the contour, and is determined."""
+        distance = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
+        angle = angles(self.rotation, self._start.rotation[self.rows])
         contour_px = self._found.statistics[:, CONTOUR_PX]
         support = self._found.statistics[:, CLEAR_PX] / np.maximum(contour_px, 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0
-        open_rad = np.sqrt(np.trace(known[:, 3:, 3:], axis1=1, axis2=2))
-        near = (gone < 0.5 * self._view.reach_m) & (turned < OPEN_RAD)
-        plain = (contour_px >= 20.0) & (support >= np.where(whole, LOST_SUPPORT, CUT_SUPPORT))
-        return np.asarray(near & plain & (open_rad < OPEN_RAD))
+        sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
+        is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
+        has_support = support >= np.where(whole, MIN_SUPPORT, MIN_SUPPORT_CUT)
+        is_visible = (contour_px >= MIN_CONTOUR_PX) & has_support
+        return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))
 
 
-def _are_open(covariance: Array) -> Mask:
-    """(n,) where a direction was left open."""
+def _are_singular(covariance: Array) -> Mask:
+    """(n,) whether a direction is undetermined."""
     return np.asarray(np.isnan(covariance[:, 0, 0]))
 
 
-def _motions(throw: Throw, times_s: Array) -> ClipPoses:
-    """Where the flights lead on every frame, as starts for a refinement."""
+def _poses_on_flights(throw: Throw, times_s: Array) -> ClipPoses:
+    """The poses that the flights give on every frame, as initial poses of a refinement."""
     out = ClipPoses.empty(len(times_s))
     position, quaternion = throw.poses(times_s)
     out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)

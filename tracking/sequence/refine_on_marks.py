@@ -1,9 +1,8 @@
-"""The third pass: frames refined once more on what is printed on the die's faces, where they have anything.
+"""Refinement of all frames on surface marks and edges together.
 
-The marks are learned from some frames of the flights that the second pass shows (`marks`), and used where marks and edges
-together are as sure of the flights as edges alone. Of a film far faster than the die only some frames had a second pass; the
-others have it now, along the flights that the marks show, or as the first did where they are not used.
-"""
+The marks are learned from some frames of the flights that the edges show (`surface_marks`), and are used if marks and edges
+together determine the flights as well as edges alone. Of a film far faster than the die only some frames have been refined on
+edges. The others are refined now, along the flights that the marks show, or from the tracked poses if the marks are not used."""
 
 from __future__ import annotations
 
@@ -33,174 +32,194 @@ from ..throw import (
     without_shared_bias,
 )
 from ..track import Track
-from .refine_on_edges import EdgeRefinement, among, see_all
+from .refine_on_edges import EdgeRefinement, among, refine_blocks
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-CONTRADICTED = 30.0
-"""Squared sigmas of six numbers from which marks and edges do not tell of one motion."""
-WORTHWHILE = 0.0
-"""Least gain of the marks, see `_gain`: marks and edges together must be as sure of the flights as edges alone. Asked for sigmas
-half as large, dice of 20 px an edge did without their marks, and were turned by 0.46° and not by 0.10°."""
+MAX_CONTRADICTION = 30.0
+"""Squared sigmas of six numbers above which marks and edges do not show the same motion."""
+LEAST_GAIN = 0.0
+"""Least gain of the marks (`_gain`): marks and edges together must determine the flights as well as edges alone. When standard
+errors half as large were required, dice of 20 px an edge were refined without their marks, and were off by 0.46° instead of
+0.10°."""
 
 
 @dataclass(frozen=True, eq=False)
 class MarkRefinement:
-    """What a third pass gives."""
+    """The result of a refinement on surface marks."""
 
-    seen: ClipPoses
+    poses: ClipPoses
     marks: SurfaceMarks | None
-    """What the faces show; None where that places nothing."""
-    shared: Array | None
-    """(n, 6, 6) covariance that poses on marks share, NaN where a frame has none; None where marks were not used."""
+    """What the faces show; None if that determines no position."""
+    shared_covariance: Array | None
+    """(n, 6, 6) covariance that poses on marks share, NaN for a frame without one; None if marks were not used."""
 
 
-def third_pass(second: EdgeRefinement, seen: ClipPoses, every: int, reached: Callable[[int], None]) -> MarkRefinement:
-    """All frames refined on marks and edges, where that helps. `seen` is what the second pass shows on one frame in `every`.
-    `reached` is called with how far it is, in frames.
+@dataclass(frozen=True, eq=False)
+class _Edges:
+    """What the refinement on edges has given: poses on one frame in `every`."""
 
-    Marks are those that the first camera sees. With several, they are learned to be read: the edges of all cameras cross each
-    other's lines of sight, which marks of one do not.
-    """
-    view, source = second.view, second.source
-    left = np.arange(len(source)) % every != 0
-    track = as_track(view, source, seen, wholly_in_view(view, seen))
-    thinned = decimation_factor(track, view.die)
+    refinement: EdgeRefinement
+    poses: ClipPoses
+    every: int
+
+    @property
+    def missing(self) -> Mask:
+        """(n,) frames that have not been refined."""
+        return np.arange(len(self.refinement.source)) % self.every != 0
+
+    def completed(self, refinement: EdgeRefinement, report: Callable[[int], None]) -> ClipPoses:
+        """The poses, with those of the missing frames from a refinement."""
+        missing = self.missing
+        if not missing.any():
+            return self.poses
+        out = refinement.refine(missing, lambda done: report(done // 2))
+        out.take(np.flatnonzero(~missing), self.poses)
+        return out
+
+
+def refine_on_marks(
+    refinement: EdgeRefinement, poses: ClipPoses, every: int, report: Callable[[int], None]
+) -> MarkRefinement:
+    """All frames refined on marks and edges, where that helps. `poses` are those on edges, of one frame in `every`; `report` is
+    called with the frames done.
+
+    The marks are those that the first camera sees. With several cameras they are learned only to be read: their edges intersect
+    each other's lines of sight, which the marks of one camera do not."""
+    view, source = refinement.view, refinement.source
+    edges = _Edges(refinement, poses, every)
+    track = as_track(view, source, poses, wholly_in_view(view, poses))
+    decimation = decimation_factor(track, view.die)
     try:
-        found = measure(track, view.die, view.camera, every=thinned)
+        found = measure(track, view.die, view.camera, every=decimation)
     except NoFlightError:
-        return MarkRefinement(_completed(second, seen, left, reached), None, None)
-    scatter = _scatter(found.frames, flights_only(found.throw))
-    marks = _learned(source, view, found, scatter)
-    if marks is None or len(source.clips) > 1 or not _are_worth_it(marks, found, every * thinned):
-        return MarkRefinement(_completed(second, seen, left, reached), marks, None)
+        return MarkRefinement(edges.completed(refinement, report), None, None)
+    variance = _variance_factor(found.frames, flights_only(found.throw))
+    marks = _learned(source, view, found, variance)
+    if marks is None or len(source.clips) > 1 or not _are_useful(marks, found, every * decimation):
+        return MarkRefinement(edges.completed(refinement, report), marks, None)
     flights = Throw(marks.flights, flights_only(found.throw).impacts)
     to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
-    seen = _completed(second.along(to_the_end), seen, left, reached)
-    edges = _edges_of(second, seen, found, scatter)
-    # Frames without edges have nothing to be refined. On those of a die that the table carries edges do as well: marks are known
-    # to where they were learned, on the flights.
-    flying = _in_flight(edges, found.throw).tracked
-    rows, carried = np.flatnonzero(flying), np.flatnonzero(edges.tracked & ~flying)
-    refinement = FrameRefinement(view, marks, _poses_of(view, edges, seen, rows), flights, source.times_s[rows])
-    # Frames whose edges are seen now count half, and half when their marks are.
-    _see_some(source, rows, refinement, reached if every == 1 else lambda done: reached((len(source) + done) // 2))
+    poses = edges.completed(refinement.along(to_the_end), report)
+    on_edges = _poses_on_edges(refinement, poses, found, variance)
+    # Frames without edges cannot be refined. On frames of a die that the table supports edges suffice: the marks are known as far
+    # as they were learned, on the flights.
+    flying = _in_flight(on_edges, found.throw).tracked
+    rows, supported = np.flatnonzero(flying), np.flatnonzero(on_edges.tracked & ~flying)
+    frames = FrameRefinement(view, marks, _frame_poses(view, on_edges, poses, rows), flights, source.times_s[rows])
+    # Frames refined on edges only now count half, and half when refined on marks.
+    _refine_rows(source, rows, frames, report if every == 1 else lambda done: report((len(source) + done) // 2))
     out, shared = ClipPoses.empty(len(source)), np.full((len(source), 6, 6), np.nan)
-    out.take(np.arange(len(source)), seen)
-    shared[rows] = refinement.shared_covariance
-    for put, poses in ((rows, refinement.poses()), (carried, _poses_of(view, edges, seen, carried))):
-        out.position_m[put], out.rotation[put] = poses.position_m, poses.rotation
-        out.contour_bias_jacobian[put], out.H[put, :6, :6] = poses.contour_bias_jacobian, poses.information
+    out.take(np.arange(len(source)), poses)
+    shared[rows] = frames.shared_covariance
+    for put, refined in ((rows, frames.poses()), (supported, _frame_poses(view, on_edges, poses, supported))):
+        out.position_m[put], out.rotation[put] = refined.position_m, refined.rotation
+        out.contour_bias_jacobian[put], out.H[put, :6, :6] = refined.contour_bias_jacobian, refined.information
     return MarkRefinement(out, marks, shared)
 
 
-def _completed(second: EdgeRefinement, seen: ClipPoses, left: Mask, reached: Callable[[int], None]) -> ClipPoses:
-    """With the frames that are left."""
-    if not left.any():
-        return seen
-    out = second.see(left, lambda done: reached(done // 2))
-    out.take(np.flatnonzero(~left), seen)
-    return out
-
-
-def _learned(source: FrameSource, view: View, found: MeasuredThrow, scatter: float) -> SurfaceMarks | None:
-    """The marks, from frames in flight."""
+def _learned(source: FrameSource, view: View, found: MeasuredThrow, variance: float) -> SurfaceMarks | None:
+    """The marks, from frames in flight whose covariances are multiplied by `variance`."""
     edges, throw = _in_flight(found.frames, found.throw), flights_only(found.throw)
-    edges = replace(edges, covariance=scatter * edges.covariance)
+    edges = replace(edges, covariance=variance * edges.covariance)
     rows = frames_to_learn_from(edges, throw)
     images = ((int(k), source.frame(int(k))[0]) for k in rows)
-    # A table that is not where the scene has it tells no distance.
-    told = determines_table_height(found.chain)
-    strikes = [link.impact if told else None for link in found.chain.links[: len(throw.impacts)]]
-    return learn_marks(view, images, edges, throw, strikes, saturation_grey=float(2 ** source.clips[0].bit_depth - 1))
+    # A table that is not where the scene has it determines no distance.
+    has_table = determines_table_height(found.chain)
+    impacts = [link.impact if has_table else None for link in found.chain.links[: len(throw.impacts)]]
+    return learn_marks(view, images, edges, throw, impacts, saturation_grey=float(2 ** source.clips[0].bit_depth - 1))
 
 
 def _in_flight(track: Track, throw: Throw) -> Track:
-    """Without frames that the table carries at the end. Where the die flies to the end, all are in flight: a thinned fit ends
-    before the last one does."""
+    """The track without frames of supported motion. If the die flies to the end, all frames are in flight: the last frame of a
+    decimated fit comes before the last of the track."""
     return track if flights_only(throw) is throw else frames_in_flight(track, throw)
 
 
-def _edges_of(second: EdgeRefinement, seen: ClipPoses, found: MeasuredThrow, scatter: float) -> Track:
-    """What edges say of the frames that show the die whole: without the errors that all share, and as sure as they scatter."""
-    view, shared = second.view, found.chain.shared
-    track = as_track(view, second.source, seen, wholly_in_view(view, seen))
-    straight = without_shared_bias(
-        track, shared_bias_jacobian(track, view.camera, view.die)[:, :, : len(shared)], shared
-    )
-    return replace(straight, covariance=scatter * straight.covariance)
+def _poses_on_edges(refinement: EdgeRefinement, poses: ClipPoses, found: MeasuredThrow, variance: float) -> Track:
+    """Poses on edges of the frames that show the die whole: shared errors subtracted, covariances multiplied by `variance`."""
+    view, shared = refinement.view, found.chain.shared
+    track = as_track(view, refinement.source, poses, wholly_in_view(view, poses))
+    jacobian = shared_bias_jacobian(track, view.camera, view.die)[:, :, : len(shared)]
+    straight = without_shared_bias(track, jacobian, shared)
+    return replace(straight, covariance=variance * straight.covariance)
 
 
-def _poses_of(view: View, edges: Track, seen: ClipPoses, rows: Rows) -> FramePoses:
-    """What the edges of some tracked frames say."""
+def _frame_poses(view: View, edges: Track, poses: ClipPoses, rows: Rows) -> FramePoses:
+    """The poses on edges of some tracked frames, with their information."""
     return FramePoses(
         edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
-        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_bias_jacobians(seen.H[rows], view.settings),
+        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_bias_jacobians(poses.H[rows], view.settings),
     )  # fmt: skip
 
 
-def _see_some(source: FrameSource, rows: Rows, refinement: FrameRefinement, reached: Callable[[int], None]) -> None:
-    """Refine the frames `rows` of a clip, which are those of `refinement`."""
+def _refine_rows(source: FrameSource, rows: Rows, frames: FrameRefinement, report: Callable[[int], None]) -> None:
+    """Refine the frames `rows` of a clip, which are those of `frames`."""
     boxes = np.zeros((len(source), 1, 4), np.int64)
-    boxes[rows, 0] = refinement.boxes
+    boxes[rows, 0] = frames.boxes
 
-    def begun(frames: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
-        mine, which = among(rows, shown)
-        return refinement.refine(frames, which, mine, pool)
+    def jobs(images: Frames, shown: Rows, pool: Executor) -> list[Future[None]]:
+        own, which = among(rows, shown)
+        return frames.refine(images, which, own, pool)
 
-    see_all(source, boxes, begun, reached)
+    refine_blocks(source, boxes, jobs, report)
 
 
-def _are_worth_it(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
-    """Whether marks tell of the same motion as edges, and tell more. One frame in `every` had edges."""
+# --- whether marks are used --------------------------------------------------------------------------------------------
+
+
+def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
+    """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges."""
     learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
     both = [(found.throw.flights[k], marks.flights[k]) for k in learned]
-    own = [found.throw_without_shared_errors.flights[k] for k in learned]
-    return _contradiction(both) <= CONTRADICTED and _gain(both, own, every) >= WORTHWHILE
+    unshared = [found.throw_without_shared_errors.flights[k] for k in learned]
+    return _contradiction(both) <= MAX_CONTRADICTION and _gain(both, unshared, every) >= LEAST_GAIN
 
 
 def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
     """Median squared distance of flights by edges and by marks half-way through each, in the sigmas of both.
 
-    Two ways to see one motion must agree. Where they do not, the marks were learned in the wrong places: many small faces,
-    each seen for a short time, can shift against each other without the pictures telling.
-    """
+    Two measurements of one motion must agree. If they do not, the marks were learned in the wrong places: many small faces, each
+    seen for a short time, can shift against each other without a change of the pictures."""
     squared = []
-    for ours, theirs in both:
-        if ours.covariance is None or theirs.covariance is None or not np.isfinite(ours.end_s):
+    for by_edges, by_marks in both:
+        if by_edges.covariance is None or by_marks.covariance is None or not np.isfinite(by_edges.end_s):
             continue
-        t = 0.5 * (ours.start.time_s + ours.end_s)
-        a, b = ours.at(t), theirs.at(t)
-        miss = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
-        M, N = transition_matrix(ours, t)[:6], transition_matrix(theirs, t)[:6]
-        C = M @ ours.covariance @ M.T + N @ theirs.covariance @ N.T
-        squared.append(float(miss @ np.linalg.solve(C, miss)))
+        t = 0.5 * (by_edges.start.time_s + by_edges.end_s)
+        a, b = by_edges.at(t), by_marks.at(t)
+        difference = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
+        M, N = transition_matrix(by_edges, t)[:6], transition_matrix(by_marks, t)[:6]
+        C = M @ by_edges.covariance @ M.T + N @ by_marks.covariance @ N.T
+        squared.append(float(difference @ np.linalg.solve(C, difference)))
     return float(np.median(squared)) if squared else 0.0
 
 
-def _gain(both: Sequence[tuple[Flight, Flight]], own: Sequence[Flight], every: int) -> float:
-    """By how much marks, weakly helped by edges, are surer than edges alone of the pose half-way through a flight: median
-    difference of the logarithms of the determinants of the covariances. Those of the edges count as if from all frames, of which
-    one in `every` was used, but for what all frames err alike and their `own` covariances leave out."""
+def _gain(both: Sequence[tuple[Flight, Flight]], unshared: Sequence[Flight], every: int) -> float:
+    """Gain of marks, weakly helped by edges, over edges alone, for the pose half-way through a flight: median difference of the
+    logarithms of the determinants of the covariances.
+
+    Those of the edges count as if from all frames, of which one in `every` was used, except for the errors that all frames share,
+    which the covariances of the `unshared` flights leave out."""
     gains = []
-    for (ours, theirs), alone in zip(both, own, strict=True):
-        if ours.covariance is None or alone.covariance is None or theirs.covariance is None:
+    for (by_edges, by_marks), without_shared in zip(both, unshared, strict=True):
+        if by_edges.covariance is None or without_shared.covariance is None or by_marks.covariance is None:
             continue
-        if np.isfinite(ours.end_s):
-            t = 0.5 * (ours.start.time_s + ours.end_s)
-            M, N = transition_matrix(ours, t)[:6], transition_matrix(theirs, t)[:6]
-            shared = ours.covariance - alone.covariance
-            edges, marks = M @ (alone.covariance / every + shared) @ M.T, N @ theirs.covariance @ N.T
+        if np.isfinite(by_edges.end_s):
+            t = 0.5 * (by_edges.start.time_s + by_edges.end_s)
+            M, N = transition_matrix(by_edges, t)[:6], transition_matrix(by_marks, t)[:6]
+            shared = by_edges.covariance - without_shared.covariance
+            edges = M @ (without_shared.covariance / every + shared) @ M.T
+            marks = N @ by_marks.covariance @ N.T
             gains.append(float(np.linalg.slogdet(edges)[1] - np.linalg.slogdet(marks)[1]))
     return float(np.median(gains)) if gains else -np.inf
 
 
-def _scatter(track: Track, throw: Throw) -> float:
-    """By how much, as a variance, single poses usually lie further from their flights than their sigmas say; 1 at the least. What
-    neighbouring frames err alike is left out: the marks estimate for themselves what the edges err in common."""
+def _variance_factor(track: Track, throw: Throw) -> float:
+    """Variance of single poses about their flights over the stated one, from the median; 1 at least. Correlated errors of
+    neighbouring frames are not included: the marks estimate these for themselves."""
     use = np.flatnonzero(track.tracked & (track.time_s <= throw.flights[-1].end_s))
     p, q = throw.poses(track.time_s[use])
-    miss = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
-    squared = np.einsum("ni,nij,nj->n", miss, np.linalg.inv(track.covariance[use]), miss)
+    residual = np.concatenate([track.position_m[use] - p, rotation_between(q, track.quaternion[use])], axis=1)
+    squared = np.einsum("ni,nij,nj->n", residual, np.linalg.inv(track.covariance[use]), residual)
     return max(1.0, float(np.median(squared)) / CHI2_MEDIAN)

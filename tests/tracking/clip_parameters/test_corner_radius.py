@@ -32,7 +32,7 @@ from diethrow.tracking.clip_parameters.corner_radius import (
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.quality import FAST
-from diethrow.tracking.sequence import tracker
+from diethrow.tracking.sequence import tracking_pass
 from diethrow.tracking.sequence.tracker import TrackedClip, track_clip
 
 STUDIO = replace(studio(), noise_grey=2.0)
@@ -247,7 +247,7 @@ def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> No
 
 
 def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tracker, "_corners_at_sight", lambda *_: CornerRadius(5e-3, 0.5e-3))
+    monkeypatch.setattr(tracking_pass, "_radius_from_pictures", lambda *_: CornerRadius(5e-3, 0.5e-3))
     tested, given = sharp_tracked(CornerRounding.TESTED), sharp_tracked(CornerRounding.GIVEN)
     assert tested.corners is None
     assert np.array_equal(tested.track.position_m, given.track.position_m, equal_nan=True)
@@ -259,5 +259,5 @@ def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeyp
 def test_a_radius_with_which_the_die_is_lost_is_discarded(frames: int, borne_out: bool, better: bool) -> None:
     poses, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
     poses.known[:frames] = True
-    trial = tracker._Trial(1e-3, STUDIO.view(CUBE), poses, borne_out, corners)
-    assert tracker._better_than_sharp([trial], 100) is better
+    trial = tracking_pass._Trial(1e-3, STUDIO.view(CUBE), poses, borne_out, corners)
+    assert tracking_pass._is_better_than_sharp([trial], 100) is better

@@ -22,7 +22,7 @@ from diethrow.tracking.pose.manual_pose import (
     poses_from_clicks,
 )
 from diethrow.tracking.pose.refine import Pose
-from diethrow.tracking.sequence.tracker import follow
+from diethrow.tracking.sequence.tracker import track_clip
 from diethrow.tracking.track import LOST, TRACKED
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def test_a_clip_is_tracked_from_a_manual_pose_and_excluded_frames_are_lost() -> 
     clip.array[ruined] = 250 - clip.array[ruined]
     truth = throw.at(12 / FPS)
     start = ManualInitialisation(12, truth.position_m + 5e-4, truth.quaternion)
-    track = follow(clip, ROOM.camera, die, background=np.rint(ROOM.table), start=start, excluded=[(8, 11)])
+    track = track_clip(clip, ROOM.camera, die, background=np.rint(ROOM.table), start=start, excluded=[(8, 11)]).track
     assert (track.status[ruined] == LOST).all()
     assert np.isnan(track.position_m[ruined]).all()
     assert (np.delete(track.status, np.r_[ruined]) == TRACKED).all()
@@ -129,6 +129,6 @@ def test_a_clip_is_tracked_from_a_manual_pose_and_excluded_frames_are_lost() -> 
     off = rotation_between(track.quaternion[track.tracked], quaternions[track.tracked])
     assert np.degrees(np.linalg.norm(off, axis=1)).max() < 1.0
     with pytest.raises(ValueError, match=r"start\.frame = 9\b"):
-        follow(
+        track_clip(
             clip, ROOM.camera, die, background=np.rint(ROOM.table), start=replace(start, frame=9), excluded=[(8, 11)]
         )

@@ -24,7 +24,7 @@ from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
-from diethrow.tracking.sequence.tracker import follow
+from diethrow.tracking.sequence.tracker import track_clip
 
 ROOT = Path(__file__).parents[3]
 
@@ -38,7 +38,9 @@ def test_one_face_of_a_plain_tetrahedron_is_followed_in_its_true_pose() -> None:
     assert view.background_path is not None
     clip = open_clip(view.path, fps=scene.clip.fps, frame_range=(0, 50))
     background = load_background(view.background_path, clip)
-    track = follow(clip, view.camera, scene.die, background=background, exposure_s=scene.clip.exposure_s, quality=FAST)
+    track = track_clip(
+        clip, view.camera, scene.die, background=background, exposure_s=scene.clip.exposure_s, quality=FAST
+    ).track
     truth = read_table(ROOT / "tests" / "data" / "tetrahedron_wood" / "truth.csv", ("frame",))
     rows = np.flatnonzero(track.tracked)
     assert len(rows) > 40
@@ -85,10 +87,10 @@ def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) 
     unused = np.zeros(FRAMES, bool)
     sure = 0
     for k in BEGINNINGS:
-        runner = best_hypothesis(view, source, k, unused)
-        if runner is not None and runner.sure:
+        hypothesis = best_hypothesis(view, source, k, unused)
+        if hypothesis is not None and hypothesis.is_certain:
             sure += 1
-            assert share_right(view, runner.seen, source.times_s[k:], throw) == 1.0
+            assert share_right(view, hypothesis.poses, source.times_s[k:], throw) == 1.0
     # Within eight frames before an impact nothing is sure.
     assert sure >= 3
 

@@ -49,13 +49,13 @@ def test_a_tetrahedron_with_a_face_edge_on_is_not_lost(slope: float) -> None:
             state.velocity_m_s,
         )
     first.known[:] = True
-    second = EdgeRefinement(view, FrameSource([clip]), first, None, np.ones(FRAMES, bool), ClockOffsets.none(1))
-    seen = second.see(np.ones(FRAMES, bool), lambda _: None)
-    assert seen.known.all()
-    found = covariances(seen.H[:, :6, :6])
+    refinement = EdgeRefinement(view, FrameSource([clip]), first, None, np.ones(FRAMES, bool), ClockOffsets.none(1))
+    refined = refinement.refine(np.ones(FRAMES, bool), lambda _: None)
+    assert refined.known.all()
+    found = covariances(refined.H[:, :6, :6])
     for k, state in enumerate(truth):
-        rotated = rotation_between(state.quaternion, quat_from_matrix(seen.rotation[k]))
-        errors = np.concatenate([seen.position_m[k] - state.position_m, rotated])
+        rotated = rotation_between(state.quaternion, quat_from_matrix(refined.rotation[k]))
+        errors = np.concatenate([refined.position_m[k] - state.position_m, rotated])
         assert errors @ np.linalg.solve(found[k], errors) < 22.5  # once in a thousand
         # Two lines of its contour, and that is all: some turn is open, at the least as far as the prior of 0.1 rad leaves it.
         assert np.sqrt(np.linalg.eigvalsh(found[k][3:, 3:])[-1]) > 0.09

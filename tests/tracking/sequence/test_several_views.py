@@ -20,7 +20,7 @@ from diethrow.tracking.clip_parameters.clock_offsets import rig_at
 from diethrow.tracking.picture.view import MIRRORED, View, make_view, stack_pictures, with_reflections
 from diethrow.tracking.pose.refine import Pose, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
-from diethrow.tracking.sequence.tracker import follow, track_clip
+from diethrow.tracking.sequence.tracker import track_clip
 from diethrow.tracking.surface_marks.face_numbers import read_faces
 
 Array = NDArray[np.float64]
@@ -110,7 +110,7 @@ def crossing() -> Throw:
 def test_two_synchronised_clips_make_one_track(crossing: Throw) -> None:
     room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
     clips = [film(r, CUBE, crossing, 40, seed=k) for k, r in enumerate((room, side))]
-    track = follow(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
+    track = track_clip(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table]).track
     assert track.tracked.all()
     off = np.linalg.norm(track.position_m - crossing.poses(track.time_s)[0], axis=1)
     # Across each picture a frame is good to 3 µm, and one camera's depth is the other's across.
@@ -120,7 +120,8 @@ def test_two_synchronised_clips_make_one_track(crossing: Throw) -> None:
 def test_a_fast_track_is_a_rougher_one_of_the_same_throw(crossing: Throw) -> None:
     clip = film(replace(ROOM, noise_grey=2.0), CUBE, crossing, 40, seed=3)
     fast, standard = (
-        follow(clip, ROOM.camera, CUBE, background=ROOM.table, quality=quality) for quality in (FAST, STANDARD)
+        track_clip(clip, ROOM.camera, CUBE, background=ROOM.table, quality=quality).track
+        for quality in (FAST, STANDARD)
     )
     across = ROOM.camera.rotation[:2]
     for track, allowed_m in ((fast, 2e-5), (standard, 1e-5)):

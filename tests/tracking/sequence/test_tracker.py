@@ -26,7 +26,7 @@ from diethrow.tracking.pose.refine import refine_pose
 from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
-from diethrow.tracking.sequence.tracker import NoDieError, follow, track_clip
+from diethrow.tracking.sequence.tracker import NoDieError, track_clip
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.segmentation import decimation_factor
 from diethrow.tracking.throw.smoothing import smooth
@@ -63,7 +63,9 @@ def bouncing(bit_depth: int) -> tuple[ArrayClip, Track, list[tuple[int, int]]]:
     clip = film(ROOM, CUBE, falling_cube(), FRAMES, bit_depth=bit_depth)
     said: list[tuple[int, int]] = []
     table = np.rint(ROOM.table * np.float32(2.0 ** (bit_depth - 8)))
-    track = follow(clip, ROOM.camera, CUBE, background=table, progress=lambda done, total: said.append((done, total)))
+    track = track_clip(
+        clip, ROOM.camera, CUBE, background=table, progress=lambda done, total: said.append((done, total))
+    ).track
     return clip, track, said
 
 
@@ -112,15 +114,15 @@ def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few_are_plenty")
 def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_where_it_bounces() -> None:
-    """The chase leaves frames out in flight and none after a bounce until it knows the new flight; the refinement then has a
+    """The tracker leaves frames out in flight and none after a bounce until it knows the new flight; the refinement then has a
     pose for every frame, as right as on a usual film."""
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
     source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
     beginning = find_initial_pose(view, source, np.zeros(count, bool))
     assert beginning is not None
-    chase, seen = beginning
-    chase.to_the_end(source, seen, lambda frame: None, all_frames=False)
+    tracker, seen = beginning
+    tracker.track_to_end(source, seen, lambda frame: None, all_frames=False)
     (bounce,) = throw.bounces
     struck = int(np.ceil(bounce.time_s * fps))
     assert seen.frame_stride > 1
@@ -136,7 +138,7 @@ def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_wher
     # Half of the way is where a line meets the arc: the bounce alone bends it. Depth is known to some tenths of a millimetre.
     assert np.quantile(off_m, 0.95) < 1e-3
 
-    track = follow(clip, ROOM.camera, CUBE, background=table)
+    track = track_clip(clip, ROOM.camera, CUBE, background=table).track
     assert (track.status == TRACKED).all()
     rotated = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
     assert np.median(rotated) < 0.08
@@ -191,7 +193,7 @@ def test_a_frame_that_is_not_used_stays_lost_though_no_flight_leads_over_it() ->
     rng = np.random.default_rng(2)
     frames = np.clip(still + rng.integers(-2, 3, (3 * FRAMES, *still.shape)), 0, 255).astype(np.uint8)
     clip = ArrayClip(frames, np.arange(len(frames)) / FPS, 8)
-    track = follow(clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), excluded=[(101, 102)])
+    track = track_clip(clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), excluded=[(101, 102)]).track
     assert track.status[101] == LOST
     assert (np.delete(track.status, 101) == TRACKED).all()
 
@@ -227,7 +229,7 @@ def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
 
 def test_a_bar_that_hides_part_of_the_die_all_the_time_is_left_out() -> None:
     clip, table, _ = behind_a_bar()
-    track = follow(clip, ROOM.camera, CUBE, background=table)
+    track = track_clip(clip, ROOM.camera, CUBE, background=table).track
     rotated = np.degrees(np.linalg.norm(errors_of(track, falling_cube())[track.tracked, 3:], axis=1))
     states = [falling_cube().at(float(t)) for t in track.time_s]
     whole = np.array([share_in_view(ROOM.view(CUBE), s.position_m, s.rotation) == 1.0 for s in states])
@@ -243,9 +245,9 @@ def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
     view = replace(ROOM, table=np.asarray(table, np.float32)).view(CUBE)
     state = falling_cube().at(0.0)
     pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), state.position_m, state.rotation)
-    chase = FrameTracker.from_start(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
-    chase.over(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
-    blank = np.isnan(chase.view.backgrounds[0])
+    tracker = FrameTracker.from_pose(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
+    tracker.track(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
+    blank = np.isnan(tracker.view.backgrounds[0])
     columns = np.flatnonzero(blank.any(0))
     # Two pixels on either side go with it, where bar and die mix.
     assert columns.min() >= bar.start - 2
@@ -300,7 +302,7 @@ def test_progress_only_grows_and_ends_at_the_total() -> None:
 @cache
 def crossing() -> tuple[ArrayClip, Track]:
     clip = film(replace(ROOM, shadow=0.0), CUBE, crossing_cube(), FRAMES)
-    return clip, follow(clip, ROOM.camera, CUBE)
+    return clip, track_clip(clip, ROOM.camera, CUBE).track
 
 
 def shares(track: Track) -> Array:
@@ -360,16 +362,16 @@ def test_a_clip_of_the_empty_table_holds_no_die() -> None:
     pictures = [photograph(ROOM, CUBE, None, rng) for _ in range(20)]
     clip = ArrayClip(np.rint(pictures).astype(np.uint8), np.arange(20) / FPS)
     with pytest.raises(NoDieError, match="no die was found in 20 frames"):
-        follow(clip, ROOM.camera, CUBE, background=ROOM.table)
+        track_clip(clip, ROOM.camera, CUBE, background=ROOM.table)
 
 
 def test_camera_background_and_clip_must_be_of_one_size() -> None:
     clip = ArrayClip(np.zeros((3, 200, 200), np.uint8), np.arange(3) / FPS)
     narrow = replace(ROOM.camera, width_px=180)
     with pytest.raises(ValueError, match="the clip is 200 × 200 pixels and the camera 180 × 200"):
-        follow(clip, narrow, CUBE)
+        track_clip(clip, narrow, CUBE)
     with pytest.raises(ValueError, match="the background is 200 × 190 pixels and the clip 200 × 200"):
-        follow(clip, ROOM.camera, CUBE, background=ROOM.table[:190])
+        track_clip(clip, ROOM.camera, CUBE, background=ROOM.table[:190])
 
 
 def test_the_background_is_what_most_frames_agree_on() -> None:

@@ -351,7 +351,10 @@ def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
     covariance = frame_covariance(rng, len(t), 0.2)
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(t), 6)))
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    assert first_supported_row(Observations.from_poses(t, *poses, covariance, unmodelled=0.0), CUBE) == FRAMES_LEFT_TO_FLIGHT
+    assert (
+        first_supported_row(Observations.from_poses(t, *poses, covariance, unmodelled=0.0), CUBE)
+        == FRAMES_LEFT_TO_FLIGHT
+    )
 
 
 def test_frames_that_no_flight_goes_through_keep_their_own_poses() -> None:

@@ -1,0 +1,207 @@
+"""The tracking pass: from the initial pose to both ends of the clip, repeated for a die whose corners turn out to be rounded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.rotations import matrix_from_quat
+from ..clip_parameters import (
+    BLUR_FRAMES,
+    RADIUS_FRAMES,
+    CornerRadius,
+    CornerRounding,
+    contour_sigma_px,
+    estimate_lens_blur,
+    is_rounded,
+    radius_by_free_poses,
+    radius_on_flights,
+    sample_in_flight,
+)
+from ..footage import FrameSource
+from ..picture import View, with_corner_radius
+from ..pose import ClipPoses, ManualInitialisation, as_track, wholly_in_view
+from ..throw import NoFlightError, measure
+from ..track import Track
+from .depth_reversal import correct_depth_reversals
+from .frame_to_frame import BACKWARDS_MISSES
+from .initialisation import find_initial_pose, initial_pose_by_hand
+
+Mask = NDArray[np.bool_]
+
+MAX_RADIUS_TRIALS = 3
+"""Most tracking passes with an estimated radius of the corners."""
+SAME_RADIUS = 0.1
+"""Relative change of the radius that needs no further pass."""
+SMALLER_RADIUS = 0.9
+"""Factor on a radius that the flights of its pass do not support: little decides whether an impact is lost, and it is rather lost
+with a radius that is too large."""
+SUFFICIENT_FRAMES = 0.95
+"""Share of the frames tracked with another radius, or none, below which a radius is rejected."""
+ROUND_SHARE = 0.25
+"""Radius of the corners, as a share of the inscribed radius, of a die that may be rounded and is not found as a sharp one."""
+
+
+class NoDieError(ValueError):
+    """No die was found in the clip."""
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingTask:
+    """What every tracking pass over a clip needs."""
+
+    source: FrameSource
+    unused: Mask
+    """(n,) frames whose pictures are not used."""
+    by_hand: ManualInitialisation | None
+    """An initial pose by hand, if there is one."""
+    report: Callable[[int], None]
+    """Called with the frames done."""
+
+
+def track_rounded(
+    view: View, task: TrackingTask, rounding: CornerRounding
+) -> tuple[View, ClipPoses, CornerRadius | None]:
+    """Poses from tracking, the view that they were tracked with, and the radius of the corners if it was estimated.
+
+    Unless the radius is given, the pass is repeated with a rounded die if the pictures show one, until its flights show the
+    radius that it was done with. Raises NoDieError if no die was found."""
+    if rounding is CornerRounding.GIVEN:
+        return *track_once(view, task), None
+    first, poses = _track_sharp_or_round(view, task, rounding)
+    corners = _radius_from_pictures(first, task.source, poses, rounding)
+    if corners is None or corners.radius_m == 0.0:
+        return first, poses, corners if rounding is CornerRounding.ESTIMATED else None
+    trials = _radius_trials(view, task, corners)
+    was_sharp = first.die.corner_radius_m == 0.0
+    if rounding is CornerRounding.TESTED and was_sharp and not _is_better_than_sharp(trials, poses.frames):
+        return first, poses, None
+    if trials:
+        most = max(trial.poses.frames for trial in trials)
+        sufficient = [trial for trial in trials if trial.poses.frames >= SUFFICIENT_FRAMES * most]
+        corners = sufficient[-1].corners
+        # Poses with a smaller radius than the final one lie farther away than the latter implies.
+        chosen = min(sufficient, key=lambda trial: abs(trial.radius_m - sufficient[-1].corners.radius_m))
+        first, poses = chosen.view, chosen.poses
+    return with_corner_radius(first, corners.radius_m), poses, corners
+
+
+def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
+    """A pose for every frame that can be tracked from the initial pose, and the view with the lens blur estimated there. Raises
+    NoDieError if no die was found."""
+    source = task.source
+    found = (
+        find_initial_pose(view, source, task.unused, task.report)
+        if task.by_hand is None
+        else initial_pose_by_hand(view, source, task.by_hand, task.unused)
+    )
+    if found is None:
+        raise NoDieError(
+            f"no die was found in {len(source)} frames: look at the clip, the background and the [die] shape and edge"
+        )
+    tracker, poses = found
+    view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
+    tracker.view = replace(tracker.view, blur_px=view.blur_px)
+    first_known = int(np.flatnonzero(poses.known)[0])
+    back = tracker.backwards_tracker()
+    tracker.track_to_end(source, poses, task.report, all_frames=not view.quality.second_pass)
+    for block in source.blocks_backwards(first_known):
+        with block:
+            back.track(block.frames, source.times_s, block.first, poses)
+        if back.misses > BACKWARDS_MISSES:
+            break
+    # The tracker's view contains the occluders that it found.
+    return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
+
+
+# --- rounded corners ---------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A tracking pass with a radius of the corners."""
+
+    radius_m: float
+    view: View
+    poses: ClipPoses
+    is_supported: bool
+    """Whether its flights show a radius."""
+    corners: CornerRadius
+    """The radius known after it."""
+
+
+def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRounding) -> tuple[View, ClipPoses]:
+    """A first pass with the view's radius; with a well-rounded die if none is found and the pictures then show one."""
+    try:
+        return track_once(view, task)
+    except NoDieError:
+        # A die that is round all over is not found as one with sharp corners.
+        ball = with_corner_radius(view, ROUND_SHARE * view.die.solid.inradius)
+        first, poses = track_once(ball, task)
+        if _radius_from_pictures(first, task.source, poses, rounding) is None:
+            raise
+        return first, poses
+
+
+def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> list[_Trial]:
+    """Passes with an estimated radius, each with that of the one before, until it no longer changes."""
+    radius_m, trials = corners.radius_m, []
+    for _ in range(MAX_RADIUS_TRIALS):
+        # From the original view: tracking a sharp die takes what its corners would cover for an occluder.
+        try:
+            tracked_view, poses = track_once(with_corner_radius(view, radius_m), task)
+        except NoDieError:
+            break  # so round that no initial pose is found; the poses tracked before remain
+        use = wholly_in_view(tracked_view, poses) & poses.evenly_spaced
+        track = as_track(tracked_view, task.source, poses, use)
+        found, _ = radius_in_flight(tracked_view, task.source, track, corners)
+        is_supported, corners = found is not corners, found
+        trials.append(_Trial(radius_m, tracked_view, poses, is_supported, corners))
+        before, radius_m = radius_m, corners.radius_m if is_supported else SMALLER_RADIUS * radius_m
+        if is_supported and abs(radius_m - before) < SAME_RADIUS * before:
+            break
+    return trials
+
+
+def _is_better_than_sharp(trials: list[_Trial], frames: int) -> bool:
+    """Whether a rounded die was tracked over as many frames as the sharp one, or over hardly fewer with a radius that its flights
+    support. A sharp die out of focus looks a little rounded, and is lost with a radius that is not its own."""
+    return any(trial.poses.frames >= (SUFFICIENT_FRAMES if trial.is_supported else 1.0) * frames for trial in trials)
+
+
+def _radius_from_pictures(
+    view: View, source: FrameSource, poses: ClipPoses, rounding: CornerRounding
+) -> CornerRadius | None:
+    """The radius of the corners from single pictures; None if the die looks sharp, or too few frames show it."""
+    looks = partial(poses.sample, source.frame, wholly_in_view(view, poses))
+    if rounding is CornerRounding.TESTED and not is_rounded(view, looks):
+        return None
+    return radius_by_free_poses(view, looks(RADIUS_FRAMES))
+
+
+def radius_in_flight(
+    view: View, source: FrameSource, track: Track, corners: CornerRadius
+) -> tuple[CornerRadius, float]:
+    """The radius of the corners from the flights of a track, and the contour error [px] that remains; `corners` itself and 0 if
+    the flights do not determine it better.
+
+    The flights are free to correct their distance. That leaves more ways to join them. Where these fail, the pictures contradict
+    the flights, or the flights the radius: the poses then do better without that freedom."""
+    p, R = track.position_m[track.tracked], matrix_from_quat(track.quaternion[track.tracked])
+    if not len(p):
+        return corners, 0.0
+    try:
+        found = measure(
+            replace(track, contour_sigma_px=contour_sigma_px(view, corners.sigma_m, p, R)), view.die, view.camera
+        )
+    except NoFlightError:
+        return corners, 0.0
+    looks = sample_in_flight(view, source.frame, track, found.throw)
+    again = radius_on_flights(view, looks, corners.radius_m, found.chain.contour_sigma_px)
+    if again is None or again.sigma_m > corners.sigma_m or again.radius_m == 0.0:
+        return corners, 0.0
+    return again, contour_sigma_px(view, again.sigma_m, p, R)
