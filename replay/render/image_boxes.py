@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 """Left, top, right, bottom [px]; the last two are exclusive."""
 
+BOX_STEP_PX = 32
+"""Sizes of boxes are multiples of this, because Mitsuba's compiled variants take 0.3 s for every new size."""
 FEATHER_PX = 8
 """Width over which a box is blended into the empty table: at its border, the die changes less than a grey level."""
 BOX_MARGIN_PX = FEATHER_PX + 4

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from ...tracking.camera import Camera
-from .image_boxes import Box
+from .image_boxes import BOX_STEP_PX, Box
 
 Array = NDArray[np.float64]
 
@@ -23,12 +23,8 @@ FINER = 2
 """Resolution of the ideal image of a distorted camera, as a multiple of the real one."""
 FINE_FILTER_PX = 0.5
 """Standard deviation of the fine image's pixel filter, in fine pixels: a cubic spline can still interpolate it."""
-BOX_STEP_PX = 32
-"""Sizes of rendered boxes are multiples of this, because a renderer may compile again for every size."""
-MAX_ITERATIONS = 200
-"""Iterations of the fixed point that inverts the distortion; real lenses need a dozen."""
-CONVERGED_PX = 1e-6
-"""Step of this iteration at which it ends."""
+MAX_INVERSION_ERROR_PX = 1e-4
+"""Error of the inverted distortion above which it counts as not invertible; real lenses have a thousandth of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,20 +113,12 @@ def undistorted(camera: Camera) -> Array:
     """
     x = (np.arange(camera.width_px * FINER) + 0.5) / FINER - 0.5
     y = (np.arange(camera.height_px * FINER) + 0.5) / FINER - 0.5
-    K, (k1, k2, p1, p2, k3) = camera.matrix, camera.distortion
-    px, py = np.meshgrid(x, y)
-    seen_y = (py - K[1, 2]) / K[1, 1]
-    seen_x = (px - K[0, 2] - K[0, 1] * seen_y) / K[0, 0]
-    free_x, free_y = seen_x, seen_y
-    for _ in range(MAX_ITERATIONS):
-        r2 = free_x**2 + free_y**2
-        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        next_x = (seen_x - 2.0 * p1 * free_x * free_y - p2 * (r2 + 2.0 * free_x**2)) / radial
-        next_y = (seen_y - p1 * (r2 + 2.0 * free_y**2) - 2.0 * p2 * free_x * free_y) / radial
-        step_px = K[0, 0] * max(float(np.abs(next_x - free_x).max()), float(np.abs(next_y - free_y).max()))
-        free_x, free_y = next_x, next_y
-        if step_px < CONVERGED_PX:
-            return np.asarray(np.stack([free_x, free_y], -1))
+    pixels = np.stack(np.meshgrid(x, y), axis=-1)
+    rays = camera.rays(pixels)
+    in_camera = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=-1)
+    projected = camera.project((in_camera - camera.translation_m) @ camera.rotation)
+    if np.abs(projected - pixels).max() < MAX_INVERSION_ERROR_PX:
+        return rays
     raise ValueError(
         f"distortion = {camera.distortion.tolist()}: the distortion is not invertible within the frame; "
         "wanted one that maps every pixel to one direction"

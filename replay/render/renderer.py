@@ -28,7 +28,7 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ...tracking.camera import Camera
-from .image_boxes import Box, blend, box_about, merged, part_of, rounded_up
+from .image_boxes import BOX_STEP_PX, Box, blend, box_about, merged, part_of, rounded_up
 from .lens import FINER, optics_of
 from .mitsuba_scene import MIRRORED_Z, Appearance, scene_of, sensor_axes
 from .table_textures import is_mirror
@@ -51,8 +51,6 @@ SHADE_SAMPLES = 4
 """Light paths per pixel that is only shaded."""
 SHADE_BLUR_PX = 1.5
 """Blur of the shade: a lamp of finite size casts no sharper one."""
-BOX_STEP_PX = 32
-"""Sizes of boxes are multiples of this, because Mitsuba's compiled variants take 0.3 s for every new size."""
 MAX_SHADE = 1.15
 """Largest ratio of light with and without the die. A die reflects less onto the table; more is a single unlikely path."""
 MIN_BLUR_PX = 0.4

@@ -1,4 +1,4 @@
-"""The report in a real browser, opened from a file with no network: nothing fails, nothing is asked for, all is drawn."""
+"""The report in a real browser, opened from a file without a network: no error, no request, and everything is drawn."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from diethrow.replay.recording.throw_recording import write_recording, write_thr
 
 PHONE_PX = 390
 HOSTILE = "</script></style><script>window.fooled = 1</script><img src=x onerror='window.fooled = 1'>"
-STARTS_S, DRAWS_S = 60.0, 60.0
-"""The viewer alone takes 4 s and 10 s where its pixels are drawn by one core; other work shares the machine."""
+START_TIMEOUT_S = 60.0
+DRAW_TIMEOUT_S = 60.0
+"""With one core for drawing, the viewer starts within 4 s and draws within 10 s; the machine may have other work."""
 
 
-def in_order(page: Page, file: Path) -> None:
-    """No error on the console, and nothing asked for but the page."""
+def check_quiet(page: Page, file: Path) -> None:
+    """Assert that the console has no error and only the page was requested."""
     assert page.errors == []
     assert page.requests == [file.resolve().as_uri()]
 
@@ -33,14 +34,14 @@ def test_the_report_opens_from_a_file_and_fits_a_phone(tmp_path: Path) -> None:
     file = tmp_path / "report.html"
     fit = made.fit(messages=(HOSTILE,))
     write_report(file, made.record(title=HOSTILE, notices=(HOSTILE,), fit=fit))
-    with opened(file, tmp_path / "browser", width_px=PHONE_PX, height_px=844) as page:
+    with opened(file.as_uri(), tmp_path / "browser", width_px=PHONE_PX, height_px=844) as page:
         pictures = page.evaluate("Array.from(document.images, (image) => image.naturalWidth)")
         assert len(pictures) >= 6
         assert min(pictures) > 0
-        # Wide figures and tables scroll by themselves; the page does not.
+        # Wide figures and tables scroll on their own; the page does not.
         assert page.evaluate("document.documentElement.scrollWidth") <= PHONE_PX
         assert page.evaluate("typeof window.fooled") == "undefined"
-        in_order(page, file)
+        check_quiet(page, file)
 
 
 def test_the_embedded_replay_opens_from_a_file_and_is_drawn(tmp_path: Path) -> None:
@@ -48,18 +49,18 @@ def test_the_embedded_replay_opens_from_a_file_and_is_drawn(tmp_path: Path) -> N
     record = made.record()
     write_recording(recording, record)
     write_report(file, record, replay=recording)
-    with opened(file, tmp_path / "browser", width_px=480, height_px=360) as page:
+    with opened(file.as_uri(), tmp_path / "browser", width_px=480, height_px=360) as page:
         page.evaluate("document.getElementById('replay-start').click()")
-        page.wait_for("document.getElementById('replay').dataset.state === 'started'", STARTS_S)
+        page.wait_for("document.getElementById('replay').dataset.state === 'started'", START_TIMEOUT_S)
         page.evaluate("document.getElementById('replay-canvas').scrollIntoView()")
         assert is_drawn(page)
         assert page.evaluate("document.getElementById('replay-status').textContent") == ""
-        in_order(page, file)
+        check_quiet(page, file)
 
 
 def is_drawn(page: Page) -> bool:
-    """Whether the view has many colours within DRAWS_S; a canvas on which nothing is drawn has one."""
-    until = time.monotonic() + DRAWS_S
+    """Whether the view has many colours within DRAW_TIMEOUT_S; an empty canvas has one."""
+    until = time.monotonic() + DRAW_TIMEOUT_S
     while time.monotonic() < until:
         picture = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)
         assert picture is not None
@@ -74,7 +75,7 @@ def test_the_viewer_is_the_installed_one() -> None:
     assert code.startswith(b"\0asm")
 
 
-def test_a_modelled_throw_has_a_page_with_its_recording_in_it(tmp_path: Path) -> None:
+def test_the_page_of_a_simulated_throw_contains_its_recording(tmp_path: Path) -> None:
     recording = tmp_path / "replay.rrd"
     write_throw_recording(recording, made.die(), made.throw(), made.FPS, "a throw")
     text = throw_page(HOSTILE, made.die(), made.throw(), (HOSTILE,), recording)
