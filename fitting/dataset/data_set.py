@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import rotation_between
 from ...model.throw import State
+from ...tracking.throw import perturbed
 from ...tracking.track import Track
 from ..estimation import covariance_root
-from ..free import moved_state
 from ..predict import (
     MIN_FLIGHT_FRAMES,
     ReleaseState,
@@ -118,8 +118,8 @@ def data_set_of(entries: Sequence[Entry], physics: Physics, pool: ThreadPoolExec
     plain = without_slack.residuals(physics)
     squares = [np.zeros(len(entry.rows)) for entry in entries]
     for perturbations in drawn_perturbations(entries):
-        for k, perturbed in enumerate(without_slack.residuals(physics, perturbations)):
-            squares[k] += ((perturbed - plain[k]) ** 2).sum(1) / _RELEASE_DRAWS
+        for k, moved in enumerate(without_slack.residuals(physics, perturbations)):
+            squares[k] += ((moved - plain[k]) ** 2).sum(1) / _RELEASE_DRAWS
     arm_m = without_slack.arm_m
     noise = [3.0 * (e.release.sigma_m**2 + (arm_m * e.release.sigma_rad) ** 2) for e in entries]
     return replace(without_slack, slack=tuple(np.sqrt(s + n) for s, n in zip(squares, noise, strict=True)))
@@ -150,7 +150,7 @@ def _residuals(
 ) -> list[Array]:
     states: list[State] = [entry.release.of_die(physics.body).state for entry in entries]
     if perturbations is not None:
-        states = [moved_state(state, change) for state, change in zip(states, perturbations, strict=True)]
+        states = [perturbed(state, change) for state, change in zip(states, perturbations, strict=True)]
     positions, quaternions = simulated_throws(physics, states, [entry.times_s for entry in entries], pool)
     observed = np.concatenate([entry.track.position_m[entry.rows] for entry in entries])
     turned = rotation_between(quaternions, np.concatenate([entry.track.quaternion[entry.rows] for entry in entries]))

@@ -172,7 +172,7 @@ def _scatter(data: DataSet, point: Linearisation) -> tuple[Array, float | None]:
     """χ from each throw alone (NaN without information), and its scatter beyond the errors of the release states."""
     which = point.physics.free.index("chi")
     count = len(data.entries)
-    perturbed = [data.residuals(point.physics, changes) for changes in drawn_perturbations(data.entries)]
+    moved = [data.residuals(point.physics, changes) for changes in drawn_perturbations(data.entries)]
     own, noise = np.full(count, np.nan), np.full(count, np.nan)
     for k, entry in enumerate(data.entries):
         slope = point.slopes[k][: entry.early, :, which]
@@ -181,7 +181,7 @@ def _scatter(data: DataSet, point: Linearisation) -> tuple[Array, float | None]:
         if information <= 0.0:
             continue
         own[k] = float((weight * slope * point.residuals[k][: entry.early]).sum()) / information
-        changes = [(residuals[k] - point.residuals[k])[: entry.early] for residuals in perturbed]
+        changes = [(residuals[k] - point.residuals[k])[: entry.early] for residuals in moved]
         errors = [float((weight * slope * change).sum()) / information for change in changes]
         noise[k] = float(np.mean(np.square(errors)))
     step, known = step_of(point.physics, "chi"), np.isfinite(own)

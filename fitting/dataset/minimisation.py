@@ -48,7 +48,7 @@ _DAMPING_RISE = 30.0
 """The same after one that does not."""
 
 _MAX_DAMPING = 1.0
-"""Damping above which no smaller step is tried: with jumps, shorter steps fail too."""
+"""Damping above which no shorter step is tried."""
 
 _JUMP = 0.3
 """Shift of a pose within one step of a difference, in circumradii, at which the motion has jumped."""

@@ -27,7 +27,7 @@ _ROOT_TOLERANCE = 0.01
 """Relative error of √excess at which a bound of an interval is found: a hundredth of the half width."""
 
 _MAX_TRIALS = 16
-"""Refits of one bound of an interval; each may take as long as the fit itself."""
+"""Trials of one bound of an interval; each is a fit."""
 
 _SECANT_TRIALS = 6
 """Trials after which a bracket is halved instead: a flat stretch that ends in a cliff defeats false position."""

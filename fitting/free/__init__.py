@@ -8,9 +8,6 @@ whether the table oscillates. Fits of whole throws start from these values and a
 from .flights import MIN_FRAMES as MIN_FRAMES
 from .flights import FreeFlights as FreeFlights
 from .flights import fit_flights as fit_flights
-from .flights import flight_jacobian as flight_jacobian
-from .flights import left_jacobian as left_jacobian
-from .flights import moved_state as moved_state
 from .impulses import Bounce as Bounce
 from .impulses import apparent_restitution as apparent_restitution
 from .impulses import common_restitution as common_restitution

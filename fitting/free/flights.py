@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ...model.rotations import rotation_between
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
+from ...tracking.throw import left_jacobians, perturbed, pose_jacobian
 from ..estimation import (
     HUBER_THRESHOLD,
     MEDIAN_SQUARE,
@@ -67,10 +68,6 @@ _SIGMA_FLOOR = (1e-7, 1e-6)
 
 _STEPS = (1e-3, 1e-2)
 """[m], [rad] scales of the unknowns of a flight; those of the velocities are these over its duration."""
-
-_SMALL_ANGLE_RAD = 1e-4
-"""Angle below which the left Jacobian takes its limit. (θ - sin θ)/θ³ still has eight digits there and is multiplied by
-θ²; the limit is exact to 1e-9."""
 
 _FIRST_NOISE = (1e-4, 5e-3)
 """[m], [rad] before any is known; their ratio is irrelevant, since position and rotation of a flight are fitted
@@ -150,39 +147,6 @@ def fit_flight(observations: Observations, guess: Flight) -> FreeFlight | None:
     return FreeFlight(flight, n, variance)
 
 
-def moved_state(state: State, change: Array) -> State:
-    """The state displaced by (12,): position, rotation vector, velocity, angular velocity, world axes."""
-    return State(
-        state.time_s,
-        state.position_m + change[:3],
-        quat_multiply(quat_from_rotvec(change[3:6]), state.quaternion),
-        state.velocity_m_s + change[6:9],
-        state.omega_rad_s + change[9:],
-    )
-
-
-def left_jacobian(rotvecs: Array) -> Array:
-    """J (..., 3, 3) with exp(v + δ) = exp(J δ) exp(v) for small δ."""
-    angle = np.linalg.norm(rotvecs, axis=-1)[..., None, None]
-    safe = np.where(angle > _SMALL_ANGLE_RAD, angle, 1.0)
-    cross = cross_matrix(rotvecs)
-    first = np.where(angle > _SMALL_ANGLE_RAD, 2.0 * np.sin(safe / 2.0) ** 2 / safe**2, 0.5)
-    second = np.where(angle > _SMALL_ANGLE_RAD, (safe - np.sin(safe)) / safe**3, 1.0 / 6.0)
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
-
-
-def flight_jacobian(state: State, times_s: Array) -> Array:
-    """Derivative (n, 6, 12) of the poses of a flight by its state."""
-    dt = times_s - state.time_s
-    jacobian = np.zeros((len(dt), 6, 12))
-    jacobian[:, :3, :3] = np.eye(3)
-    jacobian[:, :3, 6:9] = dt[:, None, None] * np.eye(3)
-    turns = np.outer(dt, state.omega_rad_s)
-    jacobian[:, 3:, 3:6] = matrix_from_quat(quat_from_rotvec(turns))
-    jacobian[:, 3:, 9:] = dt[:, None, None] * left_jacobian(turns)
-    return jacobian
-
-
 def _nearest(observations: Observations, start: State, k2: float) -> tuple[State, Array, Array]:
     """The state of least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
     span = max(float(np.ptp(observations.time_s)), 1e-9)
@@ -190,20 +154,20 @@ def _nearest(observations: Observations, start: State, k2: float) -> tuple[State
     scale = np.repeat([step_m, step_rad, step_m / span, step_rad / span], 3)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
-        state = moved_state(start, x)
+        state = perturbed(start, x)
         errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
-        jacobian = flight_jacobian(state, observations.time_s)
+        jacobian = pose_jacobian(Flight(state, state.time_s), observations.time_s)
         # The unknown rotation is about the orientation of `start`, the derivative about the displaced one.
-        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobian(x[3:6])
+        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobians(x[None, 3:6])[0]
         residuals, jacobian = huber(
             whitened(observations, errors), whitened_jacobian(observations, errors, jacobian), k2
         )
         return residuals.ravel(), jacobian.reshape(-1, 12)
 
     free = np.full(12, np.inf)
-    state = moved_state(start, levenberg_marquardt(evaluate, np.diag(1.0 / scale), -free, free, max_steps=30))
+    state = perturbed(start, levenberg_marquardt(evaluate, np.diag(1.0 / scale), -free, free, max_steps=30))
     errors = pose_errors(observations, *Flight(state, state.time_s).poses(observations.time_s))
-    jacobian = whitened_jacobian(observations, errors, flight_jacobian(state, observations.time_s))
+    jacobian = whitened_jacobian(observations, errors, pose_jacobian(Flight(state, state.time_s), observations.time_s))
     return state, whitened(observations, errors), jacobian
 
 

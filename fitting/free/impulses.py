@@ -33,8 +33,9 @@ from scipy.stats import t as student
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Impact, State, energy_J
+from ...tracking.throw import perturbed, transition_matrix
 from ..estimation import normal_quantile
-from .flights import FreeFlights, flight_jacobian, moved_state
+from .flights import FreeFlights
 
 Array = NDArray[np.float64]
 
@@ -305,7 +306,7 @@ def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: 
             ends = []
             for sign in (1.0, -1.0):
                 pair = list(at_touch)
-                pair[which] = Flight(moved_state(flight.start, sign * change), flight.end_s)
+                pair[which] = Flight(perturbed(flight.start, sign * change), flight.end_s)
                 ends.append(_impact_numbers(die, pair[0], pair[1], time_s, vertex))
             gradient[:, k] = (ends[0] - ends[1]) / (2.0 * step)
         total += gradient @ flight.covariance @ gradient.T
@@ -315,9 +316,7 @@ def _covariance(die: Die, before: Flight, after: Flight, time_s: float, vertex: 
 def _carried(flight: Flight, time_s: float) -> Flight:
     """The same flight with state and covariance at another instant, so that small steps there stay small."""
     assert flight.covariance is not None
-    poses = flight_jacobian(flight.start, np.array([time_s]))[0]
-    carry = np.eye(12)
-    carry[:6] = poses
+    carry = transition_matrix(flight, time_s)
     return Flight(flight.at(time_s), flight.end_s, carry @ flight.covariance @ carry.T)
 
 

@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
+from ...tracking.throw import pose_jacobian
 from ..estimation import orthonormal_basis, pose_errors, variance_inflation, whitened, whitened_jacobian
-from .flights import FreeFlights, flight_jacobian
+from .flights import FreeFlights
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def mass_offset_from_flights(free: FreeFlights) -> MassOffset | None:
         if fit is None or 6 * len(own) <= 12 + _OFFSET_NUMBERS:
             continue
         errors = pose_errors(own, *fit.flight.poses(own.time_s))
-        motion = whitened_jacobian(own, errors, flight_jacobian(fit.flight.start, own.time_s)).reshape(-1, 12)
+        motion = whitened_jacobian(own, errors, pose_jacobian(fit.flight, own.time_s)).reshape(-1, 12)
         shift = own.whitener[:, :, :3] @ matrix_from_quat(own.quaternion)
         basis = orthonormal_basis(motion, np.diag(np.linalg.norm(motion, axis=0)))
         apart = np.column_stack([whitened(own, errors).ravel(), shift.reshape(-1, _OFFSET_NUMBERS)])

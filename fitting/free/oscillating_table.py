@@ -32,10 +32,10 @@ _AT_REST_M = 2e-4
 """Height at a touch below which the table is at rest: the error of flights of a dozen frames."""
 
 _SIGMA_HEIGHT_M = 5e-5
-"""Weight of heights."""
+"""Scale of the residuals of heights."""
 
 _SIGMA_SPEED_M_S = 0.02
-"""Weight of velocities."""
+"""Scale of the residuals of velocities."""
 
 _MIN_BOUNCES = 4
 """Two numbers each, for four unknowns: with three bounces some motion also explains what a wrong die does."""
@@ -52,6 +52,9 @@ _FREQUENCY_STEP = 0.1
 _CANDIDATES = 3
 """Motions returned."""
 
+_MEETING_STEPS = 3
+"""Gauss-Newton steps to the instant at which two flights are nearest to each other."""
+
 _ITERATIONS = 4
 """Alternations between χ and the motion of one frequency."""
 
@@ -61,32 +64,32 @@ def table_motion_candidates(die: Die, free: FreeFlights, impacts: Sequence[Impac
     none where the bounces show a table at rest, or are too few.
     """
     pairs = zip(impacts, free.flights, free.flights[1:], strict=False)
-    seen = [
+    touches = [
         _touch(die, before.flight, after.flight, impact)
         for impact, before, after in pairs
         if before is not None and after is not None and impact.contact == "vertex" and len(impact.vertices) == 1
     ]
-    if len(seen) < _MIN_BOUNCES:
+    if len(touches) < _MIN_BOUNCES:
         return []
-    times, heights, before_m_s, after_m_s = np.array(seen).T
+    times, heights, before_m_s, after_m_s = np.array(touches).T
     if np.abs(heights).max() < _AT_REST_M:
         return []
-    touches, span = (times, heights, before_m_s, after_m_s), float(np.ptp(times))
+    columns, span = (times, heights, before_m_s, after_m_s), float(np.ptp(times))
     frequencies = np.arange(_MIN_CYCLES / span, _MAX_FREQUENCY_HZ, _FREQUENCY_STEP / span)
-    found = [_best_motion(f, *touches) for f in frequencies]
+    found = [_best_motion(f, *columns) for f in frequencies]
     costs = np.array([cost for cost, _ in found])
     # Local minima, the deepest first.
     inner = np.flatnonzero((costs[1:-1] <= costs[:-2]) & (costs[1:-1] <= costs[2:])) + 1
     return [
-        _best_near(frequencies[k - 1], frequencies[k + 1], touches)
+        _best_near(frequencies[k - 1], frequencies[k + 1], columns)
         for k in inner[np.argsort(costs[inner])][:_CANDIDATES]
     ]
 
 
-def _best_near(low_hz: float, high_hz: float, touches: tuple[Array, Array, Array, Array]) -> dict[str, float]:
+def _best_near(low_hz: float, high_hz: float, columns: tuple[Array, Array, Array, Array]) -> dict[str, float]:
     """The motion nearest to the touches, between two frequencies."""
-    nearest = minimize_scalar(lambda f: _best_motion(f, *touches)[0], bounds=(low_hz, high_hz), method="bounded")
-    return _best_motion(float(nearest.x), *touches)[1]
+    nearest = minimize_scalar(lambda f: _best_motion(f, *columns)[0], bounds=(low_hz, high_hz), method="bounded")
+    return _best_motion(float(nearest.x), *columns)[1]
 
 
 def _touch(die: Die, before: Flight, after: Flight, impact: Impact) -> tuple[float, float, float, float]:
@@ -94,7 +97,7 @@ def _touch(die: Die, before: Flight, after: Flight, impact: Impact) -> tuple[flo
     meet.
     """
     instant = impact.time_s
-    for _ in range(3):
+    for _ in range(_MEETING_STEPS):
         one, other = before.at(instant), after.at(instant)
         apart = other.position_m - one.position_m
         turned = rotation_between(one.quaternion, other.quaternion) * die.solid.inradius

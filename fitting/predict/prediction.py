@@ -31,9 +31,9 @@ from ...model.throw import (
     packed_state,
     world_poses,
 )
+from ...tracking.throw import perturbed
 from ...tracking.track import ABSENT, TRACKED, Track
 from ..estimation import covariance_root, normal_quantile
-from ..free import moved_state
 from ..results import Parameter
 from ..throw import COARSE, INTERVAL_LEVEL, Physics, in_true_units, kernel_body, resting_face
 from .release_state import (
@@ -198,7 +198,7 @@ def face_odds(
     rng = np.random.default_rng(seed)
     root = covariance_root(release.covariance)
     landed = [
-        _landing(_drawn(physics, parameters, rng), moved_state(release.state, root @ rng.standard_normal(12)))
+        _landing(_drawn(physics, parameters, rng), perturbed(release.state, root @ rng.standard_normal(12)))
         for _ in range(draws)
     ]
     return {face: landed.count(face) / draws for face in _faces(physics)}, landed.count(0) / draws

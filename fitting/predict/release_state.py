@@ -23,8 +23,8 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State, touching_vertices
 from ...model.world import GRAVITY_M_S2
+from ...tracking.throw import perturbed, pose_jacobian
 from ...tracking.track import Track
-from ..free import flight_jacobian, moved_state
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -287,9 +287,10 @@ class _Motion:
     def departure(self, track: Track, row: np.int64) -> float:
         """Sigmas by which a frame departs from it."""
         time = float(track.time_s[row])
-        predicted = _carried(self.state, time)
+        flight = Flight(self.state, self.state.time_s)
+        predicted = flight.at(time)
         turned = rotation_between(predicted.quaternion[None], track.quaternion[row][None])[0]
-        ahead = flight_jacobian(self.state, np.array([time]))[0]
+        ahead = pose_jacobian(flight, np.array([time]))[0]
         doubt = 1.0 + _FEW_FRAMES_DOUBT / max(3 * self.frames - 6, 1)
         worst = 0.0
         for k, error in enumerate((track.position_m[row] - predicted.position_m, turned)):
@@ -337,14 +338,15 @@ def _nearest(track: Track, rows: Indices, guess: State | None = None) -> tuple[S
             break
         change = np.zeros(12)
         change[_ROTATION_STATE] = step
-        state = moved_state(state, change)
+        state = perturbed(state, change)
     return state, errors, jacobian
 
 
 def _errors(state: State, times: Array, positions: Array, quaternions: Array) -> tuple[Array, Array]:
     """Errors (n, 6) of poses about the flight of a state, and the derivatives (n, 6, 12) of its poses."""
-    flown, turned = Flight(state, state.time_s).poses(times)
-    return np.hstack([positions - flown, rotation_between(turned, quaternions)]), flight_jacobian(state, times)
+    flight = Flight(state, state.time_s)
+    flown, turned = flight.poses(times)
+    return np.hstack([positions - flown, rotation_between(turned, quaternions)]), pose_jacobian(flight, times)
 
 
 def _derivative_by_offset(state: State, times: Array) -> Array:

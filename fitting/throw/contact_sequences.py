@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.throw import Impact, State
-from ..free import FreeFlights, moved_state
+from ...tracking.throw import perturbed
+from ..free import FreeFlights
 from .physics import Physics
 from .shooting import Trajectory
 
@@ -21,7 +22,7 @@ _DRAWS = 32
 """Throws drawn from a fit for the sequences that they make."""
 
 _MAX_SIMULATED = 8
-"""Simulated sequences that are tried: together they cover nearly all draws."""
+"""Simulated sequences that are tried: the most frequent ones."""
 
 _MAX_LISTED = 24
 """Sequences tried that a measured edge or face allows; four corners have sixteen single and ordered pairs."""
@@ -66,7 +67,7 @@ def simulated_sequences(trajectory: Trajectory, target: int, free: FreeFlights) 
     done = len(trajectory.vertices)
     for k in range(_DRAWS):
         x = spread @ rng.standard_normal(len(spread)) if k else np.zeros(len(spread))
-        sequence = own_sequence(trajectory.physics.moved(x[12:]), moved_state(trajectory.state, x[:12]), until_s)
+        sequence = own_sequence(trajectory.physics.moved(x[12:]), perturbed(trajectory.state, x[:12]), until_s)
         if sequence[:done] == trajectory.vertices:
             for end in range(done + 1, len(sequence) + 1):
                 counts[sequence[done:end]] += 1 if end < len(sequence) else 2

@@ -63,7 +63,7 @@ _WINDOW_FRAMES = (4, 12, 40)
 """Frames of a new flight in its first fits; the last fit takes all."""
 
 _BEAM_WIDTH = 3
-"""Trajectories kept: more sequences than that have not been seen to explain the same frames."""
+"""Trajectories kept until later frames decide; each takes as long to extend as the first."""
 
 _ATTEMPTED_SEQUENCES = 2
 """Simulated sequences through which the best attempt at an unexplained flight is looked for."""

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ...model.die import Die, lowest_face
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import State, Throw, Until
+from ...tracking.throw import perturbed
 from ...tracking.track import Track
 from ..estimation import covariance_root
-from ..free import moved_state
 from .physics import COARSE, Physics
 
 Array = NDArray[np.float64]
@@ -96,7 +96,7 @@ def landing_odds(
     undecided = 0
     for _ in range(DRAWS):
         x = spread @ rng.standard_normal(len(spread))
-        start = moved_state(initial, x[:12])
+        start = perturbed(initial, x[:12])
         face = _landing(physics.moved(x[12:]), start, vertices)
         if face is None:
             undecided += 1

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from ...model.throw import Propagation, State, Throw
+from ...tracking.throw import left_jacobians, perturbed
 from ..estimation import (
     COST_TOLERANCE,
     Observations,
@@ -25,7 +26,7 @@ from ..estimation import (
     whitened,
     whitened_jacobian,
 )
-from ..free import FreeFlights, left_jacobian, moved_state
+from ..free import FreeFlights
 from .physics import Physics, model_poses
 
 Array = NDArray[np.float64]
@@ -130,7 +131,7 @@ def fit_trajectory(
     def evaluate(x: Array) -> tuple[Array, Array]:
         residuals, jacobian, _ = _evaluated(observations, start, x, vertices)
         # The derivative is by a rotation about the displaced orientation, the unknown one about the orientation of `start`.
-        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobian(x[3:6])
+        jacobian[:, :, 3:6] = jacobian[:, :, 3:6] @ left_jacobians(x[None, 3:6])[0]
         residuals, jacobian = huber(residuals, jacobian, k2)
         return residuals.ravel(), jacobian.reshape(-1, jacobian.shape[2])
 
@@ -140,7 +141,7 @@ def fit_trajectory(
     _, scaled = huber(residuals, jacobian, k2)
     return replace(
         start,
-        state=moved_state(start.state, x[:12]),
+        state=perturbed(start.state, x[:12]),
         physics=physics.moved(x[12:]),
         vertices=vertices,
         observations=observations,
@@ -166,7 +167,7 @@ def _evaluated(
     observations: Observations, start: Trajectory, x: Array, vertices: tuple[int, ...]
 ) -> tuple[Array, Array, Propagation]:
     """Whitened residuals (n, 6), their derivative (n, 6, 12 + k) at the displaced start, and the throw."""
-    state, physics = moved_state(start.state, x[:12]), start.physics.moved(x[12:])
+    state, physics = perturbed(start.state, x[:12]), start.physics.moved(x[12:])
     modelled = model_poses(physics, state, observations.time_s, vertices)
     errors = pose_errors(observations, modelled.positions_m, modelled.quaternions)
     jacobian = whitened_jacobian(observations, errors, modelled.jacobian)

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.laws import LEVEL, Table
 from ...model.throw import Throw
+from ...tracking.throw import perturbed
 from ...tracking.track import Track
 from ..estimation import normal_quantile, observations_of, profile_interval, variance_inflation
-from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces, moved_state
+from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces
 from ..results import Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
 from .clock_and_scale import as_tracked
@@ -328,7 +329,7 @@ def _profile(
         # follow the bends of a valley a thousand times longer than wide, and may stop there.
         x = along * (value - trajectory.physics.values[name])
         displaced = replace(
-            trajectory, state=moved_state(trajectory.state, x[:12]), physics=trajectory.physics.moved(x[12:])
+            trajectory, state=perturbed(trajectory.state, x[:12]), physics=trajectory.physics.moved(x[12:])
         )
         return (
             _converged_cost(with_physics(displaced, displaced.physics.holding(name, value), k2), k2) - least

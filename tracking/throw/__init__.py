@@ -11,7 +11,9 @@ from .flight_chain import TABLE_SIGMA_M as TABLE_SIGMA_M
 from .flight_chain import VertexImpact as VertexImpact
 from .flight_chain import vertex_impact_equations as vertex_impact_equations
 from .flights import fit_flights as fit_flights
+from .flights import left_jacobians as left_jacobians
 from .flights import perturbed as perturbed
+from .flights import pose_jacobian as pose_jacobian
 from .flights import transition_matrices as transition_matrices
 from .flights import transition_matrix as transition_matrix
 from .measurement import UNMODELLED_SHARE as UNMODELLED_SHARE

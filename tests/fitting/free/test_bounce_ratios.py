@@ -9,12 +9,13 @@ import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.estimation.observations import observations_of
-from diethrow.fitting.free.flights import fit_flights, moved_state
+from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import CoulombImpact
 from diethrow.model.throw.motion import Flight, Throw
 from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.tracking.throw.flights import perturbed
 
 CUBE = make_die("cube", 0.016, 0.0048)
 SIGMA = np.repeat([5e-6, 5e-4, 2e-3, 0.3], 3)
@@ -29,7 +30,7 @@ def measured(flight: Flight, time_s: float, rng: np.random.Generator | None) -> 
     """The flight with its state at this instant perturbed by errors of SIGMA, and their covariance."""
     state = flight.at(time_s)
     if rng is not None:
-        state = moved_state(state, SIGMA * rng.standard_normal(12))
+        state = perturbed(state, SIGMA * rng.standard_normal(12))
     return Flight(state, flight.end_s, np.diag(SIGMA**2))
 
 

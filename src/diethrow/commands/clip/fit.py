@@ -99,6 +99,7 @@ def estimate_sequentially(
     watch: Stopwatch,
     table: ModelTable = LEVEL,
 ) -> tuple[Estimate, ...]:
+    """The estimates from the frames up to each bounce."""
     with watch.stage("estimates"):
         progress("Bounce by bounce", 0, 0)
         return sequential_estimates(frames_in_flight(frames, measured), measured, die, fit, table)

@@ -39,7 +39,7 @@ from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
 from ...fitting.estimation import observations_of, whiteners
-from ...fitting.free import common_restitution, fit_flights, measure_bounces, moved_state
+from ...fitting.free import common_restitution, fit_flights, measure_bounces
 from ...fitting.results import Fit, Parameter
 from ...fitting.throw import INTERVAL_LEVEL, IntervalMethod, fit_throw
 from ...model.die import Die, die_symmetries
@@ -50,7 +50,7 @@ from ...model.throw import Precision, State, Throw
 from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_trade_figures
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import QUALITIES, STANDARD, Quality
-from ...tracking.throw import frames_in_flight
+from ...tracking.throw import frames_in_flight, perturbed
 from ...tracking.track import Track
 from .track import check_scene, input_paths, track_scene
 
@@ -439,7 +439,7 @@ def _starts(die: Die, initial: State) -> Array:
     while len(rows) < THROWS:
         change = np.zeros(12)
         change[3:6] = TURNED_RAD * random.standard_normal(3)
-        s = moved_state(initial, change)
+        s = perturbed(initial, change)
         lowest = float((s.rotation @ die.solid.vertices.T)[2].min() + s.position_m[2])
         if lowest > 0.0:
             rows.append(np.concatenate([s.position_m, s.quaternion, s.velocity_m_s, s.omega_rad_s]))
