@@ -31,7 +31,7 @@ from ..throw import (
     vertex_impact_equations,
 )
 from .kernel_types import MOST_PIXELS, SHARED_PARAMETERS, WARPS, new_workspace
-from .mark_equations import Equations, mark_equations
+from .mark_equations import MarkEquations, mark_equations
 from .textures import FlightPoses, FrameWindow, SurfaceMarks, faces_of, flight_poses, optics_of
 
 Array = NDArray[np.float64]
@@ -183,7 +183,7 @@ def adjust_flights(
 
 
 def _normal_equations(
-    view: View, windows: list[FrameWindow], poses: FlightPoses, equations: list[Equations],
+    view: View, windows: list[FrameWindow], poses: FlightPoses, equations: list[MarkEquations],
     impacts: list[ImpactConstraint], marks: SurfaceMarks, layout: _Layout,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Normal matrix and right side of all unknowns: priors, marks, edges and impacts."""
@@ -218,7 +218,7 @@ def _normal_equations(
     return A, y
 
 
-def _usual_noise(equations: list[Equations]) -> Array:
+def _usual_noise(equations: list[MarkEquations]) -> Array:
     """(faces,) median noise over the frames that show a face; 0 for faces that none shows."""
     noise = np.array([np.where(e.stats[:, 1] > 0, e.stats[:, 2], np.nan) for e in equations])
     return np.asarray(np.nanmedian(np.where(np.isfinite(noise).any(0), noise, 0.0), axis=0))
@@ -333,16 +333,16 @@ def _correlated_groups(windows: list[FrameWindow], flights: Sequence[Flight]) ->
 
 def _equations_of_windows(
     view: View, marks: SurfaceMarks, windows: list[FrameWindow], poses: FlightPoses, cut: float
-) -> list[Equations]:
+) -> list[MarkEquations]:
     """Normal equations of every window at the pose of its flight."""
     optics, faces = optics_of(view, marks), faces_of(view, marks, cut)
     count, parameters = len(faces.counts), WARPS + SHARED_PARAMETERS
 
-    def of_some(some: NDArray[np.int64]) -> list[Equations]:
+    def of_some(some: NDArray[np.int64]) -> list[MarkEquations]:
         workspace, out = new_workspace(MOST_PIXELS, faces.coefficients.shape[1]), []
         for i in some:
             warps, stats = np.zeros((count, parameters, 7 + parameters)), np.zeros((count, 3))
-            equations = Equations(np.zeros((6, 6)), np.zeros(6), warps, stats)
+            equations = MarkEquations(np.zeros((6, 6)), np.zeros(6), warps, stats)
             mark_equations(poses.frame(i, windows[i]), optics, faces, True, workspace, equations)
             out.append(equations)
         return out

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.compiled import compiled, int64, truth
+from ..picture import PoseState
 
 LIGHT_COEFFICIENTS = 6
 """Of T, 1, a, b, aT, bT."""
@@ -144,7 +145,7 @@ class Faces(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A window of one frame round the die, and the die's pose and velocity then."""
+    """A window of one frame round the die, and the die's pose and motion then."""
 
     image: Any
     """(height, width) grey levels, float32."""
@@ -152,14 +153,7 @@ class Frame(NamedTuple):
     """Column of the whole picture at which the window begins."""
     y0: int
     """Row of the whole picture at which the window begins."""
-    position: Any
-    """(3,) [m]"""
-    rotation: Any
-    """(3, 3) body to world."""
-    velocity: Any
-    """(3,) [m/s]"""
-    omega: Any
-    """(3,) angular velocity [rad/s], world axes."""
+    pose: PoseState
 
 
 class Workspace(NamedTuple):

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.compiled import compiled, inner_fast_sums
-from ..picture import solve_factored, solve_positive
+from ..picture import PoseState, solve_factored, solve_positive
 from .face_geometry import (
     exposure_shrink,
     face_in_camera,
@@ -67,7 +67,7 @@ RELATIVE_DAMPING = 1e-12
 """Added to the diagonal of a pose's normal equations as a share of it: their columns are in metres and in radians."""
 
 
-class Equations(NamedTuple):
+class MarkEquations(NamedTuple):
     """Normal equations of one frame."""
 
     H: Any
@@ -81,7 +81,7 @@ class Equations(NamedTuple):
     """(faces, 3) pixels in view, pixels used, and noise [grey]."""
 
 
-class PoseRows(NamedTuple):
+class RefinedRows(NamedTuple):
     """Frames that are refined on marks and edges together, one row each."""
 
     position: Any
@@ -102,7 +102,7 @@ class PoseRows(NamedTuple):
 
 @compiled(nogil=True)
 def mark_equations(
-    frame: Frame, optics: Optics, faces: Faces, with_warps: bool, workspace: Workspace, equations: Equations
+    frame: Frame, optics: Optics, faces: Faces, with_warps: bool, workspace: Workspace, equations: MarkEquations
 ) -> None:
     """Fill the normal equations of the pose increment from the marks of every face in view.
 
@@ -116,7 +116,8 @@ def mark_equations(
         warps[:] = 0.0
     N = 6 + WARPS + SHARED_PARAMETERS if with_warps else 6
     stats[:] = 0.0
-    K, Rcw, tcw, texel, pos = optics.matrix, optics.rotation, optics.translation, faces.texel, frame.position
+    K, Rcw, tcw, texel = optics.matrix, optics.rotation, optics.translation, faces.texel
+    position, R, velocity, omega = frame.pose
     offsets, corners, counts = faces.offsets, faces.corners, faces.counts
     height, width = image.shape
     n = faces.coefficients.shape[1]
@@ -131,9 +132,9 @@ def mark_equations(
     face_H, face_g, light_cross = np.zeros((N, N)), np.zeros(N), np.zeros((N, LIGHT_COEFFICIENTS))
     eliminated = np.zeros(LIGHT_COEFFICIENTS)
     shrink, inverse_shrink, centre, scaled_centre = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
-    exposure_shrink(Rcw, frame.omega, optics.exposure, shrink)
+    exposure_shrink(Rcw, omega, optics.exposure, shrink)
     for i in range(3):
-        centre[i] = tcw[i] + Rcw[i, 0] * pos[0] + Rcw[i, 1] * pos[1] + Rcw[i, 2] * pos[2]
+        centre[i] = tcw[i] + Rcw[i, 0] * position[0] + Rcw[i, 1] * position[1] + Rcw[i, 2] * position[2]
         for j in range(3):
             # S⁻¹ to first order: the second is 1e-7.
             inverse_shrink[i, j] = (2.0 if i == j else 0.0) - shrink[i, j]
@@ -145,9 +146,9 @@ def mark_equations(
         if faces.usual_grey[f] <= 0.0:
             continue
         coefficients, use, texture_blur = faces.coefficients[f], faces.use[f], faces.texture_blur[f]
-        if face_in_camera(Rcw, tcw, pos, frame.rotation, faces.axes[f], offsets[f], E, origin) < LEAST_VIEW_COSINE:
+        if face_in_camera(Rcw, tcw, position, R, faces.axes[f], offsets[f], E, origin) < LEAST_VIEW_COSINE:
             continue
-        blur_on_face(optics, E, origin, offsets[f], frame.velocity, frame.omega, lens_blur, motion)
+        blur_on_face(optics, E, origin, offsets[f], velocity, omega, lens_blur, motion)
         border = faces.margin + motion_reach_px(K, origin[2], motion)
         if not face_outline(optics, E, origin, corners[f], counts[f], border, px, planes):
             continue
@@ -330,7 +331,7 @@ def _fill_products(m: int, k: int, workspace: Workspace, H: Any, g: Any, light_c
 
 @compiled(nogil=True)
 def refine_rows(
-    frames: Any, which: Any, boxes: Any, optics: Optics, faces: Faces, variance_factor: float, rows: PoseRows
+    frames: Any, which: Any, boxes: Any, optics: Optics, faces: Faces, variance_factor: float, rows: RefinedRows
 ) -> None:
     """Gauss-Newton on the marks together with the edges' poses, in place in `rows`.
 
@@ -340,7 +341,7 @@ def refine_rows(
     """
     reach = hypot(faces.offsets[0], hypot(faces.corners[0, 0, 0], faces.corners[0, 0, 1]))
     H, g = np.zeros((6, 6)), np.zeros(6)
-    equations = Equations(H, g, np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3)))
+    equations = MarkEquations(H, g, np.zeros((1, 1, 1)), np.zeros((faces.axes.shape[0], 3)))
     A, y, step, moved = np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6)
     workspace = new_workspace(WORKSPACE_PIXELS, faces.coefficients.shape[1])
     for k in range(which.shape[0]):
@@ -357,7 +358,7 @@ def refine_rows(
         solved = False
         moved[:] = 0.0
         for _ in range(GAUSS_NEWTON_STEPS):
-            frame = Frame(image, x0, y0, p, R, velocity, omega)
+            frame = Frame(image, x0, y0, PoseState(p, R, velocity, omega))
             mark_equations(frame, optics, faces, WITHOUT_WARPS, workspace, equations)
             solved = H[0, 0] > 0.0
             if not solved:

@@ -24,7 +24,7 @@ from ..picture import BIWEIGHT_CUT, THREADS, View
 from ..pose import weak_prior
 from ..throw import transition_matrices
 from .bundle_adjustment import contour_covariance, rotation_vectors
-from .mark_equations import PoseRows, refine_rows
+from .mark_equations import RefinedRows, refine_rows
 from .textures import SurfaceMarks, faces_of, optics_of
 
 Array = NDArray[np.float64]
@@ -87,7 +87,7 @@ class FrameRefinement:
         sharing = np.where(learned, np.bincount(flight[learned], minlength=len(throw.flights))[flight], 1)
         information = edge_information(view, marks, edges, sharing)
         difference[~by_flight] = 0.0
-        self._rows = PoseRows(
+        self._rows = RefinedRows(
             position=np.where(by_flight[:, None], position, edges.position_m),
             rotation=np.where(by_flight[:, None, None], rotation, edges.rotation),
             velocity=velocity,
@@ -109,7 +109,7 @@ class FrameRefinement:
 
         def refine_part(first: int, end: int) -> None:
             mine = slice(rows.start + first, rows.start + end)
-            part = PoseRows(*(array[mine] for array in self._rows))
+            part = RefinedRows(*(array[mine] for array in self._rows))
             boxes = self.boxes[mine]
             refine_rows(frames, which[first:end], boxes, self._optics, self._faces, self._variance_factor, part)
 

@@ -74,13 +74,14 @@ def sample_texture(
     E, origin = np.zeros((3, 3)), np.zeros(3)
     K, dist, Rcw, use, texel = optics.matrix, optics.distortion, optics.rotation, faces.use[f], faces.texel
     image, x0, y0, lens_blur, motion = frame.image, frame.x0, frame.y0, sums.blur[0], sums.blur[1]
+    position, R, velocity, omega = frame.pose
     offset, sides = faces.offsets[f], faces.counts[f]
-    facing = face_in_camera(Rcw, optics.translation, frame.position, frame.rotation, faces.axes[f], offset, E, origin)
+    facing = face_in_camera(Rcw, optics.translation, position, R, faces.axes[f], offset, E, origin)
     if facing < LEAST_VIEW_COSINE:
         return 0.0, 0.0
     S, centre = np.zeros((3, 3)), origin - offset * E[2]
-    exposure_shrink(Rcw, frame.omega, optics.exposure, S)
-    blur_on_face(optics, E, origin, offset, frame.velocity, frame.omega, lens_blur, motion)
+    exposure_shrink(Rcw, omega, optics.exposure, S)
+    blur_on_face(optics, E, origin, offset, velocity, omega, lens_blur, motion)
     shrink_face(S, centre, offset, E, origin)
     px, planes = np.zeros((sides, 2)), np.zeros((sides, 3))
     margin = faces.margin + motion_reach_px(K, origin[2], motion)

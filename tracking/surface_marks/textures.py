@@ -23,7 +23,7 @@ from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Throw
 from ..camera import Camera
-from ..picture import THREADS, View
+from ..picture import THREADS, PoseState, View
 from ..throw import transition_matrices
 from .kernel_types import LEAST_VIEW_COSINE, MARGIN_BLURS, MOST_OCCLUDED, Faces, Frame, Optics, new_workspace
 from .texture_sampling import UNBOUNDED_GREY, TextureSums, sample_texture
@@ -147,8 +147,8 @@ class FlightPoses:
 
     def frame(self, k: int, window: FrameWindow) -> Frame:
         """Window k with its pose, for the kernels."""
-        motion = self.position_m[k], self.rotation[k], self.velocity_m_s[k], self.omega_rad_s[k]
-        return Frame(window.image, window.x0, window.y0, *motion)
+        pose = PoseState(self.position_m[k], self.rotation[k], self.velocity_m_s[k], self.omega_rad_s[k])
+        return Frame(window.image, window.x0, window.y0, pose)
 
 
 def flight_poses(windows: list[FrameWindow], flights: tuple[Flight, ...]) -> FlightPoses:
