@@ -26,6 +26,7 @@ from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
 from ..footage import REPEATED
+from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
 from .gravity import Fall, fall_notices
 
@@ -154,7 +155,7 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         "playback_hz": timing.playback_hz,
         "largest_uneven_share": timing.uneven_share,
     }
-    copies = [notice for notice in timing.notices if REPEATED in notice]
+    repeated = [notice for notice in timing.notices if REPEATED in notice]
     measured = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
     if timing.file_rate_hz is not None:
         measured += ", the rate that the file declares"
@@ -162,18 +163,18 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         measured += f" by the scene; the file declares only a playback rate of {timing.playback_hz:g} frames/s"
     else:
         measured += " by the scene; the file declares no rate"
-    if copies:
+    if repeated:
         advice = "the software filled in dropped frames; export the clip again, or exclude these frames (clip.exclude)"
-        return Finding("timing", Verdict.BAD, f"{measured}. {copies[0]}", advice, values)
+        return Finding("timing", Verdict.BAD, f"{measured}. {repeated[0]}", advice, values)
     if timing.uneven_share > MAX_UNEVEN_SHARE or timing.notices:
         rest = " ".join(timing.notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
         return Finding(
             "timing", Verdict.DOUBTFUL, f"{measured}. {rest}", "check whether these times are the camera's", values
         )
-    mine, theirs = exposure_s, timing.file_exposure_s
-    if mine is not None and theirs is not None and abs(mine - theirs) > MAX_EXPOSURE_MISMATCH * theirs:
-        measured += f"; the exposure is {1e6 * theirs:.4g} µs by the file and {1e6 * mine:.4g} µs by the scene"
-        return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {theirs:.4g}", values)
+    scene_s, file_s = exposure_s, timing.file_exposure_s
+    if scene_s is not None and file_s is not None and abs(scene_s - file_s) > MAX_EXPOSURE_MISMATCH * file_s:
+        measured += f"; the exposure is {1e6 * file_s:.4g} µs by the file and {1e6 * scene_s:.4g} µs by the scene"
+        return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {file_s:.4g}", values)
     return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
 
 
@@ -224,7 +225,7 @@ def _light(match: BackgroundMatch, tracked_part: TrackedPart | None) -> Finding:
 
 def _tracking(tracked_part: TrackedPart) -> Finding:
     track = tracked_part.track
-    known, lost = int(track.tracked.sum()), int((track.status == "lost").sum())
+    known, lost = int(track.tracked.sum()), int((track.status == LOST).sum())
     bounces = len(tracked_part.throw.impacts) if tracked_part.throw is not None else 0
     measured = f"Of {len(track)} frames, {known} were tracked and {lost} were lost; {bounces} bounces were found."
     values = {"tracked": float(known), "lost": float(lost), "bounces": float(bounces)}

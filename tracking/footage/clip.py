@@ -97,7 +97,7 @@ def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, i
 
 
 def clip_files(path: Path) -> tuple[Path, ...]:
-    """Every file that `open_clip` reads: the pixels beside a Photron header, and all pictures of a sequence.
+    """Every file that `open_clip` reads: the pixels next to a Photron header, and all pictures of a sequence.
 
     A path without a file, or of no film, is returned as it is; `open_clip` raises the error.
     """

@@ -69,14 +69,14 @@ def whole_folder(folder: Path, *, force: bool = False, inputs: Iterable[Path] = 
     with _sigterm_as_interrupt(), locked(folder), _disk_errors_named(folder):
         _remove_leftovers(folder)
         refuse_existing(folder, force=force, inputs=kept)
-        aside = _folder_next_to(folder)
+        temporary = _folder_next_to(folder)
         try:
-            yield aside
-            _flush(aside)
+            yield temporary
+            _flush(temporary)
             refuse_existing(folder, force=force, inputs=kept)
-            _replace(folder, aside)
+            _replace(folder, temporary)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
@@ -94,14 +94,14 @@ def whole_file(file: Path, *, force: bool = False, inputs: Iterable[Path] = ()) 
         raise OutputExistsError(f"{file} is an input, which must stay; wanted another file, try another --out")
     with _sigterm_as_interrupt(), locked(file), _disk_errors_named(file):
         _remove_leftovers(file)
-        aside = _folder_next_to(file)
+        temporary = _folder_next_to(file)
         try:
-            yield aside / file.name
-            _flush(aside)
-            (aside / file.name).replace(file)
+            yield temporary / file.name
+            _flush(temporary)
+            (temporary / file.name).replace(file)
             _sync_folder(file.parent)
         finally:
-            shutil.rmtree(aside, ignore_errors=True)
+            shutil.rmtree(temporary, ignore_errors=True)
 
 
 @contextmanager
@@ -112,26 +112,26 @@ def locked(output: Path) -> Iterator[None]:
     cannot be made.
     """
     output = Path(os.path.abspath(output))
-    beside = output.with_name(f".{output.name}.lock")
+    lock_path = output.with_name(f".{output.name}.lock")
     with _place_errors_named(output):
         output.parent.mkdir(parents=True, exist_ok=True)
-        handle = _lock(beside, output)
+        handle = _lock(lock_path, output)
     try:
         yield
     finally:
         if handle is not None:
             # Unlinked while it is locked: no other process can hold it, and one that waits finds another file of that name.
-            beside.unlink(missing_ok=True)
+            lock_path.unlink(missing_ok=True)
             os.close(handle)
 
 
-def _lock(beside: Path, output: Path) -> int | None:
+def _lock(lock_path: Path, output: Path) -> int | None:
     """The descriptor of the locked file; None where there are no locks."""
     if fcntl is None:
         return None
     deadline = time.monotonic() + LOCK_TIMEOUT_S
     while True:
-        handle = os.open(beside, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(lock_path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -145,10 +145,10 @@ def _lock(beside: Path, output: Path) -> int | None:
         except OSError as error:
             os.close(handle)
             if error.errno in NO_LOCKS:
-                beside.unlink(missing_ok=True)
+                lock_path.unlink(missing_ok=True)
                 return None
             raise
-        if _is_same_file(beside, handle):
+        if _is_same_file(lock_path, handle):
             return handle
         os.close(handle)
 
@@ -235,28 +235,28 @@ def _disk_errors_named(output: Path) -> Iterator[None]:
         ) from error
 
 
-def _flush(aside: Path) -> None:
+def _flush(temporary: Path) -> None:
     """Flush every file to the disk, and give the folder the permissions of an ordinary one (mkdtemp makes it private)."""
-    for file in aside.rglob("*"):
+    for file in temporary.rglob("*"):
         if file.is_file():
             with file.open("rb") as handle:
                 os.fsync(handle.fileno())
     mask = os.umask(0)
     os.umask(mask)
-    aside.chmod(0o777 & ~mask)
-    _sync_folder(aside)
+    temporary.chmod(0o777 & ~mask)
+    _sync_folder(temporary)
 
 
-def _replace(folder: Path, aside: Path) -> None:
-    """Rename `aside` to `folder`. An existing folder is moved away first, and back again if the renaming fails."""
+def _replace(folder: Path, temporary: Path) -> None:
+    """Rename `temporary` to `folder`. An existing folder is moved away first, and back again if the renaming fails."""
     if not folder.exists():
-        aside.rename(folder)
+        temporary.rename(folder)
         _sync_folder(folder.parent)
         return
     old = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".old", dir=folder.parent)) / "old"
     folder.rename(old)
     try:
-        aside.rename(folder)
+        temporary.rename(folder)
     except BaseException:
         old.rename(folder)
         raise
