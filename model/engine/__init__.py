@@ -9,7 +9,6 @@ of this folder, any other by `asymmetric`; derivatives of both are in `derivativ
 from .air import Air as Air
 from .air import Vacuum as Vacuum
 from .air import drag_trajectory as drag_trajectory
-from .event_loop import land_many as land_many
 from .event_loop import poses_of_throws as poses_of_throws
 from .event_loop import run_throw as run_throw
 from .flight import advance as advance

@@ -10,7 +10,6 @@ from __future__ import annotations
 from math import inf, nan, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
 from .flight import advance, first_touch, height_terms, lever_arm, spin_rate, table_velocity, vertex_velocity
@@ -257,21 +256,6 @@ def run_throw(
             held = bits_of(active) if j == -3 else float(i)
             write_event(log[events], time, hit, before, state, held, j)
         events += 1
-
-
-@compiled(nogil=True)
-def land_many(
-    body: Body, law: Law, plane: Plane, precision: Precision, starts: Array, impact_cap: int, landed: NDArray[np.int64]
-) -> None:
-    """Throw from every row of `starts` (n, 13) until its face is decided.
-
-    Fills `landed` (n, 3): row of the face or -1, impacts, code of the ending.
-    """
-    for k in range(starts.shape[0]):
-        ending, impacts, face, _, _, _, _ = run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, NO_LIMIT, TRUE, impact_cap, FALSE
-        )
-        landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
 
 
 @inner

@@ -39,17 +39,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import engine
 from ..rotations import matrix_from_quat, quat_multiply
-from .motion import Flight, State
+from .motion import SampledFlight, State
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class HeldContact(Flight):
+class HeldContact(SampledFlight):
     """Motion in contact with the table, from the instant of `start` until `end_s`."""
 
     vertices: tuple[int, ...]
@@ -66,12 +66,6 @@ class HeldContact(Flight):
     def at(self, time_s: float) -> State:
         """The state at any instant of the contact; before and after it, that of its nearer end."""
         return self._world(self._packed(time_s), time_s)
-
-    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
-        states = [self.at(float(t)) for t in np.asarray(times_s, float)]
-        positions = np.array([s.position_m for s in states]).reshape(-1, 3)
-        return positions, np.array([s.quaternion for s in states]).reshape(-1, 4)
 
     def _packed(self, time_s: float) -> Array:
         """The state (13,) in the table's axes."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .. import engine
 from ..die import Die
@@ -21,7 +21,7 @@ from ..world import GRAVITY_M_S2
 from .asymmetric_throw import AsymmetricThrow
 from .body import body_of, centroid_state, packed_state, touching_vertices, unpacked_state
 from .held_contact import HeldContact
-from .motion import Flight, Impact, State, Throw, energy_J, rotated_state
+from .motion import Flight, Impact, SampledFlight, State, Throw, energy_J, rotated_state
 
 Array = NDArray[np.float64]
 Pair = tuple[int, int]
@@ -53,7 +53,7 @@ class _Setup:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class AsymmetricMotion(Flight):
+class AsymmetricMotion(SampledFlight):
     """Motion of an asymmetric die between two events, in flight or on the table."""
 
     motion: AsymmetricThrow
@@ -64,12 +64,6 @@ class AsymmetricMotion(Flight):
         """The state at any instant of the span; before and after it, that of its nearer end."""
         state = self.motion.at(min(max(time_s, self.start.time_s), self.end_s))
         return rotated_state(state, self.table.world_from_table) if self.table.tilt_rad else state
-
-    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
-        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
-        states = [self.at(float(t)) for t in np.asarray(times_s, float)]
-        positions = np.array([s.position_m for s in states]).reshape(-1, 3)
-        return positions, np.array([s.quaternion for s in states]).reshape(-1, 4)
 
 
 def throw_from_log(

@@ -76,6 +76,21 @@ class Flight:
         return rates
 
 
+class SampledFlight(Flight):
+    """Motion without a closed form: poses and rates are those of the states at the given times."""
+
+    def poses(self, times_s: ArrayLike) -> tuple[Array, Array]:
+        """Positions (n, 3) [m] and quaternions (n, 4) wxyz at times (n,) [s]."""
+        states = [self.at(float(t)) for t in np.asarray(times_s, float)]
+        positions = np.array([s.position_m for s in states]).reshape(-1, 3)
+        return positions, np.array([s.quaternion for s in states]).reshape(-1, 4)
+
+    def rates(self, times_s: ArrayLike) -> Array:
+        """Velocities [m/s] and angular velocities [rad/s] (n, 6), world axes, at times (n,) [s]."""
+        states = [self.at(float(t)) for t in np.asarray(times_s, float)]
+        return np.array([[*s.velocity_m_s, *s.omega_rad_s] for s in states]).reshape(-1, 6)
+
+
 @dataclass(frozen=True, eq=False)
 class Impact:
     """One impact on the table, measured or simulated. Unknown numbers are NaN."""

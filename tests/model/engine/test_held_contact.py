@@ -10,9 +10,9 @@ from scipy.integrate import quad, solve_ivp
 from diethrow.model import engine
 from diethrow.model.die.die import Die, die_from_solid
 from diethrow.model.die.solid import convex_solid
+from diethrow.model.ensembles.landings import ENDING_OF_INDEX, Landings, ThrowSetup
 from diethrow.model.laws import CoulombImpact, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
-from diethrow.model.throw import body
 from diethrow.model.throw.held_contact import HeldContact
 from diethrow.model.throw.motion import State, energy_J, rotated_state
 from diethrow.model.throw.simulate import EXACT, Ending, Precision, Until, throw_die
@@ -337,21 +337,19 @@ def many_releases(rng, die, n: int, fastest_rad_s: float) -> np.ndarray:
     return np.hstack([positions, quaternions, rng.normal(scale=0.5, size=(n, 3)), axes])
 
 
-def landed(die, chi: float, starts: np.ndarray, precision: engine.Precision = engine.FINE) -> np.ndarray:
-    """Face row, impacts and ending (n, 3)."""
-    table = np.empty((len(starts), 3), np.int64)
-    law = engine.law_of(engine.SMOOTH, np.array([chi]))
-    engine.land_many(body.body_of(die), law, engine.LEVEL, precision, starts, 3_000_000, table)
-    return table
+def landed(die, chi: float, starts: np.ndarray, precision: Precision = EXACT) -> Landings:
+    """How throws end, from their starts (n, 13)."""
+    return ThrowSetup(die, SmoothImpact(chi), precision=precision).throw(starts)
 
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.1, 0.5, 0.9])
 def test_thousands_of_throws_rest_or_spin_and_none_runs_into_the_cap(die, chi):
-    table = landed(die, chi, many_releases(np.random.default_rng(75), die, 1000, 300.0))
-    assert set(table[:, 2]) <= {engine.RESTED, engine.SPINNING, engine.TIMED_OUT}
-    np.testing.assert_array_equal(table[:, 0] >= 0, table[:, 2] == engine.RESTED)
-    assert np.mean(table[:, 2] == engine.TIMED_OUT) < 0.05
+    landings = landed(die, chi, many_releases(np.random.default_rng(75), die, 1000, 300.0))
+    endings = np.array([ENDING_OF_INDEX[index].name for index in landings.ending])
+    assert set(endings) <= {Ending.RESTED.name, Ending.SPINNING.name, Ending.SPUN_LONG.name}
+    np.testing.assert_array_equal(landings.face > 0, endings == Ending.RESTED.name)
+    assert np.mean(endings == Ending.SPUN_LONG.name) < 0.05
 
 
 @each_die
@@ -359,9 +357,9 @@ def test_thousands_of_throws_rest_or_spin_and_none_runs_into_the_cap(die, chi):
 def test_the_face_depends_neither_on_the_slowest_bounce_nor_on_the_step(die, chi, lost):
     """Chaos makes the exceptions: 1e-6 of a velocity and 1e-9 of a pose, grown by all impacts that follow."""
     starts = many_releases(np.random.default_rng(76), die, 400, 60.0)
-    usual = landed(die, chi, starts)[:, 0]
+    usual = landed(die, chi, starts).face
     for switch, turn in ((1e-6, 0.3), (1e-10, 0.3), (1e-8, 0.1), (1e-8, 0.4)):
-        assert np.mean(landed(die, chi, starts, engine.Precision(0.0, switch, turn))[:, 0] != usual) <= lost
+        assert np.mean(landed(die, chi, starts, Precision(0.0, switch, turn)).face != usual) <= lost
 
 
 @each_die

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from random_throws import DICE, random_release
 
+from diethrow.model.die.die import loaded_die
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, Throw, energy_J
@@ -55,6 +56,18 @@ def test_a_throw_is_continuous_in_pose_across_its_impacts():
         np.testing.assert_allclose(rates[k], np.concatenate([state.velocity_m_s, state.omega_rad_s]), atol=1e-13)
         np.testing.assert_allclose(throw.at(time).position_m, positions[k], atol=1e-14)
         np.testing.assert_allclose(rotation_between(throw.at(time).quaternion, quaternions[k]), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("die", [DICE["cube"], loaded_die(DICE["cube"].solid, 0.016, 0.004, [0.0, 0.0, 0.008])])
+def test_rates_of_a_whole_throw_are_those_of_its_states_in_held_contact_too(die):
+    throw = throw_die(die, random_release(np.random.default_rng(2), die), SmoothImpact(0.0)).throw
+    times = np.linspace(throw.flights[0].start.time_s, throw.flights[-1].end_s, 40)
+    states = [throw.at(time) for time in times]
+    expected = [np.concatenate([state.velocity_m_s, state.omega_rad_s]) for state in states]
+    np.testing.assert_allclose(throw.rates(times), expected, atol=1e-13)
+    positions, quaternions = throw.poses(times)
+    np.testing.assert_allclose(positions, [state.position_m for state in states], atol=1e-14)
+    np.testing.assert_allclose(quaternions, [state.quaternion for state in states], atol=1e-14)
 
 
 def test_rotating_the_start_rotates_the_flight():
