@@ -163,7 +163,7 @@ def landing_sentence(fit: Fit) -> str:
     if not fit.face_odds:
         return "Landing face unknown: the simulation stopped before the die came to rest."
     face, share = max(fit.face_odds.items(), key=lambda item: item[1])
-    return f"Landing face uncertain: face {face} is the likeliest, with odds of {100 * share:.0f} %."
+    return f"Landing face undecided: face {face} is the likeliest, with odds of {100 * share:.0f} %."
 
 
 def certainty_sentences(estimates: Sequence[Estimate]) -> list[str]:
