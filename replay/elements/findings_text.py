@@ -230,8 +230,8 @@ def _observation_sentence(record: Record) -> str:
     text = f"The pose is known on {int(track.tracked.sum())} of the {plural(visible, 'frame')} that show the die; "
     if not impacts:
         return text + "no bounce was observed."
-    times = ", ".join(f"{1e3 * impact.time_s:.1f}" for impact in impacts[:MAX_LISTED_TIMES])
-    times += ", …" if len(impacts) > MAX_LISTED_TIMES else ""
+    listed = [f"{1e3 * impact.time_s:.1f}" for impact in impacts[:MAX_LISTED_TIMES]]
+    times = _listed(listed) if len(impacts) <= MAX_LISTED_TIMES else ", ".join([*listed, "…"])
     found = "one bounce was" if len(impacts) == 1 else f"{_word(len(impacts)).lower()} bounces were"
     unresolved = sum(impact.contact == "unresolved" for impact in impacts)
     end = f"; {unresolved} of them could not be resolved into single contacts." if unresolved else "."
