@@ -38,7 +38,7 @@ def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_aft
     return Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
 
 
-def strike_at(die: Die, vertex: int) -> VertexImpact:
+def impact_at(die: Die, vertex: int) -> VertexImpact:
     """An impact at one vertex of that die."""
     point = inner_vertices(die.solid, die.corner_radius_m)[vertex]
     return VertexImpact(point, die.corner_radius_m, die.mass_kg / die.inertia_kg_m2)

@@ -26,7 +26,7 @@ from marked_throws import (
     tossed,
 )
 from numpy.typing import NDArray
-from throws import strike_at
+from throws import impact_at
 
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
@@ -114,7 +114,7 @@ def test_the_covariance_of_a_flight_includes_the_placement_of_the_marks() -> Non
 def test_an_impact_on_the_table_determines_the_distance(frames_after: int) -> None:
     throw = struck(frames_after)
     vertex, t = throw.impacts[0].vertices[0], throw.impacts[0].time_s
-    strike = strike_at(CUBE, vertex)
+    strike = impact_at(CUBE, vertex)
     # The time of the impact is as accurate as by edges. Frames beside it are not used, which leaves the shorter
     # flight one.
     impact = replace(throw.impacts[0], sigma_time_s=0.01 / FPS)

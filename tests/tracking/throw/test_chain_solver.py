@@ -1,4 +1,4 @@
-"""Laws of the recursion along a chain: it finds what one large matrix finds, and is as sure."""
+"""Laws of the recursion along a chain: steps and covariances are those of one large matrix."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ D = 13
 
 
 class Chain:
-    """A random chain of links, some open, some with rules; and the same as one large problem."""
+    """A random chain of links, some open, some with conditions; and the same as one large problem."""
 
     def __init__(self, seed: int, count: int) -> None:
         rng = np.random.default_rng(seed)
@@ -26,7 +26,7 @@ class Chain:
         for k in range(count):
             size = 12 if k % 3 == 2 else 7
             self.stages.sizes[k] = size
-            self.stages.by_state[k, 12, 12] = 1.0  # what all flights share
+            self.stages.by_state[k, 12, 12] = 1.0  # the parameter that all flights share
             self.stages.by_link[k, :12, :size] = rng.normal(size=(12, size))
             if size == 7:
                 self.stages.by_state[k, :12, :12] = rng.normal(size=(12, 12)) / 3.0
@@ -35,7 +35,7 @@ class Chain:
                 self.stages.violation[k] = rng.normal(size=4)
 
     def maps(self) -> tuple[list[Array], list[Array]]:
-        """Of all numbers (first state, then each link's) onto each flight's state, and onto each link's numbers."""
+        """From all parameters (first state, then those of each link) to each flight's state, and to those of each link."""
         total = D + int(self.stages.sizes.sum())
         state, column = np.eye(D, total), D
         states, links = [state], []
@@ -48,8 +48,8 @@ class Chain:
             column += int(size)
         return states, links
 
-    def rules(self) -> list[tuple[Array, Array]]:
-        """Rows of each link's rules in all numbers, and what they miss."""
+    def conditions(self) -> list[tuple[Array, Array]]:
+        """Rows of each link's conditions in all parameters, and their violation."""
         states, links = self.maps()
         s = self.stages
         return [
@@ -62,8 +62,8 @@ class Chain:
         states, _ = self.maps()
         A = sum(M.T @ N @ M for M, N in zip(states, self.normal, strict=True))
         g = sum(M.T @ g for M, g in zip(states, self.gradient, strict=True))
-        A = A + sum(rows.T @ rows for rows, _ in self.rules())
-        return np.asarray(A), np.asarray(g + sum(rows.T @ miss for rows, miss in self.rules()))
+        A = A + sum(rows.T @ rows for rows, _ in self.conditions())
+        return np.asarray(A), np.asarray(g + sum(rows.T @ violation for rows, violation in self.conditions()))
 
 
 @pytest.mark.parametrize("count", [0, 1, 4, 9])
@@ -73,12 +73,12 @@ def test_the_recursion_takes_the_step_of_the_large_matrix(count: int) -> None:
     wanted = -np.linalg.solve(A, g)
     first, changes = solve_chain(chain.normal, chain.gradient, chain.stages, 1e-14)
     found = np.concatenate([first, *(change[:size] for change, size in zip(changes, chain.stages.sizes, strict=True))])
-    # `HELD` is 1e-9, and the least eigenvalue of the large matrix of nine links some 1e-3.
+    # `LEAST_DAMPING` is 1e-9, and the least eigenvalue of the large matrix of nine links some 1e-3.
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=2e-6 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("count", [0, 1, 4, 9])
-def test_white_noise_leaves_the_inverse_of_the_large_matrix(count: int) -> None:
+def test_the_covariance_for_white_noise_is_the_inverse_of_the_large_matrix(count: int) -> None:
     chain = Chain(20 + count, count)
     inverse = np.linalg.inv(chain.matrix()[0])
     states, links = chain.maps()
@@ -90,14 +90,14 @@ def test_white_noise_leaves_the_inverse_of_the_large_matrix(count: int) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 4, 9])
-def test_noise_of_another_kind_makes_the_sandwich(count: int) -> None:
+def test_the_covariance_for_other_noise_is_the_sandwich(count: int) -> None:
     chain = Chain(40 + count, count)
     A, _ = chain.matrix()
     rows = np.random.default_rng(count).normal(size=(count + 1, 8, D))
     noises = np.swapaxes(rows, 1, 2) @ rows
     states, links = chain.maps()
     B = sum(M.T @ N @ M for M, N in zip(states, noises, strict=True))
-    B = B + sum(obeyed.T @ obeyed for obeyed, _ in chain.rules())
+    B = B + sum(rows.T @ rows for rows, _ in chain.conditions())
     sandwich = np.linalg.inv(A) @ B @ np.linalg.inv(A)
     last, joint_covariance = chain_covariance(chain.normal, noises, chain.stages)
     np.testing.assert_allclose(last, states[-1] @ sandwich @ states[-1].T, atol=1e-9)
@@ -106,9 +106,9 @@ def test_noise_of_another_kind_makes_the_sandwich(count: int) -> None:
         np.testing.assert_allclose(joint_covariance[k], both @ sandwich @ both.T, atol=1e-9)
 
 
-def test_a_number_that_nothing_tells_of_stays_where_it_is() -> None:
+def test_an_undetermined_parameter_stays_where_it_is() -> None:
     chain = Chain(3, 2)
-    # The last flight has no frames: what its link does, but for its rules, is open.
+    # The last flight has no frames: its link is undetermined without conditions.
     chain.normal[-1], chain.gradient[-1] = 0.0, 0.0
     chain.stages.impact_by_state[-1], chain.stages.impact_by_link[-1], chain.stages.violation[-1] = 0.0, 0.0, 0.0
     first, changes = solve_chain(chain.normal, chain.gradient, chain.stages, 1e-12)

@@ -1,4 +1,4 @@
-"""How sure tracking is: the scatter of the frames and its memory, and what all frames of a clip get wrong alike."""
+"""Laws of the error model: autocorrelated errors of frames, and errors that all frames of a clip share."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def one_flight(rng: np.random.Generator, frames: int = 120) -> Throw:
     return Throw((Flight(start, frames / FPS),), ())
 
 
-def scattered(rng: np.random.Generator, variance_ratio: float, frames: float, flight_frames: int = 120) -> Track:
+def with_slow_errors(rng: np.random.Generator, variance_ratio: float, frames: float, flight_frames: int = 120) -> Track:
     """A flight whose errors are white as stated, plus a slow part of `variance_ratio` times that variance."""
     throw = one_flight(rng, flight_frames)
     track = seen(throw, rng)
@@ -56,7 +56,7 @@ def scattered(rng: np.random.Generator, variance_ratio: float, frames: float, fl
     return replace(track, position_m=track.position_m + size * (slow.position_m - p), quaternion=rotated)
 
 
-def scatter_of(track: Track) -> ErrorModel:
+def error_model_of(track: Track) -> ErrorModel:
     observations = observations_of(track)
     state, _, _ = fit_flight(observations)
     return estimate_error_model(observations, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
@@ -67,68 +67,72 @@ def observations_of(track: Track) -> Observations:
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
-def test_frames_that_err_each_for_itself_are_found_to_do_so_at_their_true_scale(stated: float) -> None:
+def test_independent_errors_are_estimated_as_such_at_their_true_scale(stated: float) -> None:
     rng = np.random.default_rng(3)
-    found = scatter_of(seen(one_flight(rng), rng, stated=stated))
-    # 720 numbers know a scale to 3 %; four frames' worth of the stated one add up to 9 · 4/120 to the variance.
+    found = error_model_of(seen(one_flight(rng), rng, stated=stated))
+    # 720 numbers determine a scale to 3 %; the prior of four frames adds up to 9 · 4/120 to the variance.
     assert np.sqrt(found.variance).mean() == pytest.approx(1.0 / stated, rel=0.2)
     assert (found.long_run_variance(1.0 / FPS) / found.variance).max() < 3.0
 
 
-def test_slow_errors_are_told_from_white_ones() -> None:
+def test_slow_errors_are_distinguished_from_white_ones() -> None:
     ratios, sizes = [], []
     for seed in range(6):
-        found = scatter_of(scattered(np.random.default_rng(seed), 3.0, 6.0))
+        found = error_model_of(with_slow_errors(np.random.default_rng(seed), 3.0, 6.0))
         sizes.append(found.variance.mean())
         ratios.append(found.long_run_variance(1.0 / FPS).mean())
-    # 1 + 3, and 1 + 3 (1 + φ)/(1 - φ) = 37 with φ = exp(-1/6). A flight of twenty memories knows its spectrum near zero
-    # to a factor of two.
+    # 1 + 3, and 1 + 3 (1 + φ)/(1 - φ) = 37 with φ = exp(-1/6). A flight of twenty correlation times determines its
+    # spectrum near zero to a factor of two.
     assert np.mean(sizes) == pytest.approx(4.0, rel=0.3)
     assert 18.0 < np.median(ratios) < 74.0
 
 
-@pytest.mark.parametrize(("variance_ratio", "memory", "frames"), [(0.05, 500.0, 20_000), (0.01, 3000.0, 60_000)])
-def test_slow_errors_of_a_film_far_faster_than_the_die_are_found_though_they_are_slight(
-    variance_ratio: float, memory: float, frames: int
+@pytest.mark.parametrize(
+    ("variance_ratio", "frames_correlated", "frames"), [(0.05, 500.0, 20_000), (0.01, 3000.0, 60_000)]
+)
+def test_slight_slow_errors_of_a_film_far_faster_than_the_die_are_found(
+    variance_ratio: float, frames_correlated: float, frames: int
 ) -> None:
     ratios, sizes = [], []
     for seed in range(6):
-        found = scatter_of(scattered(np.random.default_rng(seed), variance_ratio, memory, frames))
+        found = error_model_of(with_slow_errors(np.random.default_rng(seed), variance_ratio, frames_correlated, frames))
         sizes.append(found.variance.mean())
         ratios.append(found.long_run_variance(1.0 / FPS).mean())
-    # 1 + a, and 1 + 2 a T. A flight of twenty to forty memories knows its spectrum near zero to a factor of two.
-    lasting = 1.0 + 2.0 * variance_ratio * memory
+    # 1 + a, and 1 + 2 a T. A flight of twenty to forty correlation times determines its spectrum near zero to a factor of two.
+    long_run = 1.0 + 2.0 * variance_ratio * frames_correlated
     assert np.mean(sizes) == pytest.approx(1.0 + variance_ratio, rel=0.1)
-    assert 0.5 * lasting < np.median(ratios) < 2.0 * lasting
+    assert 0.5 * long_run < np.median(ratios) < 2.0 * long_run
 
 
-def test_a_flight_of_few_frames_says_nothing_of_its_scatter() -> None:
+def test_a_flight_of_few_frames_leaves_errors_as_stated() -> None:
     rng = np.random.default_rng(1)
-    found = scatter_of(seen(one_flight(rng, frames=6), rng, stated=0.1))
+    found = error_model_of(seen(one_flight(rng, frames=6), rng, stated=0.1))
     np.testing.assert_array_equal(found.scale, 1.0)
     np.testing.assert_array_equal(found.variance_ratio, 0.0)
 
 
-def test_white_errors_make_the_middle_of_the_sandwich_what_its_bread_is() -> None:
+def test_the_gradient_covariance_for_white_errors_is_the_normal_matrix() -> None:
     rng = np.random.default_rng(5)
     observations = observations_of(seen(one_flight(rng), rng))
     state, _, _ = fit_flight(observations)
     ones, share = np.ones(len(observations)), np.full(6, 0.25)
     cuts, states = np.array([0, len(observations)]), packed(state)[None]
-    misses = chain_residuals(observations, cuts, states, np.zeros(0))
-    normal, _ = normal_equations(observations, cuts, states, misses, ones, frame_information(observations, share), 12)
-    # Weighted by the inverse of the variance, Xᵀ V X is XᵀX: an identity, left to rounding.
-    meats = gradient_covariances(observations, cuts, states, ones, share, ErrorModel.white(2.0), 12)
+    residuals = chain_residuals(observations, cuts, states, np.zeros(0))
+    normal, _ = normal_equations(
+        observations, cuts, states, residuals, ones, frame_information(observations, share), 12
+    )
+    # Weighted by the inverse variance, Xᵀ V X is XᵀX: an identity up to rounding.
+    covariances = gradient_covariances(observations, cuts, states, ones, share, ErrorModel.white(2.0), 12)
     unit = 1.0 / np.sqrt(np.diag(normal[0]))
-    np.testing.assert_allclose(meats[0] * np.outer(unit, unit), normal[0] * np.outer(unit, unit), atol=1e-12)
+    np.testing.assert_allclose(covariances[0] * np.outer(unit, unit), normal[0] * np.outer(unit, unit), atol=1e-12)
 
 
-def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_makes_it() -> None:
+def test_the_gradient_covariance_for_slow_errors_is_that_of_the_full_covariance() -> None:
     rng = np.random.default_rng(6)
     observations = observations_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
     state, _, _ = fit_flight(observations)
     n = len(observations)
-    scatter = ErrorModel(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
+    errors = ErrorModel(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)
     steps = np.concatenate([1e-7 * np.ones(3), 1e-6 * np.ones(3), 1e-5 * np.ones(3), 1e-4 * np.ones(3)])
     X = np.empty((n, 6, 12))
     for a, step in enumerate(np.diag(steps)):
@@ -137,14 +141,14 @@ def test_slow_errors_make_the_middle_of_the_sandwich_what_the_full_covariance_ma
     apart = np.abs(observations.time_s[:, None] - observations.time_s)
     wanted = np.zeros((12, 12))
     for i in range(6):
-        V = scatter.scale[i] ** 2 * (
-            np.eye(n) + scatter.variance_ratio[i] * np.exp(-apart / scatter.correlation_time_s[i])
+        V = errors.scale[i] ** 2 * (
+            np.eye(n) + errors.variance_ratio[i] * np.exp(-apart / errors.correlation_time_s[i])
         )
         wanted += X[:, i].T @ V @ X[:, i]
     cuts, states = np.array([0, n]), packed(state)[None]
-    found = gradient_covariances(observations, cuts, states, np.ones(n), np.ones(6), scatter, 12)[0]
+    found = gradient_covariances(observations, cuts, states, np.ones(n), np.ones(6), errors, 12)[0]
     unit = 1.0 / np.sqrt(np.diag(wanted))
-    # Central differences of noisy residuals: the derivative is that at the frame seen, off by its residual of 0.1 degrees.
+    # Central differences of noisy residuals: the derivative is that at the observed pose, off by its residual of 0.1 degrees.
     np.testing.assert_allclose(found * np.outer(unit, unit), wanted * np.outer(unit, unit), atol=0.02)
 
 
@@ -166,7 +170,8 @@ def nees(track: Track, throw: Throw) -> Array:
 
 
 def over_seeds(frames: float | None, count: int = 10) -> tuple[Array, Array]:
-    """NEES of single frames as calibrated, and of the smoothed track, for errors of that memory, stated a half."""
+    """NEES of single calibrated frames and of the smoothed track, for errors with a correlation time of `frames` that are stated half
+    as large."""
     single, smoothed = [], []
     for seed in range(count):
         throw, rng = lone(seed)
@@ -180,27 +185,29 @@ def over_seeds(frames: float | None, count: int = 10) -> tuple[Array, Array]:
 
 
 @pytest.mark.parametrize("frames", [None, 4.0])
-def test_frames_and_smoothed_track_know_how_good_they_are_however_long_errors_last(frames: float | None) -> None:
+def test_covariances_of_frames_and_of_the_smoothed_track_are_true_for_any_correlation_time(
+    frames: float | None,
+) -> None:
     single, smoothed = over_seeds(frames)
-    # The median of chi-square with six numbers is 5.35. A hundred independent frames know theirs to 10 % a clip. A
-    # smoothed clip has the 36 numbers of its three flights: 25 % a clip, and ten clips. Errors taken for independent when
-    # they last for four frames would make the smoothed one about 40.
+    # The median of chi-square with six numbers is 5.35. A hundred independent frames determine theirs to 10 % a clip. A
+    # smoothed clip has the 36 numbers of its three flights: 25 % a clip, and ten clips. Errors with a correlation time of
+    # four frames, taken for independent, would make the smoothed one about 40.
     assert 4.3 < np.median(single) < 6.6
     assert 3.0 < np.median(smoothed) < 7.5
 
 
-def with_bias_jacobian(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
-    """A throw seen in the studio with its contour taken so far out."""
+def with_contour_error(size_px: float, seed: int = 2) -> tuple[Throw, Track]:
+    """A throw in the studio whose contour is taken `size_px` too far out."""
     throw, rng = lone(seed)
     track = seen(throw, rng, noise=0.3)
-    lean = shared_bias_jacobian(track, studio().camera, CUBE)[:, :, 0]
-    rotated = quat_multiply(quat_from_rotvec(size_px * lean[:, 3:]), track.quaternion)
-    return throw, replace(track, position_m=track.position_m + size_px * lean[:, :3], quaternion=rotated)
+    jacobian = shared_bias_jacobian(track, studio().camera, CUBE)[:, :, 0]
+    rotated = quat_multiply(quat_from_rotvec(size_px * jacobian[:, 3:]), track.quaternion)
+    return throw, replace(track, position_m=track.position_m + size_px * jacobian[:, :3], quaternion=rotated)
 
 
 def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> None:
     camera = studio().camera
-    throw, track = with_bias_jacobian(0.08)
+    throw, track = with_contour_error(0.08)
     found = measure(track, CUBE, camera)
     sigma = float(found.chain.shared_sigma[0])
     assert sigma < 0.3 * CONTOUR_SIGMA_PX
@@ -211,9 +218,9 @@ def test_a_contour_taken_too_far_out_is_found_from_gravity_and_the_table() -> No
     assert off[1] < 0.25 * off[0]
 
 
-def test_the_frames_come_without_the_error_that_they_share() -> None:
+def test_measured_frames_do_not_contain_the_shared_error() -> None:
     camera = studio().camera
-    throw, track = with_bias_jacobian(0.08)
+    throw, track = with_contour_error(0.08)
     p, _ = throw.poses(track.time_s)
     straight = measure(track, CUBE, camera).frames
     off = [float(np.mean((t.position_m - p) @ camera.rotation[2])) for t in (track, straight)]
@@ -221,9 +228,9 @@ def test_the_frames_come_without_the_error_that_they_share() -> None:
     np.testing.assert_array_equal(straight.covariance, track.covariance)
 
 
-def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
+def test_a_die_of_another_size_is_not_taken_for_a_contour_error() -> None:
     camera = studio().camera
-    _, track = with_bias_jacobian(0.0)
+    _, track = with_contour_error(0.0)
     # Ten per cent too large, it seems ten per cent farther away.
     far = replace(track, position_m=camera.centre_m + 1.1 * (track.position_m - camera.centre_m))
     found = measure(far, make_die("cube", 0.0176, 0.0048), camera)
@@ -232,54 +239,54 @@ def test_a_die_of_another_size_is_not_taken_for_a_lean() -> None:
     assert "[die]" in notice
 
 
-def test_without_a_lean_none_is_found() -> None:
-    _, track = with_bias_jacobian(0.0)
+def test_without_a_contour_error_none_is_found() -> None:
+    _, track = with_contour_error(0.0)
     found = measure(track, CUBE, studio().camera)
     assert abs(found.chain.shared[0]) < 3.5 * float(found.chain.shared_sigma[0])
 
 
-def test_the_lean_is_what_a_larger_outline_does_to_a_pose() -> None:
+def test_the_bias_jacobian_is_the_effect_of_a_larger_outline_on_a_pose() -> None:
     _, rng = lone(1)
     track = seen(lone(1)[0], rng, noise=1e-6)
     camera = studio().camera
-    lean = shared_bias_jacobian(track, camera, CUBE)
+    jacobian = shared_bias_jacobian(track, camera, CUBE)
     out = camera.project(CUBE.solid.vertices + track.position_m[0])
-    near = camera.project(CUBE.solid.vertices + track.position_m[0] + 0.5 * lean[0, :3, 0])
+    near = camera.project(CUBE.solid.vertices + track.position_m[0] + 0.5 * jacobian[0, :3, 0])
     middle = camera.project(track.position_m[0])
     # Half a pixel out all round: corners of a hull go out by more than its sides, by up to √2 for a square one.
     grown = np.linalg.norm(near - middle, axis=1).max() - np.linalg.norm(out - middle, axis=1).max()
     assert 0.45 < grown < 0.8
-    right = camera.project(track.position_m[0] + lean[0, :3, 1]) - middle
+    right = camera.project(track.position_m[0] + jacobian[0, :3, 1]) - middle
     np.testing.assert_allclose(right, [1.0, 0.0], atol=0.02)  # the lens bends by a per cent
 
 
-def test_a_track_that_brings_its_own_lean_is_believed() -> None:
+def test_the_bias_jacobian_of_the_track_takes_precedence() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     own = np.tile(np.arange(6.0), (len(track), 1))
-    lean = shared_bias_jacobian(replace(track, lean=own), studio().camera, CUBE)
-    np.testing.assert_array_equal(lean[:, :, 0], own)
+    jacobian = shared_bias_jacobian(replace(track, jacobian=own), studio().camera, CUBE)
+    np.testing.assert_array_equal(jacobian[:, :, 0], own)
 
 
-def test_frames_without_a_pose_have_no_lean() -> None:
+def test_frames_without_a_pose_have_no_bias_jacobian() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     status = track.status.copy()
     status[4] = LOST
-    lean = shared_bias_jacobian(replace(track, status=status), studio().camera, CUBE)
-    assert np.isnan(lean[4]).all()
-    assert np.isfinite(np.delete(lean, 4, axis=0)).all()
+    jacobian = shared_bias_jacobian(replace(track, status=status), studio().camera, CUBE)
+    assert np.isnan(jacobian[4]).all()
+    assert np.isfinite(np.delete(jacobian, 4, axis=0)).all()
 
 
-def test_rounded_corners_are_allowed_more_of_it() -> None:
+def test_rounded_corners_have_larger_shared_errors() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     camera = studio().camera
     assert (shared_bias_sigma(track, camera, ROUND) > 2.0 * shared_bias_sigma(track, camera, CUBE)).all()
 
 
-def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_known_with_the_nearest() -> None:
-    """A shared error along a line of sight that turns would, as one covariance for all frames, deny the sideways part."""
+def test_each_frame_has_its_own_shared_covariance_or_that_of_the_nearest() -> None:
+    """One covariance for all frames would be wrong for a shared error along a line of sight that turns."""
     throw, rng = lone(1)
     track, camera = seen(throw, rng), studio().camera
     rays = track.position_m - camera.centre_m
@@ -288,33 +295,33 @@ def test_what_all_frames_err_alike_goes_with_each_frame_and_where_it_is_not_know
     shared[:, :3, :3] = along[:, :, None] * along[:, None]
     shared[1::2] = np.nan
     found = measure(replace(track, shared=shared), CUBE, camera)
-    told = (
+    difference = (
         smooth(track, found.throw_without_shared_errors, found.shared_covariance).covariance
         - smooth(track, found.throw_without_shared_errors).covariance
     )
     even = np.flatnonzero(track.tracked[:-1])[::2]
     even = even[even % 2 == 0]
-    np.testing.assert_allclose(told[even], shared[even], atol=1e-15)
+    np.testing.assert_allclose(difference[even], shared[even], atol=1e-15)
     # Nearest of an odd frame are both its neighbours; the later one is taken.
-    np.testing.assert_allclose(told[even[:-1] + 1], shared[even[:-1] + 2], atol=1e-15)
-    # A flight as a whole takes the middling one of its frames.
+    np.testing.assert_allclose(difference[even[:-1] + 1], shared[even[:-1] + 2], atol=1e-15)
+    # A flight takes the median one of its frames.
     flight = found.throw.flights[0]
     assert flight.covariance is not None
     assert found.throw_without_shared_errors.flights[0].covariance is not None
-    floor = (flight.covariance - found.throw_without_shared_errors.flights[0].covariance)[:3, :3]
-    assert np.abs(shared[even][:, :3, :3] - floor).max(axis=(1, 2)).min() < 1e-15
+    constant = (flight.covariance - found.throw_without_shared_errors.flights[0].covariance)[:3, :3]
+    assert np.abs(shared[even][:, :3, :3] - constant).max(axis=(1, 2)).min() < 1e-15
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_what_all_frames_err_alike_makes_flights_no_less_sure_of_each_other(seed: int) -> None:
-    """Half a millimetre and two degrees that every frame shares hide neither an instant nor a turn between two frames."""
+def test_a_shared_error_does_not_widen_what_flights_determine_relative_to_each_other(seed: int) -> None:
+    """0.4 mm and two degrees that all frames share change neither an instant nor its standard error."""
     throw, rng = lone(seed)
     track, camera = seen(throw, rng), studio().camera
-    alike = np.concatenate([4e-4 * np.array([0.6, 0.5, 0.6]), np.radians(2.0) * np.array([0.4, 0.8, -0.4])])
-    shared = np.outer(alike, alike) + np.diag([1e-4**2] * 3 + [np.radians(0.5) ** 2] * 3)
+    common = np.concatenate([4e-4 * np.array([0.6, 0.5, 0.6]), np.radians(2.0) * np.array([0.4, 0.8, -0.4])])
+    shared = np.outer(common, common) + np.diag([1e-4**2] * 3 + [np.radians(0.5) ** 2] * 3)
     before = measure(track, CUBE, camera)
-    sure = with_calibrated_covariance(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
-    again = measure(sure, CUBE, camera)
+    calibrated = with_calibrated_covariance(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
+    again = measure(calibrated, CUBE, camera)
     for ours, theirs in zip(again.throw.impacts, before.throw.impacts, strict=True):
         assert ours.vertices == theirs.vertices
         assert ours.time_s == pytest.approx(theirs.time_s, abs=1e-3 / FPS)
@@ -325,8 +332,8 @@ def test_what_all_frames_err_alike_makes_flights_no_less_sure_of_each_other(seed
         assert new.covariance is not None
         assert old.covariance is not None
         np.testing.assert_allclose(np.diag(new.covariance), np.diag(old.covariance), rtol=0.05)
-    # It is in what single frames and smoothed ones are said to err, once.
-    assert np.linalg.eigvalsh(sure.covariance[0] - shared).min() > 0.0
-    told = smooth(again.frames_on_table, again.throw_without_shared_errors, again.shared_covariance).covariance
-    assert np.linalg.eigvalsh(told[0] - shared).min() > -1e-12
-    assert np.trace(told[0][:3, :3]) < 1.1 * np.trace(shared[:3, :3])
+    # The covariances of single and of smoothed frames contain it once.
+    assert np.linalg.eigvalsh(calibrated.covariance[0] - shared).min() > 0.0
+    smoothed = smooth(again.frames_on_table, again.throw_without_shared_errors, again.shared_covariance).covariance
+    assert np.linalg.eigvalsh(smoothed[0] - shared).min() > -1e-12
+    assert np.trace(smoothed[0][:3, :3]) < 1.1 * np.trace(shared[:3, :3])

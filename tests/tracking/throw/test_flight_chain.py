@@ -1,4 +1,4 @@
-"""Laws of flights joined by impacts: the derivatives are the motion's own, and the fit knows how good it is."""
+"""Laws of flights chain by impacts: derivatives are those of the motion, and the covariances of the fit are true."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def flight_of(rng: np.random.Generator, spin_rad_s: float = 80.0) -> Flight:
 def test_the_transition_is_the_derivative_of_the_motion(seed: int, after_s: float) -> None:
     flight = flight_of(np.random.default_rng(seed))
     end = flight.at(0.3 + after_s)
-    # The change that is tried is small against the turn at which the motion curves, and large against rounding: central
-    # differences at 1e-5 then hold 1e-9 of a derivative of order one.
+    # The change is small against the angle over which the motion curves, and large against rounding: central differences
+    # at 1e-5 are then accurate to 1e-9 of a derivative of order one.
     steps = 1e-5 * np.eye(12)
     measured = np.empty((12, 12))
     for a, step in enumerate(steps):
@@ -52,7 +52,7 @@ def test_the_transition_is_the_derivative_of_the_motion(seed: int, after_s: floa
 
 
 @pytest.mark.parametrize("first_s", [0.0, 0.004, 0.03])
-def test_transitions_follow_each_other_like_the_motion_does(first_s: float) -> None:
+def test_transition_matrices_compose(first_s: float) -> None:
     flight = flight_of(np.random.default_rng(9))
     begin, middle, end = 0.3, 0.3 + first_s, 0.36
     onward = Flight(flight.at(middle), np.inf)
@@ -75,18 +75,18 @@ def jacobian_by_quadrature(v: Array) -> Array:
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-6, 0.999e-3, 1.001e-3, 0.1, np.pi - 1e-7, np.pi, 4.0, 2.0 * np.pi])
-def test_the_left_jacobian_is_the_mean_of_the_rotation_along_its_way(angle: float) -> None:
+def test_the_left_jacobian_is_the_mean_of_the_rotation_along_its_path(angle: float) -> None:
     axis = np.array([0.48, -0.6, 0.64])
-    # At the switch the series lacks 1e-9 / 24 and (v - sin v) / v³ has seven digits left, times v² = 1e-6.
+    # At the switch the series lacks 1e-9 / 24 and (v - sin v) / v³ has seven digits chi2, times v² = 1e-6.
     np.testing.assert_allclose(left_jacobians(angle * axis[None])[0], jacobian_by_quadrature(angle * axis), atol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [1e-4, 0.999e-3, 1.001e-3, 0.5, 3.0])
-def test_the_left_jacobian_turns_a_change_of_the_vector_into_a_turn(angle: float) -> None:
+def test_the_left_jacobian_takes_a_change_of_the_vector_to_a_rotation(angle: float) -> None:
     v = angle * np.array([-0.36, 0.48, 0.8])
     change = 1e-6 * np.array([0.3, 0.5, -0.7])
     ahead, behind = quat_from_rotvec(v + change), quat_from_rotvec(v - change)
-    # Second differences cancel: what is left is the third order of 1e-6, below rounding.
+    # Second differences cancel: the third order of 1e-6 remains, below rounding.
     np.testing.assert_allclose(left_jacobians(v[None])[0] @ change, rotation_between(behind, ahead) / 2.0, atol=1e-15)
 
 
@@ -94,8 +94,8 @@ def observations_of(track: Track) -> Observations:
     return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
 
 
-def with_slack(track: Track, rng: np.random.Generator) -> Track:
-    """The track with the errors that the fit allows for beyond each frame's own sigma, so that its sigmas are true."""
+def with_unmodelled_errors(track: Track, rng: np.random.Generator) -> Track:
+    """The track with the unmodelled errors that the fit adds to each frame's own sigma, so that its sigmas are true."""
     aside = UNMODELLED_POSITION_M * rng.normal(size=(len(track), 3))
     turns = quat_from_rotvec(UNMODELLED_ROTATION_RAD * rng.normal(size=(len(track), 3)))
     quaternion = quat_multiply(turns, track.quaternion)
@@ -103,7 +103,7 @@ def with_slack(track: Track, rng: np.random.Generator) -> Track:
 
 
 def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> FlightChain:
-    """The joint fit from guesses as rough as single flights give them: 0.2 frames, 3 cm/s and 2 rad/s off."""
+    """The joint fit from guesses as inaccurate as single flights give them: 0.2 frames, 3 cm/s and 2 rad/s off."""
     rough = 0.03 * np.eye(12)[6:9].sum(0) + 2.0 * np.eye(12)[9:12].sum(0)
     starts = [perturbed(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
     links = [impact.time_s + rng.uniform(-0.2, 0.2) / FPS for impact in throw.impacts]
@@ -113,12 +113,12 @@ def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> Fligh
 def test_a_chain_without_noise_is_found_exactly() -> None:
     rng = np.random.default_rng(4)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2)
-    joined = chain_through(throw, seen(throw, rng, noise=1e-9), rng)
-    for fitted, true in zip(joined.flights, throw.flights, strict=True):
+    chain = chain_through(throw, seen(throw, rng, noise=1e-9), rng)
+    for fitted, true in zip(chain.flights, throw.flights, strict=True):
         errors = initial_errors(fitted.at(true.start.time_s), true.start)
-        # Nothing but rounding and the stop of the fit (a relative 1e-9 of a cost that goes to zero) is left.
+        # Only rounding and the stop of the fit (a relative 1e-9 of a cost that goes to zero) remain.
         np.testing.assert_allclose(errors, 0.0, atol=1e-3)
-    np.testing.assert_allclose(joined.link_times_s, [i.time_s for i in throw.impacts], atol=1e-8)
+    np.testing.assert_allclose(chain.link_times_s, [i.time_s for i in throw.impacts], atol=1e-8)
 
 
 def chains() -> tuple[Array, Array]:
@@ -129,19 +129,19 @@ def chains() -> tuple[Array, Array]:
         throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2)
         lasting = [flight.end_s - flight.start.time_s for flight in throw.flights]
         if min(lasting) < 8.0 / FPS:
-            # A frame on the wrong side of a link is likelier where flights last for a frame or two.
+            # A frame on the wrong side of a link is more likely if flights last for a frame or two.
             continue
-        joined = chain_through(throw, with_slack(seen(throw, rng), rng), rng)
-        first = joined.flights[0]
+        chain = chain_through(throw, with_unmodelled_errors(seen(throw, rng), rng), rng)
+        first = chain.flights[0]
         assert first.covariance is not None
         errors = initial_errors(first.start, throw.flights[0].at(first.start.time_s))
         unit = 1.0 / np.sqrt(np.diag(first.covariance))
         states.append(errors * unit @ np.linalg.solve(first.covariance * np.outer(unit, unit), errors * unit))
-        instants.append((joined.link_times_s - [i.time_s for i in throw.impacts]) / joined.sigma_time_s)
+        instants.append((chain.link_times_s - [i.time_s for i in throw.impacts]) / chain.sigma_time_s)
     return np.array(states), np.concatenate(instants)
 
 
-def test_the_fitted_chain_knows_how_good_it_is() -> None:
+def test_the_covariances_of_a_fitted_chain_are_true() -> None:
     nees, instants = chains()
     # Eleven throws: the mean of chi-square with twelve numbers is 12 ± 1.5, that of 22 squared normals 1 ± 0.3.
     assert len(nees) > 9
@@ -151,12 +151,12 @@ def test_the_fitted_chain_knows_how_good_it_is() -> None:
 
 
 @pytest.mark.parametrize("spin_rad_s", [0.5, 10.0])
-def test_one_flight_is_fitted_with_its_own_covariance(spin_rad_s: float) -> None:
+def test_the_covariance_of_a_single_flight_is_true(spin_rad_s: float) -> None:
     nees = []
     for seed in range(60):
         rng = np.random.default_rng(seed)
         throw = true_throw(CUBE, random_release(CUBE, rng, spin_rad_s=spin_rad_s), 0.6, impacts=0)
-        state, covariance, _ = fit_flight(observations_of(with_slack(seen(throw, rng), rng)))
+        state, covariance, _ = fit_flight(observations_of(with_unmodelled_errors(seen(throw, rng), rng)))
         errors = initial_errors(state, throw.at(state.time_s))
         unit = 1.0 / np.sqrt(np.diag(covariance))
         nees.append(errors * unit @ np.linalg.solve(covariance * np.outer(unit, unit), errors * unit))
@@ -164,19 +164,19 @@ def test_one_flight_is_fitted_with_its_own_covariance(spin_rad_s: float) -> None
     assert 12.0 - 2.0 < np.mean(nees) < 12.0 + 2.0
 
 
-def test_a_flight_is_followed_past_many_turns() -> None:
+def test_a_flight_of_many_turns_is_fitted() -> None:
     spin = np.array([300.0, -500.0, 400.0])
     times = np.arange(60) / FPS
     start = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), spin)
     p, q = Flight(start, np.inf).poses(times)
     covariance = np.tile(np.diag([1e-10] * 3 + [1e-6] * 3), (60, 1, 1))
-    state, _, left = fit_flight(Observations.from_poses(times, p, q, covariance))
-    # Four and a half turns in forty milliseconds; without noise only rounding is left.
+    state, _, chi2 = fit_flight(Observations.from_poses(times, p, q, covariance))
+    # Four and a half turns in forty milliseconds; without noise only rounding remains.
     np.testing.assert_allclose(state.omega_rad_s, spin, rtol=1e-9)
-    assert left < 1e-9
+    assert chi2 < 1e-9
 
 
-def test_a_frame_far_off_carries_no_weight() -> None:
+def test_an_outlier_has_no_weight() -> None:
     rng = np.random.default_rng(12)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1)
     track = seen(throw, rng)
@@ -184,14 +184,14 @@ def test_a_frame_far_off_carries_no_weight() -> None:
     quaternion, position = track.quaternion.copy(), track.position_m.copy()
     quaternion[10] = quat_multiply(quat_from_rotvec([0.4, 0.0, 0.2]), quaternion[10])
     position[40] += [0.0, 0.004, 0.0]
-    spoilt = Track(track.frame, track.time_s, position, quaternion, track.covariance, track.status)
-    joined = chain_through(throw, spoilt, np.random.default_rng(1))
+    with_outliers = Track(track.frame, track.time_s, position, quaternion, track.covariance, track.status)
+    chain = chain_through(throw, with_outliers, np.random.default_rng(1))
     sigma = clean.sigma_time_s[0]
-    # Leaving out two frames of some hundred moves an estimate by a small share of its sigma.
-    assert abs(joined.link_times_s[0] - clean.link_times_s[0]) < 0.5 * sigma
-    assert joined.residual[10] > 20.0
-    assert joined.residual[40] > 20.0
-    assert (joined.weights[[10, 40]] == 0.0).all()
+    # Two frames of some hundred change an estimate by a small share of its sigma.
+    assert abs(chain.link_times_s[0] - clean.link_times_s[0]) < 0.5 * sigma
+    assert chain.residual[10] > 20.0
+    assert chain.residual[40] > 20.0
+    assert (chain.weights[[10, 40]] == 0.0).all()
 
 
 @pytest.mark.parametrize("seed", [5, 12])
@@ -211,7 +211,7 @@ def test_a_short_flight_whose_guess_is_far_off_is_found_beside_a_long_one(seed: 
     assert far.link_times_s[0] == pytest.approx(near.link_times_s[0], abs=0.05 * float(near.sigma_time_s[0]))
 
 
-def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
+def test_states_that_do_not_meet_stay_apart_at_an_open_link() -> None:
     rng = np.random.default_rng(5)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=1)
     t = throw.impacts[0].time_s
@@ -220,26 +220,26 @@ def test_states_that_do_not_meet_are_left_apart_at_an_open_link() -> None:
     aside[:6] = [0.002, 0.0, 0.001, 0.1, 0.05, 0.0]
     apart = Throw((throw.flights[0], Flight(perturbed(after.start, aside), after.end_s)), throw.impacts)
     track = seen(apart, rng, noise=1e-9)
-    joined = fit_chain(observations_of(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
-    np.testing.assert_allclose(initial_errors(joined.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
-    assert np.isnan(joined.sigma_time_s[0])
-    assert np.isnan(joined.joint_covariance[0]).all()
+    chain = fit_chain(observations_of(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
+    np.testing.assert_allclose(initial_errors(chain.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
+    assert np.isnan(chain.sigma_time_s[0])
+    assert np.isnan(chain.joint_covariance[0]).all()
 
 
-def test_an_inverse_by_the_factor_is_the_pseudo_inverse_and_what_is_open_stays_finite() -> None:
+def test_the_scaled_inverse_is_the_inverse_and_finite_for_undetermined_parameters() -> None:
     rng = np.random.default_rng(6)
     rows = rng.normal(size=(60, 12)) * np.geomspace(1e-5, 1e5, 12)
     matrix = rows.T @ rows
-    settled = scaled_inverse(matrix)
+    inverse = scaled_inverse(matrix)
     # The factor loses as many digits as the scaled matrix has in its condition, below a hundred here.
-    np.testing.assert_allclose(settled @ matrix, np.eye(12), atol=1e-5)
-    np.testing.assert_array_equal(settled, settled.T)
-    rows[:, 3] = rows[:, 4] * 1e-3  # two parameters that no frame tells apart
-    opened = scaled_inverse(rows.T @ rows)
-    assert np.isfinite(opened).all()
-    # What the data do tell of the others is as without the open pair.
+    np.testing.assert_allclose(inverse @ matrix, np.eye(12), atol=1e-5)
+    np.testing.assert_array_equal(inverse, inverse.T)
+    rows[:, 3] = rows[:, 4] * 1e-3  # two parameters that no frame distinguishes
+    singular = scaled_inverse(rows.T @ rows)
+    assert np.isfinite(singular).all()
+    # The variances of the others are those without the undetermined pair.
     np.testing.assert_allclose(
-        np.delete(np.diag(opened), [3, 4]), np.delete(np.diag(scaled_inverse_without(rows, 3)), 3)
+        np.delete(np.diag(singular), [3, 4]), np.delete(np.diag(scaled_inverse_without(rows, 3)), 3)
     )
 
 

@@ -1,4 +1,4 @@
-"""Laws of the bounces of a track, and of the track smoothed between them."""
+"""Laws of the impacts of a track, and of the track smoothed between them."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Array = NDArray[np.float64]
 
 CUBE = make_die("cube", 0.016, 0.0048)
 FAR_APART_S = 8.0 / FPS
-"""Bounces with fewer frames between them share a flight too short to be judged one by one."""
+"""Impacts with fewer frames between them share a flight too short to be judged one by one."""
 
 
 def spaced(throw: Throw) -> bool:
-    """Whether every flight lasts for some frames, so that each bounce stands alone."""
+    """Whether every flight lasts for some frames, so that impacts are separate."""
     ends = [f.end_s for f in throw.flights]
     return all(np.diff([0.0, *[i.time_s for i in throw.impacts], ends[-1]]) > FAR_APART_S)
 
 
-def lone_bounces(die: Die, seed: int, count: int) -> tuple[Throw, np.random.Generator]:
-    """A throw whose bounces stand alone: the first such seed from here on."""
+def separate_impacts(die: Die, seed: int, count: int) -> tuple[Throw, np.random.Generator]:
+    """A throw with separate impacts: the first such seed from here on."""
     while True:
         rng = np.random.default_rng(seed)
         throw = true_throw(die, random_release(die, rng), 0.6, impacts=count)
@@ -45,37 +45,37 @@ def lone_bounces(die: Die, seed: int, count: int) -> tuple[Throw, np.random.Gene
 
 @cache
 def measured() -> list[tuple[Throw, Throw]]:
-    """True and measured throws of three dice, two bounces each."""
+    """True and measured throws of three dice, two impacts each."""
     pairs = []
     for shape in ("tetrahedron", "cube", "icosahedron"):
         for seed in range(6):
-            throw, rng = lone_bounces(DICE[shape], seed, 2)
+            throw, rng = separate_impacts(DICE[shape], seed, 2)
             pairs.append((throw, measure_throw(seen(throw, rng), DICE[shape])))
     return pairs
 
 
 def matches() -> list[tuple[Impact, Impact]]:
-    """True and found bounces, those that are resolved."""
+    """True and found impacts, those that are resolved."""
     pairs = [pair for true, found in measured() for pair in zip(true.impacts, found.impacts, strict=True)]
     return [(true, found) for true, found in pairs if found.contact != "unresolved"]
 
 
-def test_every_bounce_is_found_and_no_other() -> None:
+def test_every_impact_is_found_and_no_other() -> None:
     for true, found in measured():
         assert len(found.impacts) == len(true.impacts)
         for a, b in zip(found.impacts, true.impacts, strict=True):
-            # Frames of 0.1 degrees and 0.02 mm place a bounce within a few hundredths of a frame, a weak one less well;
-            # an unresolved one is only said to lie between two frames.
+            # Frames of 0.1 degrees and 0.02 mm determine an instant to a few hundredths of a frame, that of a weak impact less
+            # well; an unresolved one only lies between two frames.
             assert abs(a.time_s - b.time_s) * FPS < (1.0 if a.contact == "unresolved" else 0.2)
 
 
-def test_bounces_that_stand_alone_are_resolved_and_their_vertex_is_named() -> None:
-    # One throw in some fifty is left open on the safe side.
+def test_separate_impacts_are_resolved_and_their_vertex_is_named() -> None:
+    # One throw in some fifty is left open to be safe.
     assert len(matches()) >= 2 * len(measured()) - 2
     assert all(found.contact == "vertex" and found.vertices == true.vertices for true, found in matches())
 
 
-def test_the_instant_of_a_bounce_comes_with_its_sigma() -> None:
+def test_the_standard_error_of_an_instant_is_true() -> None:
     z = np.array([(found.time_s - true.time_s) / found.sigma_time_s for true, found in matches()])
     # 34 squared normals: 1 ± 0.24, and less because the fit allows each frame more than its own sigma.
     assert 0.3 < (z**2).mean() < 1.7
@@ -101,9 +101,9 @@ def test_energies_and_velocities_are_those_of_the_throw() -> None:
 
 
 @pytest.mark.parametrize("period", [6.0, 9.0])
-def test_a_flight_that_few_of_its_frames_lie_on_is_none(period: float) -> None:
-    """A die that wobbles where it should fly: frames keep their own poses, and the contact before them names no vertex."""
-    throw, rng = lone_bounces(CUBE, 2, 2)
+def test_a_flight_on_which_few_of_its_frames_lie_is_not_believed(period: float) -> None:
+    """A die that wobbles instead of flying: frames keep their own poses, and the contact before them names no vertex."""
+    throw, rng = separate_impacts(CUBE, 2, 2)
     track = seen(throw, rng)
     last = np.flatnonzero(track.tracked)[-12:]
     assert throw.impacts[1].time_s < track.time_s[last[4]]
@@ -129,14 +129,14 @@ def free_flight(seed: int) -> tuple[Throw, np.random.Generator]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_free_flight_near_the_table_is_no_bounce(seed: int) -> None:
+def test_free_flight_near_the_table_is_no_impact(seed: int) -> None:
     throw, rng = free_flight(seed)
     assert measure_throw(seen(throw, rng), CUBE).impacts == ()
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_pose_that_drifts_slowly_is_no_bounce(seed: int) -> None:
-    # Marks that wander over the edges pull a pose by a few sigmas and let it go again.
+def test_a_slowly_drifting_pose_is_no_impact(seed: int) -> None:
+    # Marks that move over the edges shift a pose by a few sigmas and back.
     throw, rng = free_flight(seed)
     track = seen(throw, rng)
     wave = 3.0 * np.sin(2.0 * np.pi * track.time_s * FPS / 40.0)[:, None]
@@ -155,7 +155,7 @@ def test_fewer_than_three_frames_are_no_flight(kept: int) -> None:
 
 
 def kicked(throw: Throw, gap_frames: float) -> Throw:
-    """The first bounce followed by another push upwards so many frames later: no die could do it slower."""
+    """The first impact followed by another push upwards so many frames later."""
     before, bounce = throw.flights[0], throw.impacts[0]
     middle = throw.flights[1]
     again_s = bounce.time_s + gap_frames / FPS
@@ -167,20 +167,20 @@ def kicked(throw: Throw, gap_frames: float) -> Throw:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_contacts_within_a_frame_are_never_two_bounces_at_wrong_instants(seed: int) -> None:
-    throw, rng = lone_bounces(CUBE, 40 + seed, 1)
+def test_two_contacts_within_a_frame_are_never_two_impacts_at_wrong_instants(seed: int) -> None:
+    throw, rng = separate_impacts(CUBE, 40 + seed, 1)
     twice = kicked(throw, 0.5)
     impacts = measure_throw(seen(twice, rng), CUBE).impacts
     assert len(impacts) in (1, 2)
     for impact in impacts:
-        # One instant stands for both, or nearly joins the flights: it lies at them, within a frame.
+        # One instant for both, or one that nearly joins the flights, lies within a frame of them.
         assert min(abs(impact.time_s - i.time_s) for i in twice.impacts) < 1.0 / FPS
 
 
 @cache
 def bounced() -> tuple[Throw, Track, Throw]:
     """A cube's true throw, its track with gaps, and the throw measured from it."""
-    throw, rng = lone_bounces(CUBE, 70, 1)
+    throw, rng = separate_impacts(CUBE, 70, 1)
     track = seen(throw, rng)
     status = track.status.copy()
     middle = len(track) // 4
@@ -209,7 +209,7 @@ def test_smoothing_keeps_the_jump_of_the_velocity() -> None:
     up, down = slice(after, after + 4), slice(after - 4, after)
     slopes = [np.diff(smoothed.position_m[side, 2]).mean() * FPS for side in (down, up)]
     wanted = [true.at(float(track.time_s[side].mean())).velocity_m_s[2] for side in (down, up)]
-    # Over the frames on one side the slope is the flight's own; a filter across the bounce would halve the jump.
+    # Over the frames on one side the slope is the flight's own; a filter across the impact would halve the jump.
     np.testing.assert_allclose(slopes, wanted, atol=0.02)
 
 
@@ -228,7 +228,7 @@ def test_frames_lost_within_a_flight_are_filled_and_no_others() -> None:
     assert np.degrees(np.linalg.norm(rotation_between(smoothed.quaternion[gap], q[gap]), axis=1)).max() < 0.2
 
 
-def test_smoothing_makes_every_frame_surer_and_nearer_to_the_truth() -> None:
+def test_smoothing_reduces_errors_and_standard_errors_of_every_frame() -> None:
     true, track, found = bounced()
     smoothed = smooth(track, found)
     p, q = true.poses(track.time_s)
@@ -242,10 +242,10 @@ def test_smoothing_makes_every_frame_surer_and_nearer_to_the_truth() -> None:
         assert np.median(after) < 0.6 * np.median(before)
 
 
-def test_a_smoothed_pose_knows_how_good_it_is_at_every_distance_from_the_middle() -> None:
+def test_the_covariance_of_a_smoothed_pose_is_true_at_every_distance_from_the_middle() -> None:
     nees = []
     for seed in range(12):
-        throw, rng = lone_bounces(CUBE, 200 + seed, 1)
+        throw, rng = separate_impacts(CUBE, 200 + seed, 1)
         track = seen(throw, rng)
         smoothed = smooth(track, measure_throw(track, CUBE))
         p, q = throw.poses(smoothed.time_s)
