@@ -3,7 +3,7 @@
 A cube is thrown in the model and seen on so many frames, with noise as tracking leaves it; no picture is drawn. First one
 throw of three bounces with more and more frames, then throws with more and more bounces, filmed at 1500 frames a second.
 
-  measure     flights, bounces, scatter and covariances, from the poses of single frames [s]
+  measure     flights, impacts, error model and covariances, from the poses of single frames [s]
   calibrated  the same for the sake of the covariances of the single frames [s]
   smooth      every frame put on its flight [s]
   MB          most memory that these took beyond the track itself

@@ -33,15 +33,15 @@ class Track:
     """(n, 6, 6) of position [m] and rotation vector [rad], world axes: R_true = exp(δ) R_est; NaN unless tracked."""
     status: NDArray[np.str_]
     """(n,) TRACKED, LOST or ABSENT."""
-    lean: Array | None = None
+    contour_bias_jacobian: Array | None = None
     """(n, 6) change of each pose [m/px, rad/px], world axes, for a contour one pixel too far out all round: the Jacobian of the
     bias common to all frames. NaN where it is unknown, None where no frame has it."""
-    shared: Array | None = None
+    shared_covariance: Array | None = None
     """(n, 6, 6) covariance of the error common to all frames because the marks on the faces were learned; not part of
     `covariance`. None where no marks were used."""
-    own: Array | None = None
+    pixel_covariance: Array | None = None
     """(n, 6, 6) covariance from the pixels of each frame alone, by which flights are segmented. None where `covariance` is that
-    and was not calibrated by the residuals of the flights (`tracking.throw.calibrated`). In no file."""
+    and was not calibrated by the residuals of the flights (`tracking.throw.with_calibrated_covariance`). In no file."""
     contour_sigma_px: float = 0.0
     """Standard error of the contour's place common to all frames, from a corner radius that was estimated from the pictures."""
 

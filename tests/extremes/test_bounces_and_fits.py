@@ -61,12 +61,12 @@ def chi_in_words(fit: Fit) -> str:
 
 def holds(fit: Fit, chi: float) -> bool:
     """Whether the interval, twice as wide, holds the truth: one of 95 % proves little, twice its width proves a blunder."""
-    told = fit.parameters["chi"]
-    if told.value is None or told.low is None or told.high is None:
+    estimate = fit.parameters["chi"]
+    if estimate.value is None or estimate.low is None or estimate.high is None:
         return False
     # A bound of the range of χ is no edge of an interval that noise could have moved.
-    low, high = 2.0 * told.low - told.value, 2.0 * told.high - told.value
-    return low <= chi <= high or (chi == 0.0 and told.low == 0.0) or (chi == 1.0 and told.high == 1.0)
+    low, high = 2.0 * estimate.low - estimate.value, 2.0 * estimate.high - estimate.value
+    return low <= chi <= high or (chi == 0.0 and estimate.low == 0.0) or (chi == 1.0 and estimate.high == 1.0)
 
 
 @pytest.mark.parametrize(
@@ -103,11 +103,11 @@ def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
 def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Told) -> None:
     """At χ = 0 and at χ = 1 the interval holds the truth, and ends where the range does."""
     fit = fitted(filmed(chi, 1)[1])
-    told = fit.parameters["chi"]
+    estimate = fit.parameters["chi"]
     assert holds(fit, chi)
-    assert told.low is not None
-    assert told.high is not None
-    assert 0.0 <= told.low <= told.high <= 1.0
+    assert estimate.low is not None
+    assert estimate.high is not None
+    assert 0.0 <= estimate.low <= estimate.high <= 1.0
     happened(chi_in_words(fit))
 
 

@@ -93,7 +93,7 @@ class Studio:
     exposure_s: float = 0.0
 
     def view(self, die: Die) -> View:
-        """What the tracker is told, all of it true."""
+        """The view that the tracker is given, with true values."""
         noise = max(self.noise_grey, 0.5)
         return make_view(self.camera, die, self.table, noise, self.exposure_s, self.blur_px)
 

@@ -104,7 +104,7 @@ def track_clip(
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:
         offsets, result = ClockOffsets.none(len(clips)), MarkRefinement(poses, None, None)
-    track = replace(_track(source, view, result.poses, throw), shared=result.shared_covariance)
+    track = replace(_track(source, view, result.poses, throw), shared_covariance=result.shared_covariance)
     if corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view, track = with_corner_radius(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)

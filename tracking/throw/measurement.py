@@ -126,7 +126,11 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         sigma = shared_bias_sigma(track, camera, die)
         observations, prior = observations.with_bias_jacobian(bias_jacobian[use, :, :1]), sigma[:1]
     # The test for free fall uses calibrated covariances if there are any: unlike the fits, it estimates no error model.
-    stated = observations if track.own is None else observations_of(replace(track, own=None), use, UNMODELLED_SHARE)
+    stated = (
+        observations
+        if track.pixel_covariance is None
+        else observations_of(replace(track, pixel_covariance=None), use, UNMODELLED_SHARE)
+    )
     flying = first_supported_row(stated, die)
     if flying < MIN_FRAMES:
         raise NoFlightError(f"{flying} frames show the die in flight: wanted at least three in a row")
@@ -236,7 +240,7 @@ def observations_of(track: Track, use: NDArray[np.int64], unmodelled: float = 1.
 
     The fits estimate the error model and the shared errors themselves: covariances that contained them hid weak impacts of
     rounded dice. `unmodelled` is that of `Observations.from_poses`."""
-    own = track.covariance if track.own is None else track.own
+    own = track.covariance if track.pixel_covariance is None else track.pixel_covariance
     return Observations.from_poses(
         track.time_s[use], track.position_m[use], track.quaternion[use], own[use], unmodelled=unmodelled
     )
@@ -253,7 +257,11 @@ def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = N
     use = np.flatnonzero(track.tracked)
     covariance = track.covariance.copy()
     covariance[use] = _with_variance(track, use, found.chain.errors.variance) + found.shared_covariance[use]
-    return replace(track, covariance=covariance, own=track.covariance if track.own is None else track.own)
+    return replace(
+        track,
+        covariance=covariance,
+        pixel_covariance=track.covariance if track.pixel_covariance is None else track.pixel_covariance,
+    )
 
 
 def _with_variance(track: Track, use: NDArray[np.int64], variance: Array) -> Array:
@@ -270,13 +278,13 @@ def _independent(track: Track, throw: Throw, chain: FlightChain, shared_covarian
     flight = throw.flights_at(track.time_s[use])
     is_flight = np.array([one.covariance is not None for one in throw.flights])
     count = np.where(is_flight, np.bincount(flight, minlength=len(is_flight)), 0)[flight]
-    if track.own is not None:
+    if track.pixel_covariance is not None:
         # A frame of a supported die enters no mean: its covariance stays as stated, or as corrected by the table.
         use, count = use[count > 0], count[count > 0]
     covariance = track.covariance.copy()
     long_run = _with_variance(track, use, chain.errors.long_run_variance(spacing_s))
     covariance[use] = long_run + count[:, None, None] * shared_covariance[use]
-    return replace(track, covariance=covariance, own=None)
+    return replace(track, covariance=covariance, pixel_covariance=None)
 
 
 def _shared_covariance(track: Track, bias_jacobian: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:
@@ -292,10 +300,10 @@ def _shared_covariance(track: Track, bias_jacobian: Array, sigma: Array, use: ND
         left[flying:, 0] = sigma[0]
         jacobian = bias_jacobian[use]
         covariance[use] = (jacobian * left[:, None] ** 2) @ np.swapaxes(jacobian, 1, 2)
-    if track.shared is not None and np.isfinite(track.shared[use]).any():
+    if track.shared_covariance is not None and np.isfinite(track.shared_covariance[use]).any():
         # Poses on marks share the errors of the marks' places instead of those of edges. Poses of a supported die rest on edges.
-        by_edges = np.isnan(track.shared[use]).any((1, 2)) & (np.arange(len(use)) >= flying)
-        covariance[use[~by_edges]] = track.shared[use[~by_edges]]
+        by_edges = np.isnan(track.shared_covariance[use]).any((1, 2)) & (np.arange(len(use)) >= flying)
+        covariance[use[~by_edges]] = track.shared_covariance[use[~by_edges]]
     return _filled(covariance, use)
 
 

@@ -56,7 +56,7 @@ ROTATION_SHARE = 0.75
 def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
     """(n, 6, SHARED_ERRORS) change of each frame's pose, world axes, in [m/px] and [rad/px] of each shared error.
 
-    The first column is the track's own `lean` where it has one. Rows without a pose are NaN.
+    The first column is the track's `contour_bias_jacobian` where it has one. Rows without a pose are NaN.
     """
     jacobian = np.full((len(track), 6, SHARED_ERRORS), np.nan)
     tracked = track.tracked
@@ -68,9 +68,9 @@ def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
     new[:, :3, 1] = camera.rotation[0] * (depth / camera.matrix[0, 0])[:, None]
     new[:, :3, 2] = camera.rotation[1] * (depth / camera.matrix[1, 1])[:, None]
     new[:, 3:, 3:] = camera.rotation.T * growth[:, None, None]
-    if track.lean is not None:
-        measured = np.isfinite(track.lean[tracked]).all(1)
-        new[measured, :, 0] = track.lean[tracked][measured]
+    if track.contour_bias_jacobian is not None:
+        measured = np.isfinite(track.contour_bias_jacobian[tracked]).all(1)
+        new[measured, :, 0] = track.contour_bias_jacobian[tracked][measured]
     jacobian[tracked] = new
     return jacobian
 

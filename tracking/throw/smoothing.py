@@ -59,5 +59,6 @@ def smooth(
         position[put], quaternion[put] = flight.poses(track.time_s[put])
         covariance[put], status[put] = 0.5 * (poses + np.swapaxes(poses, 1, 2))[use], TRACKED
     return replace(
-        track, position_m=position, quaternion=continuous_sign(quaternion), covariance=covariance, status=status, own=None
+        track, position_m=position, quaternion=continuous_sign(quaternion), covariance=covariance, status=status,
+        pixel_covariance=None,
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""A die taken for its reversal in depth: what that is, and that the motion shows it."""
+"""Laws of the depth-reversal ambiguity: what a reversal is, and that the motion distinguishes it from the die."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_the_reversal_exchanges_near_and_far_and_is_its_own(shape: str) -> None:
         assert nearest_equivalent_rotation(again, rotation, view.symmetries) == pytest.approx(rotation, abs=1e-12)
 
 
-def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> None:
+def test_edges_distinguish_a_reversal_better_than_the_picture_as_a_whole() -> None:
     """A tetrahedron of one bright face and three as dark as the table."""
     room, die = replace(studio(), noise_grey=2.0), DICE["tetrahedron"]
     view, dark = room.view(die), [Spot(f, die.solid.vertices[list(die.solid.faces[f])], 0.6) for f in (1, 2, 3)]
@@ -68,7 +68,7 @@ def test_edges_tell_a_reversal_where_the_picture_as_a_whole_hardly_does() -> Non
 
 
 def spinning_triangle(seed: int = 1) -> tuple[View, FrameSource, Flight]:
-    """A plain tetrahedron in flight that turns one face to the camera, 17 degrees aslant, and spins about the line of sight;
+    """A plain tetrahedron in flight that turns one face to the camera, inclined by 17 degrees, and spins about the line of sight;
     `seed` is that of the pictures' noise."""
     room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
     position = np.array([0.0, 0.0, 0.03])
@@ -90,7 +90,7 @@ def basis(first: np.ndarray) -> np.ndarray:
 
 
 def seen_at(view: View, source: FrameSource, flight: Moving, *, reverse: bool) -> ClipPoses:
-    """What the pictures show near the true poses, or near their reversals."""
+    """Poses refined from the true ones, or from their reversals."""
     seen = ClipPoses.empty(FRAMES)
     for k, time_s in enumerate(source.times_s):
         state = flight.at(float(time_s))
@@ -102,7 +102,7 @@ def seen_at(view: View, source: FrameSource, flight: Moving, *, reverse: bool) -
 
 
 def share_right(view: View, seen: ClipPoses, flight: Flight, times_s: np.ndarray) -> float:
-    """Share of the frames whose pose draws the true die, whatever its corners are called."""
+    """Share of the frames whose pose draws the true die, in any labelling of its corners."""
     V, right = view.die.solid.vertices, []
     for k in np.flatnonzero(seen.known):
         state = flight.at(float(times_s[k]))
@@ -112,8 +112,8 @@ def share_right(view: View, seen: ClipPoses, flight: Flight, times_s: np.ndarray
 
 
 @pytest.mark.parametrize("seed", [1, 3, 5, 9, 10])
-def test_a_die_that_was_taken_for_its_reversal_is_put_right(seed: int) -> None:
-    """In each of these noises the reversal fails on a single frame of the run, which must not end it."""
+def test_poses_of_the_reversal_are_replaced_by_those_of_the_die(seed: int) -> None:
+    """With each of these seeds the refinement of the reversal fails on a single frame, which must not end the run."""
     view, source, flight = spinning_triangle(seed)
     wrong = seen_at(view, source, flight, reverse=True)
     assert share_right(view, wrong, flight, source.times_s) < 0.1
@@ -131,7 +131,7 @@ class Resting:
 
 
 @pytest.mark.parametrize("angle_rad", [-1.75, -1.71, 0.3])
-def test_a_die_at_rest_stays_as_it_is(angle_rad: float) -> None:
+def test_poses_of_a_die_at_rest_are_not_replaced(angle_rad: float) -> None:
     """It lies on no motion with the fall of g, and neither does its reversal."""
     room, die = replace(studio(), noise_grey=1.0), DICE["tetrahedron"]
     down = basis(np.array([0.0, 0.0, -1.0])) @ basis(die.solid.normals[0]).T
@@ -143,7 +143,7 @@ def test_a_die_at_rest_stays_as_it_is(angle_rad: float) -> None:
     assert correct_depth_reversals(view, source, right, NONE_UNUSED) is right
 
 
-def test_what_is_right_stays_as_it_is() -> None:
+def test_true_poses_are_not_replaced() -> None:
     view, source, flight = spinning_triangle()
     right = seen_at(view, source, flight, reverse=False)
     assert correct_depth_reversals(view, source, right, NONE_UNUSED) is right

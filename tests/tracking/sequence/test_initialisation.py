@@ -1,4 +1,4 @@
-"""Where one picture leaves several poses open, the motion tells them apart, or nothing is said to be sure."""
+"""Laws of initialisation: motion decides between poses that one picture leaves open, or none is called certain."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from diethrow.tracking.sequence.tracker import track_clip
 ROOT = Path(__file__).parents[3]
 
 
-def test_one_face_of_a_plain_tetrahedron_is_followed_in_its_true_pose() -> None:
-    """On the first frames of the sample the die is a mere triangle, which four poses and more draw alike; from the picture
-    alone another one, 25 to 70 degrees off, is preferred."""
+def test_a_plain_tetrahedron_that_shows_one_face_is_tracked_in_its_true_pose() -> None:
+    """On the first frames of the sample the die is a triangle, which four poses and more draw; the picture alone prefers a wrong
+    one, 25 to 70 degrees off."""
     scene = read_scene(ROOT / "data_samples" / "tetrahedron_wood" / "scene.toml")
     view = scene.views()[0]
     assert view.path is not None
@@ -49,7 +49,7 @@ def test_one_face_of_a_plain_tetrahedron_is_followed_in_its_true_pose() -> None:
     # One labelling for all frames: the die has no marks.
     traces = [np.einsum("ji,nij->n", turn, off) for turn in symmetry_rotations(scene.die.solid)]
     angles = np.degrees(np.arccos(np.clip((max(traces, key=np.median) - 1.0) / 2.0, -1.0, 1.0)))
-    # Single frames of a triangle scatter by some tenths of a degree.
+    # Poses of a triangle on single frames have errors of some tenths of a degree.
     assert np.median(angles) < 1.0
 
 
@@ -69,7 +69,7 @@ def thrown(shape: str, room: Studio | None = None) -> tuple[View, FrameSource, T
 
 
 def share_right(view: View, seen: ClipPoses, times_s: np.ndarray, throw: Throw) -> float:
-    """Share of the known poses that draw the true die; the labelling of its corners is left open."""
+    """Share of the known poses that draw the true die; in any labelling of its corners."""
     known = np.flatnonzero(seen.known)
     states = [throw.at(float(times_s[k])) for k in known]
     vertices, edge_m = view.die.solid.vertices, view.die.solid.edge_m
@@ -82,7 +82,7 @@ def share_right(view: View, seen: ClipPoses, times_s: np.ndarray, throw: Throw) 
 
 
 @pytest.mark.parametrize("shape", ["tetrahedron", "cube", "icosahedron"])
-def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) -> None:
+def test_a_certain_hypothesis_is_right_on_any_frame(shape: str) -> None:
     view, source, throw = thrown(shape)
     unused = np.zeros(FRAMES, bool)
     sure = 0
@@ -95,7 +95,7 @@ def test_a_start_that_is_sure_is_right_on_whatever_frame_it_is_made(shape: str) 
     assert sure >= 3
 
 
-def test_a_clip_may_begin_anywhere() -> None:
+def test_a_clip_may_begin_at_any_frame() -> None:
     view, source, throw = thrown("cube")
     for k in BEGINNINGS[1::2]:
         begun = find_initial_pose(view, source, np.arange(FRAMES) < k)
@@ -105,7 +105,7 @@ def test_a_clip_may_begin_anywhere() -> None:
 
 
 def test_a_small_die_in_a_sharp_picture_is_found() -> None:
-    """27 pixels an edge, and half the blur that is looked for at first: as that of a clip that was shrunk."""
+    """27 pixels an edge, and half the initial lens blur: as in a clip that was reduced in size."""
     view, source, throw = thrown(
         "tetrahedron", replace(studio(100, 100, 600.0), noise_grey=0.7, shadow=0.4, blur_px=0.35)
     )

@@ -1,4 +1,4 @@
-"""Which of the labellings of a symmetric die a frame has: that of its flight, and where no flight tells it, of its neighbours."""
+"""Laws of labelling: a frame of a symmetric die has that of its flight, or of its neighbours if no flight determines it."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def through(seen: ClipPoses, *turns: list[float]) -> Throw:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_frames_that_follow_each_other_keep_their_labelling_wherever_flights_lead(shape: str) -> None:
+def test_consecutive_frames_keep_their_labelling_wherever_flights_lead(shape: str) -> None:
     for seed in range(6):
         view, seen = spinning(shape, seed)
         astray = through(seen, [0.0, 0.5, 0.0], [0.9, 0.0, -0.4])
@@ -65,7 +65,7 @@ def test_frames_that_follow_each_other_keep_their_labelling_wherever_flights_lea
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_behind_frames_without_a_pose_flights_tell_the_labelling(shape: str) -> None:
+def test_flights_determine_the_labelling_behind_frames_without_a_pose(shape: str) -> None:
     view, seen = spinning(shape, 1)
     gap, behind = slice(10, 14), slice(14, FRAMES)
     known = seen.known.copy()
@@ -77,7 +77,7 @@ def test_behind_frames_without_a_pose_flights_tell_the_labelling(shape: str) -> 
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_frame_is_labelled_like_its_flight_or_where_that_leads_astray_like_the_first_pass(shape: str) -> None:
+def test_a_frame_is_labelled_like_its_flight_or_if_that_is_off_like_the_tracked_pose(shape: str) -> None:
     view, first = spinning(shape, 3)
     rotated = matrix_from_quat(quat_from_rotvec([0.02, -0.03, 0.01]))
     refined = relabelled(view, replace(first, rotation=rotated @ first.rotation), slice(0, FRAMES), 4)

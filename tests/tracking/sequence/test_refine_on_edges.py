@@ -1,4 +1,4 @@
-"""A frame refined from its flight: what its pixels leave open is unsure, and the frame is not lost."""
+"""Laws of refinement on edges: an undetermined direction has a large covariance, and the frame is not lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of several views of one die: more cameras and a mirror tell more, and say how much more."""
+"""Laws of several views of one die: cameras and mirrors add information, and covariances show how much."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_a_second_camera_gives_the_depth_that_the_first_lacks() -> None:
     together = judged(both, states, [stack_pictures(pair) for pair in images])
     # Depth is ten to thirty times worse known than what lies across the picture; the other camera sees it from the side.
     assert np.median(together[1]) < 0.2 * np.median(alone[1])
-    # The median of chi-square with six numbers is 5.35, and scatters by 0.8 over 24 frames.
+    # The median of chi-square with six numbers is 5.35, with a standard deviation of 0.8 over 24 frames.
     assert 3.0 < np.median(together[0]) < 8.5
 
 
@@ -117,7 +117,7 @@ def test_two_synchronised_clips_make_one_track(crossing: Throw) -> None:
     assert np.median(off) < 2e-5
 
 
-def test_a_fast_track_is_a_rougher_one_of_the_same_throw(crossing: Throw) -> None:
+def test_a_fast_track_is_a_less_accurate_one_of_the_same_throw(crossing: Throw) -> None:
     clip = film(replace(ROOM, noise_grey=2.0), CUBE, crossing, 40, seed=3)
     fast, standard = (
         track_clip(clip, ROOM.camera, CUBE, background=ROOM.table, quality=quality).track
@@ -146,7 +146,7 @@ def later(throw: Throw, late_s: float) -> Throw:
     return Throw(flights, tuple(replace(i, time_s=i.time_s - late_s) for i in throw.impacts))
 
 
-def test_a_camera_whose_clock_is_late_is_found_out_and_does_no_harm() -> None:
+def test_a_clock_offset_is_estimated_and_corrected() -> None:
     throw, late_s = bouncing_cube(), 0.3 / 1500.0
     room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
     clips = [film(room, CUBE, throw, 48, seed=1), film(side, CUBE, later(throw, late_s), 48, seed=2)]
@@ -171,7 +171,7 @@ def test_synchronised_cameras_show_no_offset() -> None:
     assert offsets.sigma_s[1] < 0.05 / 1500.0
 
 
-def test_a_late_camera_is_a_synchronised_one_in_another_place() -> None:
+def test_a_camera_with_a_clock_offset_is_a_synchronised_one_in_another_place() -> None:
     rng = np.random.default_rng(4)
     state = replace(state_at(rng, 0.02), velocity_m_s=rng.normal(size=3), omega_rad_s=30.0 * rng.normal(size=3))
     rig = view_of([ROOM.camera, from_the_side(ROOM).camera], [ROOM.table] * 2, mirror=True).rig
@@ -187,7 +187,7 @@ def test_a_late_camera_is_a_synchronised_one_in_another_place() -> None:
         np.testing.assert_allclose(moved.rotation[e] @ now.T + moved.translation[e][:, None], truly, atol=3e-7)
 
 
-def test_the_numbers_are_read_where_several_cameras_track() -> None:
+def test_face_numbers_are_read_with_several_cameras() -> None:
     cube, side, rng = replace(CUBE, marks="pips"), from_the_side(ROOM), np.random.default_rng(5)
     start = State(
         0.0, np.array([0.0, 0.0, 0.018]), np.array([0.8, 0.3, 0.4, 0.33]), np.array([0.0, 0.0, 0.15]),
@@ -212,4 +212,4 @@ def test_the_numbers_are_read_where_several_cameras_track() -> None:
         np.array([int(np.argmin(np.linalg.norm(normals - n @ turn.T, axis=1))) + 1 for n in normals]) for turn in turns
     ]
     assert any(all(n is None or n == one[f] for f, n in enumerate(read.numbers)) for one in painted)
-    assert followed.track.shared is None
+    assert followed.track.shared_covariance is None

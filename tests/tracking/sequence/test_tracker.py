@@ -1,4 +1,4 @@
-"""Laws of a track made from a clip: the truth within its sigmas where the die is seen, honest words where it is not."""
+"""Laws of a track made from a clip: the truth lies within its standard errors, and frames without a die have no pose."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def crossing_cube() -> Throw:
 
 @cache
 def bouncing(bit_depth: int) -> tuple[ArrayClip, Track, list[tuple[int, int]]]:
-    """The falling cube's clip, its track, and what was said of the progress."""
+    """The falling cube's clip, its track, and the progress that was reported."""
     clip = film(ROOM, CUBE, falling_cube(), FRAMES, bit_depth=bit_depth)
     said: list[tuple[int, int]] = []
     table = np.rint(ROOM.table * np.float32(2.0 ** (bit_depth - 8)))
@@ -82,7 +82,7 @@ def errors_of(track: Track, throw: Throw | Landing) -> Array:
 
 
 @pytest.mark.parametrize("bit_depth", [8, 12])
-def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
+def test_a_bouncing_cube_is_tracked_on_every_frame(bit_depth: int) -> None:
     _, track, _ = bouncing(bit_depth)
     assert (track.status == TRACKED).all()
     errors = errors_of(track, falling_cube())
@@ -95,7 +95,7 @@ def test_a_bouncing_cube_is_followed_on_every_frame(bit_depth: int) -> None:
     assert rotated.max() < 0.9
     assert across_m.max() < 8e-5
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
-    # The median of chi-square with six numbers is 5.35; over 64 frames it scatters by 0.5, and the shadow of this die
+    # The median of chi-square with six numbers is 5.35; its standard deviation over 64 frames is 0.5, and the shadow of this die
     # and the rounding to whole grey levels are not in the model. Below it: what all frames of a clip could err alike is
     # part of every covariance, and this clip's contour is where the model has it.
     assert 1.5 < np.median(nees) < 9.0
@@ -113,9 +113,9 @@ def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("few_are_plenty")
-def test_a_film_far_faster_than_the_die_is_not_looked_at_frame_by_frame_but_where_it_bounces() -> None:
-    """The tracker leaves frames out in flight and none after a bounce until it knows the new flight; the refinement then has a
-    pose for every frame, as right as on a usual film."""
+def test_frames_of_a_film_far_faster_than_the_die_are_skipped_except_at_impacts() -> None:
+    """The tracker skips frames in flight, and none after an impact until it knows the new flight. The refinement then has a pose
+    for every frame, as accurate as on a usual film."""
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
     source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
@@ -162,31 +162,35 @@ class Landing:
 
 
 @pytest.mark.usefixtures("few_are_plenty")
-def test_on_such_a_film_a_spinning_die_that_lands_keeps_its_labelling_on_every_frame() -> None:
-    """Most frames are refined along the flights that the marks of the others show. The last of them ends where the die lies;
-    followed on, it would turn by a right angle in 20 ms, and so would its faces on the frames refined along it."""
+def test_a_spinning_die_that_lands_on_such_a_film_keeps_its_labelling_on_every_frame() -> None:
+    """Most frames are refined along the flights that the marks of the others show. The last flight ends where the die
+    lies; continued, it would turn by a right angle in 20 ms, and so would the faces on frames refined along it."""
     fps, lands_s, fall_m_s = TIMES_FASTER * FPS, 0.014, np.array([0.05, 0.05, -0.5])
     height_m = CUBE.solid.inradius + 0.5 * lands_s + 0.5 * GRAVITY_M_S2 * lands_s**2
     upright, spin = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.0, 0.0, 80.0])
     release = State(0.0, np.array([0.0, 0.0, height_m]), upright, fall_m_s, spin)
     throw = Landing(Flight(release, np.inf), lands_s)
     clip = film(ROOM, CUBE, throw, 300, fps=fps, spots=pips(CUBE))
-    told: list[tuple[int, int]] = []
+    reports: list[tuple[int, int]] = []
     track = track_clip(
-        clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), progress=lambda done, total: told.append((done, total))
+        clip,
+        ROOM.camera,
+        CUBE,
+        background=np.rint(ROOM.table),
+        progress=lambda done, total: reports.append((done, total)),
     ).track
-    assert track.shared is not None, "marks were used"
+    assert track.shared_covariance is not None, "marks were used"
     assert (track.status == TRACKED).all()
     rotated = np.degrees(np.linalg.norm(errors_of(track, throw)[:, 3:], axis=1))
     assert np.median(rotated) < 0.15
     assert rotated.max() < 1.0
-    # How far it is, is told until the last pass is over.
-    assert sum(done < total for done, total in told[-5:]) >= 2
+    # Progress is reported until the last pass is over.
+    assert sum(done < total for done, total in reports[-5:]) >= 2
 
 
 @pytest.mark.usefixtures("few_are_plenty")
-def test_a_frame_that_is_not_used_stays_lost_though_no_flight_leads_over_it() -> None:
-    """Between frames that are left out in the first pass the second has starts; this one was left out for good."""
+def test_an_excluded_frame_stays_lost_although_no_flight_passes_over_it() -> None:
+    """Frames that tracking skipped are refined from interpolated poses; an excluded one is not."""
     rotated, still_m_s = np.array([0.9, 0.0, 0.0, 0.4]) / np.hypot(0.9, 0.4), np.zeros(3)
     lies = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), rotated, still_m_s, still_m_s)
     still = np.rint(photograph(ROOM, CUBE, lies, np.random.default_rng(1), pips(CUBE))).astype(np.uint8)
@@ -198,8 +202,8 @@ def test_a_frame_that_is_not_used_stays_lost_though_no_flight_leads_over_it() ->
     assert (np.delete(track.status, 101) == TRACKED).all()
 
 
-def test_a_die_that_rests_through_most_of_its_film_has_flown_as_fast_as_any() -> None:
-    """No frame of a flight at usual speed is spared because of a long rest behind it, those of slow motion are."""
+def test_the_decimation_factor_ignores_a_long_rest() -> None:
+    """No frame of a flight at usual speed is left out because of a long rest behind it; frames of slow motion are."""
     usual = Flight(falling_cube().flights[0].start, np.inf)
     times, slow = np.arange(FRAMES + 40_000) / FPS, np.arange(4000) / (40.0 * FPS)
     assert decimation_factor(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
@@ -227,7 +231,7 @@ def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
     return ArrayClip(frames, clip.times_s, 8), table, bar
 
 
-def test_a_bar_that_hides_part_of_the_die_all_the_time_is_left_out() -> None:
+def test_a_bar_in_front_of_the_die_does_not_bias_its_poses() -> None:
     clip, table, _ = behind_a_bar()
     track = track_clip(clip, ROOM.camera, CUBE, background=table).track
     rotated = np.degrees(np.linalg.norm(errors_of(track, falling_cube())[track.tracked, 3:], axis=1))
@@ -240,7 +244,7 @@ def test_a_bar_that_hides_part_of_the_die_all_the_time_is_left_out() -> None:
     assert rotated.max() < 3.0
 
 
-def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
+def test_an_occluder_is_found_and_nothing_else() -> None:
     clip, table, bar = behind_a_bar()
     view = replace(ROOM, table=np.asarray(table, np.float32)).view(CUBE)
     state = falling_cube().at(0.0)
@@ -257,7 +261,7 @@ def test_what_stands_before_the_die_is_found_and_nothing_else() -> None:
     assert not np.isnan(view.backgrounds).any()
 
 
-def test_a_motion_carried_back_to_where_it_was_known_is_unsure_of_nothing_there() -> None:
+def test_a_motion_predicted_back_to_where_it_was_known_has_no_negative_variance() -> None:
     rng, below = np.random.default_rng(20261122), 0
     for _ in range(100):
         P, A = np.zeros((12, 12)), rng.standard_normal((6, 6))
@@ -271,7 +275,7 @@ def test_a_motion_carried_back_to_where_it_was_known_is_unsure_of_nothing_there(
     assert below  # rounding did leave less than nothing
 
 
-def test_twelve_bits_tell_the_same_story_as_eight() -> None:
+def test_twelve_bits_give_the_track_of_eight() -> None:
     plain, deep = bouncing(8)[1], bouncing(12)[1]
     between = np.linalg.norm(plain.position_m - deep.position_m, axis=1)
     # The same noise on both: they differ by the rounding, 0.3 of a grey level against noise of 2.
@@ -279,7 +283,7 @@ def test_twelve_bits_tell_the_same_story_as_eight() -> None:
     assert len(measure_throw(deep, CUBE).impacts) == 1
 
 
-def test_the_bounce_of_a_filmed_cube_is_found_to_a_small_part_of_a_frame() -> None:
+def test_the_impact_of_a_filmed_cube_is_found_to_a_small_part_of_a_frame() -> None:
     true, throw = falling_cube(), measure_throw(bouncing(8)[1], CUBE)
     assert [i.contact for i in throw.impacts] == ["vertex"]
     found, impact = throw.impacts[0], true.impacts[0]
@@ -328,7 +332,7 @@ def test_a_die_wholly_in_the_picture_is_tracked_with_no_background_given() -> No
     assert rotated.max() < 1.0
 
 
-def test_where_nothing_is_known_nothing_is_said() -> None:
+def test_frames_without_a_pose_hold_no_numbers() -> None:
     track = crossing()[1]
     unknown = ~track.tracked
     assert unknown.any()
@@ -337,7 +341,7 @@ def test_where_nothing_is_known_nothing_is_said() -> None:
         assert np.isfinite(values[track.tracked]).all()
 
 
-def test_no_bounce_is_seen_in_a_flight_through_the_picture() -> None:
+def test_a_flight_through_the_picture_has_no_impact() -> None:
     assert measure_throw(crossing()[1], CUBE).impacts == ()
 
 
@@ -348,7 +352,7 @@ def test_neighbouring_quaternions_never_flip() -> None:
         np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
 
 
-def test_a_track_smoothed_is_nearer_to_the_truth() -> None:
+def test_a_smoothed_track_is_nearer_to_the_truth() -> None:
     track = bouncing(8)[1]
     smoothed = smooth(track, measure_throw(track, CUBE))
     before, after = (np.linalg.norm(errors_of(t, falling_cube())[:, 3:], axis=1) for t in (track, smoothed))

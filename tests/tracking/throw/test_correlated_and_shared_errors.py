@@ -170,8 +170,7 @@ def nees(track: Track, throw: Throw) -> Array:
 
 
 def over_seeds(frames: float | None, count: int = 10) -> tuple[Array, Array]:
-    """NEES of single calibrated frames and of the smoothed track, for errors with a correlation time of `frames` that are stated half
-    as large."""
+    """NEES of calibrated frames and of the smoothed track, for errors correlated over `frames` that are stated half as large."""
     single, smoothed = [], []
     for seed in range(count):
         throw, rng = lone(seed)
@@ -294,7 +293,7 @@ def test_each_frame_has_its_own_shared_covariance_or_that_of_the_nearest() -> No
     shared = np.zeros((len(track), 6, 6))
     shared[:, :3, :3] = along[:, :, None] * along[:, None]
     shared[1::2] = np.nan
-    found = measure(replace(track, shared=shared), CUBE, camera)
+    found = measure(replace(track, shared_covariance=shared), CUBE, camera)
     difference = (
         smooth(track, found.throw_without_shared_errors, found.shared_covariance).covariance
         - smooth(track, found.throw_without_shared_errors).covariance
@@ -320,7 +319,9 @@ def test_a_shared_error_does_not_widen_what_flights_determine_relative_to_each_o
     common = np.concatenate([4e-4 * np.array([0.6, 0.5, 0.6]), np.radians(2.0) * np.array([0.4, 0.8, -0.4])])
     shared = np.outer(common, common) + np.diag([1e-4**2] * 3 + [np.radians(0.5) ** 2] * 3)
     before = measure(track, CUBE, camera)
-    calibrated = with_calibrated_covariance(replace(track, shared=np.tile(shared, (len(track), 1, 1))), CUBE, camera)
+    calibrated = with_calibrated_covariance(
+        replace(track, shared_covariance=np.tile(shared, (len(track), 1, 1))), CUBE, camera
+    )
     again = measure(calibrated, CUBE, camera)
     for ours, theirs in zip(again.throw.impacts, before.throw.impacts, strict=True):
         assert ours.vertices == theirs.vertices
