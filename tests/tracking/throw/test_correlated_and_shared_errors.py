@@ -263,7 +263,7 @@ def test_the_bias_jacobian_of_the_track_takes_precedence() -> None:
     throw, rng = lone(1)
     track = seen(throw, rng)
     own = np.tile(np.arange(6.0), (len(track), 1))
-    jacobian = shared_bias_jacobian(replace(track, jacobian=own), studio().camera, CUBE)
+    jacobian = shared_bias_jacobian(replace(track, contour_bias_jacobian=own), studio().camera, CUBE)
     np.testing.assert_array_equal(jacobian[:, :, 0], own)
 
 
