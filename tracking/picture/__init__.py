@@ -28,6 +28,7 @@ from .kernel_types import ROBUST_COST as ROBUST_COST
 from .kernel_types import STATISTICS as STATISTICS
 from .kernel_types import STRETCHES as STRETCHES
 from .kernel_types import CameraRig as CameraRig
+from .kernel_types import EdgeSampling as EdgeSampling
 from .kernel_types import FrameWindows as FrameWindows
 from .kernel_types import NormalEquations as NormalEquations
 from .kernel_types import PictureModel as PictureModel

@@ -42,6 +42,7 @@ from .kernel_types import (
     MAX_STRETCH_PIXELS,
     PARAMETERS,
     STRIP_CELLS,
+    EdgeSampling,
     FrameWindows,
     NormalEquations,
     PictureModel,
@@ -77,17 +78,14 @@ LEAST_BAND_BLURS = 1.2
 
 @inner_no_memory
 def add_edge_equations(
-    view: int, windows: FrameWindows, model: PictureModel, pose: PoseState, sigma: float, band: float, with_blur: bool,
-    work: Workspace, equations: NormalEquations,
+    view: int, windows: FrameWindows, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace,
+    equations: NormalEquations,
 ) -> None:  # fmt: skip
-    """Add the edges of one view to the normal equations: H (lower half) and g of pose and contour error, of the blur as
-    well if `with_blur`, and the statistics.
-
-    `sigma` [px] is the lens blur that is assumed, `band` [px] the half-width of the band of pixels about an edge.
-    """
+    """Add the edges of one view to the normal equations, H (lower half) and g, and to the statistics."""
     rig, shape, settings = model.rig, model.shape, model.settings
     pos, R, vel, omega, exposure = pose.position, pose.rotation, pose.velocity, pose.omega, settings.exposure_s
     H, g, stride = equations.H, equations.g, settings.line_stride
+    sigma, band, with_blur = sampling.blur_px, sampling.band_px, sampling.with_blur
     hidden_by = 0
     if rig.partner[view] >= 0 and place_die(shape, rig, rig.partner[view], pos, R, work):
         hidden_by = outline_hull(shape, work)

@@ -170,6 +170,17 @@ class PoseState(NamedTuple):
     """(3,) [rad/s], world axes."""
 
 
+class EdgeSampling(NamedTuple):
+    """How one step of a refinement samples the edges."""
+
+    blur_px: float
+    """Lens blur that is assumed."""
+    band_px: float
+    """Half-width of the band of pixels about an edge."""
+    with_blur: bool
+    """Whether the equations get their column of the blur."""
+
+
 class NormalEquations(NamedTuple):
     """Normal equations of one frame about one pose, filled in place: H x = g at unit noise."""
 

@@ -48,9 +48,8 @@ def region_costs(
     the background."""
     costs, differs = np.empty(len(positions_m)), np.empty(len(positions_m))
     region_costs_in_box(
-        np.ascontiguousarray(image, np.float32), view.backgrounds[0], view.rig, view.shape, box,
-        np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), view.noise_grey, samples, costs,
-        differs,
+        np.ascontiguousarray(image, np.float32), view.model(view.settings._replace(region_pixels=samples)), box,
+        np.ascontiguousarray(positions_m, float), np.ascontiguousarray(rotations, float), costs, differs,
     )  # fmt: skip
     return costs, differs
 

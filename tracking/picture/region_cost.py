@@ -18,9 +18,9 @@ from .kernel_types import (
     CONTOUR_PX,
     PIXELS,
     ROBUST_COST,
-    CameraRig,
     FrameWindows,
     PictureModel,
+    RefinementSettings,
     Shape,
     Workspace,
     new_workspace,
@@ -66,7 +66,7 @@ def region_cost(
         mirrored = rig.partner[view] >= 0 and rig.partner[view] < view
         if mirrored or windows.size[camera, 0] == 0 or not place_die(shape, rig, view, pos, R, work):
             continue
-        contour, ball_px = rounded_contour(shape, rig, view, pos, work)
+        outline = rounded_contour(shape, rig, view, pos, work)
         if not place_outer(shape, rig, view, pos, R, work):
             return NO_COST, 0.0
         x0, y0 = windows.corner[camera, 0], windows.corner[camera, 1]
@@ -79,7 +79,7 @@ def region_cost(
             continue
         a, b, c = _box_cost(
             windows.pixels[camera], model.backgrounds[camera], (x0, y0), (low_x, low_y, high_x, high_y), shape,
-            (contour, ball_px), model.settings.noise_grey, model.settings.region_pixels, work,
+            outline, model.settings, work,
         )  # fmt: skip
         score += a
         number += 1.0
@@ -101,38 +101,39 @@ def pose_cost(region: float, statistics: Any) -> float:
 
 @compiled(nogil=True)
 def region_costs_in_box(
-    image: Any, background: Any, rig: CameraRig, shape: Shape, box: Any, positions: Any, rotations: Any, noise: float,
-    samples: int, costs: Any, differs: Any,
-) -> None:  # fmt: skip
+    image: Any, model: PictureModel, box: Any, positions: Any, rotations: Any, costs: Any, differs: Any
+) -> None:
     """Fill the region costs of many poses on one box (x0, y0, x1, y1; end exclusive) of the first camera's picture, and
     the shares of their pixels that differ from the background."""
+    rig, shape = model.rig, model.shape
     work = new_workspace(shape, rig)
     first = np.int64(0)
     for k in range(positions.shape[0]):
         costs[k], differs[k] = NO_COST, 0.0
         if not place_die(shape, rig, first, positions[k], rotations[k], work):
             continue
-        contour, ball_px = rounded_contour(shape, rig, first, positions[k], work)
+        outline = rounded_contour(shape, rig, first, positions[k], work)
         if place_outer(shape, rig, first, positions[k], rotations[k], work):
             total, inside, other = _box_cost(
-                image, background, (first, first), box, shape, (contour, ball_px), noise, samples, work
+                image, model.backgrounds[0], (first, first), box, shape, outline, model.settings, work
             )
             costs[k], differs[k] = total, other / max(inside, 1.0)
 
 
 @inner_nogil
 def _box_cost(
-    image: Any, background: Any, corner: Any, box: Any, shape: Shape, outline: Any, noise: float, samples: int,
+    image: Any, background: Any, corner: Any, box: Any, shape: Shape, outline: Any, settings: RefinementSettings,
     work: Workspace,
 ) -> tuple[float, float, float]:  # fmt: skip
-    """Region cost over about `samples` pixels of a box, number of these on the die, and number of those that differ
-    from the background.
+    """Region cost over about as many pixels of a box as the settings say, number of these on the die, and number of
+    those that differ from the background.
 
     Pixel [0, 0] of the image is `corner` of the background; pixels whose background is NaN do not count. No face
     reaches beyond the `outline` of the inner body: so many lines of the hull, widened by so many pixels. Corners of the
     outline stay sharp.
     """
     (x0, y0), (low_x, low_y, high_x, high_y), (contour, ball_px) = corner, box, outline
+    noise, samples = settings.noise_grey, settings.region_pixels
     stride = max(1, int(sqrt((high_x - low_x) * (high_y - low_y) / samples)))
     nf, most = shape.face_edges.shape
     lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)

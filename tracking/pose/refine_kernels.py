@@ -22,6 +22,7 @@ from ..picture import (
     STATISTICS,
     WINDOW_PX,
     CameraRig,
+    EdgeSampling,
     FrameWindows,
     NormalEquations,
     PictureModel,
@@ -124,12 +125,11 @@ def refine_and_score(
         H[:] = 0.0
         g[:] = 0.0
         statistics[:] = 0.0
+        sampling = EdgeSampling(blur, band, settings.with_blur and fine)
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                add_edge_equations(
-                    view, windows, model, pose, blur, band, settings.with_blur and fine, work, equations
-                )  # fmt: skip
+                add_edge_equations(view, windows, model, pose, sampling, work, equations)
         for a in range(PARAMETERS):
             for b in range(a):
                 H[b, a] = H[a, b]

@@ -158,18 +158,16 @@ def predict_motion(x: Any, R: Any, P: Any, dt: float) -> Any:
 
 
 @inner_nogil
-def _innovation(
-    x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings, S: Any, z: Any
-) -> bool:  # fmt: skip
-    """Fill the innovation z (6,) of a pose (p, Q) with information H, and the inverse S (6, 6) of its covariance; False
-    if there is none."""
-    A = np.zeros((6, 6))
+def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings) -> tuple[bool, Any, Any]:
+    """Whether a pose (p, Q) with information H has an innovation, the innovation z (6,), and the inverse S (6, 6) of
+    its covariance."""
+    S, z, A = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
     for a in range(6):
         for b in range(6):
             A[a, b] = POSE_INFORMATION_SHARE * H[a, b]
         A[a, a] += 1.0 / (settings.loose_m**2 if a < 3 else settings.loose_rad**2)
     if not inverse_positive(A, np.int64(6), S):
-        return False
+        return False, S, z
     for a in range(6):
         for b in range(6):
             A[a, b] = S[a, b] + P[a, b]
@@ -178,14 +176,14 @@ def _innovation(
         A[a, a] += (settings.tight_m / POSITION_FLOOR_PARTS) ** 2
         A[3 + a, 3 + a] += (settings.tight_rad / ROTATION_FLOOR_PARTS) ** 2
     rotation_log(turn_from(R, Q), z[3:])
-    return inverse_positive(A, np.int64(6), S)
+    return inverse_positive(A, np.int64(6), S), S, z
 
 
 @inner_nogil
 def innovation_squared(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings) -> float:
     """Normalised innovation squared of a pose: its squared distance from a predicted motion in the sigmas of both."""
-    S, z = np.zeros((6, 6)), np.zeros(6)
-    if not _innovation(x, R, P, p, Q, H, settings, S, z):
+    exists, S, z = _innovation(x, R, P, p, Q, H, settings)
+    if not exists:
         return NO_INNOVATION
     total = 0.0
     for a in range(6):
@@ -201,9 +199,10 @@ def update_motion(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: Refi
 
     The covariance grows by COVARIANCE_GROWTH a frame, so that the filter forgets.
     """
-    S, gain, z = np.zeros((6, 6)), np.zeros((12, 6)), np.zeros(6)
-    if not _innovation(x, R, P, p, Q, H, settings, S, z):
+    exists, S, z = _innovation(x, R, P, p, Q, H, settings)
+    if not exists:
         return R
+    gain = np.zeros((12, 6))
     for i in range(12):
         for a in range(6):
             for b in range(6):
