@@ -1,15 +1,15 @@
-"""How kernels are compiled: `@compiled` in front of a function of numbers and arrays, `@inner` where only others call it.
+"""How kernels are compiled: `@compiled` for a function of numbers and arrays, `@inner` for one that only kernels call.
 
-A kernel is compiled when it is first called, and kept in a cache beside its file. That first time is what a user waits
-for, and most of it is numba's own work on types and code, in Python, for each set of argument types. What keeps it short:
+A kernel is compiled when it is first called, and kept in a cache beside its file. A user waits for that first call, and most of
+the time is numba's own work on types and code, for each set of argument types. Four rules keep it short:
 
-- No wrapper for calls from C, of which there are none here: it holds the whole kernel once more, and costs a quarter.
-- No wrapper for calls from Python where there are none. It costs 25 ms of the 60 of the smallest function. Python must not
-  call such a kernel: there is no error, but the end of the process.
-- A literal such as -1 is a type of its own, so that f(-1) and f(i) are two functions, and all that f calls is compiled
-  twice. What is passed on, or begins a loop and is passed on in it, is one of the constants `int64` and `truth` make.
-- `a[:] = b` for arrays brings in the check of shapes, whose message is put together of strings: some seconds in the first
-  file that has it. A loop costs a tenth of a second.
+- No wrapper for calls from C, because there are none. It contains the whole kernel once more, and takes a quarter of the time.
+- No wrapper for calls from Python where there are none. It takes 25 ms of the 60 ms of the smallest function. A call of such
+  a kernel from Python ends the process without an error message.
+- No literals as arguments. A literal such as -1 is a type of its own, so that f(-1) and f(i) are two functions, and all that f
+  calls is compiled twice. Constants that kernels pass on are made by `int64` and `truth`.
+- No `a[:] = b` for arrays in kernels that every throw needs. Its check of shapes formats strings, which takes some seconds in
+  the first file that has it. A loop takes a tenth of a second.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .kernel_cache import KernelCache
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """`@compiled`, or `@compiled(nogil=True)` for what threads call."""
+    """`@compiled`, or `@compiled(nogil=True)` for what several threads call."""
     if function is None:
         return partial(compiled, **options)
     kernel: Any = njit(function, no_cfunc_wrapper=True, **options)
@@ -50,12 +50,12 @@ inner_fast_sums_no_memory: Any = inner(nogil=True, _nrt=False, fastmath=_SUMS_IN
 
 
 def int64(value: int) -> int:
-    """A constant for kernels that is not compiled into the type of what it is passed to."""
-    constant: Any = np.int64(value)  # no int to the type checker, though it is one to all that use it
+    """A constant for kernels whose value is no part of its type."""
+    constant: Any = np.int64(value)  # the type checker does not take it for an int
     return constant
 
 
 def truth(value: bool) -> bool:
-    """The same for a truth value."""
+    """A truth value for kernels whose value is no part of its type."""
     constant: Any = np.bool_(value)
     return constant

@@ -1,13 +1,13 @@
 """Where compiled kernels are kept, and when they are compiled again.
 
-numba keeps a compiled kernel beside its file and compiles it again when that file changes. It does not see a change of a
-kernel or a constant that the file imports, and would go on with the old machine code. Here the key of an entry is a digest of
-the sources: of the kernel's file and, followed through every import, of all that it rests on within this package. A change
-compiles what depends on it, and only that; a copy of the folder, or another time stamp, compiles nothing.
+numba keeps a compiled kernel beside its file and compiles it again when that file changes. It misses a change of a kernel or a
+constant that the file imports, and would use the old machine code. Here the key of an entry is a digest of the sources: of the
+kernel's file and of all files of this package that its imports lead to. A change compiles what depends on it, and only that. A
+copy of the folder, or another time stamp, compiles nothing.
 
-numba has a place for this: a cache asks a *locator* for the folder and for a stamp of the source, and starts anew when the
-stamp differs from the stored one. The classes are not part of numba's documented interface; the tests run on the lowest
-version of numba that the package admits as well.
+numba's cache asks a *locator* for the folder and for a stamp of the source, and discards an entry whose stamp differs. These
+classes are not part of numba's documented interface. The tests therefore also run on the lowest version of numba that the package
+admits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile
 
 _IMPORT = re.compile(r"^from (\.+)([\w.]*) import (\([^)]*\)|[^\n#]*)", re.MULTILINE)
-"""A relative import at the left margin: only those run when a module is imported, whatever a function or a type imports."""
+"""A relative import at the left margin: the only ones that run when a module is imported."""
 
 
 @cache
@@ -36,7 +36,7 @@ def source_digest(path: Path) -> str:
 
 
 def _reached(path: Path) -> set[Path]:
-    """The file, and all that its imports lead to."""
+    """The file, and all files that its imports lead to."""
     reached: set[Path] = set()
     ahead = [path]
     while ahead:
@@ -49,7 +49,7 @@ def _reached(path: Path) -> set[Path]:
 
 @cache
 def _imported(path: Path) -> tuple[Path, ...]:
-    """The files that define what a file imports; a name that a folder's `__init__` hands on leads to the file behind it."""
+    """The files that define what a file imports; a name that an `__init__` re-exports leads to the file that defines it."""
     return tuple(_home(folder_or_module, name) for folder_or_module, name, _ in _imports(path))
 
 
@@ -81,7 +81,7 @@ def _home(origin: Path, name: str) -> Path:
         if candidate.is_file():
             return candidate
     if not init.is_file():
-        raise ImportError(f"{origin}: no module of that name, wanted for {name}")
+        raise ImportError(f"{origin}: no module of that name, from which {name} is imported")
     for further, there, here in _imports(init):
         if here == name:
             return _home(further, there)

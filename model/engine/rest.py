@@ -23,14 +23,14 @@ SLOW_DECAY = 0.1
 """Above χ = 1 - SLOW_DECAY, where every die takes long to lose its energy, the timeout is SLOW_DECAY/(1 - χ) times as long."""
 
 ENERGETIC = 3.0
-"""Energy in units of m g R from which a die counts as energetic: enough to stand up on a vertex, and as much again twice."""
+"""Energy in units of m g R above which a die counts as energetic: three times that of a die balanced on its farthest vertex."""
 
 MARGIN_OF_PROOF = 1e-12
 """Relative rounding that a proof of endless spinning must exceed. A die laid on an edge has both sides equal."""
 
 MAX_ZERO_STEPS = 3
-"""Events in a row at one instant after which rounding is taken to repeat them, and the die is moved on by a nudge. With 20
-the tests and 3000 random throws of asymmetric bodies have the same faces."""
+"""Events in a row at one instant after which rounding is taken to repeat them, and the die is moved on by a nudge. A smaller
+number moves a die where four contacts truly change together; a larger one repeats more events."""
 
 NUDGE = 1e-9
 """Time of that nudge in units of √(R/g), for each event at that instant."""

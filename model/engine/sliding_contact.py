@@ -467,7 +467,7 @@ def follow_sliding_contact(
 
 
 @overload(follow_sliding_contact, strict=False)
-def _rub(
+def _follow_sliding_contact_of(
     body: Any,
     law: Any,
     plane: Any,

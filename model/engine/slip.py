@@ -114,9 +114,9 @@ def coefficient_at_speed(slowest: float, speed: float, speed_scale: float, expon
 
 @inner
 def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, dy: float) -> tuple[float, float, float]:
-    """The unit vector ŝ, and σ ≥ 0, with (radius T + σ) ŝ = d; None needs one where |T⁻¹d| ≤ radius.
+    """The unit vector ŝ, and σ ≥ 0, with (radius T + σ) ŝ = d, for |T⁻¹d| > radius.
 
-    Newton's method on 1/|ŝ(σ)|, which is concave and rises: from a σ too small it comes up to the root monotonically.
+    Newton's method on 1/|ŝ(σ)|, which is concave and rises: from a σ too small it reaches the root monotonically.
     """
     sigma = max(0.0, hypot(dx, dy) - radius * (xx + yy))  # no eigenvalue of T exceeds its trace
     ux, uy = 0.0, 0.0
@@ -140,7 +140,7 @@ def slide_direction(xx: float, xy: float, yy: float, radius: float, dx: float, d
 def friction_impulse(
     matrix: Matrix6, chi: float, mu: float, ending: int, cx: float, cy: float, cz: float
 ) -> tuple[float, float, float]:
-    """Impulse [N s] of the table on the contact that comes in with velocity (cx, cy, cz) [m/s], z the normal.
+    """Impulse [N s] of the table on the contact with velocity (cx, cy, cz) [m/s] before, z the normal.
 
     `matrix` from `contact_matrix`; `ending` NEWTON, POISSON or STRONGE. Zero for a contact that does not approach, NaN
     where c is not finite. One small array is allocated where the slip turns, none elsewhere.
@@ -180,7 +180,7 @@ def friction_impulse(
 
 @inner
 def _slip_regime(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) -> int:
-    """What the slip (vx, vy) does next, to rounding of velocities of the given `size`."""
+    """Which of STOPPED, STRAIGHT and TURNS the slip (vx, vy) does next; `size` is that of the velocities that are rounded."""
     xx, xy, xz, yy, yz, _ = matrix
     slip = hypot(vx, vy)
     if slip <= NEGLIGIBLE_SLIP * size:
@@ -202,7 +202,7 @@ def _slip_regime(matrix: Matrix6, mu: float, vx: float, vy: float, size: float) 
 
 @inner
 def _rate(matrix: Matrix6, mu: float) -> float:
-    """How fast the slip vector changes with τ [1/kg], at most (up to 2)."""
+    """Bound [1/kg] of the rate at which the slip vector changes with τ, up to a factor of 2."""
     return float(hypot(matrix[2], matrix[4]) + mu * max(matrix[0], matrix[3]))
 
 
@@ -210,7 +210,7 @@ def _rate(matrix: Matrix6, mu: float) -> float:
 def _straight_slip(
     w: float, slope: float, limit: float, ending: int, chi: float, restituting: bool, goal: float
 ) -> tuple[float, float, bool, float, bool]:
-    """Go on while dw/dp = `slope` stays, at most by `limit`: the dp gone, then w, returning, goal, and whether it ended.
+    """Integrate at constant dw/dp = `slope`, by `limit` at most; returns dp, w, restituting, goal, and whether the impact ended.
 
     `goal`: for NEWTON the w to reach; else what restitution may still give back, impulse (POISSON) or work (STRONGE).
     """
@@ -288,7 +288,7 @@ def _turning_slip(
 def _expansion_to_stop(
     series: Array, matrix: Matrix6, mu: float, vx: float, vy: float, size: float
 ) -> tuple[bool, float]:
-    """Whether the slip comes near enough to the direction in which it will stop, and the dp until then.
+    """Whether the slip is near enough to the direction in which it will stop, and the dp until then.
 
     With axes along and across that direction and the slope ε = v⊥/v∥ of the slip, v∥' = F(ε) v∥ and ε' = G(ε), so the
     dp left is v∥ P(ε) with F P + G P' = -|v|/v∥ = -√(1 + ε²): a power series, where steps in τ would come ever nearer.
@@ -350,7 +350,7 @@ def _stop_before_event(
     restituting: bool,
     goal: float,
 ) -> tuple[bool, float, float, float, float]:
-    """What `_expansion_to_stop` leads to: whether w meets no event on the way, the tangential impulse, w and goal then."""
+    """The end of `_expansion_to_stop`: whether no event of w comes before, the tangential impulse, w and goal there."""
     xx, xy, xz, yy, yz, zz = matrix
     det = xx * yy - xy * xy
     # 0 = v + b dp + T S at the stop.
@@ -460,7 +460,7 @@ def _taylor_series(
 def _follow_series(
     series: Array, h: float, ending: int, chi: float, restituting: bool, goal: float
 ) -> tuple[float, bool, float, bool]:
-    """Follow the series up to h for the end of the impact: the t reached, and the state of `_straight_slip`."""
+    """Follow the series up to h, or to the end of the impact; returns t, and the state of `_straight_slip`."""
     if ending == NEWTON:
         t = _first_rise(series, 1.0, goal, 0.0, h)
         return (t, True, goal, True) if t >= 0.0 else (h, restituting, goal, False)
@@ -488,25 +488,25 @@ def _first_rise(series: Array, sign: float, level: float, start: float, end: flo
 
     w' = s h changes its sign at two angles of the slip at most, so not twice in a step that would matter.
     """
-    top = end
+    upper = end
     if sign * (_value(series, NORMAL, end) - level) < 0.0:
         if sign * _slope(series, NORMAL, start) <= 0.0 or sign * _slope(series, NORMAL, end) >= 0.0:
             return -1.0
         low = start
         for _ in range(60):
-            middle = 0.5 * (low + top)
+            middle = 0.5 * (low + upper)
             if sign * _slope(series, NORMAL, middle) > 0.0:
                 low = middle
             else:
-                top = middle
-        if sign * (_value(series, NORMAL, top) - level) < 0.0:
+                upper = middle
+        if sign * (_value(series, NORMAL, upper) - level) < 0.0:
             return -1.0
-    return _root(series, NORMAL, sign, level, start, top)
+    return _root(series, NORMAL, sign, level, start, upper)
 
 
 @inner
 def _root(series: Array, row: int, sign: float, level: float, low: float, high: float) -> float:
-    """Where a row takes the value `level`, which sign · row exceeds at `high`: Newton's steps, halved where they stray."""
+    """Where a row takes the value `level`, which sign · row exceeds at `high`: Newton's method within a bracket."""
     t = high
     for _ in range(80):
         excess = sign * (_value(series, row, t) - level)

@@ -1,4 +1,4 @@
-"""A kernel is compiled again when anything that it rests on has changed, and only then."""
+"""A kernel is compiled again when a source that it depends on has changed, and only then."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def edit(file: Path, old: str, new: str) -> None:
     file.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
-def test_a_kernel_sees_edits_of_its_callees_and_constants(copy: Path) -> None:
+def test_a_kernel_is_compiled_again_after_an_edit_of_a_constant_and_only_then(copy: Path) -> None:
     model = copy / "diethrow" / "model"
     height, sine, compiled = fall(copy)
     assert compiled == 1
@@ -68,11 +68,11 @@ def test_a_kernel_sees_edits_of_its_callees_and_constants(copy: Path) -> None:
     edit(model / "world.py", "GRAVITY_M_S2 = 9.81", "GRAVITY_M_S2 = 1.62")
     assert fall(copy) == (pytest.approx(-1.62 / 2), sine, 1)
 
-    edit(model / "ensembles" / "basins.py", '"""', '"""Nothing that a kernel rests on. ')
+    edit(model / "ensembles" / "basins.py", '"""', '"""No kernel depends on this. ')
     assert fall(copy)[2] == 0
 
 
-def test_a_kernel_sees_the_edit_of_a_callee_in_another_file(copy: Path) -> None:
+def test_a_kernel_is_compiled_again_after_an_edit_of_a_callee_in_another_file(copy: Path) -> None:
     model = copy / "diethrow" / "model"
     caller = model / "engine" / "caller.py"
     callee = model / "engine" / "callee.py"
@@ -89,8 +89,8 @@ def test_a_kernel_sees_the_edit_of_a_callee_in_another_file(copy: Path) -> None:
     assert (float(first), float(second)) == (3.0, 6.0)
 
 
-def test_an_index_that_names_a_vanished_argument_type_is_outdated(copy: Path) -> None:
-    """Once the first run after an update stopped with an AttributeError from numba's unpickling."""
+def test_an_index_with_a_removed_argument_type_is_outdated(copy: Path) -> None:
+    """The first run after an update once stopped with an AttributeError from numba's unpickling."""
     package = copy / "diethrow" / "model"
     kernel = package / "engine" / "doubling.py"
     text = (
@@ -104,12 +104,12 @@ def test_an_index_that_names_a_vanished_argument_type_is_outdated(copy: Path) ->
         assert float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout) == 3.0
 
 
-def test_the_digest_is_of_contents_and_not_of_places_or_times(copy: Path) -> None:
+def test_the_digest_depends_on_contents_and_not_on_places_or_times(copy: Path) -> None:
     for name in ("engine/event_loop.py", "ensembles/landings.py", "throw/simulate.py"):
         assert source_digest(MODEL / name) == source_digest(copy / "diethrow" / "model" / name)
 
 
-def test_an_import_that_leads_nowhere_is_an_error(tmp_path: Path) -> None:
+def test_an_import_of_a_missing_module_raises_an_error(tmp_path: Path) -> None:
     file = tmp_path / "package" / "kernel.py"
     file.parent.mkdir()
     file.write_text("from .missing import nothing\n")

@@ -96,12 +96,12 @@ def _fly(
     dt: float,
     sources: ParameterDerivatives,
     tangent: Array,
-    pull: Array,
+    stiffer: Array,
     room: Array,
 ) -> None:
     """Carry a state in flight and its derivatives (12, 12 + m) through `dt` [s], of either sign, in place.
 
-    `pull` (12 + m,) is where the moments of inertia change: ω is another then for the same L.
+    `stiffer` (12 + m,) [kg m²] is by how much each column changes the moments of inertia, and so ω for the same L.
     """
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
     steps = max(1, ceil(abs(dt) * spin / MAX_TURN_RAD))
@@ -111,18 +111,18 @@ def _fly(
         now = room[13]
         for j in range(tangent.shape[1]):
             dx, dy, dz = tangent[3, j], tangent[4, j], tangent[5, j]
-            lx = tangent[9, j] - pull[j] * ox
-            ly = tangent[10, j] - pull[j] * oy
-            lz = tangent[11, j] - pull[j] * oz
+            lx = tangent[9, j] - stiffer[j] * ox
+            ly = tangent[10, j] - stiffer[j] * oy
+            lz = tangent[11, j] - stiffer[j] * oz
             for k in range(3):
                 i, n = 4 + 3 * k, 13 + 3 * k
                 turned = now[i] * dx + now[i + 1] * dy + now[i + 2] * dz
                 tangent[3 + k, j] = turned + now[n] * lx + now[n + 1] * ly + now[n + 2] * lz
     for k in range(3):
         for j in range(tangent.shape[1]):
-            pulled = sources.gravity[j - 12, k] if j >= 12 else 0.0
-            tangent[k, j] += (tangent[6 + k, j] + 0.5 * pulled * dt) * dt
-            tangent[6 + k, j] += pulled * dt
+            gravity_change = sources.gravity[j - 12, k] if j >= 12 else 0.0
+            tangent[k, j] += (tangent[6 + k, j] + 0.5 * gravity_change * dt) * dt
+            tangent[6 + k, j] += gravity_change * dt
     y[0] += (y[7] + 0.5 * plane.gx * dt) * dt
     y[1] += (y[8] + 0.5 * plane.gy * dt) * dt
     y[2] += (y[9] - 0.5 * plane.g * dt) * dt
@@ -248,8 +248,8 @@ def run_asymmetric_tangent(
     log, dtimes = np.empty((FIRST_ROWS, LOG_COLUMNS)), np.empty((FIRST_ROWS, columns))
     tangent, there, pose = seed.copy(), np.empty((12, columns)), np.empty(13)
     now, before, shown = np.empty(13), np.empty(13), np.empty(13)
-    stages, room, pull = np.empty((14, 8)), np.empty((14, 22)), np.zeros(columns)
-    pull[12:] = sources.inertia
+    stages, room, stiffer = np.empty((14, 8)), np.empty((14, 22)), np.zeros(columns)
+    stiffer[12:] = sources.inertia
     chi = law.parameters[0]
     slow = chatter_speed(law, plane, FINE, body.radius)
     shifts, gradient = np.empty((columns - 12, SHIFTS)), np.empty((3, _INPUTS))
@@ -287,13 +287,13 @@ def run_asymmetric_tangent(
                 ending = NO_TOUCH
         while done < n and (ends or times[done] < time + dt):
             pose[:], there[:] = y, tangent
-            _fly(body, plane, pose, times[done] - time, sources, there, pull, room)
+            _fly(body, plane, pose, times[done] - time, sources, there, stiffer, room)
             poses[done] = pose[:7]
             jacobian[done] = there[:6]
             done += 1
         if ends:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
-        _fly(body, plane, y, dt, sources, tangent, pull, room)
+        _fly(body, plane, y, dt, sources, tangent, stiffer, room)
         time += dt
         fresh = hit >= 0
         if hit < 0:
@@ -309,8 +309,10 @@ def run_asymmetric_tangent(
 
 @compiled
 def attitudes_in_flight(body: AsymmetricBody, start: Array, delays: Array) -> Array:
-    """Quaternions (n, 4) of the principal axes `delays` (n,) [s], of either sign, after a flight began with `start`
-    (13,), a state as for `run_asymmetric_throw`."""
+    """Quaternions (n, 4) of the principal axes `delays` (n,) [s], of either sign, after a flight began.
+
+    `start` (13,) is a state as for `run_asymmetric_throw`.
+    """
     y, plane, time = np.empty(13), LEVEL, 0.0
     out, stages, now = np.empty((delays.shape[0], 4)), np.empty((14, 8)), np.empty(13)
     for n in range(delays.shape[0]):

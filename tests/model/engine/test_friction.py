@@ -46,7 +46,7 @@ def energies(matrix, velocity, impulse) -> tuple[float, float]:
     return 0.5 * velocity @ np.linalg.solve(full(matrix), velocity), 0.5 * impulse @ (velocity + after)
 
 
-def test_the_contact_matrix_says_how_a_unit_impulse_changes_the_velocity_of_the_contact():
+def test_the_contact_matrix_is_the_change_of_contact_velocity_by_a_unit_impulse():
     rng = np.random.default_rng(1)
     for _ in range(20):
         arm, root = rng.normal(size=3), rng.normal(size=(3, 3))
@@ -54,11 +54,13 @@ def test_the_contact_matrix_says_how_a_unit_impulse_changes_the_velocity_of_the_
         columns = [e / 2.0 + np.cross(np.linalg.solve(inertia, np.cross(arm, e)), arm) for e in np.eye(3)]
         matrix = full(engine.contact_matrix(2.0, np.linalg.inv(inertia), *arm))
         np.testing.assert_allclose(matrix, np.array(columns).T, rtol=1e-9, atol=1e-9 * np.abs(matrix).max())
-        top = engine.spherical_contact_matrix(2.0, 0.3, *arm)
-        np.testing.assert_allclose(top, engine.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(top))
+        spherical = engine.spherical_contact_matrix(2.0, 0.3, *arm)
+        np.testing.assert_allclose(
+            spherical, engine.contact_matrix(2.0, np.eye(3) / 0.3, *arm), atol=1e-14 * max(spherical)
+        )
 
 
-def test_strongs_restitution_never_creates_energy():
+def test_stronges_restitution_never_creates_energy():
     for matrix, chi, mu, c in contacts(2, 4000):
         for x in (chi, 0.0, 1.0):
             energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, x, mu, engine.STRONGE, *c)))
@@ -67,7 +69,7 @@ def test_strongs_restitution_never_creates_energy():
 
 
 def test_newtons_restitution_can_create_energy():
-    """The reason for Stronge's; a test that could not see creation would prove nothing."""
+    """The reason for Stronge's restitution, and proof that the test above can see a gain of energy."""
     created = []
     for matrix, _, mu, c in contacts(3, 2000):
         energy, change = energies(matrix, c, np.array(engine.friction_impulse(matrix, 1.0, mu, engine.NEWTON, *c)))
@@ -87,7 +89,7 @@ def test_the_impulse_lies_within_the_cone_and_the_contact_leaves(ending):
 
 
 @each_ending
-def test_without_friction_the_impulse_is_the_smooth_one_to_the_last_digit(ending):
+def test_without_friction_the_impulse_equals_the_smooth_one_to_the_last_digit(ending):
     for matrix, chi, _, c in contacts(5, 200):
         smooth = (0.0, 0.0, -(1.0 + chi) * c[2] / matrix[5])
         assert engine.friction_impulse(matrix, chi, 0.0, ending, *c) == smooth
@@ -109,7 +111,7 @@ def planar(b: float, tangential: float = 1.0, normal: float = 1.0):
 
 
 @each_ending
-def test_routh_slip_that_goes_on_has_the_impulse_of_the_cone(ending):
+def test_slip_that_continues_gives_an_impulse_on_the_friction_cone(ending):
     """w' = a - μ b all the way, so the three restitutions agree: p = -(1 + χ) w/(a - μ b), S_t = -μ p."""
     a, b, mu, chi, slip, w = 1.0, 0.3, 0.2, 0.6, 5.0, -1.0
     p = -(1 + chi) * w / (a - mu * b)
@@ -137,14 +139,14 @@ def stopped_impulse(b: float, mu: float, chi: float, slip: float, w: float, endi
 
 @each_ending
 @pytest.mark.parametrize(("b", "mu"), [(0.3, 0.5), (-0.3, 0.5), (-0.6, 0.4), (-0.6, 0.0401)])
-def test_routh_slip_that_stops_sticks_or_turns_back(b, mu, ending):
+def test_slip_that_stops_sticks_or_reverses(b, mu, ending):
     """Sticks where |b| ≤ μ (T = 1), else it sets out the other way."""
     got = engine.friction_impulse(planar(b), 0.7, mu, ending, 0.1, 0.0, -1.0)
     np.testing.assert_allclose(got, stopped_impulse(b, mu, 0.7, 0.1, -1.0, ending), rtol=1e-14, atol=1e-15)
 
 
 @each_ending
-def test_routh_slip_that_stops_only_in_restitution(ending):
+def test_slip_that_stops_during_restitution_follows_rouths_diagram(ending):
     """b = 0.3, μ = 0.5, s = 0.3: compression ends at p = 1/0.85, the slip at 0.3/0.2 after it."""
     b, mu, chi, slip, w = 0.3, 0.5, 0.9, 0.3, -1.0
     slide, stick, stop = 1.0 - mu * b, 1.0 - b * b, slip / (mu - b)
@@ -162,14 +164,14 @@ def test_routh_slip_that_stops_only_in_restitution(ending):
 
 
 @each_ending
-def test_a_jam_drives_the_contact_in_until_the_slip_stops(ending):
+def test_a_jam_drives_the_contact_into_the_table_until_the_slip_stops(ending):
     """b = 0.9, μ = 2: w' = 1 - 1.8 < 0 while it slides (s' = 0.9 - 2), and 1 - 0.81 once it sticks."""
     got = engine.friction_impulse(planar(0.9), 0.5, 2.0, ending, 0.4, 0.0, -1.0)
     np.testing.assert_allclose(got, stopped_impulse(0.9, 2.0, 0.5, 0.4, -1.0, ending), rtol=1e-14, atol=1e-15)
 
 
 @each_ending
-def test_a_contact_without_slip_sticks_or_sets_out_along_its_one_direction(ending):
+def test_a_contact_without_slip_sticks_or_slides_along_its_one_direction(ending):
     for matrix, chi, mu, c in contacts(7, 500):
         impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, 0.0, 0.0, c[2]))
         M = full(matrix)
@@ -187,9 +189,11 @@ def test_a_contact_without_slip_sticks_or_sets_out_along_its_one_direction(endin
         np.testing.assert_allclose(nudged, impulse, atol=1e-9 * np.abs(impulse).max())
 
 
-def plainest_impulse(cases, ending: int, steps: int) -> np.ndarray:
-    """dc/dp in equal steps of p by the midpoint rule, all cases at once, with nothing clever. Slip stays at zero once
-    a step would carry it past, if the cone holds it."""
+def midpoint_impulse(cases, ending: int, steps: int) -> np.ndarray:
+    """dc/dp in equal steps of p by the midpoint rule, all cases at once.
+
+    Slip stays at zero once a step would carry it past, if the friction cone holds it.
+    """
     M = np.array([full(case[0]) for case in cases])
     chi, mu = np.array([case[1] for case in cases]), np.array([case[2] for case in cases])
     c = np.array([case[3] for case in cases])
@@ -222,18 +226,18 @@ def plainest_impulse(cases, ending: int, steps: int) -> np.ndarray:
             open_ &= (c[:, 2] < 0) | (up < (chi if ending == engine.POISSON else chi**2) * down)
         if not open_.any():
             return S
-    raise AssertionError("the plainest integration did not come to an end in twice the impulse expected")
+    raise AssertionError("the midpoint integration did not end within twice the expected impulse")
 
 
 @each_ending
-def test_the_plainest_integration_in_1e5_steps_agrees(ending):
+def test_a_midpoint_integration_in_1e5_steps_agrees(ending):
     rng = np.random.default_rng(8)
     cases = [
         (matrix, chi, float(rng.uniform(0.05, 2.0)), np.array([*rng.normal(size=2) * rng.choice([0.3, 3.0]), c[2]]))
         for matrix, chi, _, c in contacts(9, 45)
     ]
     exact = np.array([engine.friction_impulse(*case[:3], ending, *case[3]) for case in cases])
-    plain = plainest_impulse(cases, ending, 100_000)
+    plain = midpoint_impulse(cases, ending, 100_000)
     # The end falls within a step, 1e-5, and where it sticks the slip was cut short by some steps.
     errors = np.abs(plain - exact).max(1) / np.abs(exact).max(1)
     assert errors.max() < 3e-3
@@ -241,7 +245,7 @@ def test_the_plainest_integration_in_1e5_steps_agrees(ending):
 
 
 @each_ending
-def test_units_do_not_matter(ending):
+def test_the_impulse_does_not_depend_on_the_units(ending):
     for matrix, chi, mu, c in contacts(10, 300):
         impulse = np.array(engine.friction_impulse(matrix, chi, mu, ending, *c))
         scaled = tuple(1e9 * m for m in matrix)
@@ -251,7 +255,7 @@ def test_units_do_not_matter(ending):
 
 
 @each_ending
-def test_turning_everything_about_the_vertical_turns_the_impulse(ending):
+def test_rotating_everything_about_the_vertical_rotates_the_impulse(ending):
     rng = np.random.default_rng(11)
     for matrix, chi, mu, c in contacts(12, 300):
         angle = rng.uniform(0, 2 * np.pi)
@@ -263,7 +267,7 @@ def test_turning_everything_about_the_vertical_turns_the_impulse(ending):
 
 
 @each_ending
-def test_impacts_at_the_ends_of_what_can_be_asked(ending):
+def test_extreme_arguments_give_a_finite_impulse(ending):
     matrix, _, _, c = next(iter(contacts(13, 1)))
     for mu, chi, velocity in (
         (1e6, 0.5, c),
@@ -294,7 +298,7 @@ def test_a_grazing_impact_slides_and_its_impulse_vanishes_with_its_speed():
 
 
 def touch_of(die, seed: int) -> Touch:
-    """Some vertex at some orientation, coming down."""
+    """The fastest sinking vertex at a random orientation."""
     rng = np.random.default_rng(seed)
     velocity = np.array([*rng.normal(size=2), -2.0])
     state = State(0.0, np.zeros(3), random_quaternion(rng), velocity, rng.normal(size=3) * 40.0)
@@ -304,7 +308,7 @@ def touch_of(die, seed: int) -> Touch:
     return Touch(state, vertex, arms[vertex], float(normal[vertex]))
 
 
-def test_the_laws_ask_the_kernel_for_the_velocity_of_their_contact():
+def test_the_laws_pass_the_velocity_of_their_contact_to_the_kernel():
     for die in DICE.values():
         touch = touch_of(die, 15)
         c = touch.state.velocity_m_s + np.cross(touch.state.omega_rad_s, touch.arm_m)
@@ -316,7 +320,7 @@ def test_the_laws_ask_the_kernel_for_the_velocity_of_their_contact():
 
 
 @pytest.mark.parametrize("law", [SmoothImpact(0.8), CoulombImpact(0.8, 0.3)], ids=str)
-def test_restitution_by_speed_is_the_law_with_the_restitution_of_that_speed(law):
+def test_restitution_by_speed_equals_the_law_with_the_restitution_of_that_speed(law):
     fading = RestitutionBySpeed(law, speed_scale_m_s=0.5)
     for die in DICE.values():
         touch = touch_of(die, 16)
@@ -326,7 +330,7 @@ def test_restitution_by_speed_is_the_law_with_the_restitution_of_that_speed(law)
         np.testing.assert_allclose(impulse_N_s(die, touch, fading), impulse_N_s(die, touch, same), rtol=1e-12)
 
 
-def test_restitution_by_speed_goes_from_constant_to_johnsons_power():
+def test_restitution_by_speed_is_constant_when_slow_and_follows_johnsons_power_law_when_fast():
     law = RestitutionBySpeed(SmoothImpact(0.7), speed_scale_m_s=1e-3)
     assert law.chi_at(0.0) == 0.7
     assert law.chi_at(160.0) / law.chi_at(10.0) == pytest.approx(16**-0.25, rel=1e-4)
@@ -344,7 +348,7 @@ def test_restitution_by_speed_goes_from_constant_to_johnsons_power():
         (lambda: RestitutionBySpeed(SmoothImpact(0.5), 1.0, -1.0), "exponent = -1.0.*0 or more"),
     ],
 )
-def test_impossible_parameters_are_refused(make, message):
+def test_invalid_parameters_raise_an_error(make, message):
     with pytest.raises(ValueError, match=message):
         make()
 
@@ -352,16 +356,16 @@ def test_impossible_parameters_are_refused(make, message):
 # ---- held contact ----------------------------------------------------------------------------------------------------
 
 CUBE = DICE["cube"]
-FEET = np.ascontiguousarray(DICE["cube"].solid.vertices[DICE["cube"].solid.vertices[:, 2] < 0])
+BOTTOM = np.ascontiguousarray(DICE["cube"].solid.vertices[DICE["cube"].solid.vertices[:, 2] < 0])
 
 
-def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, plumb_normals=FEET):
-    """Velocities (steps, 6) of a cube on its feet."""
-    velocity, impulses, rows = np.array(velocity, float), np.zeros((len(plumb_normals), 3)), []
+def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_velocity: float = 0.0, corners=BOTTOM):
+    """Velocities (steps, 6) of a cube on its bottom corners."""
+    velocity, impulses, rows = np.array(velocity, float), np.zeros((len(corners), 3)), []
     for _ in range(steps):
         engine.friction_step(
             velocity,
-            plumb_normals,
+            corners,
             CUBE.mass_kg,
             CUBE.inertia_kg_m2,
             mu,
@@ -393,14 +397,14 @@ def test_a_block_on_a_slope_sticks_below_the_angle_of_friction_and_slides_above(
     np.testing.assert_allclose(end[3:] * 0.01, 0.0, atol=1e-13)
 
 
-def test_a_block_that_slides_on_the_level_stops_at_v_over_mu_g():
+def test_a_block_that_slides_on_a_level_table_stops_after_v_over_mu_g():
     rows = slide([0.3, 0.1, 0, 0, 0, 0], 0.2, (0, 0, -GRAVITY_M_S2), 2000)
     stopped = np.argmax(np.linalg.norm(rows, axis=1) == 0.0) * 1e-4
     # To one step.
     assert stopped == pytest.approx(np.hypot(0.3, 0.1) / (0.2 * GRAVITY_M_S2), abs=1.01e-4)
 
 
-def test_a_die_that_spins_on_its_face_stops_under_the_torque_of_its_corners():
+def test_a_die_that_spins_on_its_face_is_stopped_by_the_torque_at_its_corners():
     """Four corners at ρ = a/√2 from the axis press with m g in all: J dω/dt = -μ m g ρ."""
     rows = slide([0, 0, 0, 0, 0, 50.0], 0.3, (0, 0, -GRAVITY_M_S2), 1000)
     stopped = np.argmax(np.linalg.norm(rows, axis=1) == 0.0) * 1e-4
@@ -409,7 +413,7 @@ def test_a_die_that_spins_on_its_face_stops_under_the_torque_of_its_corners():
     assert (np.diff(rows[:, 5]) <= 0).all()
 
 
-def test_a_table_that_rises_carries_the_die_along():
+def test_a_rising_table_carries_the_die():
     rows = slide(np.zeros(6), 0.3, (0, 0, -GRAVITY_M_S2), 3, table_velocity=0.2)
     np.testing.assert_array_equal(rows, [[0, 0, 0.2, 0, 0, 0]] * 3)
     falling = slide([0, 0, -0.2, 0, 0, 0], 0.3, (0, 0, -GRAVITY_M_S2), 3, table_velocity=-1.0)
@@ -418,24 +422,24 @@ def test_a_table_that_rises_carries_the_die_along():
 
 @pytest.mark.parametrize("touching", [1, 2, 3, 4])
 def test_held_contact_never_gains_energy_and_never_sinks(touching):
-    """Velocities are those at the end of the step, so the kinetic energy grows by less than gravity works on them."""
+    """Velocities are those at the end of the step, so that the kinetic energy grows by less than the work of gravity."""
     rng, mass, inertia = np.random.default_rng(17), CUBE.mass_kg, CUBE.inertia_kg_m2
     for _ in range(200):
         before = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 10.0 ** rng.uniform(-4, 0)
         push, mu, velocity = 1e-3 * rng.normal(size=3), rng.uniform(0.0, 0.8), before.copy()
         impulses = np.zeros((touching, 3))
-        sweeps = engine.friction_step(velocity, FEET[:touching], mass, inertia, mu, push, 0.0, impulses)
+        sweeps = engine.friction_step(velocity, BOTTOM[:touching], mass, inertia, mu, push, 0.0, impulses)
         weights = np.array([mass] * 3 + [inertia] * 3)
         gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
         assert gained <= 1e-13 * (weights @ before**2 + mass * push @ push)
         assert (np.hypot(impulses[:, 0], impulses[:, 1]) <= mu * impulses[:, 2] * (1 + 1e-12) + 1e-300).all()
-        plumb_normals = velocity[:3] + np.cross(velocity[3:], FEET[:touching])
+        corners = velocity[:3] + np.cross(velocity[3:], BOTTOM[:touching])
         size = np.linalg.norm(push) + np.abs(before[:3]).max() + 0.02 * np.abs(before[3:]).max()
         if sweeps < 1000:
-            assert plumb_normals[:, 2].min() >= -1e-10 * size
+            assert corners[:, 2].min() >= -1e-10 * size
             # Friction points against the slip, or there is none.
-            against = np.sum(plumb_normals[:, :2] * impulses[:, :2], axis=1)
-            sizes = np.linalg.norm(plumb_normals[:, :2], axis=1) * np.linalg.norm(impulses[:, :2], axis=1)
+            against = np.sum(corners[:, :2] * impulses[:, :2], axis=1)
+            sizes = np.linalg.norm(corners[:, :2], axis=1) * np.linalg.norm(impulses[:, :2], axis=1)
             np.testing.assert_allclose(against, -sizes, atol=1e-9 * size * impulses.max())
 
 
@@ -461,13 +465,13 @@ def test_a_die_in_millimetres_slides_as_in_metres():
         velocity = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 1e-2
         small, push = velocity * [1, 1, 1, 1e3, 1e3, 1e3] * 1e-3, 1e-4 * rng.normal(size=3)
         a, b = np.zeros((4, 3)), np.zeros((4, 3))
-        engine.friction_step(velocity, FEET, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
-        engine.friction_step(small, 1e-3 * FEET, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
+        engine.friction_step(velocity, BOTTOM, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
+        engine.friction_step(small, 1e-3 * BOTTOM, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
         np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
 
 
-def test_a_die_at_rest_that_is_followed_for_no_time_stays_where_it_is():
-    """Within no time nothing presses it onto the table; it does not fly off and touch without end."""
+def test_a_die_at_rest_stays_where_it_is_in_a_throw_of_zero_duration():
+    """Within no time nothing presses it onto the table. It must not fly off and touch without end."""
     poses = np.empty((1, 7))
     lying = np.zeros((1, 13))
     lying[0, 2], lying[0, 3] = 0.5 * DICE["cube"].solid.edge_m, 1.0

@@ -1,4 +1,4 @@
-"""Held contact: tops, edges and faces against other formulations, chatter against its series, and honest ends."""
+"""Held contact: motion on a vertex, an edge and a face against other formulations; chatter against its series; endings."""
 
 from dataclasses import replace
 
@@ -24,42 +24,42 @@ UP = np.array([0.0, 0.0, 1.0])
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 
 
-def turned_down(down: np.ndarray, lean_rad: float = 0.0) -> np.ndarray:
-    """Quaternion that turns a direction of the body (3,) down, and then leans it about the world's x axis."""
+def turned_down(down: np.ndarray, tilt_rad: float = 0.0) -> np.ndarray:
+    """Quaternion that turns a direction of the body (3,) down, and then tilts it about the world's x axis."""
     down = down / np.linalg.norm(down)
     x = np.cross(down, [0.3, -0.5, 0.8])
     x /= np.linalg.norm(x)
     upright = quat_from_matrix([x, np.cross(-down, x), -down])
-    return quat_multiply(quat_from_rotvec([lean_rad, 0.0, 0.0]), upright)
+    return quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
 
 
-def on_vertex(die, vertex: int, lean_rad: float, omega) -> State:
-    """A die on one vertex that is at rest vertically, the line to the centre leaning by an angle; drifting sideways."""
-    quaternion, omega = turned_down(die.solid.vertices[vertex], lean_rad), np.asarray(omega, float)
+def on_vertex(die, vertex: int, tilt_rad: float, omega) -> State:
+    """A die on one vertex at rest vertically, the line to the centre tilted by an angle, with a horizontal velocity."""
+    quaternion, omega = turned_down(die.solid.vertices[vertex], tilt_rad), np.asarray(omega, float)
     arm = matrix_from_quat(quaternion) @ die.solid.vertices[vertex]
     rise = -np.cross(omega, arm)[2]
     return State(0.0, np.array([0.0, 0.0, -arm[2]]), quaternion, np.array([0.3, -0.2, rise]), omega)
 
 
-def on_edge(die, lean_rad: float, omega_z: float) -> State:
-    """A die on its first edge, its middle off the vertical through the centre by an angle; it turns about z alone."""
+def on_edge(die, tilt_rad: float, omega_z: float) -> State:
+    """A die on its first edge, tilted about it by an angle from balance, turning about z only."""
     a, b = die.solid.vertices[die.solid.edges[0]]
     middle, along = a + b, (b - a) / np.linalg.norm(b - a)
     down = middle / np.linalg.norm(middle)
     upright = quat_from_matrix([along, np.cross(-down, along), -down])
-    quaternion = quat_multiply(quat_from_rotvec([lean_rad, 0.0, 0.0]), upright)
+    quaternion = quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
     height = -(matrix_from_quat(quaternion) @ a)[2]
     return State(0.0, np.array([0, 0, height]), quaternion, np.zeros(3), np.array([0.0, 0.0, omega_z]))
 
 
 def exact_octahedron():
-    """Its vertices on the axes to the last bit: the division by the centroid leaves the stored ones 1e-19 m off."""
+    """An octahedron with its vertices on the axes to the last bit; those of the stored one are 1e-19 m off."""
     die = DICE["octahedron"]
     radius = die.solid.circumradius
     return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
 
 
-def stretches(result) -> list[HeldContact]:
+def held_contacts(result) -> list[HeldContact]:
     return [flight for flight in result.throw.flights if isinstance(flight, HeldContact)]
 
 
@@ -96,7 +96,7 @@ def _euler(phi: float, theta: float, psi: float) -> np.ndarray:
     )
 
 
-TOPS = [
+VERTEX_MOTIONS = [
     ("tetrahedron", 0.3, (0.0, 0.0, 0.0)),
     ("tetrahedron", 0.2, (3.0, 2.0, 150.0)),
     ("cube", 0.1, (0.0, 1.0, -80.0)),
@@ -106,10 +106,10 @@ TOPS = [
 ]
 
 
-@pytest.mark.parametrize(("shape", "lean", "omega"), TOPS)
-def test_a_die_on_a_vertex_moves_as_lagranges_top_on_a_smooth_table(shape, lean, omega):
+@pytest.mark.parametrize(("shape", "tilt", "omega"), VERTEX_MOTIONS)
+def test_a_die_on_a_vertex_moves_as_lagranges_top_on_a_smooth_table(shape, tilt, omega):
     die = DICE[shape]
-    start = on_vertex(die, 0, lean, omega)
+    start = on_vertex(die, 0, tilt, omega)
     held = throw_die(die, start, SmoothImpact(0.0), until=Until(time_s=0.3)).throw.flights[1]
     assert held.vertices == (0,)
     times = np.linspace(0.0, held.end_s, 60)
@@ -121,10 +121,10 @@ def test_a_die_on_a_vertex_moves_as_lagranges_top_on_a_smooth_table(shape, lean,
     np.testing.assert_allclose(positions[:, :2], np.outer(times, [0.3, -0.2]), atol=1e-15)
 
 
-@pytest.mark.parametrize(("shape", "lean", "omega"), TOPS)
-def test_a_top_keeps_its_energy_its_vertical_spin_and_the_spin_about_its_own_axis(shape, lean, omega):
+@pytest.mark.parametrize(("shape", "tilt", "omega"), VERTEX_MOTIONS)
+def test_a_die_on_a_vertex_keeps_its_energy_its_vertical_spin_and_the_spin_about_its_own_axis(shape, tilt, omega):
     die = DICE[shape]
-    start = on_vertex(die, 0, lean, omega)
+    start = on_vertex(die, 0, tilt, omega)
     held = throw_die(die, start, SmoothImpact(0.0), until=Until(time_s=0.3)).throw.flights[1]
     states = [held.at(t) for t in np.linspace(0.0, held.end_s, 60)]
     axes = np.array([s.rotation @ die.solid.vertices[0] for s in states])
@@ -139,42 +139,44 @@ def test_a_top_keeps_its_energy_its_vertical_spin_and_the_spin_about_its_own_axi
 @each_die
 @pytest.mark.parametrize(("turn", "accuracy"), [(0.3, 1e-9), (0.1, 1e-12)])
 @pytest.mark.parametrize("omega_z", [0.0, 3.0])
-def test_a_die_released_on_an_edge_falls_as_its_energy_says_until_the_next_vertex_touches(die, omega_z, turn, accuracy):
-    """With d from edge to centre and α its lean, (J + m d² sin² α) α'²/2 + m g d cos α is kept; ω_z is no part of it.
+def test_a_die_released_on_an_edge_falls_with_constant_energy_until_the_next_vertex_touches(
+    die, omega_z, turn, accuracy
+):
+    """With d from edge to centre and α its tilt, (J + m d² sin² α) α'²/2 + m g d cos α is kept; ω_z is no part of it.
 
     The accuracies are those of a method of order 8 at its usual step and at a third of it (measured: 3e-10, 1e-13).
     """
-    tilt = 1e-3
-    start = on_edge(die, tilt, omega_z)
+    released = 1e-3
+    start = on_edge(die, released, omega_z)
     a, b = die.solid.vertices[die.solid.edges[0]]
     d, k = np.linalg.norm(a + b) / 2, die.inertia_kg_m2 / die.mass_kg
     flat = np.arccos(die.solid.inradius / d)
 
     def seconds(u):
-        """dt/du for α = tilt + u², which takes away the root of α' at the release."""
-        lean = tilt + u * u
-        fall = 4 * G * d * np.sin(0.5 * (lean + tilt)) * np.sin(0.5 * u * u)
-        return 2 * u * np.sqrt((k + (d * np.sin(lean)) ** 2) / fall)
+        """dt/du for α = α₀ + u², which takes away the root of α' at the release."""
+        tilt = released + u * u
+        fall = 4 * G * d * np.sin(0.5 * (tilt + released)) * np.sin(0.5 * u * u)
+        return 2 * u * np.sqrt((k + (d * np.sin(tilt)) ** 2) / fall)
 
-    expected = quad(seconds, 0, np.sqrt(flat - tilt), epsabs=0, epsrel=1e-12, limit=200)[0]
+    expected = quad(seconds, 0, np.sqrt(flat - released), epsabs=0, epsrel=1e-12, limit=200)[0]
     fine = Precision(step_turn_rad=turn)
     held = throw_die(die, start, SmoothImpact(0.0), until=Until(time_s=2 * expected), precision=fine).throw.flights[1]
     assert set(held.vertices) == set(die.solid.edges[0].tolist())
     assert held.end_s == pytest.approx(expected, rel=accuracy)
     for t in np.linspace(0, held.end_s, 20):
         state = held.at(t)
-        lean = np.arccos(min(state.position_m[2] / d, 1.0))
+        tilt = np.arccos(min(state.position_m[2] / d, 1.0))
         level = state.rotation @ (b - a) / np.linalg.norm(b - a)
-        turning = 0.5 * (k + (d * np.sin(lean)) ** 2) * (state.omega_rad_s @ level) ** 2
-        assert turning + G * d * np.cos(lean) == pytest.approx(G * d * np.cos(tilt), rel=accuracy)
+        turning = 0.5 * (k + (d * np.sin(tilt)) ** 2) * (state.omega_rad_s @ level) ** 2
+        assert turning + G * d * np.cos(tilt) == pytest.approx(G * d * np.cos(released), rel=accuracy)
         assert state.omega_rad_s[2] == omega_z
 
 
 def random_held(rng, die, chi: float, spin: float):
-    """A random throw, followed well past its first touch, and its stretches of held contact on a vertex or an edge."""
+    """A random throw, 0.6 s of it, and its held contacts on a vertex or an edge."""
     release = random_release(rng, die, spin_rad_s=spin, clearance_m=0.02)
     result = throw_die(die, release, SmoothImpact(chi), until=Until(time_s=release.time_s + 0.6))
-    return result, [held for held in stretches(result) if len(held.vertices) < 3]
+    return result, [held for held in held_contacts(result) if len(held.vertices) < 3]
 
 
 @each_die
@@ -205,7 +207,7 @@ def test_held_contact_obeys_newton_and_euler_with_forces_that_never_pull(die, ch
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.1, 0.5, 0.9])
-def test_held_vertices_stay_on_the_table_and_nothing_goes_below_it(die, chi):
+def test_held_vertices_stay_on_the_table_and_no_vertex_goes_below_it(die, chi):
     rng, seen = np.random.default_rng(72), 0
     for _ in range(5):
         release = random_release(rng, die, spin_rad_s=float(rng.uniform(0, 60)), clearance_m=0.02)
@@ -223,8 +225,8 @@ def test_held_vertices_stay_on_the_table_and_nothing_goes_below_it(die, chi):
     assert seen > 0 or chi > 0.0
 
 
-def test_no_vertex_dips_below_the_table_within_a_step_of_held_contact():
-    """Once, a vertex just let go 1e-6 m above the table fell, dipped 1e-3 R below it and rose within one step."""
+def test_no_vertex_sinks_below_the_table_within_a_step_of_held_contact():
+    """A vertex just released 1e-6 m above the table once sank 1e-3 R below it and rose again within one step."""
     die, rng = DICE["cube"], np.random.default_rng(72)
     for _ in range(20):
         release = random_release(rng, die, spin_rad_s=float(rng.uniform(0, 60)), clearance_m=0.02)
@@ -274,7 +276,7 @@ def test_a_die_laid_or_dropped_on_any_of_its_faces_rests_on_it(die, chi):
             assert (result.ending, result.landed_face) == (Ending.RESTED, face + 1)
 
 
-def test_a_die_exactly_on_its_tip_or_its_edge_stays_there_and_its_neighbour_falls():
+def test_a_die_balanced_on_a_vertex_or_an_edge_stays_there_and_falls_if_disturbed():
     tip, edge = exact_octahedron(), DICE["tetrahedron"]
     for die, height in ((tip, tip.solid.circumradius), (edge, edge.solid.vertices[:, 2].max())):
         position, level = np.array([0, 0, height]), np.array([1.0, 0, 0, 0])
@@ -286,31 +288,31 @@ def test_a_die_exactly_on_its_tip_or_its_edge_stays_there_and_its_neighbour_fall
 
 
 @each_die
-def test_an_upright_top_stays_up_above_the_critical_spin_and_falls_below_it(die):
-    """A sleeping top on a smooth table is stable for n² > 4 m g R/J; below, its lean grows as cosh √(m g R/J - n²/4) t."""
+def test_a_die_that_spins_on_a_vertex_stays_upright_above_the_critical_spin_and_falls_below_it(die):
+    """A sleeping top on a smooth table is stable for n² > 4 m g R/J; below, its tilt grows as cosh √(m g R/J - n²/4) t."""
     radius = die.solid.circumradius
     critical = 2 * np.sqrt(die.mass_kg * G * radius / die.inertia_kg_m2)
-    lean = 1e-6
+    tilt = 1e-6
     for share in (0.5, 0.9, 1.1):
         n = share * critical
-        start = on_vertex(die, 0, lean, (0.0, 0.0, n))
+        start = on_vertex(die, 0, tilt, (0.0, 0.0, n))
         start = replace(start, omega_rad_s=n * start.rotation @ -die.solid.vertices[0] / radius)
         time = 5.0 / critical
         held = throw_die(die, start, SmoothImpact(0.0), until=Until(time_s=time)).throw.flights[1]
         axis = held.at(time).rotation @ -die.solid.vertices[0] / radius
         growth = np.sqrt(complex(critical**2 - n**2)) / 2 * time
-        # In the frame that precesses with n/2 the lean is that of an inverted pendulum with spring.
+        # In the frame that precesses with n/2 the tilt is that of an inverted pendulum with spring.
         at_start = start.rotation @ -die.solid.vertices[0] / radius
         turn = matrix_from_quat(quat_from_rotvec(0.5 * n * time * UP))
         turned, tangent = turn @ at_start, turn @ np.cross(-0.5 * n * UP, at_start)
         rate = growth / time
         expected = turned * np.cosh(growth).real + tangent * (np.sinh(growth) / rate).real
-        # The motion itself is known to 1e-12, a part of 1e-6 of so slight a lean.
+        # The motion itself is known to 1e-12, which is 1e-6 of the tilt.
         np.testing.assert_allclose(axis[:2], expected[:2], atol=1e-12)
 
 
 @each_die
-def test_a_die_that_is_proved_a_top_never_touches_with_another_vertex(die):
+def test_a_die_proved_to_spin_forever_never_touches_with_another_vertex(die):
     rng, seen = np.random.default_rng(74), 0
     while seen < 4:
         release = random_release(rng, die, spin_rad_s=float(rng.uniform(150, 600)), clearance_m=0.02)
@@ -344,7 +346,7 @@ def landed(die, chi: float, starts: np.ndarray, precision: Precision = EXACT) ->
 
 @each_die
 @pytest.mark.parametrize("chi", [0.0, 0.1, 0.5, 0.9])
-def test_thousands_of_throws_rest_or_spin_and_none_runs_into_the_cap(die, chi):
+def test_thousands_of_throws_rest_or_spin_and_none_reaches_the_impact_cap(die, chi):
     landings = landed(die, chi, many_releases(np.random.default_rng(75), die, 1000, 300.0))
     endings = np.array([ENDING_OF_INDEX[index].name for index in landings.ending])
     assert set(endings) <= {Ending.RESTED.name, Ending.SPINNING.name, Ending.SPUN_LONG.name}
@@ -355,7 +357,7 @@ def test_thousands_of_throws_rest_or_spin_and_none_runs_into_the_cap(die, chi):
 @each_die
 @pytest.mark.parametrize(("chi", "lost"), [(0.0, 0.0), (0.1, 0.005), (0.3, 0.02)])
 def test_the_face_depends_neither_on_the_slowest_bounce_nor_on_the_step(die, chi, lost):
-    """Chaos makes the exceptions: 1e-6 of a velocity and 1e-9 of a pose, grown by all impacts that follow."""
+    """Exceptions are chaotic: 1e-6 of a velocity and 1e-9 of a pose grow at all later impacts."""
     starts = many_releases(np.random.default_rng(76), die, 400, 60.0)
     usual = landed(die, chi, starts).face
     for switch, turn in ((1e-6, 0.3), (1e-10, 0.3), (1e-8, 0.1), (1e-8, 0.4)):
@@ -364,14 +366,14 @@ def test_the_face_depends_neither_on_the_slowest_bounce_nor_on_the_step(die, chi
 
 @each_die
 @pytest.mark.parametrize("chi", [0.1, 0.5])
-def test_what_the_switch_leaves_out_of_the_motion_is_as_short_as_the_switch_is_slow(die, chi):
+def test_the_bounces_left_out_last_in_proportion_to_the_speed_of_the_slowest_bounce(die, chi):
     """The first vertex that is held is the same for every switch s, and held earlier by some s √(R/g)/(1 - χ)."""
     rng, scale = np.random.default_rng(77), np.sqrt(die.solid.circumradius / G)
     for _ in range(4):
         release = random_release(rng, die, spin_rad_s=10.0, clearance_m=0.005)
         firsts = []
         for switch in (1e-6, 1e-8, 1e-10):
-            held = stretches(throw_die(die, release, SmoothImpact(chi), precision=Precision(slowest_bounce=switch)))
+            held = held_contacts(throw_die(die, release, SmoothImpact(chi), precision=Precision(slowest_bounce=switch)))
             firsts.append(held[0] if held else None)
         if None in firsts:
             continue
@@ -388,15 +390,15 @@ def cuboctahedron() -> Die:
 
 
 @pytest.mark.parametrize("toward", [-1.0, 1.0])
-@pytest.mark.parametrize("lean_rad", [0.03, 0.1])
+@pytest.mark.parametrize("tilt_rad", [0.03, 0.1])
 @pytest.mark.parametrize("law", [SmoothImpact(0.3), CoulombImpact(0.3, 0.5)], ids=str)
-def test_a_die_with_unlike_faces_lands_on_the_one_below_its_centre_even_where_another_looks_down_more(
-    toward, lean_rad, law
+def test_a_die_with_unequal_faces_lands_on_the_face_below_its_centre_even_if_another_points_down_more(
+    toward, tilt_rad, law
 ):
-    """On the edge of a square and a triangle, leaning by up to 8° towards the square, the triangle still looks down
+    """On the edge of a square and a triangle, tilted by up to 8° towards the square, the triangle still looks down
     more: its normal is 19° from the plumb line of the edge, the square's 35°."""
     die = cuboctahedron()
-    release = on_edge(die, toward * lean_rad, 0.0)
+    release = on_edge(die, toward * tilt_rad, 0.0)
     down = -(die.solid.normals @ release.rotation[2])
     under = int(np.argmax(down / die.solid.offsets)) + 1
     is_square = len(die.solid.faces[under - 1]) == 4
@@ -410,7 +412,7 @@ def test_a_die_with_unlike_faces_lands_on_the_one_below_its_centre_even_where_an
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.1])
 @pytest.mark.parametrize("chi", [0.0, 0.5])
 def test_a_die_that_friction_holds_on_a_gently_shaking_table_has_come_to_rest(tilt_rad, chi):
-    """0.16 g level, where only the table's weakness ends the throw; 0.1 g on a slope that friction holds ten times."""
+    """0.16 g on a level table, and 0.1 g on a slope that friction holds ten times."""
     die, table = DICE["cube"], Table(tilt_rad=tilt_rad, amplitude_m=1e-4, frequency_hz=20.0)
     release = random_release(np.random.default_rng(7), die, spin_rad_s=20.0, clearance_m=0.03)
     law = CoulombImpact(chi, 1.0)
@@ -421,7 +423,7 @@ def test_a_die_that_friction_holds_on_a_gently_shaking_table_has_come_to_rest(ti
     assert int(np.argmin(die.solid.normals @ later.rotation[2])) + 1 == result.landed_face
 
 
-def test_friction_that_a_shaking_slope_overcomes_now_and_then_holds_no_die():
+def test_a_die_slides_on_a_slope_that_overcomes_friction_during_part_of_its_oscillation():
     """tan 0.2 = 0.203 needs more than μ = 0.22 of what is pressed while the table falls at 0.5 g."""
     die, rate = DICE["cube"], 2 * np.pi * 20.0
     table = Table(tilt_rad=0.2, amplitude_m=0.5 * G * np.cos(0.2) / rate**2, frequency_hz=20.0)
@@ -437,8 +439,8 @@ def test_friction_that_a_shaking_slope_overcomes_now_and_then_holds_no_die():
     assert (held.ending, held.landed_face) == (Ending.RESTED, 1)
 
 
-def test_a_top_on_a_gently_shaking_table_is_given_up_as_one():
-    """Nothing strikes any more and nothing slows it: such a throw went on without end."""
+def test_a_die_that_spins_on_a_gently_shaking_table_reaches_the_timeout():
+    """No impact follows and nothing slows it, so that such a throw once went on without end."""
     die = DICE["cube"]
     table = Table(amplitude_m=1e-4, frequency_hz=5.0, phase_rad=0.5 * np.pi)
     release = on_vertex(die, 0, 0.05, [0.0, 0.0, 500.0])
