@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import compiled, inner
-from .runge_kutta import STAGES, stage_values
+from .runge_kutta import STAGES, START, VALUES, stage_values
 from .types import LEVEL, Array, Plane
 
 
@@ -66,14 +66,16 @@ def start_flow(state: Array, flow: Array) -> None:
 def integrate_flow(drag: float, plane: Plane, flow: Array, dt: float) -> None:
     """Carry `flow` (FLOW_SIZE,) through `dt` [s] of flight, of either sign, in place."""
     steps = max(1, ceil(abs(dt) / AIR_STEP_S))
-    rates, values = np.empty((12, FLOW_SIZE)), np.empty(FLOW_SIZE)
+    room = np.empty((14, FLOW_SIZE))
     for _ in range(steps):
-        for stage in range(STAGES):
-            stage_values(flow, rates, stage, dt / steps, values)
-            _flow_rates(drag, plane, values, rates[stage])
-        stage_values(flow, rates, STAGES, dt / steps, values)
         for k in range(FLOW_SIZE):
-            flow[k] = values[k]
+            room[START, k] = flow[k]
+        for stage in range(STAGES + 1):
+            stage_values(room, stage, dt / steps, FLOW_SIZE)
+            if stage < STAGES:
+                _flow_rates(drag, plane, room[VALUES], room[stage])
+        for k in range(FLOW_SIZE):
+            flow[k] = room[VALUES, k]
 
 
 @inner

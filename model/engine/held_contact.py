@@ -29,7 +29,7 @@ from .flight import (
 )
 from .log import copy_to, with_room, write_knot
 from .rest import lowest_face_row
-from .runge_kutta import NODES, STAGES, stage_values
+from .runge_kutta import NODES, STAGES, START, VALUES, stage_values
 from .types import (
     BALANCED,
     FORCE_I,
@@ -82,15 +82,14 @@ DIP_TOLERANCE = 1e-7
 """Steps of the search for the lowest instant of a vertex, the part of the bracket kept from either end, and the width of the
 bracket, as a part of the step, at which the search ends."""
 
-STEP_ROWS, STEP_COLUMNS = 14, 6
-"""Shape of the workspace of `held_step`: the rates of twelve stages, the start, and the values of a stage, of quaternion, ω_x
-and ω_y."""
+STEP_SIZE = 6
+"""What a step integrates: the quaternion, ω_x and ω_y."""
 
 
 @compiled
 def step_workspace() -> Array:
-    """Room for one step of the integration."""
-    return np.empty((STEP_ROWS, STEP_COLUMNS))
+    """Room for one step of the integration; see `runge_kutta`."""
+    return np.empty((14, STEP_SIZE))
 
 
 @inner
@@ -124,36 +123,28 @@ def held_step(
 
     The horizontal velocity changes only by a tilt of the table.
     """
-    start, values = room[12], room[13]
     for m in range(4):
-        start[m] = state[3 + m]
-    start[4], start[5] = state[10], state[11]
+        room[START, m] = state[3 + m]
+    room[START, 4], room[START, 5] = state[10], state[11]
     after[12] = state[12]
-    for stage in range(STAGES):
-        stage_values(start, room, stage, dt, values)
-        _write_values(values, after)
-        pull = plane.g + table_acceleration(plane, time + NODES[stage] * dt)
-        _, _, room[stage, 4], room[stage, 5] = contact_forces(body, after, i, j, pull)
-        x, y, z = 0.5 * after[10], 0.5 * after[11], 0.5 * after[12]
-        qw, qx, qy, qz = after[3], after[4], after[5], after[6]
-        room[stage, 0] = -x * qx - y * qy - z * qz
-        room[stage, 1] = x * qw + y * qz - z * qy
-        room[stage, 2] = -x * qz + y * qw + z * qx
-        room[stage, 3] = x * qy - y * qx + z * qw
-    stage_values(start, room, STAGES, dt, values)
-    _write_values(values, after)
+    for stage in range(STAGES + 1):
+        stage_values(room, stage, dt, STEP_SIZE)
+        for m in range(4):
+            after[3 + m] = room[VALUES, m]
+        after[10], after[11] = room[VALUES, 4], room[VALUES, 5]
+        if stage < STAGES:
+            pull = plane.g + table_acceleration(plane, time + NODES[stage] * dt)
+            _, _, room[stage, 4], room[stage, 5] = contact_forces(body, after, i, j, pull)
+            x, y, z = 0.5 * after[10], 0.5 * after[11], 0.5 * after[12]
+            qw, qx, qy, qz = after[3], after[4], after[5], after[6]
+            room[stage, 0] = -x * qx - y * qy - z * qz
+            room[stage, 1] = x * qw + y * qz - z * qy
+            room[stage, 2] = -x * qz + y * qw + z * qx
+            room[stage, 3] = x * qy - y * qx + z * qw
     after[0] = state[0] + (state[7] + 0.5 * plane.gx * dt) * dt
     after[1] = state[1] + (state[8] + 0.5 * plane.gy * dt) * dt
     after[7], after[8] = state[7] + plane.gx * dt, state[8] + plane.gy * dt
     project_on_contact(body, plane, after, time + dt, i, j)
-
-
-@inner
-def _write_values(values: Array, state: Array) -> None:
-    """Write the integrated quaternion, ω_x and ω_y (6,) into a state."""
-    for m in range(4):
-        state[3 + m] = values[m]
-    state[10], state[11] = values[4], values[5]
 
 
 @inner

@@ -79,6 +79,9 @@ def apply_impact(
     state[12] += (x * sy - y * sx) / inertia
 
 
+Vector = tuple[float, float, float]
+
+
 class ParameterDerivatives(NamedTuple):
     """Derivatives of what the kernels are given, by each of the m parameters of a throw."""
 
@@ -123,7 +126,7 @@ def coefficient_gradient(law: Law, at: int, u: float) -> tuple[float, float, flo
 
 @compiled
 def smooth_gradient(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
 ) -> tuple[float, float, float]:
     """`impulse_gradient` of a law without friction."""
     x, y, _ = arm
@@ -144,7 +147,7 @@ def smooth_gradient(
 
 @compiled
 def rough_gradient(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
 ) -> tuple[float, float, float]:
     """`impulse_gradient` of a law with friction: differences of the second order of this one impact.
 
@@ -165,7 +168,7 @@ def rough_gradient(
     out[:] = 0.0
     there, input_of = np.empty(8), (arm[0], arm[1], arm[2], c[0], c[1], c[2], chi, mu)
     for k in range(8):
-        if k == VELOCITY + 2 or (k == CHI and wanted[0] == 0.0) or (k == MU and wanted[1] == 0.0):
+        if k == VELOCITY + 2 or (k == CHI and not wanted[0]) or (k == MU and not wanted[1]):
             continue
         step = DIFFERENCE_STEP * (gyration if k < VELOCITY else (speed if k < CHI else 1.0))
         # Neither χ nor μ can be less than 0: forward from there.
@@ -202,12 +205,12 @@ def rough_gradient(
 
 
 def impulse_gradient(
-    law: Law, mass: float, inertia: float, arm: tuple[float, float, float], c: Array, wanted: Array, out: Array
+    law: Law, mass: float, inertia: float, arm: Vector, c: Vector, wanted: tuple[bool, bool], out: Array
 ) -> tuple[float, float, float]:
-    """`impulse` on a contact with velocity `c` (3,) relative to the table, and its derivatives in `out` (3, INPUTS).
+    """`impulse` on a contact with velocity `c` relative to the table, and its derivatives in `out` (3, INPUTS).
 
-    The derivatives are by the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` (2,) is not 0 where
-    the column of χ, or of μ, is used; see `wanted_columns`.
+    The derivatives are by the arm (3), the contact velocity (3), χ₀, μ, inertia and speed scale. `wanted` says
+    whether the columns of χ and of μ are used; see `wanted_columns`.
     """
     if isinstance(law, RoughLaw):
         return rough_gradient(law, mass, inertia, arm, c, wanted, out)
@@ -222,8 +225,7 @@ def _impulse_gradient_of(law: Any, mass: Any, inertia: Any, arm: Any, c: Any, wa
 
 
 @inner
-def wanted_columns(law: Law, chi: bool, mu: bool, wanted: Array) -> None:
-    """Fill `wanted` (2,) of `impulse_gradient`: whether parameters change χ or μ, or the law makes them change with speed."""
+def wanted_columns(law: Law, chi: bool, mu: bool) -> tuple[bool, bool]:
+    """`wanted` of `impulse_gradient`: whether parameters change χ or μ, or the law makes them change with speed."""
     by_speed = law.code == SMOOTH_BY_SPEED or law.code == COULOMB_BY_SPEED or law.code == COULOMB_FADING
-    wanted[0] = 1.0 if by_speed or chi else 0.0
-    wanted[1] = 1.0 if law.code == COULOMB_FADING or mu else 0.0
+    return by_speed or chi, law.code == COULOMB_FADING or mu

@@ -11,7 +11,7 @@ from math import cos, sin, sqrt
 from ...compiled import inner
 from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_acceleration, table_height, table_velocity
-from ..runge_kutta import NODES, STAGES, stage_values
+from ..runge_kutta import NODES, STAGES, START, VALUES, stage_values
 from ..types import Array, AsymmetricBody, Plane
 
 MAX_TURN_RAD = 0.2
@@ -135,15 +135,15 @@ def state_after_step(
         _turn_on_face(body, plane, y, time, dt, out)
         return
     size = 4 if i < 0 else 8
-    start, values = stages[12], stages[13]
+    start, values = stages[START], stages[VALUES]
     start[:4] = y[3:7]
     start[4], start[5], start[6], start[7] = y[2], y[9], y[10], y[11]
     values[:] = start
-    for stage in range(STAGES):
-        stage_values(start[:size], stages, stage, dt, values)
+    for stage in range(STAGES + 1):
+        stage_values(stages, stage, dt, size)
         _write_values(out, values)
-        _state_rates(body, plane, out, time + NODES[stage] * dt, i, j, stages[stage])
-    stage_values(start[:size], stages, STAGES, dt, values)
+        if stage < STAGES:
+            _state_rates(body, plane, out, time + NODES[stage] * dt, i, j, stages[stage])
     values[:4] /= sqrt(values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3])
     _write_values(out, values)
     if i < 0:

@@ -18,9 +18,10 @@ from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, ta
 from ..impact import CHI, INERTIA, ParameterDerivatives
 from ..log import with_room, write_event
 from ..rest import chatter_speed
-from ..runge_kutta import STAGES, stage_values
+from ..runge_kutta import STAGES, START, VALUES, stage_values
 from ..types import (
     CHATTER,
+    FALSE,
     FINE,
     IMPACT_CAP,
     LEVEL,
@@ -75,14 +76,14 @@ def _attitude_step(body: AsymmetricBody, y: Array, dt: float, room: Array) -> No
 
     `room` (14, 22).
     """
-    start, values = room[12], room[13]
+    start, values = room[START], room[VALUES]
     start[:] = 0.0
     start[:4] = y[3:7]
     start[4], start[8], start[12] = 1.0, 1.0, 1.0
-    for stage in range(STAGES):
-        stage_values(start, room, stage, dt, values)
-        _attitude_rates(body, y, values, room[stage])
-    stage_values(start, room, STAGES, dt, values)
+    for stage in range(STAGES + 1):
+        stage_values(room, stage, dt, 22)
+        if stage < STAGES:
+            _attitude_rates(body, y, values, room[stage])
     y[3:7] = values[:4] / sqrt(
         values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3]
     )
@@ -108,7 +109,7 @@ def _fly(
     for _ in range(steps):
         ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
         _attitude_step(body, y, dt / steps, room)
-        now = room[13]
+        now = room[VALUES]
         for j in range(tangent.shape[1]):
             dx, dy, dz = tangent[3, j], tangent[4, j], tangent[5, j]
             lx = tangent[9, j] - stiffer[j] * ox
@@ -169,7 +170,7 @@ def _impact_with_tangent(
     kinematics = ImpactKinematics(
         v_table, table_acceleration(plane, time), plane.gx, plane.gy, -plane.g, 0.0, 0.0, 0.0, 0.0, 0.0
     )
-    saltation(body, y, impact, kinematics, gradient, shifts, inf, tangent, tangent.shape[1], dtime)
+    saltation(body, y, impact, kinematics, gradient, FALSE, shifts, inf, tangent, tangent.shape[1], dtime)
     y[9] += s / body.mass
     y[10] += s * r
     y[11] -= s * x

@@ -168,8 +168,7 @@ def disturbed_impact(
             + centripetal_acceleration(state, arm)
         )
         reach = 2.0 / max(abs(falling - kinematics.table_acceleration), plane.g)
-    wanted, gradient, shifts = np.empty(2), np.empty((3, INPUTS)), np.empty((0, SHIFTS))
-    wanted_columns(law, FALSE, FALSE, wanted)
+    wanted, gradient, shifts = wanted_columns(law, FALSE, FALSE), np.empty((3, INPUTS)), np.empty((0, SHIFTS))
     impact_tangent(body, law, vertex, state, kinematics, wanted, gradient, shifts, reach, tangent, columns, dtime)
 
 

@@ -25,21 +25,17 @@ from __future__ import annotations
 from math import cos, inf, sin, sqrt
 from typing import Any, NamedTuple
 
-import numpy as np
 from numba.extending import overload
 
 from ...compiled import inner
 from ..attitude import angular_velocity_of
 from ..flight import lever_arm, spin_axis
-from ..impact import CHI, INERTIA, MU, SPEED_SCALE, ParameterDerivatives, impulse_gradient
-from ..types import Array, AsymmetricBody, Body, Law, Plane
-
-MAX_INPUTS = 13
-"""What an impulse depends on: the inputs of `impulse_gradient`, then of an asymmetric body the rotation vector."""
+from ..impact import CHI, INPUTS, ParameterDerivatives, impulse_gradient
+from ..types import Array, AsymmetricBody, Body, Law, Plane, has_friction
 
 RAISED, LIFTED, ROUNDER, BY_CHI, BY_MU, BY_INERTIA, BY_SPEED_SCALE, SHIFTS = 3, 4, 5, 6, 7, 8, 9, 10
-"""What a parameter changes at an impact: the vertex (3) in table axes, height and velocity of the table, corner radius, χ, μ,
-inertia, and speed scale."""
+"""What a parameter changes at an impact: the vertex (3) in table axes, height and velocity of the table, corner radius, and χ,
+μ, inertia and speed scale in the order of the gradient's columns."""
 
 
 # --- Flight ---
@@ -193,6 +189,7 @@ def saltation(
     impact: Impact,
     kinematics: ImpactKinematics,
     gradient: Array,
+    rough: bool,
     shifts: Array,
     reach: float,
     tangent: Array,
@@ -201,23 +198,22 @@ def saltation(
 ) -> None:
     """Carry disturbances (12, columns) at the instant of an impact through it, in place.
 
-    `state` is the state before, `gradient` (3, 10 or 13) that of the impulse. `shifts` (m, SHIFTS) are what the parameters
-    in the columns from 12 on change. `dtime` (columns,) receives the derivative of the instant; for `reach` see
-    `touch_delay`.
+    `state` is the state before, `gradient` (3, 10 or 13) that of the impulse, of which only the last row is used unless
+    `rough`. `shifts` (m, SHIFTS) are what the parameters in the columns from 12 on change. `dtime` (columns,) receives the
+    derivative of the instant; for `reach` see `touch_delay`.
     """
     x, y, z, level = impact.x, impact.y, impact.z, impact.level
     wx, wy, wz = impact.wx, impact.wy, impact.wz
     sx, sy, sz = impact.sx, impact.sy, impact.sz
-    inputs, given = gradient.shape[1], np.zeros(MAX_INPUTS)
+    mass, inertia = impact.mass, impact.inertia
     for j in range(columns):
         p = j - 12
         ex, ey, ez, raised, lifted, rounder, stiffer = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        if 0 <= p < shifts.shape[0]:
+        parameter = 0 <= p < shifts.shape[0]
+        if parameter:
             ex, ey, ez = shifts[p, 0], shifts[p, 1], shifts[p, 2]
             raised, lifted, rounder = shifts[p, RAISED], shifts[p, LIFTED], shifts[p, ROUNDER]
             stiffer = shifts[p, BY_INERTIA]
-            given[CHI], given[MU], given[INERTIA] = shifts[p, BY_CHI], shifts[p, BY_MU], stiffer
-            given[SPEED_SCALE] = shifts[p, BY_SPEED_SCALE]
         late = touch_delay(tangent, j, x, y, impact.normal_velocity, reach, ez - raised)
         dtime[j] = late
         # To the instant of the disturbed touch: the arm, then the contact velocity ...
@@ -227,28 +223,46 @@ def saltation(
         mx, my = tangent[9, j] + kinematics.turn_x * late, tangent[10, j] + kinematics.turn_y * late
         mz = tangent[11, j]
         vx, vy, vz = spin_disturbance(body, state, impact, (rx, ry, rz), (mx, my, mz), stiffer)
-        given[0], given[1], given[2] = dx, dy, dz
-        given[3] = tangent[6, j] + kinematics.before_x * late + vy * z - vz * y + wy * dz - wz * dy
-        given[4] = tangent[7, j] + kinematics.before_y * late + vz * x - vx * z + wz * dx - wx * dz
-        given[5] = tangent[8, j] + kinematics.before_z * late + vx * y - vy * x + wx * dy - wy * dx - lifted
-        given[5] -= kinematics.table_acceleration * late
-        given[10], given[11], given[12] = rx, ry, rz
-        dsx, dsy, dsz = 0.0, 0.0, 0.0
-        for k in range(inputs):
-            dsx += gradient[0, k] * given[k]
-            dsy += gradient[1, k] * given[k]
-            dsz += gradient[2, k] * given[k]
+        cz = tangent[8, j] + kinematics.before_z * late + vx * y - vy * x + wx * dy - wy * dx - lifted
+        cz -= kinematics.table_acceleration * late
+        cx, cy, dsx, dsy = 0.0, 0.0, 0.0, 0.0
+        if rough:
+            cx = tangent[6, j] + kinematics.before_x * late + vy * z - vz * y + wy * dz - wz * dy
+            cy = tangent[7, j] + kinematics.before_y * late + vz * x - vx * z + wz * dx - wx * dz
+            dsx = _impulse_change(gradient, 0, dx, dy, dz, cx, cy, cz)
+            dsy = _impulse_change(gradient, 1, dx, dy, dz, cx, cy, cz)
+        dsz = _impulse_change(gradient, 2, dx, dy, dz, cx, cy, cz)
+        if parameter:
+            for k in range(CHI, INPUTS):
+                shift = shifts[p, BY_CHI + k - CHI]
+                dsx += gradient[0, k] * shift
+                dsy += gradient[1, k] * shift
+                dsz += gradient[2, k] * shift
+        if gradient.shape[1] > INPUTS:
+            dsz += gradient[2, 10] * rx + gradient[2, 11] * ry + gradient[2, 12] * rz
         # ... and back: between the two instants the die moved with the velocities before, not those after.
-        for k in range(3):
-            tangent[3 + k, j] -= (impact.kx, impact.ky, impact.kz)[k] * late
-            tangent[k, j] -= (sx, sy, sz)[k] / impact.mass * late
-        tangent[6, j] += dsx / impact.mass + kinematics.change_x * late
-        tangent[7, j] += dsy / impact.mass + kinematics.change_y * late
-        tangent[8, j] += dsz / impact.mass + kinematics.change_z * late
+        tangent[0, j] -= sx / mass * late
+        tangent[1, j] -= sy / mass * late
+        tangent[2, j] -= sz / mass * late
+        tangent[3, j] -= impact.kx * late
+        tangent[4, j] -= impact.ky * late
+        tangent[5, j] -= impact.kz * late
+        tangent[6, j] += dsx / mass + kinematics.change_x * late
+        tangent[7, j] += dsy / mass + kinematics.change_y * late
+        tangent[8, j] += dsz / mass + kinematics.change_z * late
         stiffer *= impact.stiffening
-        tangent[9, j] = mx + (y * dsz - z * dsy + dy * sz - dz * sy - stiffer * impact.kx) / impact.inertia
-        tangent[10, j] = my + (z * dsx - x * dsz + dz * sx - dx * sz - stiffer * impact.ky) / impact.inertia
-        tangent[11, j] = mz + (x * dsy - y * dsx + dx * sy - dy * sx - stiffer * impact.kz) / impact.inertia
+        tangent[9, j] = mx + (y * dsz - z * dsy + dy * sz - dz * sy - stiffer * impact.kx) / inertia
+        tangent[10, j] = my + (z * dsx - x * dsz + dz * sx - dx * sz - stiffer * impact.ky) / inertia
+        tangent[11, j] = mz + (x * dsy - y * dsx + dx * sy - dy * sx - stiffer * impact.kz) / inertia
+
+
+@inner
+def _impulse_change(
+    gradient: Array, row: int, dx: float, dy: float, dz: float, cx: float, cy: float, cz: float
+) -> float:
+    """Change of one component of the impulse by changes of the arm and of the contact velocity."""
+    arm = gradient[row, 0] * dx + gradient[row, 1] * dy + gradient[row, 2] * dz
+    return float(arm + gradient[row, 3] * cx + gradient[row, 4] * cy + gradient[row, 5] * cz)
 
 
 @inner
@@ -258,7 +272,7 @@ def impact_tangent(
     vertex: int,
     state: Array,
     kinematics: ImpactKinematics,
-    wanted: Array,
+    wanted: tuple[bool, bool],
     gradient: Array,
     shifts: Array,
     reach: float,
@@ -270,15 +284,16 @@ def impact_tangent(
     x, y, level = lever_arm(body.vertices[vertex], state)
     z = level - body.corner_radius
     wx, wy, wz = state[10], state[11], state[12]
-    c = np.empty(3)
-    c[0] = state[7] + wy * z - wz * y
-    c[1] = state[8] + wz * x - wx * z
-    c[2] = state[9] + wx * y - wy * x - kinematics.table_velocity
+    c = (
+        state[7] + wy * z - wz * y,
+        state[8] + wz * x - wx * z,
+        state[9] + wx * y - wy * x - kinematics.table_velocity,
+    )
     inertia = body.inertia
     sx, sy, sz = impulse_gradient(law, body.mass, inertia, (x, y, z), c, wanted, gradient)
     kx, ky, kz = (y * sz - z * sy) / inertia, (z * sx - x * sz) / inertia, (x * sy - y * sx) / inertia
     impact = Impact(x, y, z, level, c[2], sx, sy, sz, wx, wy, wz, kx, ky, kz, body.mass, inertia, 1.0)
-    saltation(body, state, impact, kinematics, gradient, shifts, reach, tangent, columns, dtime)
+    saltation(body, state, impact, kinematics, gradient, has_friction(law), shifts, reach, tangent, columns, dtime)
 
 
 @inner

@@ -260,8 +260,7 @@ def run_tangent(
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
     tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, INPUTS))
     flow = np.empty(FLOW_SIZE)
-    wanted, shifts = np.empty(2), np.empty((columns - 12, SHIFTS))
-    wanted_columns(law, np.any(sources.chi), np.any(sources.mu), wanted)
+    wanted, shifts = wanted_columns(law, np.any(sources.chi), np.any(sources.mu)), np.empty((columns - 12, SHIFTS))
     terms = np.empty((body.vertices.shape[0], 4))
     slow = chatter_speed(law, plane, FINE, body.radius)
     last = times[n - 1] if n > 0 else start_time

@@ -258,7 +258,7 @@ def test_air_with_zero_drag_changes_nothing():
 def test_the_gradient_of_an_impulse_agrees_with_larger_differences_for_every_kind_of_slip(mu, contact, chi):
     mass, inertia, arm = 0.016, 1.07e-6, (0.006, -0.003, -0.012)
     gradient, law = np.empty((3, 10)), engine.RoughLaw(engine.COULOMB, np.array([chi, mu, float(engine.STRONGE)]))
-    found = engine.impulse_gradient(law, mass, inertia, arm, np.array(contact), np.ones(2), gradient)
+    found = engine.impulse_gradient(law, mass, inertia, arm, contact, (True, True), gradient)
     given = np.array([*arm, *contact, chi, mu, inertia])
 
     def impulse(x: np.ndarray) -> np.ndarray:
