@@ -1,7 +1,7 @@
-"""What holds for every test, and what the tests at the limits say of themselves.
+"""Fixtures of every test, and options of the tests at the limits.
 
-`pytest tests/extremes --slow --extremes-page docs/extremes.md` runs each stage at its limits
-and writes what was expected and what happened; without `--slow`, what takes longer than a few seconds is left out.
+`pytest tests/extremes --slow --extremes-page docs/extremes.md` runs each stage at its limits and writes what was expected and what
+happened; without `--slow`, tests that take longer than a few seconds are skipped.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from diethrow.executors import one_thread
 
 
 @pytest.fixture(autouse=True)
-def kernels_are_compiled_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Which test meets a cold cache is chance, and many count the lines of what is said."""
+def compilation_is_not_announced(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which test first compiles a kernel is chance, and many tests count the lines of messages."""
     monkeypatch.setattr("diethrow.cli.compiling.announced", lambda say: nullcontext())
     monkeypatch.setattr("diethrow.cli.compiling.model_ahead", nullcontext)
     monkeypatch.setattr("diethrow.cli.compiling.is_compiled", lambda: True)
@@ -27,19 +27,19 @@ def kernels_are_compiled_in_silence(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def linear_algebra_on_one_thread() -> Iterator[None]:
-    """As every command has it: two threads that wait for each other take longer than one, several times on a busy machine."""
+    """As in every command: on a busy machine two threads that wait for each other take several times longer than one."""
     with one_thread():
         yield
 
 
 @pytest.fixture
 def happened(request: pytest.FixtureRequest) -> Callable[[str], None]:
-    """Takes down, in words, what happened in a test at a limit; the test's docstring says what was expected."""
+    """Records what happened in a test at a limit; the test's docstring states what was expected."""
 
-    def told(what: str) -> None:
+    def note(what: str) -> None:
         request.node.user_properties.append(("happened", what))
 
-    return told
+    return note
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -64,8 +64,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             continue
         slow = item.get_closest_marker("slow") is not None
         if "happened" in item.fixturenames:
-            told = {"stage": item.module.__doc__, "expected": item.function.__doc__}
-            item.user_properties += [(name, inspect.cleandoc(text or "")) for name, text in told.items()]
+            properties = {"stage": item.module.__doc__, "expected": item.function.__doc__}
+            item.user_properties += [(name, inspect.cleandoc(text or "")) for name, text in properties.items()]
             item.user_properties.append(("slow", slow))
         if slow and not config.getoption("--slow"):
             item.add_marker(pytest.mark.skip(reason="slow: give --slow"))

@@ -100,9 +100,9 @@ def test_without_mitsuba_the_error_says_what_to_install(
     plan: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "mitsuba", None)
-    status, _, told = invoke("film", plan, "--out", tmp_path / "film", "--frames", 2)
+    status, _, expected = invoke("film", plan, "--out", tmp_path / "film", "--frames", 2)
     assert status == 1
-    assert "pip install 'diethrow[film]'" in told
+    assert "pip install 'diethrow[film]'" in expected
     assert not (tmp_path / "film").exists()
 
 
@@ -156,22 +156,22 @@ def test_impossible_options_are_refused_by_name(
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "expected"),
     [
         (("[camera]", "[[camera]]", ""), ""),
         (("cube", "octahedron", "die"), 'die.shape = "octahedron"'),
     ],
 )
 def test_a_scene_with_another_die_is_refused(
-    plan: Path, scene: Path, tmp_path: Path, change: tuple[str, str, str], told: str
+    plan: Path, scene: Path, tmp_path: Path, change: tuple[str, str, str], expected: str
 ) -> None:
     scene.write_text(scene.read_text().replace(change[0], change[1]).replace('marks = "pips"\n', ""))
-    if not told:
+    if not expected:
         assert film_job(read_plan(plan), read_scene(scene), FilmSettings(), "film").camera.width_px == 96
         return
     status, _, error = invoke("film", plan, "--scene", scene, "--out", tmp_path / "film")
     assert status == 2
-    assert told in error
+    assert expected in error
 
 
 def test_a_table_that_moves_is_refused(plan: Path, tmp_path: Path) -> None:

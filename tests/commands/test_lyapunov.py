@@ -33,26 +33,26 @@ def invoke(*arguments: object) -> tuple[int, str, str]:
 
 
 def test_an_exponent_is_written_with_its_errors_and_a_figure(tmp_path: Path) -> None:
-    status, said, _ = invoke("lyapunov", *FEW, "--out", tmp_path / "out")
+    status, message, _ = invoke("lyapunov", *FEW, "--out", tmp_path / "out")
     assert status == 0
-    assert "per second" in said
+    assert "per second" in message
     assert {f.name for f in (tmp_path / "out").iterdir()} == {"lyapunov.json", "lyapunov.png", "provenance.json"}
-    told = json.loads((tmp_path / "out" / "lyapunov.json").read_text())["exponent"]
+    written = json.loads((tmp_path / "out" / "lyapunov.json").read_text())["exponent"]
     for unit in ("per_second", "per_impact", "per_sqrt_edge_over_g"):
-        assert told[unit]["value"] > 3 * told[unit]["standard_error"] > 0
-    assert (told["orbits"], told["impacts"], len(told["per_second_of_orbits"])) == (2, 400, 2)
+        assert written[unit]["value"] > 3 * written[unit]["standard_error"] > 0
+    assert (written["orbits"], written["impacts"], len(written["per_second_of_orbits"])) == (2, 400, 2)
     again = tmp_path / "again"
     invoke("lyapunov", *FEW, "--out", again)
-    assert json.loads((again / "lyapunov.json").read_text())["exponent"] == told
+    assert json.loads((again / "lyapunov.json").read_text())["exponent"] == written
 
 
 def test_a_motion_that_ends_has_a_growth_and_no_exponent(tmp_path: Path) -> None:
-    status, said, _ = invoke("lyapunov", "--chi", "0.5", "--out", tmp_path / "out")
+    status, message, _ = invoke("lyapunov", "--chi", "0.5", "--out", tmp_path / "out")
     assert status == 0
-    assert "no Lyapunov exponent" in said
-    told = json.loads((tmp_path / "out" / "lyapunov.json").read_text())
-    assert told["exponent"] is None
-    assert len(told["growth"]["log10_at_impacts"]) == len(told["growth"]["times_s"]) > 3
+    assert "no Lyapunov exponent" in message
+    written = json.loads((tmp_path / "out" / "lyapunov.json").read_text())
+    assert written["exponent"] is None
+    assert len(written["growth"]["log10_at_impacts"]) == len(written["growth"]["times_s"]) > 3
 
 
 @pytest.mark.parametrize(
@@ -65,9 +65,9 @@ def test_a_motion_that_ends_has_a_growth_and_no_exponent(tmp_path: Path) -> None
     ],
 )
 def test_impossible_starts_are_refused_in_one_sentence(options, sentence, tmp_path: Path) -> None:
-    status, _, told = invoke("lyapunov", *options, "--out", tmp_path / "out")
+    status, _, written = invoke("lyapunov", *options, "--out", tmp_path / "out")
     assert status == 2
-    assert sentence in told
+    assert sentence in written
     assert not (tmp_path / "out").exists()
 
 
@@ -75,8 +75,8 @@ def test_a_throw_states_whether_it_is_decidable_in_double_precision(tmp_path: Pa
     plan = tmp_path / "throw.toml"
     plan.write_text(THROW)
     assert invoke("throw", plan, "--out", tmp_path / "out")[0] == 0
-    told = json.loads((tmp_path / "out" / "throw.json").read_text())
-    assert told["decidable"] is True
-    assert told["error_growth"] > 1.0
-    assert 0.0 < told["error_m"] < 1e-4
-    assert told["margin"] > 1.0
+    written = json.loads((tmp_path / "out" / "throw.json").read_text())
+    assert written["decidable"] is True
+    assert written["error_growth"] > 1.0
+    assert 0.0 < written["error_m"] < 1e-4
+    assert written["margin"] > 1.0

@@ -60,14 +60,14 @@ def test_each_command_explains_itself_with_an_example(command: str) -> None:
 def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
     out = tmp_path / "odds"
     words = ("--chi", 0.5, "--chi", 0.2, "--throws", 300, "--after", 1, "--threads", 2, "--seed", 5, "--out", out)
-    status, said, notes = invoke("odds", *words)
+    status, message, notes = invoke("odds", *words)
     assert status == 0, notes
-    assert said.startswith("χ 0.5: faces ")
+    assert message.startswith("χ 0.5: faces ")
     assert {file.name for file in out.iterdir()} == {"odds.json", "odds.csv", "odds.png", "provenance.json"}
     assert [file.name for file in tmp_path.iterdir()] == ["odds"]
-    told = json.loads((out / "odds.json").read_text())
-    assert [series["chi"] for series in told["series"]] == [0.5, 0.2]
-    for series in told["series"]:
+    written = json.loads((out / "odds.json").read_text())
+    assert [series["chi"] for series in written["series"]] == [0.5, 0.2]
+    for series in written["series"]:
         landed = sum(face["count"] for face in series["landed"])
         assert sum(ending["count"] for ending in series["endings"].values()) == series["throws"] == 300
         assert series["endings"]["rested"]["count"] == landed
@@ -78,7 +78,7 @@ def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
     with (out / "odds.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     by_face = [int(row["count"]) for row in rows if row["quantity"] == "landed" and row["chi"] == "0.2"]
-    assert by_face == [face["count"] for face in told["series"][1]["landed"]]
+    assert by_face == [face["count"] for face in written["series"][1]["landed"]]
     origin = json.loads((out / "provenance.json").read_text())
     assert origin["seeds"] == {"throws": 5}
     assert origin["understood"]["throws"] == 300
@@ -87,10 +87,10 @@ def test_odds_are_written_whole_and_add_up(tmp_path: Path) -> None:
 def test_throws_that_land_on_no_face_are_reported(tmp_path: Path) -> None:
     plan = OddsPlan("cube", 0.02, 0.016, (1.0,), 40.0, conditions="uniform", throws=20, after=0)
     (tally,) = odds(plan, tmp_path / "out")
-    told = json.loads((tmp_path / "out" / "odds.json").read_text())
-    assert told["messages"] == ["20 of 20 throws landed on no face: 20 bouncing."]
-    assert told["series"][0]["endings"]["bouncing"]["share"] == 1.0
-    assert told["series"][0]["landed"][0]["of_landed"]["share"] is None
+    written = json.loads((tmp_path / "out" / "odds.json").read_text())
+    assert written["messages"] == ["20 of 20 throws landed on no face: 20 bouncing."]
+    assert written["series"][0]["endings"]["bouncing"]["share"] == 1.0
+    assert written["series"][0]["landed"][0]["of_landed"]["share"] is None
     assert tally.rested == 0
 
 
@@ -188,9 +188,9 @@ def test_a_work_file_is_written_at_intervals_and_replaced_whole(
 def test_a_basin_is_written_whole(tmp_path: Path) -> None:
     out = tmp_path / "basins"
     words = ("--pixels", 20, 30, "--chi", 0.2, "--zoom", 0.2, 0.3, 10, 20, "--out", out)
-    status, said, notes = invoke("basins", *words)
+    status, message, notes = invoke("basins", *words)
     assert status == 0, notes
-    assert said.startswith("600 throws: faces ")
+    assert message.startswith("600 throws: faces ")
     assert {f.name for f in out.iterdir()} == {
         "basins.json",
         "basins.npz",
@@ -198,10 +198,10 @@ def test_a_basin_is_written_whole(tmp_path: Path) -> None:
         "pixels.png",
         "provenance.json",
     }
-    told = json.loads((out / "basins.json").read_text())
-    assert told["x"] == {"name": "z0", "low": 0.2, "high": 0.3, "pixels": 20}
-    assert told["fixed"] == {"psi": 0.3, "theta": 1.2, "phi": 0.6}
-    assert sum(face["share"] for face in told["area"]["faces"]) + told["area"]["no_face"] == pytest.approx(1.0)
+    written = json.loads((out / "basins.json").read_text())
+    assert written["x"] == {"name": "z0", "low": 0.2, "high": 0.3, "pixels": 20}
+    assert written["fixed"] == {"psi": 0.3, "theta": 1.2, "phi": 0.6}
+    assert sum(face["share"] for face in written["area"]["faces"]) + written["area"]["no_face"] == pytest.approx(1.0)
     with np.load(out / "basins.npz") as data:
         face, ending, y = data["face"], data["ending"], data["y"]
         assert data["endings"][0] == "rested"
@@ -216,24 +216,24 @@ def test_a_basin_is_written_whole(tmp_path: Path) -> None:
 def test_predictability_is_measured_and_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.commands.model.basin_maps.BALL_THROWS", 60)
     words = ("--pixels", 5, 5, "--chi", 0.05, "--predictability", "--samples", 200, "--out", tmp_path / "out")
-    status, said, notes = invoke("basins", *words)
+    status, message, notes = invoke("basins", *words)
     assert status == 0, notes
-    assert "decided at a distance of" in said
+    assert "decided at a distance of" in message
     assert (tmp_path / "out" / "predictability.png").exists()
-    told = json.loads((tmp_path / "out" / "basins.json").read_text())["predictability"]
-    assert told["conditions"] == 224  # 200, in 32 equal groups
-    shares = [each["share"] for each in told["uncertain"]]
+    written = json.loads((tmp_path / "out" / "basins.json").read_text())["predictability"]
+    assert written["conditions"] == 224  # 200, in 32 equal groups
+    shares = [each["share"] for each in written["uncertain"]]
     # Few impacts: nothing uncertain at the smallest distance, most at the largest.
     assert shares[0] == 0.0
     assert shares[-1] > 0.3
-    smallest = told["fair_by_dynamics"][0]
+    smallest = written["fair_by_dynamics"][0]
     assert smallest["one_face_alone"] == smallest["balls"] == 12
     assert smallest["not_refuted"] == 0
-    assert all(sum(radius["counts"]) + radius["no_face"] == 60 for ball in told["balls"] for radius in ball["radii"])
+    assert all(sum(radius["counts"]) + radius["no_face"] == 60 for ball in written["balls"] for radius in ball["radii"])
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("odds", "--chi", 1.5), "chi = 1.5: wanted a coefficient of restitution"),
         (("odds", "--conditions", "any"), "wanted one of paper, uniform"),
@@ -250,20 +250,20 @@ def test_predictability_is_measured_and_written(tmp_path: Path, monkeypatch: pyt
     ],
 )
 def test_impossible_options_give_one_sentence_and_no_folder(
-    words: tuple[object, ...], said: str, tmp_path: Path
+    words: tuple[object, ...], message: str, tmp_path: Path
 ) -> None:
-    status, _, told = invoke(*words, "--out", tmp_path / "out")
+    status, _, written = invoke(*words, "--out", tmp_path / "out")
     assert status == 2
-    assert said in told
-    assert len(told.splitlines()) == 1
+    assert message in written
+    assert len(written.splitlines()) == 1
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_existing_folder_is_refused_before_any_throw(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
-    status, _, said = invoke("odds", "--throws", 10**12, "--out", tmp_path / "out")
+    status, _, message = invoke("odds", "--throws", 10**12, "--out", tmp_path / "out")
     assert status == 2
-    assert "--force" in said
+    assert "--force" in message
 
 
 def test_axes_and_fixed_conditions_are_read_from_words() -> None:

@@ -1,4 +1,4 @@
-"""Several throws from the command line: found, told apart, put together, and shown."""
+"""Several throws from the command line: found, distinguished, joined, and shown."""
 
 from __future__ import annotations
 
@@ -52,26 +52,26 @@ def test_throws_of_one_name_are_distinguished_by_their_folders(throws: Path, tmp
 
 
 def test_the_table_has_one_row_per_throw(throws: Path) -> None:
-    status, said, _ = invoke(throws)
+    status, message, _ = invoke(throws)
     assert status == 0
-    assert "0.5831 (0.5802 to 0.5859)" in said
-    assert said.count("1 of 1 bounce explained") == 3
+    assert "0.5831 (0.5802 to 0.5859)" in message
+    assert message.count("1 of 1 bounce explained") == 3
 
 
 def test_several_throws_go_into_one_recording(throws: Path, tmp_path: Path) -> None:
     out = tmp_path / "all.rrd"
-    status, said, _ = invoke(throws, "--out", out)
-    assert status == 0, said
-    assert "3 throws in" in said
+    status, message, _ = invoke(throws, "--out", out)
+    assert status == 0, message
+    assert "3 throws in" in message
     there = {chunk.entity_path for chunk in RrdReader(out).stream()}
     assert {"/world/a/measured/die", "/world/b/measured/die", "/world/c/simulated/die"} <= there
 
 
 def test_models_of_one_clip_are_recognised(throws: Path, tmp_path: Path) -> None:
-    status, said, _ = invoke(throws / "a", throws / "b", "--out", tmp_path / "models.rrd")
-    assert (status, "2 models of one throw" in said) == (0, True)
-    status, said, _ = invoke(throws / "a", throws / "b", "--throws", "--out", tmp_path / "throws.rrd")
-    assert (status, "2 throws in" in said) == (0, True)
+    status, message, _ = invoke(throws / "a", throws / "b", "--out", tmp_path / "models.rrd")
+    assert (status, "2 models of one throw" in message) == (0, True)
+    status, message, _ = invoke(throws / "a", throws / "b", "--throws", "--out", tmp_path / "throws.rrd")
+    assert (status, "2 throws in" in message) == (0, True)
 
 
 def test_a_folder_gets_one_recording_per_throw_and_a_table(throws: Path, tmp_path: Path) -> None:
@@ -90,12 +90,12 @@ def test_a_folder_gets_one_recording_per_throw_and_a_table(throws: Path, tmp_pat
 def test_nothing_is_replaced_without_force(throws: Path, tmp_path: Path) -> None:
     out = tmp_path / "x.rrd"
     out.write_text("mine")
-    status, _, said = invoke(throws, "--out", out)
-    assert (status, "exists" in said, out.read_text()) == (2, True, "mine")
+    status, _, message = invoke(throws, "--out", out)
+    assert (status, "exists" in message, out.read_text()) == (2, True, "mine")
     assert invoke(throws, "--out", out, "--force")[0] == 0
-    status, _, said = invoke(throws, "--out", throws / "a" / "replay.rrd", "--force")
+    status, _, message = invoke(throws, "--out", throws / "a" / "replay.rrd", "--force")
     assert status == 2
-    assert "which must stay" in said
+    assert "which must stay" in message
 
 
 @pytest.mark.parametrize(
@@ -108,16 +108,16 @@ def test_nothing_is_replaced_without_force(throws: Path, tmp_path: Path) -> None
     ],
 )
 def test_a_mistake_is_one_sentence(words: tuple[str, ...], sentence: str, throws: Path, tmp_path: Path) -> None:
-    status, _, said = invoke(*(word.format(throws=throws, tmp=tmp_path) for word in words))
+    status, _, message = invoke(*(word.format(throws=throws, tmp=tmp_path) for word in words))
     assert status != 0
-    assert sentence in said
+    assert sentence in message
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_help_shows_examples() -> None:
-    status, said, _ = invoke("--help")
+    status, message, _ = invoke("--help")
     assert status == 0
-    assert "diethrow replay out/cube_wood --open" in said
+    assert "diethrow replay out/cube_wood --open" in message
 
 
 def test_throws_without_provenance_are_not_models_of_one(throws: Path, tmp_path: Path) -> None:

@@ -49,12 +49,12 @@ class Ran:
         """What a report says of it."""
         file, line, _ = report.location
         name, _, limit = report.nodeid.rpartition("::")[2].partition("[")
-        told = dict(report.user_properties)
+        properties = dict(report.user_properties)
         happened = tuple(str(text) for key, text in report.user_properties if key == "happened")
         outcome = f"not as expected: {report.wasxfail}" if hasattr(report, "wasxfail") else report.outcome
         return Ran(
-            file, line or 0, name, limit.removesuffix("]"), outcome, str(told.get("stage", "")),
-            str(told.get("expected", "")), happened, bool(told.get("slow")),
+            file, line or 0, name, limit.removesuffix("]"), outcome, str(properties.get("stage", "")),
+            str(properties.get("expected", "")), happened, bool(properties.get("slow")),
         )  # fmt: skip
 
 

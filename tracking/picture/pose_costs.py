@@ -13,7 +13,7 @@ of the edges alone (`tracking.clip_parameters.corner_radius`).
 
 The costs compare poses on one frame. They are no likelihoods of one model: the region cost treats neighbouring pixels
 as independent and leaves the shading of faces to a share of their grey. Faces of nearly one grey cost a picture little
-wherever their edge lies; the residual noise at that edge tells such poses apart.
+wherever their edge lies; the residual noise at that edge distinguishes such poses.
 
 **Mirrors.** A diffuse table may hold a shadow, so that a region darker than the background is no evidence against a
 pose that leaves it uncovered: `region_costs` truncates such pixels early. A mirror sends the light of the lamp away
