@@ -1,7 +1,7 @@
 """Fixtures of every test, and options of the tests at the limits.
 
-`pytest tests/extremes --slow --extremes-page docs/extremes.md` runs each stage at its limits and writes what was expected and what
-happened; without `--slow`, tests that take longer than a few seconds are skipped.
+`pytest tests/extremes --slow --extremes-page docs/extremes.md` runs each stage at its limits and writes what was expected
+and what happened; without `--slow`, tests that take longer than a few seconds are skipped.
 """
 
 from __future__ import annotations

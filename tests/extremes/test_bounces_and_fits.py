@@ -17,7 +17,7 @@ from diethrow.model.throw.motion import Throw
 from diethrow.tracking.throw.measurement import NoFlightError, measure
 from diethrow.tracking.track import Track
 
-Told = Callable[[str], None]
+Note = Callable[[str], None]
 
 CUBE = make_die("cube", 0.016, 0.0048)
 SEED = 2
@@ -75,7 +75,7 @@ def holds(fit: Fit, chi: float) -> bool:
     ids=lambda n: f"{n} impact" + "s" * (n > 1),
 )
 def test_every_impact_of_an_elastic_throw_is_found(
-    impacts: int, monkeypatch: pytest.MonkeyPatch, happened: Told
+    impacts: int, monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
     """Of one impact one is found, and of twenty and sixty at χ = 1 nine in ten, each to half a frame; none where none is."""
     # Time grows faster than the square of the impacts: sixty take minutes.
@@ -90,7 +90,7 @@ def test_every_impact_of_an_elastic_throw_is_found(
 @pytest.mark.slow
 @pytest.mark.xfail(strict=False, reason="the interval misses the truth by some 1e-8, several times its own width")
 def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
-    monkeypatch: pytest.MonkeyPatch, happened: Told
+    monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
     """A throw of ten impacts at χ = 0.97 is fitted as far as the frames decide it, and χ lies in its interval."""
     monkeypatch.setattr(throws, "FPS", 500.0)
@@ -100,7 +100,7 @@ def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
 
 
 @pytest.mark.parametrize("chi", [0.0, 1.0], ids=lambda chi: f"chi {chi:g}")
-def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Told) -> None:
+def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Note) -> None:
     """At χ = 0 and at χ = 1 the interval holds the truth, and ends where the range does."""
     fit = fitted(filmed(chi, 1)[1])
     estimate = fit.parameters["chi"]
@@ -112,7 +112,7 @@ def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Told) ->
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1.0, 30.0], ids=lambda noise: f"{noise:g} times the usual noise")
-def test_noise_widens_the_interval_and_moves_nothing_out_of_it(noise: float, happened: Told) -> None:
+def test_noise_widens_the_interval_and_moves_nothing_out_of_it(noise: float, happened: Note) -> None:
     """From no noise to speak of, 2 nm and a hundred-thousandth of a degree, to 0.6 mm and 3 degrees a frame, χ lies in its
     interval."""
     fit = fitted(filmed(0.5, 2, noise=noise)[1])
@@ -120,7 +120,7 @@ def test_noise_widens_the_interval_and_moves_nothing_out_of_it(noise: float, hap
     happened(chi_in_words(fit))
 
 
-def test_exact_poses_are_no_division_by_zero(happened: Told) -> None:
+def test_exact_poses_are_no_division_by_zero(happened: Note) -> None:
     """Poses without any error, that state the usual one, give χ all but exactly."""
     rng = np.random.default_rng(SEED)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
@@ -132,7 +132,7 @@ def test_exact_poses_are_no_division_by_zero(happened: Told) -> None:
     happened(chi_in_words(fit))
 
 
-def test_noise_that_hides_the_motion_is_given_up(happened: Told) -> None:
+def test_noise_that_hides_the_motion_is_given_up(happened: Note) -> None:
     """Frames that err by 20 mm and 100 degrees show no flight: one sentence, and no χ."""
     with pytest.raises(NoFlightError, match=r"\d+ frames are tracked, and \d+ of them move as a die can") as caught:
         measure(filmed(0.5, 2, noise=1000.0)[1], CUBE)
@@ -140,7 +140,7 @@ def test_noise_that_hides_the_motion_is_given_up(happened: Told) -> None:
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 10], ids=lambda n: f"{n} frame" + "s" * (n > 1))
-def test_few_frames_say_little(frames: int, happened: Told) -> None:
+def test_few_frames_say_little(frames: int, happened: Note) -> None:
     """Fewer than three frames make no flight; three and more do, and χ stays open without a bounce."""
     track = filmed(0.5, 1)[1]
     rows = slice(0, frames)
@@ -162,7 +162,7 @@ def test_few_frames_say_little(frames: int, happened: Told) -> None:
     "fps", [1, 30, pytest.param(100_000, marks=pytest.mark.slow)], ids=lambda fps: f"{fps} frames/s"
 )
 def test_a_rate_too_low_is_given_up_and_a_high_one_is_used(
-    fps: int, monkeypatch: pytest.MonkeyPatch, happened: Told
+    fps: int, monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
     """A throw that is over in a few frames leaves χ open, in words; one on thousands of frames gives it all the better."""
     monkeypatch.setattr(throws, "FPS", float(fps))

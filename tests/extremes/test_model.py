@@ -14,13 +14,13 @@ from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import State, energy_J
 from diethrow.model.throw.simulate import Ending, Until, throw_die
 
-Told = Callable[[str], None]
+Note = Callable[[str], None]
 
 CUBE = DICE["cube"]
 
 
 @pytest.mark.parametrize("impacts", [1, 60, 2000], ids=lambda n: f"{n} impact" + "s" * (n > 1))
-def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int, happened: Told) -> None:
+def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int, happened: Note) -> None:
     """At χ = 1 without friction the energy stays, to rounding, through any number of impacts."""
     release = random_release(np.random.default_rng(1), CUBE)
     throw = throw_die(CUBE, release, SmoothImpact(1.0), until=Until(impacts=impacts)).throw
@@ -34,7 +34,7 @@ def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int
 
 @pytest.mark.parametrize("chi", [0.0, 1e-9, 0.99], ids=lambda chi: f"chi {chi:g}")
 @pytest.mark.parametrize("shape", ["tetrahedron", "icosahedron"])
-def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, happened: Told) -> None:
+def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, happened: Note) -> None:
     """From impacts that end dead to those that hardly lose anything, a die comes to rest on a face."""
     die = DICE[shape]
     results = [throw_die(die, random_release(np.random.default_rng(k), die), SmoothImpact(chi)) for k in range(5)]
@@ -44,7 +44,7 @@ def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, hap
 
 
 @pytest.mark.parametrize("mu", [0.0, 1e6], ids=lambda mu: f"mu {mu:g}")
-def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: Told) -> None:
+def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: Note) -> None:
     """Without friction, and with friction that nothing overcomes, no impact adds energy."""
     release = random_release(np.random.default_rng(3), CUBE)
     impacts = throw_die(CUBE, release, CoulombImpact(0.5, mu)).throw.impacts
@@ -53,7 +53,7 @@ def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: To
     happened(f"{len(impacts)} impacts, the largest gain {max(gained, 0.0):.0e} of the energy")
 
 
-def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Told) -> None:
+def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Note) -> None:
     """A die released on a face, at rest, has landed without an impact."""
     down = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     result = throw_die(CUBE, down, SmoothImpact(0.5))
@@ -62,7 +62,7 @@ def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Told) -> None
 
 
 @pytest.mark.parametrize("throws", [1, 2000], ids=lambda n: f"{n} throw" + "s" * (n > 1))
-def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: Told) -> None:
+def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: Note) -> None:
     """One throw and two thousand land as the same throws do one by one, the first five looked at."""
     rng = np.random.default_rng(5)
     states = [random_release(rng, CUBE) for _ in range(throws)]
@@ -74,7 +74,7 @@ def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: T
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1e-3, np.nan, np.inf], ids=lambda step: f"{step:g} s")
-def test_a_step_that_is_none_is_refused(step_s: float, happened: Told) -> None:
+def test_a_step_that_is_none_is_refused(step_s: float, happened: Note) -> None:
     """Fixed steps of no length, or of none that ends, are refused."""
     with pytest.raises(ValueError, match="wanted a time above 0 s") as caught:
         stepped_landings(CUBE, 0.5, np.zeros((1, 13)), step_s)

@@ -24,7 +24,7 @@ from diethrow.tracking.sequence.tracker import NoDieError, track_clip
 from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
 from diethrow.tracking.track import Track
 
-Told = Callable[[str], None]
+Note = Callable[[str], None]
 Array = NDArray[np.float64]
 
 ROOM = replace(studio(), noise_grey=2.0)
@@ -98,7 +98,7 @@ def honest(outcome: Outcome | str) -> str:
 
 
 @pytest.mark.parametrize("across_px", some_slow(8, 30, slow=(16, 20)), ids=lambda px: f"{px} px across")
-def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Told) -> None:
+def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Note) -> None:
     """A die of few pixels is given up, or every pose is within its sigmas; from 30 px across on it is followed throughout."""
     room = replace(studio(focal_px=1500.0 * across_px / 80.0), noise_grey=2.0)
     outcome = followed(film(room, CUBE, thrown(), FRAMES), room, thrown())
@@ -108,7 +108,7 @@ def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Told) -> No
     happened(honest(outcome))
 
 
-def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch, happened: Told) -> None:
+def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
     """A die found in a picture made smaller, as those above 800 px across are, is refined on the whole one."""
     monkeypatch.setattr(initial_pose, "LARGEST_PX", 60)
     monkeypatch.setattr(initial_pose, "SEARCHED_PX", 40)
@@ -122,7 +122,7 @@ def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatch, happened: Told) -> None:
+def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
     """A die 2000 px across is found, and followed to a hundredth of a degree."""
     monkeypatch.setattr(footage_of_throws, "FINER", 1)  # coverage is computed exactly, and memory is finite
     room = replace(studio(2800, 2800, focal_px=37_500.0), noise_grey=2.0)
@@ -135,7 +135,7 @@ def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("noise_grey", some_slow(0, 80, slow=(20, 40)), ids=lambda noise: f"noise {noise}")
-def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Told) -> None:
+def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Note) -> None:
     """Without noise the poses are exact to a few hundredths of a degree; a die that stands out of the table by some 60 grey
     levels is followed through noise of 20, and given up in noise of 80."""
     room = replace(ROOM, noise_grey=float(noise_grey))
@@ -150,7 +150,7 @@ def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Told) 
 
 
 @pytest.mark.parametrize("fps", some_slow(1, 200, 1_000_000, slow=(30, 100, 300)), ids=lambda fps: f"{fps} frames/s")
-def test_no_rate_makes_a_wrong_pose(fps: int, happened: Told) -> None:
+def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
     """A throw that is over between two frames, or turns too far between them to be followed, is given up; from 300 frames/s
     on it is followed throughout; one that hardly moves in all of the clip is followed, and no bounce is made up."""
     throw = thrown()
@@ -182,7 +182,7 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Told) -> None:
     ],
     ids=lambda brightest: f"brightest at {brightest:.0%}",
 )
-def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Told) -> None:
+def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Note) -> None:
     """All of 16 bits are used, and where the brightest face is cut off at full scale the poses claim no more than they know."""
     throw, clip = thrown(), film(ROOM, CUBE, thrown(), FRAMES, bit_depth=16)
     gain = brightest * 65_535.0 / float(clip.array.max())
@@ -200,7 +200,7 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Tol
     some_slow(1, slow=(2, 3, 4)),
     ids=lambda bits: f"{bits} bit" + "s" * (bits > 1),
 )
-def test_few_levels_make_worse_poses_or_none(bits: int, happened: Told) -> None:
+def test_few_levels_make_worse_poses_or_none(bits: int, happened: Note) -> None:
     """Few grey levels make poses worse, and claim no more than they know; black and white pictures are given up."""
     clip, lost = film(ROOM, CUBE, thrown(), FRAMES), 8 - bits
     if bits == 1:
@@ -218,7 +218,7 @@ def test_few_levels_make_worse_poses_or_none(bits: int, happened: Told) -> None:
 
 
 @pytest.mark.parametrize("level", [0, 255], ids=["black", "white"])
-def test_nothing_is_found_where_nothing_is(level: int, happened: Told) -> None:
+def test_nothing_is_found_where_nothing_is(level: int, happened: Note) -> None:
     """Frames of one grey show no die."""
     clip = ArrayClip(np.full((20, 200, 200), level, np.uint8), np.arange(20) / FPS)
     outcome = followed(clip, ROOM, thrown())
@@ -226,7 +226,7 @@ def test_nothing_is_found_where_nothing_is(level: int, happened: Told) -> None:
     happened(honest(outcome))
 
 
-def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Told) -> None:
+def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Note) -> None:
     """Where every frame is one picture of a die in the air, every pose is that of the picture, the sigmas admit that it does
     not fall, and no bounce is found."""
     clip = film(ROOM, CUBE, thrown(), FRAMES)
@@ -288,7 +288,7 @@ class Live:
     [200, pytest.param(60_000, marks=pytest.mark.slow)],
     ids=lambda n: f"{n} frames",
 )
-def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Told) -> None:
+def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Note) -> None:
     """60 ms of a throw are followed on 200 frames as on 60 000, at a million a second, and its bounces are where they are."""
     room = replace(studio(100, 100, focal_px=750.0), noise_grey=2.0)
     throw = thrown()
