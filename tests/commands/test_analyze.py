@@ -97,8 +97,8 @@ def test_the_report_states_provenance_and_checks(folder: Path) -> None:
     text = (folder / "report.html").read_text(encoding="utf-8")
     origin = json.loads((folder / "provenance.json").read_text(encoding="utf-8"))
     assert all(file["sha256"] in text for file in origin["inputs"])
-    assert "The die accelerates" in text
-    assert "The die bounces at z =" in text
+    assert "m/s² (95 %)" in text
+    assert "mm (95 %" in text
 
 
 def test_every_frame_has_a_row_in_every_track(folder: Path, truth: dict[str, Array]) -> None:

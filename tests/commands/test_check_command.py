@@ -88,7 +88,7 @@ def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
     assert verdicts["background, camera 2"] == "bad"
     assert "camera 2" in output
     assert len(record["frames_tried"]) == 2
-    assert "with camera 1" in (out / "check.html").read_text()
+    assert "of camera 1" in (out / "check.html").read_text()
 
 
 def test_a_bad_verdict_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
