@@ -343,7 +343,7 @@ def _cross_matrix(x: float, y: float, z: float) -> Array:
 
 @inner
 def _rotation_matrices(x: float, y: float, z: float, angle: float, dt: float) -> tuple[Array, Array]:
-    """exp(v) and dt J(v) of v = (x, y, z); a series below JACOBIAN_SERIES_RAD, as in `flights.left_jacobians`."""
+    """exp(v) and dt J(v) of v = (x, y, z); a series below JACOBIAN_SERIES_RAD."""
     square = angle * angle
     if angle < JACOBIAN_SERIES_RAD:
         sine, first, second = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
