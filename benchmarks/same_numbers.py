@@ -137,7 +137,7 @@ def report(name: str, old: dict[str, list[Any]], new: dict[str, list[Any]], with
         was, now = old.get(column, []), new.get(column, [])
         if was == now:
             continue
-        verdict, allowed = difference(column, was, now, old, within_sigma)
+        verdict, allowed = difference(name, column, was, now, old, within_sigma)
         if verdict:
             print(f"{name}: {column}: {verdict}{'' if allowed else '  <-- too much'}")
         good &= allowed
@@ -145,7 +145,7 @@ def report(name: str, old: dict[str, list[Any]], new: dict[str, list[Any]], with
 
 
 def difference(
-    column: str, was: list[Any], now: list[Any], table: dict[str, list[Any]], limit: float
+    name: str, column: str, was: list[Any], now: list[Any], table: dict[str, list[Any]], limit: float
 ) -> tuple[str, bool]:
     """The difference of two columns as text, and whether it is within the limits. Reworded messages are."""
     if len(was) != len(now):
@@ -163,8 +163,10 @@ def difference(
     if not np.nanmax(gap, initial=0.0):
         return "", True
     share = float(np.nanmax(gap) / max(np.nanmax(np.abs(a)), 1e-300))
+    if column.startswith("sigma_") or "covariance" in name + column:
+        return f"{share:.1e} of the largest standard error", share <= limit
     sigma = sigma_of(column, table, len(was))
-    if sigma is None:
+    if sigma is None or np.isnan(sigma).all():
         return f"{share:.1e} of the largest", share <= RELATIVE
     with np.errstate(divide="ignore", invalid="ignore"):
         sigmas = float(np.nanmax(np.where(gap > 0, gap / sigma, 0.0)))
