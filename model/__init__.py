@@ -9,8 +9,8 @@
 - `ensembles`: many throws (odds, basins, predictability), and the growth of errors in one (chaos).
 - `engine`: the compiled kernels below them, on plain numbers and arrays.
 
-Beside these, `rotations` has the quaternions, `world` the acceleration of gravity, and `compiled` the way in which kernels are
-compiled and cached. The model does not use footage; tracking and fitting import it.
+Beside these, `rotations` has the quaternions, `world` the acceleration of gravity, `compiled` how kernels are compiled, and
+`kernel_cache` when they are compiled again. The model does not use footage; tracking and fitting import it.
 """
 
 from .die import Die as Die

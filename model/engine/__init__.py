@@ -1,8 +1,9 @@
 """Compiled kernels of the motion of a die: flight, impact, held contact, the event loop, and derivatives of them.
 
-Kernels work on plain numbers and arrays; the friendly functions of `laws`, `throw` and `ensembles` call them, and explain the
-methods: `throw.touch` (the first touch), `laws` (impacts), `throw.held_contact`, `throw.simulate` (the ends of a throw) and
-`throw.tangent` (derivatives). States, codes and constants: `types`. A die with one moment of inertia is followed by the files
+`flight` moves a free die to its first touch (`air`: with drag), `impact` has the impulse of every law and its derivatives,
+`friction_impulse` that of Coulomb friction, `held_contact` and `sliding_contact` follow lasting contact, `rest` decides the end,
+`event_loop` runs a throw, and `log` records it. `types` has states, codes and constants. The functions of `throw`, `laws` and
+`ensembles` call these kernels. A die with one moment of inertia is followed by the files
 of this folder, any other by `asymmetric`; derivatives of both are in `derivatives`.
 """
 
@@ -19,6 +20,10 @@ from .flight import lever_arm as lever_arm
 from .flight import spin_rate as spin_rate
 from .flight import table_height as table_height
 from .flight import table_velocity as table_velocity
+from .friction_impulse import coefficient_at_speed as coefficient_at_speed
+from .friction_impulse import contact_matrix as contact_matrix
+from .friction_impulse import friction_impulse as friction_impulse
+from .friction_impulse import spherical_contact_matrix as spherical_contact_matrix
 from .held_contact import carry_on_face as carry_on_face
 from .held_contact import held_step as held_step
 from .held_contact import step_workspace as step_workspace
@@ -31,10 +36,6 @@ from .rest import lowest_face_row as lowest_face_row
 from .sliding_contact import friction_step as friction_step
 from .sliding_contact import inelastic_impulse as inelastic_impulse
 from .sliding_contact import move_freely as move_freely
-from .slip import coefficient_at_speed as coefficient_at_speed
-from .slip import contact_matrix as contact_matrix
-from .slip import friction_impulse as friction_impulse
-from .slip import spherical_contact_matrix as spherical_contact_matrix
 from .types import BALANCED as BALANCED
 from .types import CHATTER as CHATTER
 from .types import COULOMB as COULOMB

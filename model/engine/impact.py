@@ -1,7 +1,8 @@
 """The impulse of an impact on a die with one moment of inertia, and its derivatives.
 
 Smooth: S_z = -(1 + χ) u/(1/m + (x² + y²)/J) for an arm (x, y, z) and a normal velocity u relative to the table. With friction
-the impulse is that of `slip`. In laws by speed χ, and μ, fade with |u|. The velocities change by Δv = S/m, Δω = (r × S)/J.
+the impulse is that of `friction_impulse`. In laws by speed χ, and μ, fade with |u|. The velocities change by Δv = S/m, Δω =
+(r × S)/J.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import numpy as np
 from numba.extending import overload
 
 from ..compiled import compiled, inner
-from .slip import coefficient_at_speed, friction_impulse, spherical_contact_matrix
+from .friction_impulse import coefficient_at_speed, friction_impulse, spherical_contact_matrix
 from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw
 
 

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled, inner
 from .flight import advance, clearance, lever_arm, spin_rate, table_height, table_velocity
+from .friction_impulse import slide_direction, spherical_contact_matrix
 from .log import copy_to, with_room, write_knot
 from .rest import decided_face
-from .slip import slide_direction, spherical_contact_matrix
 from .types import (
     BALANCED,
     NOT_ENDED,

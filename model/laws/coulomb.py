@@ -21,7 +21,7 @@ class CoulombImpact:
     Keller, J. Appl. Mech. 53, 1, 1986).
 
     While the normal impulse grows, the slip turns, may stop, may stick, and may start again in another direction. The
-    equations and their solution are those of `engine/slip.py`.
+    equations and their solution are those of `engine/friction_impulse.py`.
 
     The law holds for hard bodies that touch in a point. The impact is over before the die has moved, the tangential
     compliance of the contact is small (a superball's is not), and one μ serves for sticking and sliding. The impact ends by

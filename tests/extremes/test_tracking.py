@@ -18,7 +18,7 @@ from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.pose import initial_pose
+from diethrow.tracking.pose import candidate_poses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.tracker import NoDieError, track_clip
 from diethrow.tracking.throw.measurement import NoFlightError, measure_throw
@@ -110,11 +110,11 @@ def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Note) -> No
 
 def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
     """A die found in a picture made smaller, as those above 800 px across are, is refined on the whole one."""
-    monkeypatch.setattr(initial_pose, "LARGEST_PX", 60)
-    monkeypatch.setattr(initial_pose, "SEARCHED_PX", 40)
+    monkeypatch.setattr(candidate_poses, "LARGEST_PX", 60)
+    monkeypatch.setattr(candidate_poses, "SEARCHED_PX", 40)
     throw = thrown()
     truth = throw.at(0.0)
-    found = initial_pose.initial_poses(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
+    found = candidate_poses.pose_candidates(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
     away_mm = [1e3 * float(np.linalg.norm(pose.position_m - truth.position_m)) for _, pose in found]
     # The depth of a die 80 px across is known to some tenths of a millimetre from one frame.
     assert min(away_mm) < 1.0

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diethrow.files.csv_and_json import read_json, write_json
 from diethrow.files.fit_records import read_fit, write_fit
-from diethrow.files.tables import read_json, write_json
 from diethrow.files.throw_records import (
     BOUNCE_COLUMNS,
     SIGMA_COLUMNS,

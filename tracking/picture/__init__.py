@@ -4,7 +4,8 @@ From a pose, the die's shape, the cameras and the background follow the pixels b
 `add_edge_equations` compares them with a frame and adds the normal equations of the pose. The costs of a pose
 (`region_costs`, `region_cost`, `pose_cost`, `costs_with_edge_noise`, `mirror_region_costs`; see `pose_costs`) judge it
 as a whole. `View` holds everything about the scene that is the same on all frames, `PictureModel` the same for kernels.
-`segmentation` finds what differs from the background, `occluders` what stands before the die.
+`projection` gives the outline and the edges of the placed die, `rounded_edge` those of rounded corners, `edge_equations` compares
+them with a frame. `segmentation` finds what differs from the background, `occluders` what stands before the die.
 
 `tracking.pose` refines and finds poses with these, `tracking.sequence` tracks with them, and `tracking.clip_parameters`
 estimates blur, light and corner radius. `tracking.surface_marks` shares the projection and the linear algebra.

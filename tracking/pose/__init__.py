@@ -1,11 +1,15 @@
 """The pose of the die on single frames.
 
-`initial_poses` finds candidates on a frame without any input, `manual_initial_pose` takes a pose or clicks from a
+`pose_candidates` finds candidates on a frame without any input, `manual_initial_pose` takes a pose or clicks from a
 person, and `refine_pose` refines a pose on the edges of its frame and gives its covariance. `refine_and_score` and
 `refine_frames` do that in compiled code, for one frame and for many; `tracking.sequence` and `tracking.clip_parameters`
 call them. `ClipPoses` holds the poses of all frames of a clip, `SampledFrames` a sample of frames with their pictures.
 """
 
+from .candidate_poses import SAME_POSE_EDGES as SAME_POSE_EDGES
+from .candidate_poses import die_blobs as die_blobs
+from .candidate_poses import pose_candidates as pose_candidates
+from .candidate_poses import same_picture as same_picture
 from .clip_poses import ClipPoses as ClipPoses
 from .clip_poses import Picture as Picture
 from .clip_poses import SampledFrames as SampledFrames
@@ -13,10 +17,6 @@ from .clip_poses import as_track as as_track
 from .clip_poses import longest_stride as longest_stride
 from .clip_poses import power_of_two as power_of_two
 from .clip_poses import wholly_in_view as wholly_in_view
-from .initial_pose import SAME_POSE_EDGES as SAME_POSE_EDGES
-from .initial_pose import die_blobs as die_blobs
-from .initial_pose import initial_poses as initial_poses
-from .initial_pose import same_picture as same_picture
 from .manual_pose import FEWEST_CLICKS as FEWEST_CLICKS
 from .manual_pose import Click as Click
 from .manual_pose import ManualInitialisation as ManualInitialisation

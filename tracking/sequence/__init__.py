@@ -5,6 +5,6 @@
 (`labelling`), and all frames are refined along the measured flights, on edges (`refine_on_edges`) and on surface marks
 (`refine_on_marks`). Commands and the check of a clip use it."""
 
-from .tracker import NoDieError as NoDieError
 from .tracker import TrackedClip as TrackedClip
 from .tracker import track_clip as track_clip
+from .tracking_pass import NoDieError as NoDieError

@@ -28,7 +28,7 @@ from ..picture import (
     share_in_view,
     with_occluder_mask,
 )
-from ..pose import ClipPoses, Pose, initial_poses, longest_stride, power_of_two, refine_pose
+from ..pose import ClipPoses, Pose, longest_stride, pose_candidates, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .motion_filter import ACCEPTED_EXCESS_COST, MotionEstimate, predict_motion, track_frames, update_motion
 
@@ -329,7 +329,7 @@ class FrameTracker:
         """A new initial pose after frames without one; None if none is clear."""
         found = [
             pose
-            for _, pose in initial_poses(self.view, image)
+            for _, pose in pose_candidates(self.view, image)
             if self._is_acceptable(pose)
             and pose.support > CLEAR_SUPPORT
             and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST

@@ -30,8 +30,8 @@ from ..pose import (
     ManualInitialisation,
     Pose,
     die_blobs,
-    initial_poses,
     manual_initial_pose,
+    pose_candidates,
     same_picture,
 )
 from .frame_to_frame import FrameTracker
@@ -277,7 +277,7 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
 def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hypothesis | None:
     """The hypothesis on frame k that the frames after it support best; None if they support none."""
     left = min(STAGES[-1], len(source) - k)
-    poses = initial_poses(view, np.asarray(source.frame(k), np.float32))
+    poses = pose_candidates(view, np.asarray(source.frame(k), np.float32))
     hypotheses = [_new_hypothesis(view, source, k, pose, unused) for _, pose in poses]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]

@@ -26,8 +26,8 @@ from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from ...model.throw import State, Throw, Until, throw_die
 from .flight_chain import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact
+from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
 from .flights import Observations
-from .segmentation import SHORTEST_WINDOW_S, WINDOW
 
 Array = NDArray[np.float64]
 Fit = Callable[[Observations, Sequence[State], Sequence[Link]], FlightChain]

@@ -22,8 +22,8 @@ from ...model.world import GRAVITY_M_S2
 from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
 from .error_model import estimate_error_model
 from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
+from .flight_segmentation import MIN_FRAMES, TABLE_REACH
 from .flights import ErrorModel, Observations, fit_flight, rms_residuals, scaled_inverse
-from .segmentation import MIN_FRAMES, TABLE_REACH
 
 Array = NDArray[np.float64]
 

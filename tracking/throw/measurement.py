@@ -1,8 +1,9 @@
 """The throw that a track shows: flights, impacts, and the end on the table.
 
-What follows the last flight on the table is set aside (`rest`), the remaining track is segmented into flights (`segmentation`),
-and the contacts between them are resolved (`contacts`), twice if the first result leaves a doubt. Each contact is then described
-by its instant, its vertices and its restitution; several contacts that cannot be separated are one unresolved contact."""
+What follows the last flight on the table is set aside (`rest`), the remaining track is segmented into flights
+(`flight_segmentation`), and the contacts between them are resolved (`contacts`), twice if the first result leaves a doubt.
+Each contact is then described by its instant, its vertices and its restitution; several contacts that cannot be separated
+are one unresolved contact."""
 
 from __future__ import annotations
 
@@ -29,9 +30,9 @@ from .contacts import (
     resolve_contacts,
 )
 from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
+from .flight_segmentation import MIN_FRAMES, decimation_factor, rows_without_outliers, segment_flights
 from .flights import Observations
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
-from .segmentation import MIN_FRAMES, decimation_factor, rows_without_outliers, segment_flights
 from .shared_bias import CONTOUR_UNDETERMINED_PX, shared_bias_jacobian, shared_bias_sigma, without_shared_bias
 from .smoothing import smooth
 

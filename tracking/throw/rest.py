@@ -26,8 +26,8 @@ from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotv
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
 from ..track import LOST, Track
+from .flight_segmentation import TABLE_REACH
 from .flights import Observations
-from .segmentation import TABLE_REACH
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,8 @@
 """Derivatives of throws: the growth of errors, what double precision decides, and a throw with derivatives for fits.
 
-`ensembles.chaos` uses `run_growth`, `run_exponents` and `decide`; `throw.tangent`, and so every fit, uses `run_tangent`.
+`linearised_motion` carries derivatives along a flight and across an impact (`saltation`), `throw_tangent` along a prescribed
+throw, `growth` along a simulated one, and `decidability` compares them with rounding errors. `ensembles.chaos` uses
+`run_growth`, `run_exponents` and `decide`; `throw.tangent`, and so every fit, uses `run_tangent`.
 """
 
 from .decidability import decide as decide

@@ -2,7 +2,8 @@
 
 `app` holds the program itself, `options` what commands share, `errors` how a failure becomes one sentence and an exit
 status; `clip_commands`, `model_commands` and `result_commands` define one function a command; `printing` and `progress`
-write what a command reports, `compiling` announces the first compilation. Every command imports what it needs when it runs.
+write what a command reports, `compiling` announces the first compilation and shares it with a second process. Every command
+imports what it needs when it runs.
 """
 
 from . import clip_commands as clip_commands

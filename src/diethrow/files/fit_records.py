@@ -18,7 +18,7 @@ from ..fitting.results import Effect, Fit, Parameter
 from ..model.laws import CoulombImpact, FrictionBySpeed, Restitution, RestitutionBySpeed, SmoothImpact
 from ..model.rotations import euler_from_quat, matrix_from_quat
 from ..model.throw import State
-from .tables import read_json, write_json
+from .csv_and_json import read_json, write_json
 
 Array = NDArray[np.float64]
 

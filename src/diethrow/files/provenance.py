@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
-from .tables import read_json, write_json
+from .csv_and_json import read_json, write_json
 
 PACKAGES = (
     "av",

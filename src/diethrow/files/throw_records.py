@@ -9,7 +9,7 @@
 | `bounces.csv` | one impact a row |
 | `simulated.csv` | the model's poses, columns as `track.csv` without `status` |
 
-`fit_records` has the fit, `tables` how numbers are written.
+`fit_records` has the fit, `csv_and_json` how numbers are written.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ..model.die import Solid
 from ..model.rotations import continuous_sign
 from ..model.throw import Impact, Throw
 from ..tracking.track import ABSENT, LOST, TRACKED, Track
-from .tables import Table, read_table, write_table
+from .csv_and_json import Table, read_table, write_table
 
 Array = NDArray[np.float64]
 

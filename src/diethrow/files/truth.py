@@ -18,7 +18,7 @@ from ..model.laws import CoulombImpact, SmoothImpact
 from ..model.rotations import continuous_sign
 from ..model.throw import Impact, State, Throw
 from ..tracking.camera import Camera
-from .tables import write_table
+from .csv_and_json import write_table
 
 Array = NDArray[np.float64]
 

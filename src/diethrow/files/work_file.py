@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import __version__
+from .csv_and_json import plain
 from .outputs import OutputPlaceError
 from .provenance import as_tables
-from .tables import plain
 
 Kept = dict[str, NDArray[Any]]
 

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from ..files.csv_and_json import write_json
 from ..files.outputs import whole_folder
 from ..files.provenance import Stopwatch, write_provenance
-from ..files.tables import write_json
 from .basin_boundaries import fig_6, fig_7
 from .bounces_to_rest import bounces
 from .corner_sequences import fig_5

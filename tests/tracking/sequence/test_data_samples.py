@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from diethrow.files.tables import read_table
+from diethrow.files.csv_and_json import read_table
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.footage.background import load_background

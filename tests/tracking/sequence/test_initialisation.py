@@ -10,8 +10,8 @@ import pytest
 from footage_of_throws import DICE, FPS, Studio, film, studio
 from random_throws import random_quaternion
 
+from diethrow.files.csv_and_json import read_table
 from diethrow.files.scene import read_scene
-from diethrow.files.tables import read_table
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import matrix_from_quat

@@ -27,8 +27,8 @@ from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import NoDieError, track_clip
+from diethrow.tracking.throw.flight_segmentation import decimation_factor
 from diethrow.tracking.throw.measurement import measure_throw
-from diethrow.tracking.throw.segmentation import decimation_factor
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track
 
@@ -109,7 +109,7 @@ TIMES_FASTER = 6
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if so few frames were as many as thousands: they take long to draw."""
     monkeypatch.setattr("diethrow.tracking.pose.clip_poses.ENOUGH_FRAMES", FRAMES)
-    monkeypatch.setattr("diethrow.tracking.throw.segmentation.ENOUGH_FRAMES", FRAMES)
+    monkeypatch.setattr("diethrow.tracking.throw.flight_segmentation.ENOUGH_FRAMES", FRAMES)
 
 
 @pytest.mark.usefixtures("few_are_plenty")

@@ -37,6 +37,7 @@ from diethrow.tracking.throw.flight_chain import (
     vertex_impact_cost,
     vertex_impact_equations,
 )
+from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.throw.flights import (
     ErrorModel,
     Observations,
@@ -55,7 +56,6 @@ from diethrow.tracking.throw.rest import (
     frames_in_flight,
     on_table,
 )
-from diethrow.tracking.throw.segmentation import segment_flights
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import LOST, TRACKED, Track
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from ...analysis import PLAIN, Analysis, Progress, Shown, Tracking, rate_hz, silent
 from ...executors import one_thread
+from ...files.csv_and_json import read_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs
 from ...files.scene import Scene
-from ...files.tables import read_json
 from ...fitting.throw import IntervalMethod
 from ...replay.elements import Record
 from ...replay.pages import ReportDetails

@@ -19,11 +19,11 @@ from typing import Any, Literal
 
 from ... import __version__
 from ...executors import Processes, WorkerLostError, cores
+from ...files.csv_and_json import read_json
 from ...files.outputs import OutputExistsError, OutputPlaceError, locked, refuse_existing, whole_file
 from ...files.provenance import InputChangedError, files_read
 from ...files.scene import Scene, read_scene
 from ...files.settings import SceneError
-from ...files.tables import read_json
 
 ATTEMPTS = 3
 """A clip fails after its worker has died this often: the clip may be the cause."""

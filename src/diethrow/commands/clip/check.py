@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene, View
 from ...files.settings import SceneError
-from ...files.tables import write_json
 from ...replay.pages import check_page
 from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge, measure_clip_quality
 from ...tracking.footage import Clip, open_clip

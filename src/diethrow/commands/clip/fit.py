@@ -8,11 +8,11 @@ import numpy as np
 
 from ...analysis import PLAIN, Analysis, Progress, Shown, rate_hz, silent
 from ...executors import one_thread
+from ...files.csv_and_json import read_json
 from ...files.fit_records import write_fit
 from ...files.outputs import MIN_FREE_BYTES, check_free_space, whole_folder
 from ...files.provenance import Stopwatch, add_timings, unchanged_inputs
 from ...files.scene import Scene
-from ...files.tables import read_json
 from ...files.throw_records import (
     covariance_path,
     read_track,

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from ...analysis import Progress, RunError, silent
+from ...files.csv_and_json import write_json
 from ...files.fit_records import effects_table, law_table, parameters_table
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
-from ...files.tables import write_json
 from ...files.throw_records import covariance_path, read_track, write_vertices
 from ...fitting.dataset import Entry, JointFit, PredictedThrow, entry_of, fit_jointly
 from ...model.die import Die

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from ...analysis import Progress, RunError, silent
+from ...files.csv_and_json import write_json
 from ...files.fit_records import read_parameters, state_table
 from ...files.outputs import whole_file, whole_folder
 from ...files.scene import Scene
-from ...files.tables import write_json
 from ...files.throw_records import covariance_path, read_track, write_simulated
 from ...fitting.predict import Decision, FaceOdds, ReleaseState, decide, first_bounce_row, predict_track, release_before
 from ...fitting.results import Parameter

@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from ...executors import width
+from ...files.csv_and_json import write_json
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, write_provenance
-from ...files.tables import write_json
 from ...files.work_file import WorkFile
 from ...model.die import make_die
 from ...model.ensembles import (

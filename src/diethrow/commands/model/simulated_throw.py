@@ -9,12 +9,12 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from ...files.csv_and_json import write_json
 from ...files.fit_records import state_table
 from ...files.outputs import whole_folder
 from ...files.plan import Plan
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.settings import refuse
-from ...files.tables import write_json
 from ...files.throw_records import simulated_track, write_bounces, write_simulated, write_vertices
 from ...model.ensembles import ThrowSetup, decidable_in_double_precision
 from ...model.throw import Ending, ThrowResult, Until, throw_die

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ...files.tables import read_json
+from ...files.csv_and_json import read_json
 
 COMPARED = (".csv", ".json", ".npy", ".npz", ".toml")
 """Suffixes of files with numbers; recordings and pages show the numbers of these."""

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...files.csv_and_json import read_json
 from ...files.outputs import whole_file, whole_folder
-from ...files.tables import read_json
 from ...replay.recording import Source, join_recordings, properties_of
 
 RECORDING = "replay.rrd"

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from ... import __version__
+from ...files.csv_and_json import read_json
 from ...files.provenance import package_versions, sha256
-from ...files.tables import read_json
 from .folder_comparison import Difference, compare
 
 WITHIN = 1e-6

@@ -98,7 +98,7 @@ ALL_CAMERAS_COARSE_STEPS = 3
 """Coarse steps of the refinement on all cameras that follows that on the first."""
 
 
-def initial_poses(view: View, image: Image) -> list[tuple[float, Pose]]:
+def pose_candidates(view: View, image: Image) -> list[tuple[float, Pose]]:
     """Candidate poses of one frame (height, width), or (cameras, height, width) for several cameras: each with its cost
     in the first camera's picture, the lowest first. Empty if the first camera shows no die."""
     images = image if image.ndim == 3 else image[None]
@@ -147,7 +147,7 @@ def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple
         view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror,
         quality=view.quality,
     )  # fmt: skip
-    found = initial_poses(small, stack_pictures(smaller))
+    found = pose_candidates(small, stack_pictures(smaller))
     return [(cost, refine_pose(view, images, pose.position_m, pose.rotation)) for cost, pose in found]
 
 

@@ -20,7 +20,7 @@ from diethrow.model.throw.motion import State
 from diethrow.tracking.picture.pose_costs import mirror_region_costs
 from diethrow.tracking.picture.segmentation import Blob, differs_from_background, largest_blob
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.initial_pose import DISTANCE_FACTORS, _trials, die_blobs, initial_poses
+from diethrow.tracking.pose.candidate_poses import DISTANCE_FACTORS, _trials, die_blobs, pose_candidates
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -33,7 +33,7 @@ def state_at(rng: np.random.Generator, height_m: float = 0.018) -> State:
 def test_an_initial_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> None:
     rng = np.random.default_rng(52)
     state, view = state_at(rng), ROOM.view(DICE[shape])
-    found = initial_poses(view, photograph(ROOM, DICE[shape], state, rng))
+    found = pose_candidates(view, photograph(ROOM, DICE[shape], state, rng))
     costs = [cost for cost, _ in found]
     assert costs == sorted(costs)
     # It is not always the best candidate of one frame, but among those that a few frames distinguish. The pixels
@@ -50,7 +50,7 @@ def test_an_initial_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> N
 
 def test_an_empty_table_shows_no_die() -> None:
     image = photograph(ROOM, DICE["cube"], None, np.random.default_rng(1))
-    assert initial_poses(ROOM.view(DICE["cube"]), image) == []
+    assert pose_candidates(ROOM.view(DICE["cube"]), image) == []
 
 
 def shadow_alone(share: float, rim_px: float, seed: int = 4) -> np.ndarray:
@@ -69,7 +69,7 @@ def test_a_soft_shadow_alone_is_no_die(share: float, rim_px: float) -> None:
     view, image = ROOM.view(DICE["cube"]), shadow_alone(share, rim_px)
     assert largest_blob(differs_from_background(image, view.background, view.noise_grey)) is not None
     assert die_blobs(view, image) == []
-    assert initial_poses(view, image) == []
+    assert pose_candidates(view, image) == []
 
 
 def test_trials_have_the_area_and_the_centre_of_their_region() -> None:
@@ -105,7 +105,7 @@ def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
     with patch.object(footage_of_throws, "greys", dark_but_above):
         image = photograph(smooth, DICE["cube"], state, rng)
     view = make_view(smooth.camera, DICE["cube"], smooth.table, 2.0, None, smooth.blur_px, mirror=True)
-    found = initial_poses(view, image)
+    found = pose_candidates(view, image)
     alike = nearest_equivalent_rotation(found[0][1].rotation, state.rotation, view.symmetries)
     assert np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))) < 0.5
     assert np.linalg.norm(found[0][1].position_m - state.position_m) < 0.1 * REACH_M
