@@ -131,7 +131,7 @@ def prepared(scene: Scene) -> tuple[View, FrameSource, Mask]:
         kept.append((view, source, unused))
 
     # The tracker prepares them, and stops because no initial pose is found.
-    with patch("diethrow.tracking.sequence.tracker.find_initial_pose", keep), suppress(RunError):
+    with patch("diethrow.tracking.sequence.tracking_pass.find_initial_pose", keep), suppress(RunError):
         track_scene(scene)
     if not kept:
         raise ValueError("the scene gives its first pose by hand: take [start] out")
