@@ -153,7 +153,7 @@ MARGIN_PX, HEAD_PX, GAP_PX = 12, 40, 16
 HEAD_LENGTH_PX, HEAD_HALF_WIDTH_PX = 6, 3
 BULGE_PX, MAX_BULGES = 9, 3
 """How far an arrow swings out for each box that it passes, and for how many of them at most."""
-MAX_LETTERS, MAX_SMALL_LETTERS = 22, 28
+MAX_LETTERS, MAX_SMALL_LETTERS = 19, 28
 """In the line of a box: a longer label stands in lines of small letters."""
 COLOURS = {"model": "#2f6f8f", "tracking": "#3f7d4f", "fitting": "#8a6a1f", "replay": "#8f4a5f", TOP: "#555b66"}
 SUBJECTS = {
