@@ -231,7 +231,8 @@ def _column(stage: str, left: int, height: int) -> list[str]:
 def _box(label: str, left: int, top: int, colour: str) -> list[str]:
     width, height = BOX_WIDTH_PX, BOX_HEIGHT_PX
     lines = [label] if len(label) <= MAX_LETTERS else textwrap.wrap(label, MAX_SMALL_LETTERS)
-    size, middle = (12, top + 16) if len(lines) == 1 else (9, top + 10)
+    size = 12 if len(label) <= MAX_LETTERS else 9
+    middle = top + (16 if len(lines) == 1 else 10)
     style = f'font-size="{size}" text-anchor="middle" fill="#222222"'
     return [
         f'<rect x="{left}" y="{top}" width="{width}" height="{height}" rx="5" fill="#ffffff" stroke="{colour}"/>',
