@@ -35,7 +35,7 @@ from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import TRACKED, Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
-RESTITUTION, LIVELY = 0.6, 0.85
+RESTITUTION, ELASTIC = 0.6, 0.85
 """Of the throw with three bounces, and of those with many."""
 T = TypeVar("T")
 
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for frames in chosen.frames:
         report(*thrown(3, RESTITUTION, chosen.seed, frames), chosen.runs)
     for bounces in chosen.bounces:
-        report(*thrown(bounces, LIVELY, chosen.seed), chosen.runs)
+        report(*thrown(bounces, ELASTIC, chosen.seed), chosen.runs)
     return 0
 
 

@@ -80,7 +80,7 @@ CASES = {
         "dodecahedron", 0.0075, "granite", 12, "numbers", 0.0003, note="edges rounded at 0.3 mm, granite"
     ),
     "icosahedron_plain": Case(
-        "icosahedron", 0.011, "cork", 13, chi=0.65, note="plain faces: only edges tell the pose; cork"
+        "icosahedron", 0.011, "cork", 13, chi=0.65, note="plain faces: only edges determine the pose; cork"
     ),
     "tetrahedron_fast": Case("tetrahedron", 0.021, "wood", 14, spin_rad_s=70.0, note="70 rad/s at release, sharp"),
     "cube_low_contrast": Case(

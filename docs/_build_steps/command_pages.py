@@ -57,7 +57,7 @@ def _page(name: str, command: Any, notes: Path) -> str:
 
 
 def _table(rows: list[tuple[str, str]]) -> str:
-    return "\n".join(["| | |", "| --- | --- |", *(f"| `{_cell(names)}` | {_cell(told)} |" for names, told in rows)])
+    return "\n".join(["| | |", "| --- | --- |", *(f"| `{_cell(names)}` | {_cell(text)} |" for names, text in rows)])
 
 
 def _cell(text: str) -> str:

@@ -12,13 +12,13 @@ BOLD = re.compile(r"(\*\*\w[^*`]*\*\*)")
 
 def as_rest(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Blocks that are indented, tables and drawings stay as they are; all else is prose, `code` and lists."""
-    blocks, told = "\n".join(lines).strip("\n").split("\n\n"), []
+    blocks, written = "\n".join(lines).strip("\n").split("\n\n"), []
     for block in blocks:
         rows = [row for row in block.split("\n") if row.strip()]
         if not rows:
             continue
-        told += [*_literal(rows), ""] if _is_figure(rows) else [*_prose(rows), ""]
-    lines[:] = told
+        written += [*_literal(rows), ""] if _is_figure(rows) else [*_prose(rows), ""]
+    lines[:] = written
 
 
 def _is_figure(rows: list[str]) -> bool:

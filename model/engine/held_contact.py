@@ -548,7 +548,7 @@ def instant_below_table(
         return 0.0
     trial = np.empty(13)
     if h0 <= STANDING_HEIGHT * body.radius:
-        # It stands on the table and is not held. Its velocity is rounding, so that only its height tells.
+        # It stands on the table and is not held. Its velocity is rounding, so that only its height decides.
         for part in RISES_TRIED:
             held_step(body, plane, state, time, part * dt, i, j, room, trial)
             if (

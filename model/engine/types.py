@@ -183,7 +183,7 @@ height of the slowest bounces that are simulated, and no more than 1e-10 of the 
 
 RESTED, TIME_REACHED, IMPACTS_REACHED, CHATTER, IMPACT_CAP, NO_TOUCH, SPINNING, TIMED_OUT, BALANCED = range(9)
 """How the kernels end; `throw.Ending` says the same in sentences. Only derivatives of a throw end with CHATTER (bounces
-crowd together without end) or NO_TOUCH (the prescribed vertex never comes down)."""
+follow one another without end) or NO_TOUCH (the prescribed vertex never comes down)."""
 
 NOT_ENDED = int64(-1)
 """Code where nothing has ended the throw: it goes on."""

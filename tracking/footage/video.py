@@ -41,9 +41,9 @@ LUMA_FIRST = re.compile(
 FULL_RANGE = 2
 """FFmpeg's AVCOL_RANGE_JPEG."""
 MAX_ROUNDING_TICKS = 2.0
-"""Wander of the timestamps that rounding explains: half a tick for each time, and one for the mean rate over the film."""
+"""Deviation of the timestamps that rounding explains: half a tick for each time, and one for the mean rate over the film."""
 MAX_WANDER_FRAMES = 0.1
-"""Wander beyond the rounding, in frames, up to which timestamps count as even."""
+"""Deviation beyond the rounding, in frames, up to which timestamps count as even."""
 SAME_RATE = 0.01
 """Largest relative difference of the timestamps' rate from the recording rate, for use as the frames' times."""
 MAX_TICK_FRAMES = 0.2

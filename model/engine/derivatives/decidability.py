@@ -175,7 +175,7 @@ def other_touch_orders(
     gaps: Array,
     known: int,
 ) -> tuple[int, int]:
-    """Find the vertices that may touch before `hit` does, as far as the errors tell; (i, j) is the contact.
+    """Find the vertices that may touch before `hit` does, within the errors; (i, j) is the contact.
 
     A difference below NEGLIGIBLE_DIFFERENCE, or below the `size` that the errors have already, joins the errors. A larger one
     becomes a branch. Returns the number of columns and the number of branches, more than MAX_BRANCHES where there was no
