@@ -97,6 +97,7 @@ class VideoClip(Footage):
         self.path = path
         count = self._count_readable()
         sample = self._decode(0)
+        stream = self._video  # decoding may have opened the file anew
         facts = _facts(self._container, stream, sample)
         playback = f"only a playback rate ({facts['playback_fps']:g} frames/s)" if facts["playback_fps"] else "no rate"
         times = times_from_rate(path, fps, count, playback)
