@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -30,9 +30,6 @@ from .options import (
 )
 from .printing import print_film, print_throw
 from .progress import announcing, progress_bars
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(epilog="Example:  diethrow throw throw.toml --out out/throw")

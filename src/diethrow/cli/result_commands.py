@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from .app import app
 from .errors import FAILED, one_sentence_errors
 from .printing import print_throws
-
-if TYPE_CHECKING:
-    pass
 
 
 @app.command(
