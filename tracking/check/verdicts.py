@@ -108,8 +108,6 @@ MAX_EXPOSURE_MISMATCH = 0.1
 MAX_LOST_SHARE = 0.1
 """Largest share of lost frames among the tracked and lost ones that is good."""
 
-Values = dict[str, float | None]
-
 
 def judge(
     quality: ClipQuality, die: Die, exposure_s: float | None, rounding: CornerRounding = CornerRounding.GIVEN
