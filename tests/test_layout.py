@@ -46,7 +46,7 @@ def test_functions_take_few_arguments() -> None:
 
 @pytest.mark.xfail(
     strict=True,
-    reason="52 kernels of the event loop, its derivatives and the chain of flights take 9 to 18; records lengthen compilation",
+    reason="42 kernels of the event loop and its derivatives take 9 to 18 arguments",
 )
 def test_kernels_take_few_arguments() -> None:
     assert [name for name, count, compiled in functions() if count > MAX_ARGUMENTS and compiled] == []

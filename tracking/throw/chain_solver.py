@@ -21,8 +21,8 @@ Q the matrix of u_k: the covariance of each state and its link follows from thos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,7 @@ OPEN_PIVOT = 1e-13
 """Squared pivot of a scaled matrix below which only rounding is left: that parameter is undetermined, and stays where it is."""
 
 
-@dataclass(frozen=True, eq=False)
-class Stages:
+class Stages(NamedTuple):
     """The links of a chain, for states of d numbers: how the state behind each follows from that before, and the conditions of
     its impact."""
 
@@ -65,10 +64,22 @@ class Stages:
         shapes = ((d, d), (d, MAX_LINK_SIZE), (4, d), (4, MAX_LINK_SIZE), (4,))
         return Stages(np.zeros(count, np.int64), *(np.zeros((count, *shape)) for shape in shapes))
 
-    @property
-    def arrays(self) -> tuple[NDArray[np.int64], Array, Array, Array, Array, Array]:
-        """All of them, in this order."""
-        return self.sizes, self.by_state, self.by_link, self.impact_by_state, self.impact_by_link, self.violation
+
+class LinkResponses(NamedTuple):
+    """The best parameters of each link, u = K x + k, for a state x before it."""
+
+    K: Array
+    """(N, MAX_LINK_SIZE, d)."""
+    k: Array
+    """(N, MAX_LINK_SIZE)."""
+    inverse: Array
+    """Q⁻¹ (N, MAX_LINK_SIZE, MAX_LINK_SIZE)."""
+
+    @staticmethod
+    def empty(count: int, d: int) -> LinkResponses:
+        """Of so many links, all zero."""
+        shapes = ((MAX_LINK_SIZE, d), (MAX_LINK_SIZE,), (MAX_LINK_SIZE, MAX_LINK_SIZE))
+        return LinkResponses(*(np.zeros((count, *shape)) for shape in shapes))
 
 
 def solve_chain(normal: Array, gradient: Array, stages: Stages, damping: float) -> tuple[Array, Array]:
@@ -78,20 +89,11 @@ def solve_chain(normal: Array, gradient: Array, stages: Stages, damping: float) 
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[-1].copy(), gradient[-1].copy()
-    K, k, inverse = _link_arrays(count, d)
-    _backward_pass(normal, gradient, *stages.arrays, damping, P, p, K, k, inverse)
+    responses = LinkResponses.empty(count, d)
+    _backward_pass(normal, gradient, stages, damping, P, p, responses)
     first, changes = np.zeros(d), np.zeros((count, MAX_LINK_SIZE))
-    _forward_pass(P, p, stages.by_state, stages.by_link, damping, K, k, first, changes)
+    _forward_pass(P, p, stages, damping, responses, first, changes)
     return first, changes
-
-
-def _link_arrays(count: int, d: int) -> tuple[Array, Array, Array]:
-    """K, k and inverse of `_backward_pass`, zero."""
-    return (
-        np.zeros((count, MAX_LINK_SIZE, d)),
-        np.zeros((count, MAX_LINK_SIZE)),
-        np.zeros((count, MAX_LINK_SIZE, MAX_LINK_SIZE)),
-    )
 
 
 def chain_covariance(normal: Array, noises: Array, stages: Stages) -> tuple[Array, Array]:
@@ -103,8 +105,8 @@ def chain_covariance(normal: Array, noises: Array, stages: Stages) -> tuple[Arra
     """
     count, d = len(stages.sizes), normal.shape[1]
     P, p = normal[-1].copy(), np.zeros(d)
-    K, k, inverse = _link_arrays(count, d)
-    _backward_pass(normal, np.zeros((count + 1, d)), *stages.arrays, 0.0, P, p, K, k, inverse)
+    K, _, inverse = responses = LinkResponses.empty(count, d)
+    _backward_pass(normal, np.zeros((count + 1, d)), stages, 0.0, P, p, responses)
     A, R = stages.by_state + stages.by_link @ K, stages.impact_by_state + stages.impact_by_link @ K
     later_noise = np.empty_like(normal)
     later_noise[-1] = noises[-1]
@@ -132,12 +134,11 @@ def chain_covariance(normal: Array, noises: Array, stages: Stages) -> tuple[Arra
 
 @compiled(nogil=True)
 def _backward_pass(
-    normal: Array, gradient: Array, sizes: NDArray[np.int64], by_state: Array, by_link: Array, impact_by_state: Array,
-    impact_by_link: Array, violation: Array, damping: float, P: Array, p: Array, K: Array, k: Array, inverse: Array,
-) -> None:  # fmt: skip
-    """Riccati recursion from the cost of the last flight (P, p) to the cost-to-go of the first, in place.
-
-    Fills the response of each link (K, k) to the state before it, and the inverse matrix of its parameters."""
+    normal: Array, gradient: Array, stages: Stages, damping: float, P: Array, p: Array, responses: LinkResponses
+) -> None:
+    """Riccati recursion from the cost of the last flight (P, p) to the cost-to-go of the first, in place. Fills the responses."""
+    sizes, by_state, by_link, impact_by_state, impact_by_link, violation = stages
+    K, k, inverse = responses
     d = len(p)
     Q, cross, link_gradient = (
         np.empty((MAX_LINK_SIZE, MAX_LINK_SIZE)),
@@ -234,17 +235,10 @@ def _backward_pass(
 
 @compiled(nogil=True)
 def _forward_pass(
-    P: Array,
-    p: Array,
-    by_state: Array,
-    by_link: Array,
-    damping: float,
-    K: Array,
-    k: Array,
-    first: Array,
-    changes: Array,
+    P: Array, p: Array, stages: Stages, damping: float, responses: LinkResponses, first: Array, changes: Array
 ) -> None:
     """Fill the changes, from the first flight to the last."""
+    by_state, by_link, K, k = stages.by_state, stages.by_link, responses.K, responses.k
     d = len(p)
     inverse, x, state_after = np.empty((d, d)), np.empty(d), np.empty(d)
     _invert_damped(P, d, damping, inverse)

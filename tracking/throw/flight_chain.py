@@ -32,6 +32,7 @@ from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from . import flight_kernels as kernels
 from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
+from .flight_kernels import FrameInformation, ImpactEquations, VertexImpacts
 from .flights import (
     ErrorModel,
     Observations,
@@ -297,15 +298,12 @@ def vertex_impact_equations(before: State, behind: State, impact: VertexImpact, 
     """The four conditions of an impact at a vertex, in sigmas: derivatives (4, 25) with respect to the states before and behind,
     both at the instant of contact, and to that instant; and present values (4,)."""
     jump = np.concatenate([behind.velocity_m_s - before.velocity_m_s, behind.omega_rad_s - before.omega_rad_s])
-    by_end, by_link, violation = np.zeros((1, 4, 12)), np.zeros((1, 4, MAX_LINK_SIZE)), np.zeros((1, 4))
-    kernels.impact_equations(
-        packed(before)[None], jump[None], np.zeros(1, np.int64), impact.point_m[None], np.array([impact.rounding_m]),
-        np.array([impact.mass_over_inertia]), table_m, CONTACT_SIGMA_M, _lever_sigma(jump[None]), by_end, by_link, violation,
-    )  # fmt: skip
-    rows = np.zeros((4, JOINT))
-    rows[:, :12], rows[:, 18:24], rows[:, 24] = by_end[0], by_link[0, :, 1:7], by_link[0, :, 0]
-    rows[:, 6:12] -= by_link[0, :, 1:7]
-    return rows, violation[0]
+    impacts = _vertex_impacts((Link(behind.time_s, impact=impact),))
+    found = _impact_equations(packed(before)[None], jump[None], impacts, table_m, _lever_sigma(jump[None]))
+    rows, by_link = np.zeros((4, JOINT)), found.by_link[0]
+    rows[:, :12], rows[:, 18:24], rows[:, 24] = found.by_end[0], by_link[:, 1:7], by_link[:, 0]
+    rows[:, 6:12] -= by_link[:, 1:7]
+    return rows, found.violation[0]
 
 
 def vertex_impact_cost(chain: FlightChain, k: int, impact: VertexImpact, table_sigma_m: float) -> float:
@@ -325,19 +323,29 @@ def _lever_sigma(jumps: Array) -> Array:
     return np.asarray(LEVER_SHARE * np.linalg.norm(jumps[:, 3:], axis=1) + MIN_LEVER_SIGMA_RAD_S)
 
 
+def _vertex_impacts(links: Sequence[Link]) -> VertexImpacts:
+    """The impacts among the links of a chain."""
+    impacts = [(k, link.impact) for k, link in enumerate(links) if link.impact is not None]
+    return VertexImpacts(
+        np.array([k for k, _ in impacts], np.int64),
+        np.array([impact.point_m for _, impact in impacts]).reshape(-1, 3),
+        np.array([impact.rounding_m for _, impact in impacts]),
+        np.array([impact.mass_over_inertia for _, impact in impacts]),
+    )
+
+
+def _impact_equations(
+    ends: Array, jumps: Array, impacts: VertexImpacts, table_m: float, lever_sigma: Array
+) -> ImpactEquations:
+    """Of each vertex impact, from the states (N, 14) before the links and the jumps (N, 6): its point lies on the table, and
+    J Δω = m r × Δv within `lever_sigma` (N,)."""
+    count = len(impacts.link)
+    found = ImpactEquations(np.zeros((count, 4, 12)), np.zeros((count, 4, MAX_LINK_SIZE)), np.zeros((count, 4)))
+    kernels.impact_equations(ends, jumps, impacts, table_m, CONTACT_SIGMA_M, lever_sigma, found)
+    return found
+
+
 # --- the unknowns ------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, eq=False)
-class _ImpactEquations:
-    """The conditions of the vertex impacts of a chain, four rows each, in sigmas."""
-
-    by_end: Array
-    """(S, 4, 12) derivative with respect to the state at the end of the flight before."""
-    by_link: Array
-    """(S, 4, MAX_LINK_SIZE)."""
-    violation: Array
-    """(S, 4)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,7 +362,7 @@ class _Trajectory:
     """(N, 12, 12) from beginning to end."""
     residuals: Array
     """(n, 6) whitened."""
-    impacts: _ImpactEquations
+    impacts: ImpactEquations
 
     def squares(self, errors: ErrorModel) -> Array:
         """(n,) mean of each frame's six squared whitened residuals, each over its expected one."""
@@ -379,10 +387,7 @@ class _Unknowns:
     is_open: NDArray[np.bool_]
     free: Array
     """(N, 14) packed states behind open links."""
-    impact_links: NDArray[np.int64]
-    """(S,) the links that are vertex impacts."""
-    impact_arrays: tuple[Array, Array, Array]
-    """(S, 3) points, (S,) roundings and (S,) m/J of those."""
+    vertex_impacts: VertexImpacts
     shared: Array
     shared_sigma: Array
     table_m: float
@@ -390,7 +395,7 @@ class _Unknowns:
     lever_sigma: Array
     """(N,) tolerance [rad/s] of each impact's spin; fixed by the guess, so that the cost means the same on every step."""
     errors: ErrorModel
-    information: tuple[Array, Array]
+    information: FrameInformation
     """`flights.frame_information` with the error model of the guess."""
     information_share: float
     """Share of the first whitened number in it."""
@@ -411,23 +416,17 @@ class _Unknowns:
         jumps = np.hstack([np.diff(numbers[:, 8:11], axis=0) + fallen, np.diff(numbers[:, 11:14], axis=0)])
         spacing_s = float(np.median(np.diff(observations.time_s))) if len(observations) > 1 else 1.0
         is_open = np.array([link.is_open for link in links], bool)
-        impacts = [(k, link.impact) for k, link in enumerate(links) if link.impact is not None]
-        impact_arrays = (
-            np.array([impact.point_m for _, impact in impacts]).reshape(-1, 3),
-            np.array([impact.rounding_m for _, impact in impacts]),
-            np.array([impact.mass_over_inertia for _, impact in impacts]),
-        )
         share = 1.0 / errors.long_run_variance(spacing_s)
         return _Unknowns(
             observations, spacing_s, numbers[0], links, times_s, jumps, is_open, numbers[1:],
-            np.array([k for k, _ in impacts], np.int64), impact_arrays, np.zeros(len(shared_sigma)), shared_sigma, 0.0,
-            table_sigma_m, _lever_sigma(jumps), errors, frame_information(observations, share), float(share[0]),
+            _vertex_impacts(links), np.zeros(len(shared_sigma)), shared_sigma, 0.0, table_sigma_m, _lever_sigma(jumps),
+            errors, frame_information(observations, share), float(share[0]),
         )  # fmt: skip
 
     @property
     def has_impacts(self) -> bool:
         """Whether any link is a vertex impact; the table's height is then a parameter."""
-        return len(self.impact_links) > 0
+        return len(self.vertex_impacts.link) > 0
 
     @property
     def constants(self) -> int:
@@ -445,18 +444,8 @@ class _Unknowns:
         inside = np.searchsorted(self.observations.time_s, self.times_s, side="right")
         cuts = np.concatenate([[0], inside, [len(self.observations)]]).astype(np.int64)
         residuals = chain_residuals(self.observations, cuts, states, self.shared)
-        return _Trajectory(cuts, states, ends, transitions, residuals, self._impact_equations(ends))
-
-    def _impact_equations(self, ends: Array) -> _ImpactEquations:
-        """Of each vertex impact: its point on the table, and J Δω = m r × Δv."""
-        count = len(self.impact_links)
-        by_end, by_link = np.zeros((count, 4, 12)), np.zeros((count, 4, MAX_LINK_SIZE))
-        violation = np.zeros((count, 4))
-        kernels.impact_equations(
-            ends, self.jumps, self.impact_links, *self.impact_arrays, self.table_m, CONTACT_SIGMA_M, self.lever_sigma,
-            by_end, by_link, violation,
-        )  # fmt: skip
-        return _ImpactEquations(by_end, by_link, violation)
+        impacts = _impact_equations(ends, self.jumps, self.vertex_impacts, self.table_m, self.lever_sigma)
+        return _Trajectory(cuts, states, ends, transitions, residuals, impacts)
 
     @property
     def _priors(self) -> tuple[Array, Array]:
@@ -512,6 +501,7 @@ class _Unknowns:
     def _stages(self, trajectory: _Trajectory, size: int) -> Stages:
         """The links as `chain_solver` needs them."""
         stages, impacts = Stages.empty(len(self.links), size), trajectory.impacts
+        struck = self.vertex_impacts.link
         stages.sizes[:] = np.where(self.is_open, 12, 7)
         constants = np.arange(12, size)
         stages.by_state[:, constants, constants] = 1.0
@@ -520,10 +510,10 @@ class _Unknowns:
         stages.by_link[:, 0:6, 0] = -self.jumps
         stages.by_link[:, np.arange(6, 12), np.arange(1, 7)] = 1.0
         stages.by_link[self.is_open] = np.eye(size, MAX_LINK_SIZE)
-        stages.impact_by_state[self.impact_links, :, :12] = impacts.by_end @ trajectory.transitions[self.impact_links]
-        stages.impact_by_state[self.impact_links, 0, size - 1] -= 1.0 / CONTACT_SIGMA_M
-        stages.impact_by_link[self.impact_links] = impacts.by_link
-        stages.violation[self.impact_links] = impacts.violation
+        stages.impact_by_state[struck, :, :12] = impacts.by_end @ trajectory.transitions[struck]
+        stages.impact_by_state[struck, 0, size - 1] -= 1.0 / CONTACT_SIGMA_M
+        stages.impact_by_link[struck] = impacts.by_link
+        stages.violation[struck] = impacts.violation
         return stages
 
     def stepped(self, first: Array, changes: Array) -> _Unknowns:
@@ -554,7 +544,7 @@ class _Unknowns:
             sigma_time_s[k] = np.sqrt(max(joint_covariance[k, 24, 24], 0.0))
         covariances = [(pairs[k] if k < count else last)[:12, :12] for k in range(count + 1)]
         squares, impact_chi2 = trajectory.squares(self.errors), np.zeros(count)
-        impact_chi2[self.impact_links] = (trajectory.impacts.violation**2).sum(1)
+        impact_chi2[self.vertex_impacts.link] = (trajectory.impacts.violation**2).sum(1)
         links = tuple(replace(link, time_s=float(t)) for link, t in zip(self.links, self.times_s, strict=True))
         shared_sigma = np.sqrt(np.diag(last)[12 : 12 + len(self.shared)])
         return FlightChain(

@@ -6,6 +6,7 @@ A state is packed into 14 numbers: time, position, quaternion, velocity, angular
 from __future__ import annotations
 
 from math import atan2, cos, exp, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,12 +31,58 @@ LEAST_PIVOT = 1e-13
 """Least squared pivot of a scaled matrix: what rounding leaves of a singular direction."""
 
 
+class PoseArrays(NamedTuple):
+    """Poses of single frames with their weights."""
+
+    time_s: Array
+    """(n,) mid-exposure."""
+    position_m: Array
+    """(n, 3)."""
+    quaternion: Array
+    """(n, 4) wxyz."""
+    whitener: Array
+    """(n, 6, 6) W with WᵀW the inverse covariance."""
+    bias_jacobian: Array
+    """(n, 6, m) change of the pose for each of m errors that the whole clip shares."""
+
+
+class FrameInformation(NamedTuple):
+    """What frames say on their poses and the shared errors. It does not depend on the motion: a fit computes it once."""
+
+    matrix: Array
+    """(n, 6 + m, 6 + m) inverse covariance."""
+    to_gradient: Array
+    """(n, 6 + m, 6) from whitened residuals to a gradient."""
+
+
+class VertexImpacts(NamedTuple):
+    """The impacts of a chain at one vertex each."""
+
+    link: NDArray[np.int64]
+    """(S,) link of the chain."""
+    point_m: Array
+    """(S, 3) the vertex, body frame: the corner of a sharp die, the centre of the inscribed ball of a rounded one."""
+    rounding_m: Array
+    """(S,) radius of that ball."""
+    mass_over_inertia: Array
+    """(S,) m/J [1/m²]."""
+
+
+class ImpactEquations(NamedTuple):
+    """The four conditions of each vertex impact, in sigmas."""
+
+    by_end: Array
+    """(S, 4, 12) derivative with respect to the state at the end of the flight before."""
+    by_link: Array
+    """(S, 4, MAX_LINK_SIZE) derivative with respect to the parameters of the link."""
+    violation: Array
+    """(S, 4) present values."""
+
+
 @compiled(nogil=True)
-def residuals(
-    time: Array, position: Array, quaternion: Array, W: Array, bias_jacobian: Array, shared: Array, cuts: NDArray[np.int64],
-    states: Array, out: Array,
-) -> None:  # fmt: skip
+def residuals(poses: PoseArrays, shared: Array, cuts: NDArray[np.int64], states: Array, out: Array) -> None:
     """Fill the whitened residuals (n, 6) of frames: observed minus motion, shared errors subtracted."""
+    time, position, quaternion, W, bias_jacobian = poses
     e = np.empty(6)
     for flight in range(len(states)):
         state = states[flight]
@@ -52,9 +99,10 @@ def residuals(
 
 
 @compiled(nogil=True)
-def frame_information(W: Array, bias_jacobian: Array, share: Array, information: Array, to_gradient: Array) -> None:
-    """Fill the information (n, 6 + m, 6 + m) of each frame on its pose and the shared errors, and the matrices (n, 6 + m, 6) from
-    whitened residuals to a gradient. They do not depend on the motion: a fit computes them once."""
+def frame_information(poses: PoseArrays, share: Array, out: FrameInformation) -> None:
+    """Fill the information of frames whose six whitened numbers count with their share (6,)."""
+    W, bias_jacobian = poses.whitener, poses.bias_jacobian
+    information, to_gradient = out.matrix, out.to_gradient
     m = bias_jacobian.shape[2]
     columns = np.empty((6, 6 + m))
     for k in range(len(W)):
@@ -79,13 +127,14 @@ def frame_information(W: Array, bias_jacobian: Array, share: Array, information:
 
 @compiled(nogil=True)
 def normal_equations(
-    time: Array, information: Array, to_gradient: Array, residual: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
+    time: Array, frames: FrameInformation, residual: Array, weight: Array, cuts: NDArray[np.int64], states: Array,
     normal: Array, gradient: Array,
 ) -> None:  # fmt: skip
     """Add the normal equations of each flight to `normal` and `gradient`.
 
     With the information A of a frame on its pose, and D = (1, τ) for the position and (E, τJ) for the rotation, a frame adds
     Dᵀ A D: the twelve columns need not be whitened one by one."""
+    information, to_gradient = frames.matrix, frames.to_gradient
     size = information.shape[1]
     m = size - 6
     A, frame_gradient = np.empty((size, size)), np.empty(size)
@@ -154,11 +203,12 @@ def normal_equations(
 
 @compiled(nogil=True)
 def gradient_covariance(
-    time: Array, W: Array, bias_jacobian: Array, weight: Array, strength: Array,
-    state: Array, variance_ratio: Array, correlation_time_s: Array, out: Array,
+    poses: PoseArrays, weight: Array, strength: Array, state: Array, variance_ratio: Array, correlation_time_s: Array,
+    out: Array,
 ) -> None:  # fmt: skip
     """Add Xᵀ V X to `out`, for V = 1 + a exp(-|t_j - t_k|/T) and weighted rows X. Each frame is combined with the decayed sum of
     the frames before it, so that the cost is linear."""
+    time, W, bias_jacobian = poses.time_s, poses.whitener, poses.bias_jacobian
     m = bias_jacobian.shape[2]
     size = 12 + m
     rows, before = np.empty((6, size)), np.zeros((6, size))
@@ -292,13 +342,12 @@ def apply_step(
 
 @compiled(nogil=True)
 def impact_equations(
-    ends: Array, jumps: Array, which: NDArray[np.int64], points: Array, rounding: Array, mass_over_inertia: Array, table_m: float,
-    contact_sigma_m: float, lever_sigma: Array, by_end: Array, by_link: Array, violation: Array,
+    ends: Array, jumps: Array, impacts: VertexImpacts, table_m: float, contact_sigma_m: float, lever_sigma: Array,
+    out: ImpactEquations,
 ) -> None:  # fmt: skip
-    """Fill the equations of each vertex impact, in sigmas: its lowest point lies on the table, and J Δω = m r × Δv.
-
-    `by_end` and `by_link` are derivatives with respect to the state at the end of the flight before and to the link, `violation`
-    the present values."""
+    """Fill the equations of each vertex impact, in sigmas: its lowest point lies on the table, and J Δω = m r × Δv."""
+    which, points, rounding, mass_over_inertia = impacts
+    by_end, by_link, violation = out
     inner_point, arm, moves = np.empty(3), np.empty(3), np.empty(3)
     for s in range(len(which)):
         k = which[s]
@@ -382,24 +431,25 @@ def _fit_flight(time: Array, position: Array, quaternion: Array, W: Array, state
     n = len(time)
     states, trial = np.empty((1, 14)), np.empty((1, 14))
     _initial_state(time, position, quaternion, states[0])
-    bias_jacobian, weight, none = np.zeros((n, 6, 0)), np.ones(n), np.zeros(0)
-    information, to_gradient = np.empty((n, 6, 6)), np.empty((n, 6, 6))
-    frame_information(W, bias_jacobian, np.ones(6), information, to_gradient)
+    poses = PoseArrays(time, position, quaternion, W, np.zeros((n, 6, 0)))
+    weight, none = np.ones(n), np.zeros(0)
+    information = FrameInformation(np.empty((n, 6, 6)), np.empty((n, 6, 6)))
+    frame_information(poses, np.ones(6), information)
     cuts = np.zeros(2, np.int64)
     cuts[1] = n
     residual, step = np.empty((n, 6)), np.empty(12)
-    residuals(time, position, quaternion, W, bias_jacobian, none, cuts, states, residual)
+    residuals(poses, none, cuts, states, residual)
     chi2 = _sum_of_squares(residual)
     for _ in range(MAX_STEPS):
         normal, gradient = np.zeros((1, 12, 12)), np.zeros((1, 12))
-        normal_equations(time, information, to_gradient, residual, weight, cuts, states, normal, gradient)
+        normal_equations(time, information, residual, weight, cuts, states, normal, gradient)
         _invert(normal[0], inverse)
         for a in range(12):
             step[a] = 0.0
             for b in range(12):
                 step[a] -= inverse[a, b] * gradient[0, b]
         _apply_change(states[0], step, trial[0])
-        residuals(time, position, quaternion, W, bias_jacobian, none, cuts, trial, residual)
+        residuals(poses, none, cuts, trial, residual)
         new_chi2 = _sum_of_squares(residual)
         if not new_chi2 < chi2:
             break

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Flight, State
 from . import flight_kernels as kernels
+from .flight_kernels import FrameInformation, PoseArrays
 
 Array = NDArray[np.float64]
 
@@ -127,20 +128,16 @@ def chain_residuals(observations: Observations, cuts: NDArray[np.int64], states:
 
     Rows cuts[k] to cuts[k + 1] belong to the packed state (14,) `states[k]`."""
     residuals = np.empty((len(observations), 6))
-    kernels.residuals(*_arrays(observations), observations.bias_jacobian, shared, cuts, states, residuals)
+    kernels.residuals(_arrays(observations), shared, cuts, states, residuals)
     return residuals
 
 
-def frame_information(observations: Observations, share: Array) -> tuple[Array, Array]:
-    """Information (n, 6 + m, 6 + m) of each frame on its pose and the shared errors, and the matrices (n, 6 + m, 6) that take its
-    whitened residuals to a gradient.
-
-    The six whitened numbers count with their `share` (6,). Neither depends on the motion: a fit with one share computes them
-    once."""
-    own = 6 + observations.bias_jacobian.shape[2]
-    information, to_gradient = np.empty((len(observations), own, own)), np.empty((len(observations), own, 6))
-    kernels.frame_information(_arrays(observations)[3], observations.bias_jacobian, share, information, to_gradient)
-    return information, to_gradient
+def frame_information(observations: Observations, share: Array) -> FrameInformation:
+    """Information of each frame on its pose and the shared errors. The six whitened numbers count with their `share` (6,)."""
+    n, own = len(observations), 6 + observations.bias_jacobian.shape[2]
+    information = FrameInformation(np.empty((n, own, own)), np.empty((n, own, 6)))
+    kernels.frame_information(_arrays(observations), share, information)
+    return information
 
 
 def normal_equations(
@@ -149,7 +146,7 @@ def normal_equations(
     states: Array,
     residuals: Array,
     weights: Array,
-    information: tuple[Array, Array],
+    information: FrameInformation,
     size: int,
 ) -> tuple[Array, Array]:
     """Normal equations of each flight about its state: matrices (flights, size, size) and gradients (flights, size) of half the
@@ -158,7 +155,8 @@ def normal_equations(
     The unknowns are the twelve numbers of the state, then the m shared errors; entries beyond 12 + m stay zero. Frames count with
     their weight (n,); `information` is that of `frame_information`."""
     normal, gradient = np.zeros((len(states), size, size)), np.zeros((len(states), size))
-    kernels.normal_equations(_arrays(observations)[0], *information, residuals, weights, cuts, states, normal, gradient)
+    time_s = np.ascontiguousarray(observations.time_s, np.float64)
+    kernels.normal_equations(time_s, information, residuals, weights, cuts, states, normal, gradient)
     return normal, gradient
 
 
@@ -178,8 +176,8 @@ def gradient_covariances(
     for rows, state, covariance in zip(itertools.pairwise(cuts), states, covariances, strict=True):
         part = observations.rows(slice(*rows))
         kernels.gradient_covariance(
-            *_arrays(part)[::3], part.bias_jacobian, weights[slice(*rows)], strength, state, errors.variance_ratio,
-            errors.correlation_time_s, covariance,
+            _arrays(part), weights[slice(*rows)], strength, state, errors.variance_ratio, errors.correlation_time_s,
+            covariance,
         )  # fmt: skip
     return covariances
 
@@ -226,7 +224,7 @@ def fit_flights(observations: Observations, groups: Sequence[NDArray[np.int64]])
 def _fitted(observations: Observations, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """States (g, 14), covariances (g, 12, 12) and sums of squares (g,) of groups of frames that lie one after the other."""
     states, inverses, chi2 = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
-    kernels.fit_flights(*_arrays(observations), ends, states, inverses, chi2)
+    kernels.fit_flights(*_arrays(observations)[:4], ends, states, inverses, chi2)
     return states, inverses, chi2
 
 
@@ -334,13 +332,14 @@ def _whiteners(C: Array) -> Array:
     return np.ascontiguousarray(root / unit)
 
 
-def _arrays(observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Times, positions, quaternions and whiteners as contiguous arrays for the kernels."""
-    return (
+def _arrays(observations: Observations) -> PoseArrays:
+    """The contiguous arrays that the kernels take."""
+    return PoseArrays(
         np.ascontiguousarray(observations.time_s, np.float64),
         np.ascontiguousarray(observations.position_m),
         np.ascontiguousarray(observations.quaternion),
         np.ascontiguousarray(observations.whitener),
+        np.ascontiguousarray(observations.bias_jacobian),
     )
 
 
