@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"
 
 from throws import initial_errors, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import observations_of, pose_errors, whitened_jacobian
+from diethrow.fitting.estimation.observations import flight_observations, pose_errors, whitened_jacobian
 from diethrow.fitting.throw.physics import Physics, model_poses
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import Die, make_die
@@ -47,7 +47,7 @@ Z95 = 1.959964
 
 def bound(track: Track, throw: Throw, die: Die, chi: float, explained: int, time_s: float) -> Array:
     """Cramér-Rao sigmas (13,) of the state at `time_s` and χ from the frames up to the end of flight `explained`."""
-    observations = observations_of(track, throw)
+    observations = flight_observations(track, throw)
     observations = observations.where(observations.flight <= explained)
     physics = Physics(die, LEVEL, {"chi": chi})
     vertices = tuple(impact.vertices[0] for impact in throw.impacts[:explained])

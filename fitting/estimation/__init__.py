@@ -1,6 +1,6 @@
 """Estimation: observations and their weights, robust least squares, and the intervals that follow.
 
-`Observations` are the usable frames of a track, each with the matrix that whitens its errors. `levenberg_marquardt` fits
+`FlightObservations` are the usable frames of a track, each with the matrix that whitens its errors. `levenberg_marquardt` fits
 them under bounds, with a loss that bad frames cannot bend (`huber`). `variance_inflation` scales covariances by what the
 residuals show, and `profile_interval` follows the likelihood of one parameter.
 """
@@ -20,9 +20,9 @@ from .least_squares import orthonormal_basis as orthonormal_basis
 from .least_squares import robust_variance as robust_variance
 from .least_squares import times_inverse as times_inverse
 from .least_squares import triangular_factor as triangular_factor
-from .observations import Observations as Observations
+from .observations import FlightObservations as FlightObservations
 from .observations import covariance_root as covariance_root
-from .observations import observations_of as observations_of
+from .observations import flight_observations as flight_observations
 from .observations import pose_errors as pose_errors
 from .observations import whitened as whitened
 from .observations import whitened_jacobian as whitened_jacobian

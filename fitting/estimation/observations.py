@@ -35,7 +35,7 @@ _SIGMA_FLOOR = np.array([1e-7] * 3 + [1e-6] * 3)
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class FlightObservations:
     """Frames with a pose, in free flight, in order of time."""
 
     time_s: Array
@@ -54,7 +54,7 @@ class Observations:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> Observations:
+    def where(self, chosen: NDArray[np.bool_] | NDArray[np.int64]) -> FlightObservations:
         """The chosen frames alone, by mask or by index."""
         return replace(
             self,
@@ -70,7 +70,7 @@ class Observations:
         return int((self.flight == flight).sum())
 
 
-def observations_of(track: Track, measured: Throw) -> Observations:
+def flight_observations(track: Track, measured: Throw) -> FlightObservations:
     """The usable frames of a track: tracked, finite, and clear of every measured impact.
 
     Raises ValueError if the columns of the track have different lengths.
@@ -89,7 +89,9 @@ def observations_of(track: Track, measured: Throw) -> Observations:
     times = track.time_s[usable]
     flights = measured.flights_at(times)
     weights = whiteners(track.covariance[usable])
-    usable_frames = Observations(times, track.position_m[usable], track.quaternion[usable], weights, flights, interval)
+    usable_frames = FlightObservations(
+        times, track.position_m[usable], track.quaternion[usable], weights, flights, interval
+    )
     return usable_frames.where(np.argsort(times, kind="stable"))
 
 
@@ -110,8 +112,8 @@ def whiteners(covariance: Array) -> Array:
 
 
 def with_noise(
-    observations: Observations, missing: NDArray[np.bool_], sigma_m: float, sigma_rad: float
-) -> Observations:
+    observations: FlightObservations, missing: NDArray[np.bool_], sigma_m: float, sigma_rad: float
+) -> FlightObservations:
     """The same frames, with isotropic noise where `missing` (n,)."""
     sigma = np.maximum([sigma_m] * 3 + [sigma_rad] * 3, _SIGMA_FLOOR)
     filled = observations.whitener.copy()
@@ -119,17 +121,17 @@ def with_noise(
     return replace(observations, whitener=filled)
 
 
-def pose_errors(observations: Observations, positions: Array, quaternions: Array) -> Array:
+def pose_errors(observations: FlightObservations, positions: Array, quaternions: Array) -> Array:
     """Observed minus modelled poses (n, 6): position [m], rotation vector [rad], world axes; not whitened."""
     return np.hstack([observations.position_m - positions, rotation_between(quaternions, observations.quaternion)])
 
 
-def whitened(observations: Observations, errors: Array) -> Array:
+def whitened(observations: FlightObservations, errors: Array) -> Array:
     """Errors (n, 6) in units of their sigmas."""
     return np.einsum("nij,nj->ni", observations.whitener, errors)
 
 
-def whitened_jacobian(observations: Observations, errors: Array, jacobian: Array) -> Array:
+def whitened_jacobian(observations: FlightObservations, errors: Array, jacobian: Array) -> Array:
     """Derivative (n, 6, m) of the whitened errors, from that of the modelled poses (n, 6, m).
 
     A modelled pose turned by δ leaves log(exp(e) exp(-δ)) = e - J⁻¹ δ, with J⁻¹ = 1 + [e]×/2 + [e]×²/12 + O(e⁴) the

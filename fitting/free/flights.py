@@ -23,7 +23,7 @@ from ...tracking.throw import left_jacobians, perturbed, pose_jacobian
 from ..estimation import (
     HUBER_THRESHOLD,
     MEDIAN_SQUARE,
-    Observations,
+    FlightObservations,
     huber,
     levenberg_marquardt,
     pose_errors,
@@ -89,7 +89,7 @@ class FreeFlight:
 class FreeFlights:
     """All flights of a measured throw, fitted one by one."""
 
-    observations: Observations
+    observations: FlightObservations
     """Without the outliers; every frame has a covariance."""
     flights: tuple[FreeFlight | None, ...]
     """None for a flight of fewer than two frames."""
@@ -107,7 +107,7 @@ class FreeFlights:
         return HUBER_THRESHOLD * max(1.0, self.variance)
 
 
-def fit_flights(observations: Observations, measured: Throw) -> FreeFlights:
+def fit_flights(observations: FlightObservations, measured: Throw) -> FreeFlights:
     """Fit every flight of a measured throw by itself, started from the measured motion."""
     missing = np.asarray(~np.isfinite(observations.whitener).all((1, 2)))
     noise = None
@@ -126,7 +126,7 @@ def fit_flights(observations: Observations, measured: Throw) -> FreeFlights:
     return FreeFlights(observations.where(kept), tuple(fits), _pooled_variance(fits), int((~kept).sum()), noise)
 
 
-def fit_flight(observations: Observations, guess: Flight) -> FreeFlight | None:
+def fit_flight(observations: FlightObservations, guess: Flight) -> FreeFlight | None:
     """The exact motion nearest to the frames, started from a guess; None for fewer than two frames."""
     n = len(observations)
     if n < MIN_FRAMES:
@@ -147,7 +147,7 @@ def fit_flight(observations: Observations, guess: Flight) -> FreeFlight | None:
     return FreeFlight(flight, n, variance)
 
 
-def _nearest(observations: Observations, start: State, k2: float) -> tuple[State, Array, Array]:
+def _nearest(observations: FlightObservations, start: State, k2: float) -> tuple[State, Array, Array]:
     """The state of least squares, its whitened residuals (n, 6) and their derivative (n, 6, 12)."""
     span = max(float(np.ptp(observations.time_s)), 1e-9)
     step_m, step_rad = _STEPS
@@ -171,7 +171,7 @@ def _nearest(observations: Observations, start: State, k2: float) -> tuple[State
     return state, whitened(observations, errors), jacobian
 
 
-def _start(observations: Observations, guess: Flight) -> State:
+def _start(observations: FlightObservations, guess: Flight) -> State:
     """The guess if it is finite, else a start from the frames themselves."""
     s = guess.start
     if all(np.isfinite(part).all() for part in (s.position_m, s.quaternion, s.velocity_m_s, s.omega_rad_s)):
@@ -179,7 +179,7 @@ def _start(observations: Observations, guess: Flight) -> State:
     return _start_from_frames(observations, s.time_s)
 
 
-def _start_from_frames(observations: Observations, time_s: float) -> State:
+def _start_from_frames(observations: FlightObservations, time_s: float) -> State:
     """Straight from the first pose to the last, with the median angular velocity between neighbouring frames."""
     t, p, q = observations.time_s, observations.position_m, observations.quaternion
     dt = t[-1] - t[0]
@@ -189,7 +189,7 @@ def _start_from_frames(observations: Observations, time_s: float) -> State:
     return Flight(first, first.time_s).at(time_s) if np.isfinite(time_s) else first
 
 
-def _without_outliers(observations: Observations, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:
+def _without_outliers(observations: FlightObservations, guess: Flight) -> tuple[FreeFlight | None, NDArray[np.bool_]]:
     """The flight that most frames agree on, and which of them (n,) agree with it.
 
     The worst frames are removed first and the flight is fitted again. Many frames with the same error, as while the die
@@ -223,7 +223,7 @@ def _is_credible(kept: NDArray[np.bool_]) -> bool:
     return share >= _MIN_AGREEING or (share >= _MIN_AGREEING_AT_ONE_END and len(ends) == 1)
 
 
-def _flight_noise(observations: Observations, measured: Throw) -> tuple[float, float]:
+def _flight_noise(observations: FlightObservations, measured: Throw) -> tuple[float, float]:
     """Sigmas [m], [rad] of a frame, one for all axes, from the scatter of frames about their own flights; NaN if
     unknown.
     """

@@ -14,7 +14,7 @@ from ...model.die import Die
 from ...model.laws import LEVEL, Table
 from ...model.throw import Throw
 from ...tracking.track import Track
-from ..estimation import normal_quantile, observations_of
+from ..estimation import flight_observations, normal_quantile
 from ..free import fit_flights
 from ..results import Fit, Parameter
 from ..throw import INTERVAL_LEVEL, Physics, Trajectory, extend_through_bounces, first_flight_trajectory, landing_odds
@@ -42,7 +42,7 @@ def sequential_estimates(
     """
     if not fit.bounces_fitted:
         return ()
-    free = fit_flights(observations_of(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured)
     first = next(k for k, flight in enumerate(free.flights) if flight is not None)
     reached = first + fit.bounces_fitted
     beam, found = [first_flight_trajectory(free, first, physics_of_fit(fit, die, table))], []

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import quat_from_rotvec, quat_multiply
-from ..estimation import Observations, correlation_time
+from ..estimation import FlightObservations, correlation_time
 from .physics import model_poses
 from .shooting import Trajectory, fit_trajectory
 
@@ -41,7 +41,7 @@ def bootstrap_intervals(
     return {name: (float(low[k]), float(high[k])) for k, name in enumerate(trajectory.physics.free)}
 
 
-def _redrawn(trajectory: Trajectory, residuals: Array, length: int, rng: np.random.Generator) -> Observations:
+def _redrawn(trajectory: Trajectory, residuals: Array, length: int, rng: np.random.Generator) -> FlightObservations:
     """The frames of a trajectory with errors drawn from its residuals, in blocks of `length` frames."""
     n = len(residuals)
     first = rng.integers(0, n, size=n // length + 1)

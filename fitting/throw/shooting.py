@@ -17,7 +17,7 @@ from ...model.throw import Propagation, State, Throw
 from ...tracking.throw import left_jacobians, perturbed
 from ..estimation import (
     COST_TOLERANCE,
-    Observations,
+    FlightObservations,
     huber,
     levenberg_marquardt,
     pose_errors,
@@ -57,7 +57,7 @@ class Trajectory:
     vertices: tuple[int, ...]
     reached: int
     """The last measured flight whose frames are in the fit."""
-    observations: Observations
+    observations: FlightObservations
     residuals: Array
     """(n, 6) whitened."""
     root: Array
@@ -111,7 +111,7 @@ class Trajectory:
 
 
 def fit_trajectory(
-    observations: Observations,
+    observations: FlightObservations,
     start: Trajectory,
     vertices: tuple[int, ...],
     k2: float,
@@ -164,7 +164,7 @@ def refitted_with(
 
 
 def _evaluated(
-    observations: Observations, start: Trajectory, x: Array, vertices: tuple[int, ...]
+    observations: FlightObservations, start: Trajectory, x: Array, vertices: tuple[int, ...]
 ) -> tuple[Array, Array, Propagation]:
     """Whitened residuals (n, 6), their derivative (n, 6, 12 + k) at the displaced start, and the throw."""
     state, physics = perturbed(start.state, x[:12]), start.physics.moved(x[12:])

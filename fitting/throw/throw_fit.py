@@ -1,6 +1,6 @@
 """Fit of a whole throw: χ, the twelve initial conditions, and the effects that the throw shows.
 
-A weighted least-squares fit to the poses of all frames (`Observations`), through as many bounces as the model explains
+A weighted least-squares fit to the poses of all frames (`FlightObservations`), through as many bounces as the model explains
 (`extension`), with no more physics than the evidence supports (`effects`). What a track does not determine is None in the
 result, with a message that says why.
 """
@@ -19,7 +19,7 @@ from ...model.laws import LEVEL, Table
 from ...model.throw import Throw
 from ...tracking.throw import perturbed
 from ...tracking.track import Track
-from ..estimation import normal_quantile, observations_of, profile_interval, variance_inflation
+from ..estimation import flight_observations, normal_quantile, profile_interval, variance_inflation
 from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces
 from ..results import Effect, Fit, Parameter
 from .bootstrap import bootstrap_intervals
@@ -94,7 +94,7 @@ def fit_throw(
 
 
 def _fit(track: Track, measured: Throw, physics: Physics, intervals: IntervalMethod) -> Fit:
-    free = fit_flights(observations_of(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured)
     messages = frame_messages(free)
     first = next((k for k, flight in enumerate(free.flights) if flight is not None), None)
     if first is None:

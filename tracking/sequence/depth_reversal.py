@@ -18,7 +18,7 @@ from ...model.die import inversion_rotation, nearest_equivalent_rotation
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, refine_pose, same_picture
-from ..throw import UNMODELLED_SHARE, fit_flights, observations_of
+from ..throw import UNMODELLED_SHARE, fit_flights, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
 
@@ -195,7 +195,7 @@ def _reduced_chi2(track: Track, rows: NDArray[np.int64]) -> Array:
         return np.zeros(len(rows))
     at = np.clip(np.searchsorted(use, rows) - WINDOW // 2, 0, max(len(use) - WINDOW, 0))
     windows = [np.arange(k, min(k + WINDOW, len(use))) for k in at]
-    _, chi2 = fit_flights(observations_of(track, use, UNMODELLED_SHARE), windows)
+    _, chi2 = fit_flights(weighted_poses(track, use, UNMODELLED_SHARE), windows)
     return np.asarray(chi2 / (6.0 * np.array([len(window) for window in windows]) - 12.0))
 
 

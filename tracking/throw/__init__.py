@@ -27,7 +27,7 @@ from .measurement import NoFlightError as NoFlightError
 from .measurement import determines_table_height as determines_table_height
 from .measurement import measure as measure
 from .measurement import measure_throw as measure_throw
-from .measurement import observations_of as observations_of
+from .measurement import weighted_poses as weighted_poses
 from .measurement import with_calibrated_covariance as with_calibrated_covariance
 from .rest import SupportedMotion as SupportedMotion
 from .rest import flights_only as flights_only

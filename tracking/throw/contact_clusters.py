@@ -27,10 +27,10 @@ from ...model.rotations import matrix_from_quat, quat_from_matrix, rotation_betw
 from ...model.throw import State, Throw, Until, throw_die
 from .flight_chain import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
-from .flights import Observations
+from .flights import WeightedPoses
 
 Array = NDArray[np.float64]
-Fit = Callable[[Observations, Sequence[State], Sequence[Link]], FlightChain]
+Fit = Callable[[WeightedPoses, Sequence[State], Sequence[Link]], FlightChain]
 
 INLIER_WEIGHT = 0.5
 """Weight from which a frame counts as lying on its flight."""
@@ -79,8 +79,8 @@ class _Hypothesis:
 
 
 def resolve_cluster(
-    observations: Observations, chain: FlightChain, k: int, die: Die, impacts: Sequence[VertexImpact], fit: Fit
-) -> tuple[Observations, FlightChain, int] | None:
+    observations: WeightedPoses, chain: FlightChain, k: int, die: Die, impacts: Sequence[VertexImpact], fit: Fit
+) -> tuple[WeightedPoses, FlightChain, int] | None:
     """The frames (relabelled where necessary), the chain with link k and its neighbours resolved into impacts, and the index of
     the first of these; None if they cannot be resolved. `impacts` are those at each vertex."""
     before = _known_flight(observations, chain, range(k, -1, -1))
@@ -115,7 +115,7 @@ def _contains(vertices: tuple[int, ...], part: tuple[int, ...]) -> bool:
     return all(vertex in rest for vertex in part)
 
 
-def is_crowded(observations: Observations, chain: FlightChain, k: int) -> bool:
+def is_crowded(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
     """Whether several frames beside a link lie on neither of its flights: an impact may fall within the exposure of one frame;
     several show another impact."""
     row = int(np.searchsorted(observations.time_s, chain.links[k].time_s))
@@ -123,20 +123,20 @@ def is_crowded(observations: Observations, chain: FlightChain, k: int) -> bool:
     return int((chain.weights[near] < OUTLIER_WEIGHT).sum()) > 1
 
 
-def _inliers(observations: Observations, chain: FlightChain, flight: int) -> NDArray[np.int64]:
+def _inliers(observations: WeightedPoses, chain: FlightChain, flight: int) -> NDArray[np.int64]:
     """Rows of a flight that lie on it."""
     ends = [-np.inf, *chain.link_times_s, np.inf]
     inside = (observations.time_s > ends[flight]) & (observations.time_s <= ends[flight + 1])
     return np.flatnonzero(inside & (chain.weights > INLIER_WEIGHT))
 
 
-def _known_flight(observations: Observations, chain: FlightChain, flights: range) -> int | None:
+def _known_flight(observations: WeightedPoses, chain: FlightChain, flights: range) -> int | None:
     """The first of these flights with enough inliers."""
     return next((j for j in flights if len(_inliers(observations, chain, j)) >= MIN_INLIERS), None)
 
 
 def _hypotheses(
-    observations: Observations, chain: FlightChain, before: int, ends: tuple[int, int], die: Die
+    observations: WeightedPoses, chain: FlightChain, before: int, ends: tuple[int, int], die: Die
 ) -> list[_Hypothesis]:
     """The model's continuations of the flight before, under several laws; one for each sequence of vertices, the nearest
     first."""
@@ -182,7 +182,7 @@ def _simulated(die: Die, release: State, law: ImpactLaw, until_s: float) -> Thro
     return None
 
 
-def _distance(observations: Observations, throw: Throw, ends: tuple[int, int], die: Die) -> float:
+def _distance(observations: WeightedPoses, throw: Throw, ends: tuple[int, int], die: Die) -> float:
     """Mean distance of the frames between from a throw, positions in edges plus angles in radians, each at most 1."""
     rows = slice(ends[0] + 1, ends[1] + 1)
     p, q = throw.poses(observations.time_s[rows])
@@ -199,7 +199,7 @@ def _nearest(quaternion: Array, like: Array, die: Die) -> Array:
     )
 
 
-def _relabelled(observations: Observations, hypothesis: _Hypothesis, ends: tuple[int, int], die: Die) -> Observations:
+def _relabelled(observations: WeightedPoses, hypothesis: _Hypothesis, ends: tuple[int, int], die: Die) -> WeightedPoses:
     """The frames under the labelling of the hypothesis: each frame between by itself, those behind with one relabelling."""
     quaternion = observations.quaternion.copy()
     rows = slice(ends[0] + 1, ends[1])
@@ -220,7 +220,7 @@ def _chain_with(
     before: int,
     after: int,
     hypothesis: _Hypothesis,
-    own: Observations,
+    own: WeightedPoses,
     impacts: Sequence[VertexImpact],
     die: Die,
 ) -> tuple[list[State], list[Link]]:

@@ -23,7 +23,7 @@ from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
 from .error_model import estimate_error_model
 from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH
-from .flights import ErrorModel, Observations, fit_flight, rms_residuals, scaled_inverse
+from .flights import ErrorModel, WeightedPoses, fit_flight, rms_residuals, scaled_inverse
 
 Array = NDArray[np.float64]
 
@@ -98,7 +98,7 @@ class _Part:
     """Of the inliers."""
 
     @staticmethod
-    def of(observations: Observations, rows: NDArray[np.int64]) -> _Part:
+    def of(observations: WeightedPoses, rows: NDArray[np.int64]) -> _Part:
         """The flight through some rows."""
         state, _, _ = fit_flight(observations.rows(rows))
         residual = rms_residuals(observations.rows(rows), state)
@@ -113,7 +113,7 @@ class _Part:
         return int(self.rows[0]), int(self.rows[-1])
 
 
-def join_flights(observations: Observations, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
+def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], die: Die) -> FlightChain:
     """All flights fitted together, given the rows of each.
 
     Links that one instant cannot explain are open. Each link is judged on its own two flights, because one that is joined wrongly
@@ -155,7 +155,7 @@ def join_flights(observations: Observations, parts: list[NDArray[np.int64]], die
         alone = merged
 
 
-def _are_far_apart(observations: Observations, a: _Part, b: _Part, die: Die) -> bool:
+def _are_far_apart(observations: WeightedPoses, a: _Part, b: _Part, die: Die) -> bool:
     """Whether two flights, each fitted alone, come nowhere near each other: several contacts lie between them, or the track was
     lost and resumed with another labelling. Joining them would spoil both."""
     before, after = Flight(a.state, np.inf), Flight(b.state, np.inf)
@@ -168,7 +168,7 @@ def _are_far_apart(observations: Observations, a: _Part, b: _Part, die: Die) -> 
     return angle > GROSS_RAD or distance > GROSS_CIRCUMRADII * die.solid.circumradius
 
 
-def _residual_ratio(observations: Observations, before: _Part, after: _Part) -> float:
+def _residual_ratio(observations: WeightedPoses, before: _Part, after: _Part) -> float:
     """Residual of the frames beside a contact from two flights joined at one instant, over the usual residual. The worst frame is
     left out: the contact may lie within its exposure."""
     enough = ENOUGH_FRAMES_OF_FLIGHT
@@ -181,7 +181,7 @@ def _residual_ratio(observations: Observations, before: _Part, after: _Part) -> 
     return float(np.mean(np.sort(beside)[:-1])) / max(usual, LEAST_USUAL_SIGMAS)
 
 
-def _can_be_impact(observations: Observations, chain: FlightChain, k: int, die: Die) -> bool:
+def _can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
     """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before and goes
     up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
 
@@ -224,7 +224,7 @@ def _jump(chain: FlightChain, k: int, die: Die) -> float:
 
 
 def _fit_parts(
-    observations: Observations, parts: list[_Part], opened: list[bool], fitted: Observations | None = None
+    observations: WeightedPoses, parts: list[_Part], opened: list[bool], fitted: WeightedPoses | None = None
 ) -> FlightChain:
     """The joint fit of all frames, or of those given, from each flight's own fit."""
     links = []
@@ -262,7 +262,7 @@ class Priors:
 
     def fit(
         self,
-        observations: Observations,
+        observations: WeightedPoses,
         starts: Sequence[State],
         links: Sequence[Link],
         errors: ErrorModel | None = None,
@@ -278,7 +278,7 @@ class Priors:
         )
 
     def refit(
-        self, observations: Observations, chain: FlightChain, links: Sequence[Link], errors: ErrorModel | None
+        self, observations: WeightedPoses, chain: FlightChain, links: Sequence[Link], errors: ErrorModel | None
     ) -> FlightChain:
         """The same flights with other links, or with another error model."""
         return self.fit(observations, [flight.start for flight in chain.flights], links, errors)
@@ -288,14 +288,14 @@ class Priors:
 class ResolvedChain:
     """A chain of flights whose contacts are identified."""
 
-    observations: Observations
+    observations: WeightedPoses
     """The frames, relabelled where necessary."""
     chain: FlightChain
     priors: Priors
     """Those that were given, or wider ones if the clip contradicts them."""
 
 
-def resolve_contacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> ResolvedChain:
+def resolve_contacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> ResolvedChain:
     """The chain with each joined link an impact at the vertex that explains it best, or free if none does, and with the error
     model of the frames.
 
@@ -321,7 +321,7 @@ def resolve_contacts(observations: Observations, chain: FlightChain, die: Die, p
     return ResolvedChain(observations, _with_links_at_first_touch(observations, found, die, priors), priors)
 
 
-def explains_better(observations: Observations, one: ResolvedChain, other: ResolvedChain) -> bool:
+def explains_better(observations: WeightedPoses, one: ResolvedChain, other: ResolvedChain) -> bool:
     """Whether the first of two chains of flights explains some frames better, each with its own labelling of them.
 
     Both are fitted with the wider priors of the two and the error model with the smaller errors, at a PENALTY for each free
@@ -340,7 +340,7 @@ def explains_better(observations: Observations, one: ResolvedChain, other: Resol
     return costs[0] < costs[1]
 
 
-def _with_merged_contacts(observations: Observations, chain: FlightChain, priors: Priors) -> FlightChain:
+def _with_merged_contacts(observations: WeightedPoses, chain: FlightChain, priors: Priors) -> FlightChain:
     """The chain with indistinguishable contacts merged into one open link: two of which one is open with no inlier between them,
     so that the flight between is unknown; and two that a fit has drawn to one instant."""
     while True:
@@ -356,7 +356,9 @@ def _with_merged_contacts(observations: Observations, chain: FlightChain, priors
         chain = priors.fit(observations, starts, links, chain.errors)
 
 
-def _with_links_at_first_touch(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+def _with_links_at_first_touch(
+    observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors
+) -> FlightChain:
     """The chain with each open link at the instant of the first of its contacts: where the motion before, continued from its last
     inlier, comes down to the table. If it does not before the next flight begins, the link stays where it is."""
     inner = inner_vertices(die.solid, die.corner_radius_m)
@@ -380,7 +382,7 @@ def _with_links_at_first_touch(observations: Observations, chain: FlightChain, d
     return priors.refit(observations, chain, links, chain.errors) if has_moved else chain
 
 
-def _with_vertex_impacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+def _with_vertex_impacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
     """The chain with its joined links as impacts at the low vertex of least cost.
 
     Links with one likely vertex become impacts at once, if that holds; the others one by one. Links that cost more than
@@ -411,7 +413,7 @@ def _with_vertex_impacts(observations: Observations, chain: FlightChain, die: Di
 
 
 def _candidates(
-    observations: Observations, chain: FlightChain, k: int, low: list[VertexImpact], priors: Priors
+    observations: WeightedPoses, chain: FlightChain, k: int, low: list[VertexImpact], priors: Priors
 ) -> list[tuple[float, VertexImpact]]:
     """Of the impacts `low` that link k may be, those not excluded, with their cost to first order."""
     if chain.links[k].is_open:
@@ -422,7 +424,7 @@ def _candidates(
     return [(cost, impact) for cost, impact in costs if cost < MAX_FIRST_ORDER_COST]
 
 
-def _has_known_flights(observations: Observations, chain: FlightChain, k: int) -> bool:
+def _has_known_flights(observations: WeightedPoses, chain: FlightChain, k: int) -> bool:
     """Whether most frames of the flights on either side of a link lie on them. A flight that others have spoilt says nothing
     about its contact."""
     return bool((chain.inlier_share(observations.time_s)[k : k + 2] > KNOWN_FLIGHT_SHARE).all())
@@ -446,7 +448,7 @@ def _lowest(chain: FlightChain, k: int, impacts: list[VertexImpact]) -> list[Ver
     return [impacts[int(i)] for i in np.argsort(heights) if heights[i] - heights.min() < reach]
 
 
-def _error_model_of(observations: Observations, chain: FlightChain) -> ErrorModel:
+def _error_model_of(observations: WeightedPoses, chain: FlightChain) -> ErrorModel:
     """The error model of the frames about the fitted flights."""
     return estimate_error_model(
         observations,
@@ -457,7 +459,7 @@ def _error_model_of(observations: Observations, chain: FlightChain) -> ErrorMode
     )
 
 
-def _without_insignificant_links(observations: Observations, chain: FlightChain, priors: Priors) -> FlightChain:
+def _without_insignificant_links(observations: WeightedPoses, chain: FlightChain, priors: Priors) -> FlightChain:
     """The chain without joined links that explain no more than chance does under the error model: the weakest first."""
     while True:
         trials = []
@@ -481,7 +483,7 @@ def _first_order_gain(chain: FlightChain, k: int) -> float:
     return float(jump @ scaled_inverse(covariance) @ jump)
 
 
-def _without_link(observations: Observations, chain: FlightChain, k: int, priors: Priors) -> FlightChain:
+def _without_link(observations: WeightedPoses, chain: FlightChain, k: int, priors: Priors) -> FlightChain:
     """The chain with the flights before and behind link k as one, initialised from the longer."""
     durations = [flight.end_s - flight.start.time_s for flight in chain.flights[k : k + 2]]
     dropped = k if durations[0] < durations[1] else k + 1
@@ -490,7 +492,7 @@ def _without_link(observations: Observations, chain: FlightChain, k: int, priors
     return priors.fit(observations, starts, links, chain.errors)
 
 
-def _without_spurious_impacts(observations: Observations, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
+def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
     """The chain without open links at which nothing can have struck: the motion before, continued to the first inlier of the next
     flight, stays clear of the table."""
     impacts = _vertex_impacts(die)
@@ -511,13 +513,13 @@ def _without_spurious_impacts(observations: Observations, chain: FlightChain, di
 
 
 def _with_resolved_clusters(
-    observations: Observations, chain: FlightChain, die: Die, priors: Priors
-) -> tuple[Observations, FlightChain]:
+    observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors
+) -> tuple[WeightedPoses, FlightChain]:
     """The frames and the chain, with open links, and links with unexplained frames beside them, resolved into several impacts
     where the model determines these."""
     impacts, errors = _vertex_impacts(die), chain.errors
 
-    def fit(own: Observations, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
+    def fit(own: WeightedPoses, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
         return priors.fit(own, starts, links, errors)
 
     k = len(chain.links) - 1
@@ -533,7 +535,7 @@ def _with_resolved_clusters(
     return observations, chain
 
 
-def _spacing_s(observations: Observations) -> float:
+def _spacing_s(observations: WeightedPoses) -> float:
     """Median time [s] between frames."""
     return float(np.median(np.diff(observations.time_s)))
 

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
 from ...model.throw import State
-from .flights import ErrorModel, Observations, flight_residuals
+from .flights import ErrorModel, WeightedPoses, flight_residuals
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ DETERMINED_SHARE = 3.0
 
 
 def estimate_error_model(
-    observations: Observations, parts: Sequence[slice], states: Sequence[State], shared: Array, weights: Array
+    observations: WeightedPoses, parts: Sequence[slice], states: Sequence[State], shared: Array, weights: Array
 ) -> ErrorModel:
     """The error model of frames (n,) about flights, each given by its rows and its fitted state.
 

@@ -35,7 +35,7 @@ from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
 from .flight_kernels import FrameInformation, ImpactEquations, VertexImpacts
 from .flights import (
     ErrorModel,
-    Observations,
+    WeightedPoses,
     chain_residuals,
     frame_information,
     gradient_covariances,
@@ -171,7 +171,7 @@ class FlightChain:
 
 
 def fit_chain(
-    observations: Observations,
+    observations: WeightedPoses,
     starts: Sequence[State],
     links: Sequence[Link],
     *,
@@ -374,7 +374,7 @@ class _Unknowns:
     """The parameters of a chain: the first state, for each link either (t, Δv, Δω) or a free state, the errors that all frames
     share, and the height of the table if there is an impact on it; with the data that they are fitted to."""
 
-    observations: Observations
+    observations: WeightedPoses
     spacing_s: float
     """Usual time between frames."""
     first: Array
@@ -402,7 +402,7 @@ class _Unknowns:
 
     @staticmethod
     def from_guess(
-        observations: Observations,
+        observations: WeightedPoses,
         starts: list[State],
         links: tuple[Link, ...],
         shared_sigma: Array,

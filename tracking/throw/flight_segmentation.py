@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ..track import Track
-from .flights import Observations, chain_residuals, fit_flights
+from .flights import WeightedPoses, chain_residuals, fit_flights
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]
@@ -92,7 +92,7 @@ def decimation_factor(track: Track, die: Die, rows: Rows | None = None) -> int:
 # --- outliers ----------------------------------------------------------------------------------------------------------
 
 
-def rows_without_outliers(observations: Observations, die: Die) -> Rows:
+def rows_without_outliers(observations: WeightedPoses, die: Die) -> Rows:
     """The rows whose pose is consistent with the motion of their neighbours, where these agree on one."""
     rows = np.arange(len(observations))
     for _ in range(OUTLIER_PASSES):
@@ -106,7 +106,7 @@ def rows_without_outliers(observations: Observations, die: Die) -> Rows:
     return rows
 
 
-def _rough(observations: Observations, rows: Rows, die: Die) -> Rows:
+def _rough(observations: WeightedPoses, rows: Rows, die: Die) -> Rows:
     """Indices into `rows` worth examining: frames off the interpolation of their neighbours, frames beside those, and both
     ends."""
     if len(rows) < 3:
@@ -122,7 +122,7 @@ def _rough(observations: Observations, rows: Rows, die: Die) -> Rows:
     return np.flatnonzero(rough)
 
 
-def _are_outliers(observations: Observations, rows: Rows, candidates: Rows) -> NDArray[np.bool_]:
+def _are_outliers(observations: WeightedPoses, rows: Rows, candidates: Rows) -> NDArray[np.bool_]:
     """(k,) whether each of the rows `rows[candidates]` (k,) lies far off the motion of its neighbours."""
     if len(rows) <= NEIGHBOURS:
         return np.zeros(len(candidates), bool)
@@ -134,7 +134,7 @@ def _are_outliers(observations: Observations, rows: Rows, candidates: Rows) -> N
     return np.asarray((usual < CONSISTENT_SIGMAS) & (residual > np.maximum(OUTLIER_SIGMAS, OUTLIER_RATIO * usual)))
 
 
-def _are_impossible(observations: Observations, rows: Rows, candidates: Rows, die: Die) -> NDArray[np.bool_]:
+def _are_impossible(observations: WeightedPoses, rows: Rows, candidates: Rows, die: Die) -> NDArray[np.bool_]:
     """(k,) whether each of the rows `rows[candidates]` lies so far off the motions before and after that no contact between them
     could have moved it there. At an end of the track one motion suffices. Such frames come a few in a row."""
     begins = candidates[:, None] + np.array([-NEIGHBOURS, 1, 2])
@@ -152,13 +152,13 @@ def _are_impossible(observations: Observations, rows: Rows, candidates: Rows, di
     return np.asarray((far | ~consistent).all(1) & (both | (ends & consistent.any(1))))
 
 
-def _common_motions(observations: Observations, groups: Rows) -> tuple[Array, Array]:
+def _common_motions(observations: WeightedPoses, groups: Rows) -> tuple[Array, Array]:
     """Packed motions (k, 14) of groups (k, NEIGHBOURS) of rows, and the rms residuals (k,) of their frames."""
     states, chi2 = fit_flights(observations, list(groups))
     return states, np.sqrt(chi2 / (6.0 * NEIGHBOURS))
 
 
-def _residuals(observations: Observations, states: Array) -> Array:
+def _residuals(observations: WeightedPoses, states: Array) -> Array:
     """(n, 6) whitened residuals of frames (n,), each from a motion (n, 14) of its own."""
     return chain_residuals(observations, np.arange(len(observations) + 1), states, np.zeros(0))
 
@@ -166,7 +166,7 @@ def _residuals(observations: Observations, states: Array) -> Array:
 # --- change points -----------------------------------------------------------------------------------------------------
 
 
-def segment_flights(observations: Observations, die: Die) -> list[Rows]:
+def segment_flights(observations: WeightedPoses, die: Die) -> list[Rows]:
     """Rows of each flight, in order: the track split wherever a second motion explains it better than one."""
     n = len(observations.time_s)
     window = max(WINDOW, ceil(SHORTEST_WINDOW_S / float(np.median(np.diff(observations.time_s)))))
@@ -180,7 +180,7 @@ def segment_flights(observations: Observations, die: Die) -> list[Rows]:
     return [np.arange(a, b) for a, b in itertools.pairwise(cuts) if b - a >= MIN_FRAMES]
 
 
-def _near_table(observations: Observations, die: Die) -> NDArray[np.bool_]:
+def _near_table(observations: WeightedPoses, die: Die) -> NDArray[np.bool_]:
     """(n + 1,) where a cut before this row is possible: the lowest corner is near the table on an adjacent frame."""
     corners = matrix_from_quat(observations.quaternion) @ die.solid.vertices.T
     heights = corners[:, 2].min(1) + observations.position_m[:, 2]
@@ -193,7 +193,7 @@ def _near_table(observations: Observations, die: Die) -> NDArray[np.bool_]:
     return out
 
 
-def _gains(observations: Observations, cuts: Rows, rows: Rows, window: int) -> Array:
+def _gains(observations: WeightedPoses, cuts: Rows, rows: Rows, window: int) -> Array:
     """(k,) gain of a cut before each of some rows (k,) over none, in squared sigmas for each number that it adds."""
     gains = np.full(len(rows), -np.inf)
     after = np.searchsorted(cuts, rows, side="right")

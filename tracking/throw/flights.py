@@ -75,7 +75,7 @@ class ErrorModel:
 
 
 @dataclass(frozen=True, eq=False)
-class Observations:
+class WeightedPoses:
     """Poses of single frames with their weights, as the fits need them."""
 
     time_s: Array
@@ -92,7 +92,7 @@ class Observations:
     @staticmethod
     def from_poses(
         time_s: Array, position_m: Array, quaternion: Array, covariance: Array, *, unmodelled: float = 1.0
-    ) -> Observations:
+    ) -> WeightedPoses:
         """Poses of frames (n,) with their covariance (n, 6, 6).
 
         `unmodelled` is the factor on UNMODELLED_POSITION_M and UNMODELLED_ROTATION_RAD, whose squares are added. A frame whose
@@ -100,15 +100,15 @@ class Observations:
         most = np.diag([UNMODELLED_POSITION_M**2] * 3 + [UNMODELLED_ROTATION_RAD**2] * 3)
         known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
         C = np.where(known[:, None, None], np.where(known[:, None, None], covariance, 0.0) + unmodelled**2 * most, most)
-        return Observations(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)))
+        return WeightedPoses(time_s, position_m, quaternion, _whiteners(C), np.zeros((len(time_s), 6, 0)))
 
-    def with_bias_jacobian(self, bias_jacobian: Array) -> Observations:
+    def with_bias_jacobian(self, bias_jacobian: Array) -> WeightedPoses:
         """The same frames with errors (n, 6, m) that the clip shares."""
         return replace(self, bias_jacobian=np.ascontiguousarray(bias_jacobian))
 
-    def rows(self, which: NDArray[np.int64] | slice) -> Observations:
+    def rows(self, which: NDArray[np.int64] | slice) -> WeightedPoses:
         """Some of the frames."""
-        return Observations(
+        return WeightedPoses(
             self.time_s[which],
             self.position_m[which],
             self.quaternion[which],
@@ -123,7 +123,7 @@ class Observations:
 # --- a chain of flights ------------------------------------------------------------------------------------------------
 
 
-def chain_residuals(observations: Observations, cuts: NDArray[np.int64], states: Array, shared: Array) -> Array:
+def chain_residuals(observations: WeightedPoses, cuts: NDArray[np.int64], states: Array, shared: Array) -> Array:
     """Whitened residuals (n, 6) of frames from the motions of flights, with the shared errors (m,) subtracted.
 
     Rows cuts[k] to cuts[k + 1] belong to the packed state (14,) `states[k]`."""
@@ -132,7 +132,7 @@ def chain_residuals(observations: Observations, cuts: NDArray[np.int64], states:
     return residuals
 
 
-def frame_information(observations: Observations, share: Array) -> FrameInformation:
+def frame_information(observations: WeightedPoses, share: Array) -> FrameInformation:
     """Information of each frame on its pose and the shared errors. The six whitened numbers count with their `share` (6,)."""
     n, own = len(observations), 6 + observations.bias_jacobian.shape[2]
     information = FrameInformation(np.empty((n, own, own)), np.empty((n, own, 6)))
@@ -141,7 +141,7 @@ def frame_information(observations: Observations, share: Array) -> FrameInformat
 
 
 def normal_equations(
-    observations: Observations,
+    observations: WeightedPoses,
     cuts: NDArray[np.int64],
     states: Array,
     residuals: Array,
@@ -161,7 +161,7 @@ def normal_equations(
 
 
 def gradient_covariances(
-    observations: Observations,
+    observations: WeightedPoses,
     cuts: NDArray[np.int64],
     states: Array,
     weights: Array,
@@ -199,7 +199,7 @@ def propagate_chain(
 # --- single flights ----------------------------------------------------------------------------------------------------
 
 
-def fit_flight(observations: Observations) -> tuple[State, Array, float]:
+def fit_flight(observations: WeightedPoses) -> tuple[State, Array, float]:
     """One flight through at least two frames with independent errors: its state at the middle frame, the covariance (12, 12) of
     that state, and the sum of squared sigmas.
 
@@ -209,7 +209,7 @@ def fit_flight(observations: Observations) -> tuple[State, Array, float]:
     return unpacked(states[0]), inverses[0], float(chi2[0])
 
 
-def fit_flights(observations: Observations, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
+def fit_flights(observations: WeightedPoses, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
     """As `fit_flight` for many groups of rows: packed states (groups, 14) and sums of squared sigmas (groups,)."""
     states, chi2 = np.empty((len(groups), 14)), np.empty(len(groups))
     for k in range(0, len(groups), GROUPS_PER_BATCH):
@@ -221,14 +221,14 @@ def fit_flights(observations: Observations, groups: Sequence[NDArray[np.int64]])
     return states, chi2
 
 
-def _fitted(observations: Observations, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+def _fitted(observations: WeightedPoses, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """States (g, 14), covariances (g, 12, 12) and sums of squares (g,) of groups of frames that lie one after the other."""
     states, inverses, chi2 = np.empty((len(ends) - 1, 14)), np.empty((len(ends) - 1, 12, 12)), np.empty(len(ends) - 1)
     kernels.fit_flights(*_arrays(observations)[:4], ends, states, inverses, chi2)
     return states, inverses, chi2
 
 
-def flight_residuals(observations: Observations, state: State) -> Array:
+def flight_residuals(observations: WeightedPoses, state: State) -> Array:
     """Whitened residuals (n, 6) of frames from one motion."""
     return chain_residuals(
         replace(observations, bias_jacobian=observations.bias_jacobian[:, :, :0]),
@@ -238,7 +238,7 @@ def flight_residuals(observations: Observations, state: State) -> Array:
     )
 
 
-def rms_residuals(observations: Observations, state: State) -> Array:
+def rms_residuals(observations: WeightedPoses, state: State) -> Array:
     """Distance (n,) of frames from a motion, in sigmas (root mean square of six)."""
     return np.asarray(np.sqrt((flight_residuals(observations, state) ** 2).mean(1)))
 
@@ -332,7 +332,7 @@ def _whiteners(C: Array) -> Array:
     return np.ascontiguousarray(root / unit)
 
 
-def _arrays(observations: Observations) -> PoseArrays:
+def _arrays(observations: WeightedPoses) -> PoseArrays:
     """The contiguous arrays that the kernels take."""
     return PoseArrays(
         np.ascontiguousarray(observations.time_s, np.float64),

@@ -31,7 +31,7 @@ from .contacts import (
 )
 from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
 from .flight_segmentation import MIN_FRAMES, decimation_factor, rows_without_outliers, segment_flights
-from .flights import Observations
+from .flights import WeightedPoses
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
 from .shared_bias import CONTOUR_UNDETERMINED_PX, shared_bias_jacobian, shared_bias_sigma, without_shared_bias
 from .smoothing import smooth
@@ -120,7 +120,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     """As `measure_throw`, with what was estimated of all frames."""
     use = _usable_rows(track, die, every)
     bias_jacobian = np.zeros((len(track), 6, 0))
-    observations = observations_of(track, use, UNMODELLED_SHARE)
+    observations = weighted_poses(track, use, UNMODELLED_SHARE)
     prior = sigma = np.zeros(0)
     if camera is not None:
         bias_jacobian = shared_bias_jacobian(track, camera, die)
@@ -130,7 +130,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     stated = (
         observations
         if track.pixel_covariance is None
-        else observations_of(replace(track, pixel_covariance=None), use, UNMODELLED_SHARE)
+        else weighted_poses(replace(track, pixel_covariance=None), use, UNMODELLED_SHARE)
     )
     flying = first_supported_row(stated, die)
     if flying < MIN_FRAMES:
@@ -145,7 +145,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         if camera is not None and determines_table_height(chain):
             supported = track.tracked & (track.time_s >= track.time_s[use[flying]])
             resting = on_table(straight, np.flatnonzero(supported), die, chain.table_m, TABLE_SIGMA_M)
-        poses, last_s = observations_of(resting, use[flying:]), float(observations.time_s[flying - 1])
+        poses, last_s = weighted_poses(resting, use[flying:]), float(observations.time_s[flying - 1])
         flights, impacts = _with_supported_motion(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_shared_covariance(own, track.time_s[use[:flying]], shared_covariance[use[:flying]])
@@ -157,7 +157,7 @@ def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:
     use = np.flatnonzero(track.tracked)[::every]
     if len(use) < MIN_FRAMES:
         raise NoFlightError(f"{_frames(len(use))} tracked: wanted at least three in a row to measure a flight")
-    tracked, use = len(use), use[rows_without_outliers(observations_of(track, use), die)]
+    tracked, use = len(use), use[rows_without_outliers(weighted_poses(track, use), die)]
     if len(use) < MIN_FRAMES:
         raise NoFlightError(
             f"{_frames(tracked)} tracked, and {len(use)} of them move as a die can: wanted at least three in a row to measure "
@@ -171,7 +171,7 @@ def _frames(count: int) -> str:
 
 
 def _flights_and_impacts(
-    track: Track, observations: Observations, use: NDArray[np.int64], flying: int, die: Die, priors: Priors
+    track: Track, observations: WeightedPoses, use: NDArray[np.int64], flying: int, die: Die, priors: Priors
 ) -> tuple[FlightChain, tuple[Impact, ...], int]:
     """The chain of flights through the first `flying` of the rows in use, its impacts, and how many of the rows are in flight:
     fewer if the last impacts turn out to be part of coming to rest."""
@@ -180,7 +180,7 @@ def _flights_and_impacts(
     while True:
         # Segmentation uses fewer frames than the fit, where so many show the motion.
         ahead = slice(0, flying)
-        some = observations_of(track, use[ahead][:: decimation_factor(track, die, use[ahead])])
+        some = weighted_poses(track, use[ahead][:: decimation_factor(track, die, use[ahead])])
         chain = _resolved_chain(some, observations.rows(ahead), die, priors)
         impacts = _impacts(chain, _believed(observations.time_s[ahead], chain), die, limit_s)
         low_row = max(low, MIN_FRAMES)
@@ -191,7 +191,7 @@ def _flights_and_impacts(
         flying = int(np.searchsorted(observations.time_s, impacts[certain].time_s))
 
 
-def _resolved_chain(some: Observations, observations: Observations, die: Die, priors: Priors) -> FlightChain:
+def _resolved_chain(some: WeightedPoses, observations: WeightedPoses, die: Die, priors: Priors) -> FlightChain:
     """The chain of flights through frames, segmented on `some` of them. If it leaves a doubt, it is compared with a chain
     segmented with wider sigmas, and the one that explains the frames better is returned."""
     found = resolve_contacts(observations, join_flights(some, segment_flights(some, die), die), die, priors)
@@ -236,13 +236,13 @@ def determines_table_height(chain: FlightChain) -> bool:
 # --- covariances -------------------------------------------------------------------------------------------------------
 
 
-def observations_of(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0) -> Observations:
+def weighted_poses(track: Track, use: NDArray[np.int64], unmodelled: float = 1.0) -> WeightedPoses:
     """Some rows of a track as the fits need them, with the covariance from the pixels of each frame.
 
     The fits estimate the error model and the shared errors themselves: covariances that contained them hid weak impacts of
-    rounded dice. `unmodelled` is that of `Observations.from_poses`."""
+    rounded dice. `unmodelled` is that of `WeightedPoses.from_poses`."""
     own = track.covariance if track.pixel_covariance is None else track.pixel_covariance
-    return Observations.from_poses(
+    return WeightedPoses.from_poses(
         track.time_s[use], track.position_m[use], track.quaternion[use], own[use], unmodelled=unmodelled
     )
 
@@ -267,7 +267,7 @@ def with_calibrated_covariance(track: Track, die: Die, camera: Camera | None = N
 
 def _with_variance(track: Track, use: NDArray[np.int64], variance: Array) -> Array:
     """Covariances (n, 6, 6) of poses whose whitened errors have these variances (6,)."""
-    root = np.linalg.inv(observations_of(track, use, UNMODELLED_SHARE).whitener)
+    root = np.linalg.inv(weighted_poses(track, use, UNMODELLED_SHARE).whitener)
     return np.asarray((root * variance) @ np.swapaxes(root, 1, 2))
 
 
@@ -352,7 +352,7 @@ def _plus_constant_error(flight: Flight, covariance: Array) -> Flight:
 
 
 def _with_supported_motion(
-    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], observations: Observations, last_s: float, die: Die
+    flights: tuple[Flight, ...], impacts: tuple[Impact, ...], observations: WeightedPoses, last_s: float, die: Die
 ) -> tuple[tuple[Flight, ...], tuple[Impact, ...]]:
     """Flights and impacts with the end during which the table supports the die, from midway between the last frame in flight and
     the next."""

@@ -27,7 +27,7 @@ from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
 from ..track import LOST, Track
 from .flight_segmentation import TABLE_REACH
-from .flights import Observations
+from .flights import WeightedPoses
 
 Array = NDArray[np.float64]
 
@@ -112,7 +112,7 @@ class SupportedMotion(Flight):
 # --- where the flights end ---------------------------------------------------------------------------------------------
 
 
-def first_low_row(observations: Observations, die: Die) -> int:
+def first_low_row(observations: WeightedPoses, die: Die) -> int:
     """The first of the last rows over which the die stays near the table (LOW_SHARE); the number of rows if it does not."""
     deviation = _deviation_from_level(observations, die)
     if deviation is None:
@@ -120,7 +120,7 @@ def first_low_row(observations: Observations, die: Die) -> int:
     return _first_of_last_rows(deviation < LOW_SHARE * die.solid.edge_m)
 
 
-def first_supported_row(observations: Observations, die: Die) -> int:
+def first_supported_row(observations: WeightedPoses, die: Die) -> int:
     """The first of the last rows over which the table supports the die; the number of rows if it flies to the end."""
     n, deviation = len(observations), _deviation_from_level(observations, die)
     if deviation is None:
@@ -134,7 +134,7 @@ def first_supported_row(observations: Observations, die: Die) -> int:
     return min(first + FRAMES_LEFT_TO_FLIGHT, n)
 
 
-def _first_level_row(observations: Observations, deviation: Array, die: Die) -> int:
+def _first_level_row(observations: WeightedPoses, deviation: Array, die: Die) -> int:
     """The first of the last rows over which the lowest point stays at its height for longer than a hop, and the centre does not
     fall freely; the number of rows if there are none."""
     n = len(observations)
@@ -149,7 +149,7 @@ def _first_level_row(observations: Observations, deviation: Array, die: Die) -> 
     return first
 
 
-def _deviation_from_level(observations: Observations, die: Die) -> Array | None:
+def _deviation_from_level(observations: WeightedPoses, die: Die) -> Array | None:
     """(n,) [m] distance of the lowest point, by a running median, from its height at the end; None if that is not the table's."""
     if len(observations) < MIN_LEVEL_FRAMES:
         return None
@@ -167,7 +167,7 @@ def _first_of_last_rows(holds: NDArray[np.bool_]) -> int:
     return int(off[-1]) + 1 if len(off) else 0
 
 
-def _row_behind_flights(observations: Observations, first: int, die: Die) -> int | None:
+def _row_behind_flights(observations: WeightedPoses, first: int, die: Die) -> int | None:
     """The row behind the flights that follow from row `first`, itself if the die does not fly there; None if the frames, or too
     few behind the flights, do not decide.
 
@@ -190,7 +190,7 @@ def _row_behind_flights(observations: Observations, first: int, die: Die) -> int
     return None
 
 
-def _accelerations(observations: Observations, window: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
+def _accelerations(observations: WeightedPoses, window: int, die: Die) -> tuple[NDArray[np.int64], Array, Array]:
     """Test of windows of `window` frames for free motion: the first row (w,) of each, the chi-square (w,) of fall and angular
     acceleration from free motion, and the least chi-square (w,) if the table supported the die.
 
@@ -232,7 +232,7 @@ def _least_support_chi2(C: Array, die: Die) -> Array:
     return np.asarray(((share * GRAVITY_M_S2) ** 2 / C[:, :1, 0] + angular**2 / largest_variance).min(1))
 
 
-def _is_supported(observations: Observations, rows: slice) -> bool:
+def _is_supported(observations: WeightedPoses, rows: slice) -> bool:
     """Whether the centre clearly does not fall freely over these frames, but much more slowly."""
     t, z = observations.time_s[rows] - observations.time_s[rows].mean(), observations.position_m[rows, 2]
     basis = np.stack([np.ones_like(t), t, 0.5 * t * t], axis=1)

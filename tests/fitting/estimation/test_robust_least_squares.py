@@ -14,7 +14,7 @@ from diethrow.fitting.estimation.least_squares import (
     levenberg_marquardt,
     triangular_factor,
 )
-from diethrow.fitting.estimation.observations import observations_of, whiteners
+from diethrow.fitting.estimation.observations import flight_observations, whiteners
 from diethrow.model.die.die import make_die
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -23,7 +23,7 @@ CUBE = make_die("cube", 0.016, 0.0048)
 def test_frames_within_half_an_interval_of_an_impact_are_left_out() -> None:
     rng = np.random.default_rng(1)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=2)
-    observations = observations_of(seen(throw, rng), throw)
+    observations = flight_observations(seen(throw, rng), throw)
     for impact in throw.impacts:
         assert np.abs(observations.time_s - impact.time_s).min() >= 0.5 / 1500.0
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import observations_of
+from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.impulses import Bounce, apparent_restitution, common_restitution, fieller, measure_bounces
 from diethrow.model.die.die import make_die
@@ -130,7 +130,7 @@ def test_a_ratio_measured_by_tracking_is_kept() -> None:
     rough = roughly_measured(throw, rng)
     with_interval = replace(rough.impacts[0], chi=0.61, chi_low=0.58, chi_high=0.64)
     without_interval = replace(rough.impacts[0], chi=0.61, chi_low=np.nan, chi_high=np.nan)
-    free = fit_flights(observations_of(seen(throw, rng), rough), rough)
+    free = fit_flights(flight_observations(seen(throw, rng), rough), rough)
     kept, own = (measure_bounces(CUBE, free, [impact])[0] for impact in (with_interval, without_interval))
     assert kept is not None
     assert own is not None

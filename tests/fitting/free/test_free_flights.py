@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from throws import random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import observations_of
+from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, rotation_between
@@ -50,7 +50,7 @@ def test_free_flights_measure_the_variance_of_the_frames() -> None:
     rng = np.random.default_rng(1)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.58, impacts=2)
     track, measured = seen(throw, rng, stated=0.5), roughly_measured(throw, rng)
-    free = fit_flights(observations_of(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured)
     # From the medians of some 100 frames: the variance is known to 15 %.
     assert free.variance == pytest.approx(4.0, rel=0.3)
     assert free.outliers == 0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen
 
-from diethrow.fitting.estimation.observations import observations_of
+from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.oscillating_table import TABLE_MOTION, table_motion_candidates
 from diethrow.fitting.throw.throw_fit import fit_throw
@@ -62,11 +62,12 @@ def test_a_motion_stated_by_the_scene_needs_no_parameter() -> None:
 def test_bounces_on_a_table_at_rest_show_no_motion(seed: int) -> None:
     track, measured = thrown_on(LEVEL, seed)
     assert (
-        table_motion_candidates(CUBE, fit_flights(observations_of(track, measured), measured), measured.impacts) == []
+        table_motion_candidates(CUBE, fit_flights(flight_observations(track, measured), measured), measured.impacts)
+        == []
     )
 
 
 def test_three_bounces_are_too_few_to_detect_a_motion() -> None:
     track, measured = thrown_on(SHAKEN, 5)
-    free = fit_flights(observations_of(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured)
     assert table_motion_candidates(CUBE, free, measured.impacts[:3]) == []

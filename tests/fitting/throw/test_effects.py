@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from throws import FPS, random_release, roughly_measured, seen, true_throw
 
-from diethrow.fitting.estimation.observations import observations_of
+from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.loaded_die import CENTRE_OF_MASS, mass_offset_from_flights
 from diethrow.fitting.results import Fit
@@ -141,7 +141,7 @@ def test_a_loaded_die_is_detected_with_its_centre_of_mass(seed: int) -> None:
 def test_free_flights_alone_determine_a_centre_of_mass() -> None:
     centre = np.array([1.2e-4, -0.8e-4, 1.4e-4])
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    offset = mass_offset_from_flights(fit_flights(observations_of(track, measured), measured))
+    offset = mass_offset_from_flights(fit_flights(flight_observations(track, measured), measured))
     assert offset is not None
     error = offset.centre_of_mass_m - centre
     # χ² with three degrees of freedom exceeds 21 in one of ten thousand cases.
@@ -155,7 +155,7 @@ def test_a_wrongly_tracked_flight_is_not_taken_for_a_loaded_die() -> None:
     shift = matrix_from_quat(fair.quaternion) @ np.array([2e-4, -1e-4, 3e-4])
     second = measured.flights_at(fair.time_s) == 1
     bent = replace(fair, position_m=fair.position_m - np.where(second[:, None], shift, 0.0))
-    offset = mass_offset_from_flights(fit_flights(observations_of(bent, measured), measured))
+    offset = mass_offset_from_flights(fit_flights(flight_observations(bent, measured), measured))
     assert offset is not None
     assert offset.consistency < 0.5
     assert "loaded die" not in fit_throw(bent, measured, CUBE).chosen
@@ -163,7 +163,7 @@ def test_a_wrongly_tracked_flight_is_not_taken_for_a_loaded_die() -> None:
 
 def test_flights_too_short_to_turn_do_not_determine_a_centre_of_mass() -> None:
     track, measured = loaded((1.2e-4, -0.8e-4, 1.4e-4), 3)
-    two = observations_of(track, measured).where(np.arange(2))
+    two = flight_observations(track, measured).where(np.arange(2))
     assert mass_offset_from_flights(fit_flights(two, measured)) is None
 
 

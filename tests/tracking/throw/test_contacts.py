@@ -40,7 +40,7 @@ from diethrow.tracking.throw.flight_chain import (
 from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.throw.flights import (
     ErrorModel,
-    Observations,
+    WeightedPoses,
     packed,
     perturbed,
     propagate_chain,
@@ -67,8 +67,8 @@ TETRA = make_die("tetrahedron", 0.022, 0.0015)
 OCTA = make_die("octahedron", 0.016, 0.003)
 
 
-def observations_of(track: Track) -> Observations:
-    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
+def weighted_poses(track: Track) -> WeightedPoses:
+    return WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:
@@ -83,7 +83,7 @@ def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Thr
 
 def chain_at(throw: Throw, track: Track, impact: VertexImpact | None) -> FlightChain:
     return fit_chain(
-        observations_of(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, impact=impact)]
+        weighted_poses(track), [f.start for f in throw.flights], [Link(throw.impacts[0].time_s, impact=impact)]
     )
 
 
@@ -107,10 +107,10 @@ def test_the_first_order_cost_of_a_vertex_impact_is_that_of_its_fit(die: Die) ->
     throw, track = bounced(die, LAWS["friction"], 3, 40)
     starts, t = [f.start for f in throw.flights], throw.impacts[0].time_s
     white = ErrorModel.white()
-    free = fit_chain(observations_of(track), starts, [Link(t)], errors=white)
+    free = fit_chain(weighted_poses(track), starts, [Link(t)], errors=white)
     vertex = throw.impacts[0].vertices[0]
     for v in range(8):
-        fitted = fit_chain(observations_of(track), starts, [Link(t, impact=impact_at(die, v))], errors=white)
+        fitted = fit_chain(weighted_poses(track), starts, [Link(t, impact=impact_at(die, v))], errors=white)
         first_order = vertex_impact_cost(free, 0, impact_at(die, v), TABLE_SIGMA_M)
         found = fitted.cost - free.cost
         if v == vertex:
@@ -354,7 +354,7 @@ def test_a_die_that_tips_over_an_edge_does_not_fly() -> None:
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal((len(t), 6)))
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
     assert (
-        first_supported_row(Observations.from_poses(t, *poses, covariance, unmodelled=0.0), CUBE)
+        first_supported_row(WeightedPoses.from_poses(t, *poses, covariance, unmodelled=0.0), CUBE)
         == FRAMES_LEFT_TO_FLIGHT
     )
 
@@ -399,7 +399,7 @@ def test_a_die_in_flight_is_not_at_rest_even_where_it_passes_low(seed: int) -> N
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=3, frames_after=40)
     track = seen(throw, rng)
     assert first_supported_row(
-        Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE
+        WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance), CUBE
     ) == len(track)
     assert flights_only(throw) is throw
     assert frames_in_flight(track, replace_end(throw)) is track
@@ -420,7 +420,7 @@ def test_a_die_in_flight_is_not_at_rest_although_errors_on_a_very_fast_film_are_
     whole = rng.standard_normal((len(time_s), 6)) + slow
     errors = np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), whole)
     poses = position + errors[:, :3], quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternion)
-    observations = Observations.from_poses(time_s, *poses, covariance, unmodelled=0.0)
+    observations = WeightedPoses.from_poses(time_s, *poses, covariance, unmodelled=0.0)
     assert first_supported_row(observations, CUBE) == len(time_s)
 
 
@@ -468,7 +468,7 @@ def test_contacts_without_a_frame_between_are_one(second_is_open: bool) -> None:
     behind = Flight(perturbed(whole.flights[1].at(t), aside), whole.flights[1].end_s)
     throw = Throw((whole.flights[0], behind), whole.impacts)
     track = seen(throw, np.random.default_rng(3))
-    poses = observations_of(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
+    poses = weighted_poses(track).rows(np.flatnonzero(np.abs(track.time_s - t) > 2.0 / FPS))
     links = [Link(t - 1.0 / FPS, is_open=True), Link(t + 1.0 / FPS, is_open=second_is_open)]
     chain = fit_chain(poses, [throw.flights[0].start, behind.start, behind.start], links)
     resolved = resolve_contacts(poses, chain, CUBE, Priors(np.zeros(0), TABLE_SIGMA_M)).chain
@@ -496,7 +496,7 @@ def chains_of(throw: Throw, track: Track) -> dict[str, FlightChain]:
             [links[0], Link(middle_s, is_open=True), links[1]],
         ),
     }
-    return {name: fit_chain(observations_of(track), *guess) for name, guess in some.items()}
+    return {name: fit_chain(weighted_poses(track), *guess) for name, guess in some.items()}
 
 
 @pytest.mark.parametrize("seed", [2, 4, 7])
@@ -504,7 +504,7 @@ def test_the_true_impacts_explain_the_frames_best(seed: int) -> None:
     rng = np.random.default_rng(seed)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
     track = seen(throw, rng)
-    poses, priors = observations_of(track), Priors(np.zeros(0), TABLE_SIGMA_M)
+    poses, priors = weighted_poses(track), Priors(np.zeros(0), TABLE_SIGMA_M)
     chains = {name: ResolvedChain(poses, chain, priors) for name, chain in chains_of(throw, track).items()}
     for name, other in chains.items():
         assert not explains_better(poses, other, chains["true"])
@@ -517,7 +517,7 @@ def test_a_wrong_table_height_excludes_no_impact() -> None:
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2, frames_after=30)
     track = seen(throw, rng)
     lifted = replace(track, position_m=track.position_m + np.array([0.0, 0.0, 0.002]))
-    poses = observations_of(lifted)
+    poses = weighted_poses(lifted)
     narrow, wide = (Priors(np.zeros(0), sigma_m) for sigma_m in (TABLE_SIGMA_M, UNKNOWN_TABLE_M))
     starts = [flight.start for flight in throw.flights]
     impacts = [Link(impact.time_s, impact=impact_at(CUBE, impact.vertices[0])) for impact in throw.impacts]
@@ -533,7 +533,7 @@ def test_a_wrong_first_segmentation_is_repeated_with_wider_sigmas(monkeypatch: p
     track = seen(throw, rng)
     plain, segmentations = measure_throw(track, CUBE), []
 
-    def wrong_at_first(some: Observations, die: Die) -> list[NDArray[np.int64]]:
+    def wrong_at_first(some: WeightedPoses, die: Die) -> list[NDArray[np.int64]]:
         segmentations.append(segment_flights(some, die))
         return segmentations[-1] if len(segmentations) > 1 else [np.arange(len(some))]
 
@@ -566,7 +566,7 @@ def test_a_flight_without_frames_stays_where_it_is() -> None:
     inside = track.time_s[np.searchsorted(track.time_s, t)]
     links = [Link(t), Link(0.5 * (t + inside))]
     third = perturbed(throw.flights[1].start, np.zeros(12))
-    chain = fit_chain(observations_of(track), [throw.flights[0].start, throw.flights[1].start, third], links)
+    chain = fit_chain(weighted_poses(track), [throw.flights[0].start, throw.flights[1].start, third], links)
     assert np.isfinite(chain.joint_covariance).all()
     assert all(np.isfinite(flight.covariance).all() for flight in chain.flights if flight.covariance is not None)
     assert np.median(chain.residual) < 2.0

@@ -17,7 +17,7 @@ from diethrow.tracking.check.gravity import fall_notices, measure_fall
 from diethrow.tracking.throw.error_model import estimate_error_model
 from diethrow.tracking.throw.flights import (
     ErrorModel,
-    Observations,
+    WeightedPoses,
     chain_residuals,
     fit_flight,
     flight_residuals,
@@ -57,13 +57,13 @@ def with_slow_errors(rng: np.random.Generator, variance_ratio: float, frames: fl
 
 
 def error_model_of(track: Track) -> ErrorModel:
-    observations = observations_of(track)
+    observations = weighted_poses(track)
     state, _, _ = fit_flight(observations)
     return estimate_error_model(observations, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
 
 
-def observations_of(track: Track) -> Observations:
-    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
+def weighted_poses(track: Track) -> WeightedPoses:
+    return WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
@@ -113,7 +113,7 @@ def test_a_flight_of_few_frames_leaves_errors_as_stated() -> None:
 
 def test_the_gradient_covariance_for_white_errors_is_the_normal_matrix() -> None:
     rng = np.random.default_rng(5)
-    observations = observations_of(seen(one_flight(rng), rng))
+    observations = weighted_poses(seen(one_flight(rng), rng))
     state, _, _ = fit_flight(observations)
     ones, share = np.ones(len(observations)), np.full(6, 0.25)
     cuts, states = np.array([0, len(observations)]), packed(state)[None]
@@ -129,7 +129,7 @@ def test_the_gradient_covariance_for_white_errors_is_the_normal_matrix() -> None
 
 def test_the_gradient_covariance_for_slow_errors_is_that_of_the_full_covariance() -> None:
     rng = np.random.default_rng(6)
-    observations = observations_of(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
+    observations = weighted_poses(seen(one_flight(rng, 40), rng)).rows(np.delete(np.arange(40), [7, 8, 21]))
     state, _, _ = fit_flight(observations)
     n = len(observations)
     errors = ErrorModel(np.linspace(0.5, 1.5, 6), np.linspace(0.0, 5.0, 6), np.linspace(1.0, 9.0, 6) / FPS)

@@ -17,7 +17,7 @@ from diethrow.tracking.throw.flight_chain import FlightChain, Link, fit_chain
 from diethrow.tracking.throw.flights import (
     UNMODELLED_POSITION_M,
     UNMODELLED_ROTATION_RAD,
-    Observations,
+    WeightedPoses,
     fit_flight,
     left_jacobians,
     perturbed,
@@ -90,8 +90,8 @@ def test_the_left_jacobian_takes_a_change_of_the_vector_to_a_rotation(angle: flo
     np.testing.assert_allclose(left_jacobians(v[None])[0] @ change, rotation_between(behind, ahead) / 2.0, atol=1e-15)
 
 
-def observations_of(track: Track) -> Observations:
-    return Observations.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
+def weighted_poses(track: Track) -> WeightedPoses:
+    return WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance)
 
 
 def with_unmodelled_errors(track: Track, rng: np.random.Generator) -> Track:
@@ -107,7 +107,7 @@ def chain_through(throw: Throw, track: Track, rng: np.random.Generator) -> Fligh
     rough = 0.03 * np.eye(12)[6:9].sum(0) + 2.0 * np.eye(12)[9:12].sum(0)
     starts = [perturbed(flight.start, rough * rng.normal(size=12)) for flight in throw.flights]
     links = [impact.time_s + rng.uniform(-0.2, 0.2) / FPS for impact in throw.impacts]
-    return fit_chain(observations_of(track), starts, [Link(t) for t in links])
+    return fit_chain(weighted_poses(track), starts, [Link(t) for t in links])
 
 
 def test_a_chain_without_noise_is_found_exactly() -> None:
@@ -156,7 +156,7 @@ def test_the_covariance_of_a_single_flight_is_true(spin_rad_s: float) -> None:
     for seed in range(60):
         rng = np.random.default_rng(seed)
         throw = true_throw(CUBE, random_release(CUBE, rng, spin_rad_s=spin_rad_s), 0.6, impacts=0)
-        state, covariance, _ = fit_flight(observations_of(with_unmodelled_errors(seen(throw, rng), rng)))
+        state, covariance, _ = fit_flight(weighted_poses(with_unmodelled_errors(seen(throw, rng), rng)))
         errors = initial_errors(state, throw.at(state.time_s))
         unit = 1.0 / np.sqrt(np.diag(covariance))
         nees.append(errors * unit @ np.linalg.solve(covariance * np.outer(unit, unit), errors * unit))
@@ -170,7 +170,7 @@ def test_a_flight_of_many_turns_is_fitted() -> None:
     start = State(0.0, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3), spin)
     p, q = Flight(start, np.inf).poses(times)
     covariance = np.tile(np.diag([1e-10] * 3 + [1e-6] * 3), (60, 1, 1))
-    state, _, chi2 = fit_flight(Observations.from_poses(times, p, q, covariance))
+    state, _, chi2 = fit_flight(WeightedPoses.from_poses(times, p, q, covariance))
     # Four and a half turns in forty milliseconds; without noise only rounding remains.
     np.testing.assert_allclose(state.omega_rad_s, spin, rtol=1e-9)
     assert chi2 < 1e-9
@@ -204,9 +204,9 @@ def test_a_short_flight_whose_guess_is_far_off_is_found_beside_a_long_one(seed: 
     # Half a metre a second and 60 rad/s: the last frames are 4 mm and half a radian away, hundreds of sigmas.
     aside = np.array([0, 0, 0, 0, 0, 0, 0.5, -0.3, 0.4, 60.0, -40.0, 30.0], float)
     far = fit_chain(
-        observations_of(track), [throw.flights[0].start, perturbed(throw.flights[1].at(t), aside)], [Link(t)]
+        weighted_poses(track), [throw.flights[0].start, perturbed(throw.flights[1].at(t), aside)], [Link(t)]
     )
-    near = fit_chain(observations_of(track), [f.start for f in throw.flights], [Link(t)])
+    near = fit_chain(weighted_poses(track), [f.start for f in throw.flights], [Link(t)])
     assert far.weights[track.time_s > t].min() > 0.0
     assert far.link_times_s[0] == pytest.approx(near.link_times_s[0], abs=0.05 * float(near.sigma_time_s[0]))
 
@@ -220,7 +220,7 @@ def test_states_that_do_not_meet_stay_apart_at_an_open_link() -> None:
     aside[:6] = [0.002, 0.0, 0.001, 0.1, 0.05, 0.0]
     apart = Throw((throw.flights[0], Flight(perturbed(after.start, aside), after.end_s)), throw.impacts)
     track = seen(apart, rng, noise=1e-9)
-    chain = fit_chain(observations_of(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
+    chain = fit_chain(weighted_poses(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
     np.testing.assert_allclose(initial_errors(chain.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(chain.sigma_time_s[0])
     assert np.isnan(chain.joint_covariance[0]).all()

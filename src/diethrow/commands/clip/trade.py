@@ -38,7 +38,7 @@ from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Stopwatch, unchanged_inputs, write_provenance
 from ...files.scene import Scene
-from ...fitting.estimation import observations_of, whiteners
+from ...fitting.estimation import flight_observations, whiteners
 from ...fitting.free import common_restitution, fit_flights, measure_bounces
 from ...fitting.results import Fit, Parameter
 from ...fitting.throw import INTERVAL_LEVEL, IntervalMethod, fit_throw
@@ -372,7 +372,7 @@ def _by_throw(method: IntervalMethod) -> Callable[[Track, Throw, Die], Parameter
 
 def _by_bounces(track: Track, measured: Throw, die: Die) -> Parameter | None:
     """χ from the normal velocities at each bounce, without an impact law."""
-    free = fit_flights(observations_of(track, measured), measured)
+    free = fit_flights(flight_observations(track, measured), measured)
     common = common_restitution(measure_bounces(die, free, measured.impacts), level=INTERVAL_LEVEL)
     if common is None:
         return None
