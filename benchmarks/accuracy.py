@@ -42,7 +42,7 @@ from numpy.typing import NDArray
 from diethrow.analysis import Analysis
 from diethrow.commands.clip.analyze import analyze
 from diethrow.files.scene import Scene, read_scene
-from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotvec_from_quat
+from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_matrix, rotvec_from_quat
 from diethrow.model.throw.motion import Impact
 from diethrow.tracking.track import Track
 
@@ -174,7 +174,7 @@ def body_turn(track: Track, truth: Truth, true_row: NDArray[np.int64], scene: Sc
         raise ValueError("no frame that shows the whole die has a pose")
     found, true = matrix_from_quat(track.quaternion[both]), truth.rotation[true_row[both]]
     turns = rotations_onto(truth.vertices_m, scene.die.solid.vertices)
-    return min(turns, key=lambda turn: float(np.median(angles_rad(found @ turn, true))))
+    return min(turns, key=lambda turn: float(np.median(angle_between(found @ turn, true))))
 
 
 def rotations_onto(corners: Array, others: Array) -> list[Array]:
@@ -200,11 +200,6 @@ def pair_axes(u: Array, v: Array) -> Array:
     x, z = u / np.linalg.norm(u), np.cross(u, v)
     z = z / np.linalg.norm(z)
     return np.column_stack([x, np.cross(z, x), z])
-
-
-def angles_rad(found: Array, true: Array) -> Array:
-    """(n,) geodesic angles between rotations (n, 3, 3)."""
-    return np.asarray(np.linalg.norm(turn_errors(found, true), axis=1))
 
 
 def turn_errors(found: Array, true: Array) -> Array:

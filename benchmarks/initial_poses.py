@@ -28,13 +28,14 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from accuracy import WRONG_DEG, WRONG_M, Truth, angles_rad, read_truth, rotations_onto, truth_folder
+from accuracy import WRONG_DEG, WRONG_M, Truth, read_truth, rotations_onto, truth_folder
 from numpy.typing import NDArray
 from tracker import print_rows
 
 from diethrow.analysis import RunError
 from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
+from diethrow.model.rotations import angle_between
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
@@ -168,7 +169,7 @@ class Judge:
         """Whether a pose is that of row k of the clip, up to the labelling of the die."""
         row = self.row[k]
         moved = self.camera.rotation @ (position_m - self.truth.position_m[row])
-        turned = angles_rad(rotation @ np.array(self.symmetries), self.truth.rotation[row][None])
+        turned = angle_between(rotation @ np.array(self.symmetries), self.truth.rotation[row][None])
         across, along = float(np.hypot(*moved[:2])), abs(float(moved[2]))
         return bool(np.degrees(turned.min()) < WRONG_DEG and across < WRONG_M and along < self.edge_m)
 

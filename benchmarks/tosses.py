@@ -40,7 +40,7 @@ from diethrow.fitting.throw.physics import CENTRE_OF_MASS, Physics
 from diethrow.model import engine
 from diethrow.model.die.die import Die
 from diethrow.model.laws import LEVEL
-from diethrow.model.rotations import rotation_between
+from diethrow.model.rotations import angle_between
 from diethrow.model.throw.body import body_of
 from diethrow.model.throw.motion import Flight, State
 from diethrow.model.throw.touch import Touch, impulse_N_s
@@ -167,7 +167,7 @@ def is_single_corner(impact: FirstImpact, physics: Physics) -> bool:
     after = impact.after.fair_state
     positions, quaternions = Flight(after, after.time_s).poses([state.time_s])
     off = float(np.linalg.norm(positions[0] - state.position_m))
-    turned = float(np.linalg.norm(rotation_between(quaternions, state.quaternion[None])))
+    turned = float(angle_between(quaternions[0], state.quaternion))
     return clearance_m > CLEAR_M and off < SAME_PLACE_M and turned < SAME_TURN_RAD
 
 
@@ -255,7 +255,7 @@ def errors_by_time(entries: Sequence[Entry], fits: Sequence[Physics]) -> None:
     for k, entry in enumerate(entries):
         poses = predicted_poses(entry, fits[k % len(fits)])
         off = poses[0] - entry.track.position_m[entry.rows]
-        turned = np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1)
+        turned = angle_between(poses[1], entry.track.quaternion[entry.rows])
         travel = entry.track.position_m[entry.rows[-1], :2] - entry.release.state.position_m[:2]
         along = off[:, :2] @ (travel / np.linalg.norm(travel))
         since = entry.times_s - entry.times_s[0]
@@ -274,7 +274,7 @@ def error_of(entry: Entry, die: Die, poses: tuple[Array, Array]) -> Array:
     """(4,) mean position error [% of the edge] and rotation error [deg] after the bounce; the same over all frames."""
     edge = float(np.linalg.norm(np.diff(die.solid.vertices[die.solid.edges[0]], axis=0)))
     off = 100.0 * np.linalg.norm(poses[0] - entry.track.position_m[entry.rows], axis=1) / edge
-    turned = np.degrees(np.linalg.norm(rotation_between(poses[1], entry.track.quaternion[entry.rows]), axis=1))
+    turned = np.degrees(angle_between(poses[1], entry.track.quaternion[entry.rows]))
     part = len(entry.rows) / (len(entry.rows) + len(entry.release.rows))
     return np.array([off.mean(), turned.mean(), part * off.mean(), part * turned.mean()])
 

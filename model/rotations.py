@@ -70,6 +70,19 @@ def rotation_between(start: ArrayLike, end: ArrayLike) -> Array:
     return rotvec_from_quat(quat_multiply(end, quat_conjugate(start)))
 
 
+def angle_between(start: ArrayLike, end: ArrayLike) -> Array:
+    """Angles (...) [rad], 0 to pi, between rotations: quaternions (..., 4), or matrices (..., 3, 3), of which some may be NaN.
+
+    The angle of matrices follows from its sine and cosine. The cosine alone has half the digits near 0 and pi.
+    """
+    a, b = np.asarray(start, float), np.asarray(end, float)
+    if a.shape[-1] == 4:
+        return np.asarray(np.linalg.norm(rotation_between(a, b), axis=-1))
+    R = b @ np.swapaxes(a, -1, -2)
+    axis = np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
+    return np.asarray(np.arctan2(np.linalg.norm(axis, axis=-1), np.trace(R, axis1=-2, axis2=-1) - 1.0))
+
+
 def cross_matrix(vectors: Array) -> Array:
     """Matrices [v]× (..., 3, 3) of vectors v (..., 3): [v]× w = v × w."""
     x, y, z = np.moveaxis(vectors, -1, 0)

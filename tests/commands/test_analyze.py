@@ -16,7 +16,7 @@ from diethrow.cli.app import app
 from diethrow.files.fit_records import read_fit
 from diethrow.files.scene import read_scene
 from diethrow.files.throw_records import read_bounces, read_simulated, read_track, read_vertices
-from diethrow.model.rotations import matrix_from_quat
+from diethrow.model.rotations import angle_between, matrix_from_quat
 from diethrow.tracking.track import ABSENT, LOST, TRACKED
 
 ROOT = Path(__file__).parents[2]
@@ -122,10 +122,7 @@ def test_the_poses_are_the_true_ones(folder: Path, truth: dict[str, Array]) -> N
     # Across the line of sight; along it one camera sees several times worse.
     assert np.median(np.linalg.norm(error[:, :2], axis=1)) < 0.02e-3
     measured = matrix_from_quat(track.quaternion[both])
-    angles = [
-        np.arccos(np.clip((np.einsum("kij,kij->k", measured @ turn, rotations[both]) - 1) / 2, -1, 1))
-        for turn in cube_rotations()
-    ]
+    angles = [angle_between(measured @ turn, rotations[both]) for turn in cube_rotations()]
     best = np.rad2deg(min(angles, key=np.median))
     assert np.median(best) < 0.1
     assert np.percentile(best, 95) < 0.5

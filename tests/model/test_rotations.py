@@ -5,6 +5,7 @@ import pytest
 from random_throws import random_quaternion
 
 from diethrow.model.rotations import (
+    angle_between,
     continuous_sign,
     cross_matrix,
     euler_from_quat,
@@ -63,6 +64,19 @@ def test_rotation_between_takes_the_start_to_the_end_in_world_axes(angle):
     turn = angle * np.array([0.0, 0.6, 0.8])
     end = quat_multiply(quat_from_rotvec(turn), start)
     np.testing.assert_allclose(rotation_between(start, end), turn, atol=1e-15 * 8)
+
+
+@pytest.mark.parametrize("angle", [*ANGLES_RAD, np.pi - 1e-9])
+def test_the_angle_between_rotations_is_exact_to_rounding_near_zero_and_pi(angle):
+    start = some_quaternions(1)[0]
+    end = quat_multiply(quat_from_rotvec(angle * np.array([0.0, 0.6, 0.8])), start)
+    assert angle_between(start, end) == pytest.approx(angle, abs=1e-15)
+    assert angle_between(matrix_from_quat(start), matrix_from_quat(end)) == pytest.approx(angle, abs=1e-15)
+
+
+def test_the_angle_to_an_unknown_rotation_is_nan():
+    some = np.stack([np.eye(3), np.full((3, 3), np.nan)])
+    np.testing.assert_array_equal(angle_between(some, np.eye(3)), [0.0, np.nan])
 
 
 def test_euler_angles_are_turns_about_z_then_x_then_z_of_the_turned_body():

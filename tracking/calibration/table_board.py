@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.rotations import angle_between
 from ..camera import Camera
 from .boards import Board
 from .intrinsics import Calibration, PosedBoard
@@ -68,7 +69,7 @@ def table_pose(calibration: Calibration, board: Board, name: str, thickness_m: f
         )
     poses = _planar_poses(calibration, posed)
     (R, t, squares), others = poses[0], poses[1:]
-    other = next((pose for pose in others if _angle(pose[0], R) > SAME_POSE_RAD), None)
+    other = next((pose for pose in others if angle_between(pose[0], R) > SAME_POSE_RAD), None)
     if other is not None:
         _check_distinguished(calibration, name, squares, other)
     camera = _camera(calibration, board, R, t, thickness_m)
@@ -138,7 +139,3 @@ def _covariance_at_world_origin(covariance: Array, camera: Camera, t: Array) -> 
     M = np.eye(6)
     M[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return np.asarray(M @ covariance @ M.T)
-
-
-def _angle(a: Array, b: Array) -> float:
-    return float(np.arccos(np.clip(0.5 * (np.trace(a @ b.T) - 1.0), -1.0, 1.0)))

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, nearest_equivalent_rotation
-from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix, quat_from_rotvec
 from ...model.throw import Flight, State
 from ..footage import FrameSource
 from ..picture import (
@@ -300,7 +300,7 @@ class FrameTracker:
         shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
         reach = self.view.reach_m
         distance = float(np.linalg.norm(pose.position_m - expected.position_m))
-        angle = _angle(pose.rotation, expected.rotation)
+        angle = angle_between(pose.rotation, expected.rotation)
         far_m = max(NEW_REACH * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
         far_rad = max(NEW_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
         if distance < far_m and angle < far_rad:
@@ -351,7 +351,7 @@ class FrameTracker:
         velocities of the initial state that led to it."""
         self.misses = 0
         distance = float(np.linalg.norm(pose.position_m - predicted[:3]))
-        angle = _angle(pose.rotation, R)
+        angle = angle_between(pose.rotation, R)
         count = float(self.clock[2])
         if count >= MIN_POSES_OF_FLIGHT and (distance > NEW_REACH * self.view.reach_m or angle > NEW_RAD):
             has_rates = np.any(start.velocity_m_s != 0.0)
@@ -378,11 +378,6 @@ _AXES = np.vstack(
 
 def _state(time_s: float, motion: Array, rotation: Array) -> State:
     return State(time_s, motion[:3].copy(), quat_from_matrix(rotation), motion[3:6].copy(), motion[6:9].copy())
-
-
-def _angle(a: Array, b: Array) -> float:
-    """Angle [rad] between two rotations (3, 3)."""
-    return float(np.arccos(np.clip(0.5 * (np.trace(a @ b.T) - 1.0), -1.0, 1.0)))
 
 
 def widest_sigma(P: Array, first: int) -> float:

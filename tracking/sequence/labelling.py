@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import nearest_equivalent_rotation
-from ...model.rotations import matrix_from_quat
+from ...model.rotations import angle_between, matrix_from_quat
 from ...model.throw import Throw
 from ..picture import View
 from ..pose import ClipPoses
@@ -60,10 +60,4 @@ def with_labels_of_flights(view: View, poses: ClipPoses, flights: ClipPoses, tra
 
 def _are_off_flight(view: View, rotation: Array, flight: Array) -> NDArray[np.bool_]:
     """(n,) whether frames (n, 3, 3) lie further than OFF_FLIGHT_RAD from their flight (n, 3, 3) in every labelling."""
-    return np.asarray(angles(nearest_equivalent_rotation(rotation, flight, view.symmetries), flight) > OFF_FLIGHT_RAD)
-
-
-def angles(a: Array, b: Array) -> Array:
-    """(n,) [rad] between rotations (n, 3, 3); NaN where one is not known."""
-    cosine = 0.5 * (np.einsum("nij,nij->n", a, b) - 1.0)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    return angle_between(nearest_equivalent_rotation(rotation, flight, view.symmetries), flight) > OFF_FLIGHT_RAD

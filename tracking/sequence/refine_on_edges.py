@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import matrix_from_quat
+from ...model.rotations import angle_between, matrix_from_quat
 from ...model.throw import Throw
 from ..clip_parameters import ClockOffsets, rig_at
 from ..footage import FrameBlock, Frames, FrameSource, Rows
@@ -31,7 +31,7 @@ from ..picture import (
     shares_in_view,
 )
 from ..pose import ClipPoses, covariances, refine_frames, weak_prior
-from .labelling import angles, with_labels_of_flights
+from .labelling import with_labels_of_flights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -109,7 +109,7 @@ class EdgeRefinement:
     def _differ_from(self, flights: ClipPoses) -> Mask:
         """(n,) where the tracked pose lies further from the flights than a refinement is certain to cover."""
         distance = np.linalg.norm(flights.position_m - self.tracked.position_m, axis=1)
-        angle = angles(flights.rotation, self.tracked.rotation)
+        angle = angle_between(flights.rotation, self.tracked.rotation)
         is_far = (angle > SECOND_START_RAD) | (distance > SECOND_START_REACH * self.view.reach_m)
         return np.asarray(self.tracked.known & is_far)
 
@@ -234,7 +234,7 @@ class _Attempt:
         """(n,) whether the pixels support a refined pose, whose covariances are (n, 6, 6): it stayed near its initial pose, shows
         enough of the contour, and is determined."""
         distance = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
-        angle = angles(self.rotation, self._start.rotation[self.rows])
+        angle = angle_between(self.rotation, self._start.rotation[self.rows])
         contour_px = self._found.statistics[:, CONTOUR_PX]
         support = self._found.statistics[:, CLEAR_PX] / np.maximum(contour_px, 1e-9)
         whole = shares_in_view(self._view, self.position_m, self.rotation) == 1.0

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
-from ...model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import State, Throw, Until, throw_die
 from .flight_chain import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
@@ -187,7 +187,7 @@ def _distance(observations: WeightedPoses, throw: Throw, ends: tuple[int, int], 
     rows = slice(ends[0] + 1, ends[1] + 1)
     p, q = throw.poses(observations.time_s[rows])
     distance = np.linalg.norm(observations.position_m[rows] - p, axis=1) / die.solid.edge_m
-    angle = np.linalg.norm(rotation_between(q, _nearest(observations.quaternion[rows], q, die)), axis=1)
+    angle = angle_between(q, _nearest(observations.quaternion[rows], q, die))
     return float(np.mean(np.minimum(distance + angle, 1.0)))
 
 
@@ -205,7 +205,7 @@ def _relabelled(observations: WeightedPoses, hypothesis: _Hypothesis, ends: tupl
     rows = slice(ends[0] + 1, ends[1])
     _, q = hypothesis.throw.poses(observations.time_s[rows])
     nearest = _nearest(quaternion[rows], q, die)
-    close = np.linalg.norm(rotation_between(q, nearest), axis=1) < MISLABELLED_RAD
+    close = angle_between(q, nearest) < MISLABELLED_RAD
     quaternion[rows] = np.where(close[:, None], nearest, quaternion[rows])
     _, q = hypothesis.throw.poses(observations.time_s[ends[1] : ends[1] + 1])
     relabelling = matrix_from_quat(quaternion[ends[1]]).T @ matrix_from_quat(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices
-from ...model.rotations import matrix_from_quat, rotation_between
+from ...model.rotations import angle_between, matrix_from_quat
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
@@ -163,7 +163,7 @@ def _are_far_apart(observations: WeightedPoses, a: _Part, b: _Part, die: Die) ->
         a.state, b.state, float(observations.time_s[a.rows[-1]]), float(observations.time_s[b.rows[0]])
     )
     p, q = before.at(t), after.at(t)
-    angle = float(np.linalg.norm(rotation_between(p.quaternion, q.quaternion)))
+    angle = float(angle_between(p.quaternion, q.quaternion))
     distance = float(np.linalg.norm(p.position_m - q.position_m))
     return angle > GROSS_RAD or distance > GROSS_CIRCUMRADII * die.solid.circumradius
 
@@ -245,7 +245,7 @@ def _nearest_approach(before: State, after: State, low_s: float, high_s: float) 
     times = np.linspace(low_s - 1.0 * duration, high_s + 1.0 * duration, 121)
     pa, qa = Flight(before, np.inf).poses(times)
     pb, qb = Flight(after, np.inf).poses(times)
-    distance = np.linalg.norm(pa - pb, axis=1) + TURN_LENGTH_M * np.linalg.norm(rotation_between(qa, qb), axis=1)
+    distance = np.linalg.norm(pa - pb, axis=1) + TURN_LENGTH_M * angle_between(qa, qb)
     return float(times[int(np.argmin(distance))])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
-from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ..track import Track
 from .flights import WeightedPoses, chain_residuals, fit_flights
 
@@ -83,7 +83,7 @@ def decimation_factor(track: Track, die: Die, rows: Rows | None = None) -> int:
     moves = np.linalg.norm(track.position_m[b] - track.position_m[a], axis=1) / (
         SMALL_MOVE_REACH * die.solid.circumradius
     )
-    turns = np.linalg.norm(rotation_between(track.quaternion[a], track.quaternion[b]), axis=1) / SMALL_TURN_RAD
+    turns = angle_between(track.quaternion[a], track.quaternion[b]) / SMALL_TURN_RAD
     rates = np.maximum(moves, turns) * np.median(b - a) / (b - a)
     fastest = float(np.partition(rates, -IGNORED_FASTEST_MOVES)[-IGNORED_FASTEST_MOVES])
     return int(max(1.0, stride * min(1.0 / max(fastest, 1e-9), 1.0)))
@@ -115,7 +115,7 @@ def _rough(observations: WeightedPoses, rows: Rows, die: Die) -> Rows:
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     distance = np.linalg.norm(p[:-2] + share * (p[2:] - p[:-2]) - p[1:-1], axis=1)
     interpolated = quat_multiply(quat_from_rotvec(share * rotation_between(q[:-2], q[2:])), q[:-2])
-    angle = np.linalg.norm(rotation_between(interpolated, q[1:-1]), axis=1)
+    angle = angle_between(interpolated, q[1:-1])
     rough = np.concatenate([[True], (distance > ROUGH_SHARE * die.solid.edge_m) | (angle > ROUGH_RAD), [True]])
     rough[:-1] |= rough[1:]
     rough[1:] |= rough[:-1]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.picture.view import View, visible_faces
 from diethrow.tracking.pose.manual_pose import (
@@ -52,7 +52,7 @@ def turned_deg(view: View, pose: Pose, state: State, *, any_label: bool) -> floa
     rotation = (
         nearest_equivalent_rotation(pose.rotation, state.rotation, view.symmetries) if any_label else pose.rotation
     )
-    return float(np.degrees(np.linalg.norm(rotation_between(quat_from_matrix(rotation), state.quaternion))))
+    return float(np.degrees(angle_between(rotation, state.rotation)))
 
 
 @pytest.mark.parametrize("shape", list(DICE))

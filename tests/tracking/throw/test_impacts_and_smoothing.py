@@ -13,7 +13,7 @@ from random_throws import random_quaternion
 from throws import FPS, random_release, seen, true_throw
 
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
 from diethrow.tracking.throw.flights import perturbed
 from diethrow.tracking.throw.measurement import NoFlightError, measure, measure_throw
@@ -225,7 +225,7 @@ def test_frames_lost_within_a_flight_are_filled_and_no_others() -> None:
     gap = slice(middle, middle + 4)
     # A flight of some forty frames at 0.1 degrees and 0.02 mm across, 0.15 mm along the sight, knows its middle well.
     np.testing.assert_allclose(smoothed.position_m[gap], p[gap], atol=2e-4)
-    assert np.degrees(np.linalg.norm(rotation_between(smoothed.quaternion[gap], q[gap]), axis=1)).max() < 0.2
+    assert np.degrees(angle_between(smoothed.quaternion[gap], q[gap])).max() < 0.2
 
 
 def test_smoothing_reduces_errors_and_standard_errors_of_every_frame() -> None:
@@ -237,7 +237,7 @@ def test_smoothing_reduces_errors_and_standard_errors_of_every_frame() -> None:
         before, after = (np.sqrt(t.covariance[use, axis, axis]) for t in (track, smoothed))
         assert np.median(after) < 0.6 * np.median(before)
     off = [np.linalg.norm(t.position_m[use] - p[use], axis=1) for t in (track, smoothed)]
-    rotated = [np.linalg.norm(rotation_between(t.quaternion[use], q[use]), axis=1) for t in (track, smoothed)]
+    rotated = [angle_between(t.quaternion[use], q[use]) for t in (track, smoothed)]
     for before, after in (off, rotated):
         assert np.median(after) < 0.6 * np.median(before)
 

@@ -25,7 +25,7 @@ from ...fitting.results import Parameter
 from ...fitting.throw import Physics
 from ...model.die import Die
 from ...model.laws import Table
-from ...model.rotations import continuous_sign, rotation_between
+from ...model.rotations import angle_between, continuous_sign
 from ...tracking.track import Track
 
 FIRST_BOUNCE = "first-bounce"
@@ -131,7 +131,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
     compared = track.tracked & simulated.tracked
     compared[:row] = False
     off = track.position_m[compared] - simulated.position_m[compared]
-    turned = rotation_between(simulated.quaternion[compared], track.quaternion[compared])
+    turned_rad = angle_between(simulated.quaternion[compared], track.quaternion[compared])
     decision = decide(physics, parameters, track, row, draws=draws) if draws else None
     return Prediction(
         path,
@@ -139,7 +139,7 @@ def predict(path: Path, physics: Physics, parameters: dict[str, Parameter], from
         release,
         simulated,
         float(np.linalg.norm(off, axis=1).mean()) if compared.any() else float("nan"),
-        float(np.linalg.norm(turned, axis=1).mean()) if compared.any() else float("nan"),
+        float(turned_rad.mean()) if compared.any() else float("nan"),
         decision,
     )
 
