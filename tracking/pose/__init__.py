@@ -28,6 +28,8 @@ from .refine import contour_bias_jacobians as contour_bias_jacobians
 from .refine import covariances as covariances
 from .refine import refine_pose as refine_pose
 from .refine import weak_prior as weak_prior
+from .refine_kernels import LEAST_CONTOUR_PX as LEAST_CONTOUR_PX
+from .refine_kernels import WELL_SEEN as WELL_SEEN
 from .refine_kernels import refine_and_score as refine_and_score
 from .refine_kernels import refine_frames as refine_frames
 from .refine_kernels import store_frame as store_frame

@@ -67,10 +67,11 @@ COARSE_RESTART_PX = 1.0
 coarser one sees."""
 RESTART_COARSE_STEPS = 2
 """Coarse steps of the repeated refinement."""
-LEAST_CLEAR_SHARE = 0.6
-"""Share of the contour with a clear step below which the refinement is repeated with coarse steps."""
+WELL_SEEN = 0.6
+"""Share of the contour with a clear step from which it counts as well seen; below, the refinement is repeated with
+coarse steps."""
 LEAST_CONTOUR_PX = 20.0
-"""Length of contour below which it is repeated as well."""
+"""Least length [px] of contour in view that determines a pose; below, it is repeated as well."""
 
 
 @inner_no_memory
@@ -228,7 +229,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
             turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
             if (
                 _moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX
-                and statistics[CLEAR_PX] > LEAST_CLEAR_SHARE * statistics[CONTOUR_PX]
+                and statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX]
                 and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX
             ):
                 break

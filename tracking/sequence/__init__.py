@@ -3,7 +3,7 @@
 `track_clip` is the entry: an initial pose is found (`initialisation`), the die is tracked in both directions (`frame_to_frame`,
 `motion_filter`, `tracking_pass`), depth reversals are corrected (`depth_reversal`), the labelling is made consistent
 (`labelling`), and all frames are refined along the measured flights, on edges (`refine_on_edges`) and on surface marks
-(`refine_on_marks`). Commands and the check of a clip use it."""
+(`refine_on_marks`). `acceptance` has the thresholds that accept a pose. Commands and the check of a clip use `track_clip`."""
 
 from .tracker import TrackedClip as TrackedClip
 from .tracker import track_clip as track_clip

@@ -28,9 +28,22 @@ from ..picture import (
     share_in_view,
     with_occluder_mask,
 )
-from ..pose import ClipPoses, Pose, longest_stride, pose_candidates, power_of_two, refine_pose
+from ..pose import LEAST_CONTOUR_PX, ClipPoses, Pose, longest_stride, pose_candidates, power_of_two, refine_pose
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
-from .motion_filter import ACCEPTED_EXCESS_COST, MotionEstimate, predict_motion, track_frames, update_motion
+from .acceptance import (
+    ACCEPTED_EXCESS_COST,
+    KNOWN_RAD,
+    MAX_EXCESS_COST,
+    MIN_POSES_OF_FLIGHT,
+    MIN_SUPPORT,
+    MIN_SUPPORT_CUT,
+    NEW_FLIGHT_RAD,
+    NEW_FLIGHT_REACH,
+    ON_PATH_CHI2,
+    PRIOR_SIGMAS,
+    USUAL_COST_FRAMES,
+)
+from .motion_filter import MotionEstimate, predict_motion, track_frames, update_motion
 
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
@@ -43,48 +56,27 @@ BOUNCED_REACH = 0.07
 """UNKNOWN_REACH after an impact whose strength is guessed."""
 BOUNCED_RAD = 0.07
 """UNKNOWN_RAD after an impact whose strength is guessed."""
-NEW_REACH = 0.14
-"""Distance from the predicted position, in circumradii, beyond which a pose belongs to a new flight."""
-NEW_RAD = np.radians(2.0)
-"""Angle [rad] from the predicted orientation beyond which a pose belongs to a new flight."""
 PREDICTED_SIGMAS = 3.0
-"""The same in standard errors of the prediction; the larger bound counts."""
-MIN_POSES_OF_FLIGHT = 3
-"""Poses of a flight from which on its prediction can show a new flight."""
-MAX_EXCESS_COST = 2.5
-"""Cost above the usual up to which a pose is accepted if no other explains the picture better."""
+"""Standard errors of the prediction up to which a pose belongs to its flight; the larger bound of this and `NEW_FLIGHT_REACH`
+counts."""
 SMALL_EXCESS_COST = 0.05
 """Cost above the usual up to which a hypothesis ends the search for a better one."""
 LEAST_IMPROVEMENT = 0.02
 """Cost by which a later hypothesis must be better: it departs further from the prediction."""
-MIN_CONTOUR_PX = 20.0
-"""Least length [px] of contour in view that determines a pose."""
 CLEAR_SUPPORT = 0.8
 """Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
-MIN_SUPPORT = 0.45
-"""Least share of the contour with a clear step, of a die wholly in view."""
-MIN_SUPPORT_CUT = 0.6
-"""The same of a die that is cut by the border."""
-KNOWN_RAD = np.radians(6.0)
-"""Largest standard error [rad] of the orientation of an accepted pose."""
 BOUNCE_REACH = 0.35
 """Height of the lowest corner, in circumradii, below which an impact may have occurred between two frames."""
 SEARCH_EVERY = 6
 """Frames without a pose until a new initial pose is searched."""
 BACKWARDS_MISSES = 3
 """Frames without a pose after which tracking backwards ends."""
-COST_MEMORY = 8.0
-"""Frames over which the usual cost is averaged."""
-PRIOR_SIGMAS = 4.0
-"""Width of the prior of a refinement, in standard errors of the prediction."""
 POSE_VARIANCE_FACTOR = 4.0
 """Factor on the covariance of a pose that starts a motion: twice its standard errors."""
 MIN_POSES_TO_SKIP = 20
 """Poses of a flight, or since a surprise, before frames are skipped: the motion averages over as many."""
 MAX_PREDICTION_SIGMA_PX = 0.3
 """Largest standard error [px] of a prediction over skipped frames."""
-SURPRISE_CHI2 = 30.0
-"""Squared sigmas between pose and prediction behind an impact: a pose of the same flight exceeds that once in 25 000 cases."""
 TRIAL_RESTITUTIONS = (0.5, 0.15, 0.85)
 """Restitutions of the impacts that are tried."""
 TRIAL_SHARES = (0.2, 0.8)
@@ -189,7 +181,7 @@ class FrameTracker:
         done = 0
         if len(rows):
             frames = np.stack([source.frame(int(k)) for k in rows])
-            done = self._track_in_flight(frames, rows, source.times_s, poses, SURPRISE_CHI2)
+            done = self._track_in_flight(frames, rows, source.times_s, poses, ON_PATH_CHI2)
         if done:
             self.next_frame, self._surprises = int(rows[done - 1]) + 1, 0
         if done < len(rows) or not len(rows):
@@ -279,7 +271,7 @@ class FrameTracker:
                 omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
                 roughly=True, work=self._work,
             )  # fmt: skip
-            if pose.covariance is None or pose.contour_px < MIN_CONTOUR_PX:
+            if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX:
                 continue
             if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
                 best = pose, start
@@ -301,8 +293,8 @@ class FrameTracker:
         reach = self.view.reach_m
         distance = float(np.linalg.norm(pose.position_m - expected.position_m))
         angle = angle_between(pose.rotation, expected.rotation)
-        far_m = max(NEW_REACH * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
-        far_rad = max(NEW_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
+        far_m = max(NEW_FLIGHT_REACH * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
+        far_rad = max(NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
         if distance < far_m and angle < far_rad:
             return True
         lowest = float((expected.rotation @ self.view.die.solid.vertices.T)[2].min() + expected.position_m[2])
@@ -353,7 +345,7 @@ class FrameTracker:
         distance = float(np.linalg.norm(pose.position_m - predicted[:3]))
         angle = angle_between(pose.rotation, R)
         count = float(self.clock[2])
-        if count >= MIN_POSES_OF_FLIGHT and (distance > NEW_REACH * self.view.reach_m or angle > NEW_RAD):
+        if count >= MIN_POSES_OF_FLIGHT and (distance > NEW_FLIGHT_REACH * self.view.reach_m or angle > NEW_FLIGHT_RAD):
             has_rates = np.any(start.velocity_m_s != 0.0)
             reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])
@@ -364,7 +356,7 @@ class FrameTracker:
             self.rotation = update_motion(motion, R, P, pose.position_m, pose.rotation, pose.H, self.view.settings)
             self.motion, self.P = motion, P
         usual = self.usual_cost
-        self.clock = np.array([time_s, usual + (pose.cost - usual) / COST_MEMORY, count + 1.0])
+        self.clock = np.array([time_s, usual + (pose.cost - usual) / USUAL_COST_FRAMES, count + 1.0])
 
 
 _AXES = np.vstack(

@@ -46,7 +46,18 @@ from ..picture import (
     turn_from,
     update_occluder_mask,
 )
-from ..pose import refine_and_score, store_frame
+from ..pose import LEAST_CONTOUR_PX, WELL_SEEN, refine_and_score, store_frame
+from .acceptance import (
+    ACCEPTED_EXCESS_COST,
+    MAX_EXCESS_COST,
+    MIN_POSES_OF_FLIGHT,
+    MIN_SUPPORT,
+    NEW_FLIGHT_RAD,
+    NEW_FLIGHT_REACH,
+    ON_PATH_CHI2,
+    PRIOR_SIGMAS,
+    USUAL_COST_FRAMES,
+)
 
 COVARIANCE_GROWTH = 1.06
 """Factor on a motion's covariance per frame: about twenty frames count."""
@@ -58,45 +69,21 @@ ROTATION_FLOOR_PARTS = 12.0
 """The same of rotations."""
 NO_INNOVATION = 1e9
 """Squared innovation if a covariance cannot be inverted."""
-ON_PATH_CHI2 = 30.0
-"""Normalised innovation squared (six numbers) up to which a pose lies on the predicted path: one in 25 000 of honest
-poses lies farther off."""
-
-ACCEPTED_EXCESS_COST = 0.35
-"""Excess of a pose's cost over the usual one up to which the motion explains the picture. More rejects true poses in
-changing light less often; less finds bounces sooner."""
-ACCEPTED_EXCESS_COST_ON_PATH = 2.5
-"""The same for a pose on the predicted path whose contour is badly seen. If it is well seen, any cost is accepted
-there: a changed light does not move a pose onto the path by chance."""
 ANY_COST = 1e9
-"""Excess cost that no pose reaches."""
-WELL_SEEN = 0.6
-"""Share of the contour with a clear step from which it counts as well seen."""
-LEAST_SUPPORT = 0.45
-"""Share of the contour with a clear step below which a pose is not confirmed."""
-LEAST_CONTOUR_PX = 20.0
-"""Length of visible contour below which a pose is not confirmed."""
-NEW_FLIGHT_POSES = 3.0
-"""Confirmed poses until the velocities of a flight are known."""
-NEW_MOVED_REACH = 0.28
-"""Distance between prediction and pose, in units of the die's reach, that is accepted in a flight with fewer poses."""
-NEW_TURNED_RAD = 0.157
-"""Rotation between them that is accepted there."""
-MOVED_REACH = 0.14
-"""Such a distance in a flight whose velocities are known."""
-TURNED_RAD = 0.035
-"""Such a rotation: 2 degrees."""
-PRIOR_SIGMAS = 4.0
-"""Width of the prior of a refinement, in standard deviations of the prediction: wide enough not to hold a bounce
-back."""
+"""Excess cost that no pose reaches. It is accepted on the predicted path if the contour is well seen: a changed light
+does not move a pose onto the path by chance."""
+FIRST_POSES_REACH = 0.28
+"""Distance between prediction and pose, in units of the die's reach, that is accepted while the velocities of a flight
+are not yet known: twice that of a known one."""
+FIRST_POSES_RAD = 0.157
+"""Rotation [rad] between them that is accepted there: 9 degrees. Well-filmed dice turn by 7 to 10 degrees a frame after
+a hard impact."""
 FOUR_COARSE_PX = 1.5
 """Standard deviation of a prediction [px] above which a refinement begins with four coarse steps."""
 TWO_COARSE_PX = 0.6
 """The same for two coarse steps."""
 ONE_COARSE_PX = 0.3
 """The same for one coarse step."""
-USUAL_COST_FRAMES = 8.0
-"""Frames that the usual cost is a running mean of."""
 
 
 class MotionEstimate(NamedTuple):
@@ -257,14 +244,15 @@ def track_frames(
         prior_rad = min(max(PRIOR_SIGMAS * sigma_rad, settings.tight_rad), settings.loose_rad)
         predicted = PoseState(ahead[:3], R_ahead, ahead[3:6], ahead[6:9])
         p, Q, cost = refine_and_score(windows, model, predicted, prior_m, prior_rad, coarse, work, equations)
-        new = clock[2] < NEW_FLIGHT_POSES
-        far_m, far_rad = (NEW_MOVED_REACH * reach, NEW_TURNED_RAD) if new else (MOVED_REACH * reach, TURNED_RAD)
+        new = clock[2] < MIN_POSES_OF_FLIGHT
+        far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
+        far_rad = FIRST_POSES_RAD if new else NEW_FLIGHT_RAD
         rotation_log(turn_from(R_ahead, Q), moved)
         turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
         gone = sqrt((p[0] - ahead[0]) ** 2 + (p[1] - ahead[1]) ** 2 + (p[2] - ahead[2]) ** 2)
         usual = clock[1] if clock[2] > 0.0 else cost
         contour_px, clear_px = statistics[CONTOUR_PX], statistics[CLEAR_PX]
-        confirmed = contour_px >= LEAST_CONTOUR_PX and clear_px > LEAST_SUPPORT * contour_px and equations.H[0, 0] > 0.0
+        confirmed = contour_px >= LEAST_CONTOUR_PX and clear_px > MIN_SUPPORT * contour_px and equations.H[0, 0] > 0.0
         # On the predicted path a higher cost only means that the light has changed. A direction that the pixels leave
         # open, as the distance of a face seen alone, may be far off there.
         allowed = ACCEPTED_EXCESS_COST
@@ -273,8 +261,8 @@ def track_frames(
             if off > path_chi2:
                 return k
             if off < ON_PATH_CHI2:
-                allowed = ANY_COST if clear_px > WELL_SEEN * contour_px else ACCEPTED_EXCESS_COST_ON_PATH
-                far_m = NEW_MOVED_REACH * reach
+                allowed = ANY_COST if clear_px > WELL_SEEN * contour_px else MAX_EXCESS_COST
+                far_m = FIRST_POSES_REACH * reach
         if not (confirmed and turned < far_rad and gone < far_m and cost < usual + allowed):
             return k
         for a in range(3):

@@ -30,19 +30,14 @@ from ..picture import (
     refinement_boxes,
     shares_in_view,
 )
-from ..pose import ClipPoses, covariances, refine_frames, weak_prior
+from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, weak_prior
+from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
 from .labelling import with_labels_of_flights
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Jobs = Callable[[Frames, Rows, Executor], list[Future[None]]]
 
-MIN_SUPPORT = 0.45
-"""Least share of the contour with a clear step, of a die wholly in view."""
-MIN_SUPPORT_CUT = 0.6
-"""The same of a die that is cut by the border."""
-MIN_CONTOUR_PX = 20.0
-"""Least length [px] of contour in view that determines a pose."""
 MIN_IN_VIEW = 0.3
 """Least share of the corners in view for a frame to be refined."""
 SECOND_START_RAD = np.radians(1.5)
@@ -53,8 +48,6 @@ MAX_SHIFT_REACH = 0.5
 """Largest displacement by a refinement, in circumradii."""
 MAX_TURN_RAD = np.radians(6.0)
 """Largest rotation [rad] by a refinement."""
-KNOWN_RAD = np.radians(6.0)
-"""Largest standard error [rad] of the orientation of an accepted pose."""
 PRIOR_SHARES = (0.01, 0.1, 1.0)
 """Shares of the prior in the information of a pose whose pixels leave a direction undetermined: the first that is invertible; its
 standard deviations are ten times as wide at 0.01. The prior is the same flight's on all frames, and beside a contact, where the
@@ -241,7 +234,7 @@ class _Attempt:
         sigma_rad = np.sqrt(np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2))
         is_near = (distance < MAX_SHIFT_REACH * self._view.reach_m) & (angle < MAX_TURN_RAD)
         has_support = support >= np.where(whole, MIN_SUPPORT, MIN_SUPPORT_CUT)
-        is_visible = (contour_px >= MIN_CONTOUR_PX) & has_support
+        is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))
 
 

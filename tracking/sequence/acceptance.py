@@ -1,0 +1,39 @@
+"""When a pose is accepted: the thresholds that tracking from frame to frame and the refinement along flights share.
+
+A cost is that of `tracking.picture.pose_costs`, measured from the usual one of the clip. Distances are in units of the die's
+reach, that of its farthest point from its centre.
+"""
+
+from __future__ import annotations
+
+from math import radians
+
+MIN_SUPPORT = 0.45
+"""Least share of the contour with a clear step, of a die wholly in view. Random poses have 0.1 to 0.3; an edge before a table of
+the same grey has none."""
+MIN_SUPPORT_CUT = 0.6
+"""The same of a die that is cut by the border: a shorter contour is supported by chance more often."""
+KNOWN_RAD = radians(6.0)
+"""Largest standard error [rad] of the orientation of an accepted pose."""
+
+ACCEPTED_EXCESS_COST = 0.35
+"""Cost above the usual up to which the motion explains the picture. More rejects true poses in changing light less often; less
+finds bounces sooner."""
+MAX_EXCESS_COST = 2.5
+"""The same of a badly seen pose that something else supports: it lies on the predicted path, or no other explains the picture
+better."""
+USUAL_COST_FRAMES = 8.0
+"""Frames that the usual cost is a running mean of. Fewer follow a change of light sooner; more scatter less."""
+
+MIN_POSES_OF_FLIGHT = 3
+"""Poses of a flight from which on its velocities are known: two determine them, and the third confirms them."""
+NEW_FLIGHT_REACH = 0.14
+"""Distance between the prediction of a known flight and a pose beyond which the pose belongs to a new flight. Less takes errors
+of badly seen poses for bounces; more attributes weak bounces to the flight before, until the throw is measured."""
+NEW_FLIGHT_RAD = radians(2.0)
+"""Angle [rad] between them beyond which it does, for the same reason."""
+ON_PATH_CHI2 = 30.0
+"""Normalised innovation squared (six numbers) up to which a pose lies on the predicted path: one in 25 000 of honest poses lies
+farther off."""
+PRIOR_SIGMAS = 4.0
+"""Width of the prior of a refinement, in standard errors of the prediction: wide enough not to hold a bounce back."""
