@@ -298,11 +298,9 @@ def print_rows(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 def draw_trade(path: Path, results: Sequence[dict[str, Any]]) -> None:
     """Rotation error over frames a second: a line for each clip, a point for each quality."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.0, 5.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     markers = dict(zip(QUALITIES, "o^s", strict=False))
     for k, clip in enumerate(dict.fromkeys(r["clip"] for r in results)):

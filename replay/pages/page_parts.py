@@ -11,7 +11,6 @@ from typing import Any
 
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..elements import MEASURED, UNKNOWN, hex_colour
@@ -105,9 +104,7 @@ def drawing(inches: tuple[float, float]) -> Iterator[Figure]:
     with rc_context(
         {"font.size": 9.0, "font.family": "DejaVu Sans", "axes.linewidth": 0.7, "svg.hashsalt": "diethrow"}
     ):
-        figure = Figure(figsize=inches, layout="constrained")
-        FigureCanvasAgg(figure)
-        yield figure
+        yield Figure(figsize=inches, layout="constrained")
 
 
 def as_address(figure: Figure, kind: str) -> str:

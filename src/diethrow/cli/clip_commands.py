@@ -11,6 +11,7 @@ from .app import app
 from .errors import FAILED, MISUSED, checked_options, finished_clips_kept, one_sentence_errors, stop_with_status
 from .options import (
     AllowOutside,
+    DieAndTable,
     EmbedReplay,
     Every,
     Figures,
@@ -23,6 +24,7 @@ from .options import (
     Shrink,
     Threads,
     as_typed,
+    checked_scene,
     command_words,
     executor_for,
     flag_words,
@@ -30,8 +32,9 @@ from .options import (
     interval_method,
     output_words,
     quality_of_name,
+    run_on,
+    tracking_words,
     two_counts,
-    usable_cores,
 )
 from .printing import (
     print_analysis,
@@ -74,10 +77,7 @@ def analyze(
 ) -> None:
     """From clip to replay: track the die, find its bounces, fit the model; write tables, a recording and a report."""
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        # Before the stages are imported, so that a mistake in a scene is reported at once.
-        checked = read_scene(scene, allow_outside=allow_outside)
+        checked = checked_scene(scene, allow_outside)
         from ..analysis import Shown
         from ..commands.clip.analyze import analyze as analyze_scene
         from ..tracking.footage import Decimation
@@ -97,8 +97,7 @@ def analyze(
                 chosen, every, shrink = quality_of_name(quality), less.every, less.shrink
                 options = f"--quality {quality} --every {every} --shrink {shrink}"
                 typer.echo(f"diethrow: chosen for χ ± {chi_within:g}: {options}", err=True)
-        how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
-        how = (*how, *given_option("--intervals", intervals, "profile"))
+        how = (*tracking_words(quality, every, shrink), *given_option("--intervals", intervals, "profile"))
         drawn = (*flag_words("--embed-replay", embed_replay), *flag_words("--figures", figures))
         with progress_bars() as progress, model_ahead():
             result = analyze_scene(
@@ -127,13 +126,11 @@ def track(
 ) -> None:
     """The tracking stage alone: poses with covariances, and bounces."""
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        checked = read_scene(scene, allow_outside=allow_outside)
+        checked = checked_scene(scene, allow_outside)
         from ..commands.clip.track import track_only
         from ..tracking.footage import Decimation
 
-        how = ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
+        how = tracking_words(quality, every, shrink)
         with progress_bars() as progress:
             result = track_only(
                 checked,
@@ -157,9 +154,7 @@ def fit(
             metavar="TRACK.csv...", help="A track, with its covariances beside it; several tracks: a joint fit."
         ),
     ],
-    scene: Annotated[
-        Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only its die and table are used.")
-    ],
+    scene: DieAndTable,
     out: OutFolder,
     intervals: Intervals = "profile",
     threads: Threads = None,
@@ -168,9 +163,7 @@ def fit(
 ) -> None:
     """The fitting stage alone, on any track with the columns of track.csv; of several, the shared parameters."""
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        checked = read_scene(scene, allow_outside=True)  # no footage is opened
+        checked = checked_scene(scene, allow_outside=True)  # no footage is opened
         with checked_options():
             method = interval_method(intervals)
         if len(tracks) > 1:
@@ -180,18 +173,7 @@ def fit(
                 )
             from ..commands.clip.joint_fit import fit_tracks
 
-            with executor_for(scheduler) as executor, progress_bars() as progress:
-                many = fit_tracks(
-                    tracks,
-                    checked,
-                    out,
-                    force=force,
-                    threads=threads or usable_cores(),
-                    executor=executor,
-                    progress=progress,
-                    command=as_typed(),
-                )
-            print_joint_fit(many)
+            print_joint_fit(run_on(scheduler, fit_tracks, tracks, checked, out, threads=threads, force=force))
             return
         from ..commands.clip.fit import fit_track
 
@@ -210,9 +192,7 @@ def fit(
 )
 def predict(
     tracks: Annotated[list[Path], typer.Argument(metavar="TRACK.csv...", help="Tracks from any tracker.")],
-    scene: Annotated[
-        Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only its die and table are used.")
-    ],
+    scene: DieAndTable,
     fit: Annotated[
         Path,
         typer.Option("--fit", metavar="FIT.json", help="The fit whose parameters are used, of one throw or of many."),
@@ -234,9 +214,7 @@ def predict(
 ) -> None:
     """Predict throws: estimate the state from the frames before K and simulate to the last frame with a fit's parameters."""
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        checked = read_scene(scene, allow_outside=True)  # no footage is opened
+        checked = checked_scene(scene, allow_outside=True)  # no footage is opened
         from ..commands.clip.predict import predict_tracks, summary
         from ..fitting.predict import DRAWS
 
@@ -245,8 +223,7 @@ def predict(
             made, left_out = predict_tracks(
                 tracks, checked, fit, out, from_frame=from_frame, draws=drawn, force=force, progress=progress
             )
-        for line in summary(made, checked.die):
-            typer.echo(line)
+        typer.echo("\n".join(summary(made, checked.die)))
         print_notices(left_out)
         typer.echo(f"See {out}")
 
@@ -312,9 +289,7 @@ def trade(
 ) -> None:
     """Measure speed against accuracy on one scene: tracking, fit and model from coarse to fine, and the setting to use."""
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        checked = read_scene(scene, allow_outside=allow_outside)
+        checked = checked_scene(scene, allow_outside)
         from ..commands.clip.trade import trade as measure_trade
 
         how = ("--chi-within", str(chi_within), *given_option("--coverage", coverage, 20))
@@ -347,9 +322,7 @@ def check(
     The exit status is 1 if a verdict is bad.
     """
     with one_sentence_errors():
-        from ..files.scene import read_scene
-
-        checked = read_scene(scene, allow_outside=allow_outside)
+        checked = checked_scene(scene, allow_outside)
         from ..commands.clip.check import check_clip
 
         with announcing():

@@ -22,10 +22,11 @@ from .options import (
     Scheduler,
     Shape,
     Threads,
+    ThrowFile,
     as_typed,
     command_words,
-    executor_for,
     flag_words,
+    run_on,
     usable_cores,
 )
 from .printing import print_film, print_throw
@@ -34,7 +35,7 @@ from .progress import announcing, progress_bars
 
 @app.command(epilog="Example:  diethrow throw throw.toml --out out/throw")
 def throw(
-    plan: Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")],
+    plan: ThrowFile,
     out: OutFolder,
     embed_replay: Annotated[
         bool,
@@ -62,7 +63,7 @@ def throw(
     "diethrow analyze out/film/scene.toml --out out/seen"
 )
 def film(
-    plan: Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")],
+    plan: ThrowFile,
     out: OutFolder,
     scene: Annotated[
         Path | None,
@@ -184,20 +185,8 @@ def odds(
         from ..commands.model.face_odds import odds as throw_often
         from ..commands.model.face_odds import summary
 
-        with executor_for(scheduler) as executor, progress_bars() as progress:
-            tallies = throw_often(
-                plan,
-                out,
-                force=force,
-                resume=resume,
-                threads=threads or usable_cores(),
-                executor=executor,
-                progress=progress,
-                command=as_typed(),
-            )
-        for line in summary(plan, tallies):
-            typer.echo(line)
-        typer.echo(f"See {out}")
+        tallies = run_on(scheduler, throw_often, plan, out, threads=threads, force=force, resume=resume)
+        typer.echo("\n".join((*summary(plan, tallies), f"See {out}")))
 
 
 @app.command(
@@ -282,20 +271,8 @@ def basins(
         from ..commands.model.basin_maps import basins as map_basins
         from ..commands.model.basin_maps import summary
 
-        with executor_for(scheduler) as executor, progress_bars() as progress:
-            mapped, measured = map_basins(
-                plan,
-                out,
-                force=force,
-                resume=resume,
-                threads=threads or usable_cores(),
-                executor=executor,
-                progress=progress,
-                command=as_typed(),
-            )
-        for line in summary(plan, mapped, measured):
-            typer.echo(line)
-        typer.echo(f"Look at it:  {out / 'basins.png'}")
+        mapped, measured = run_on(scheduler, map_basins, plan, out, threads=threads, force=force, resume=resume)
+        typer.echo("\n".join((*summary(plan, mapped, measured), f"Look at it:  {out / 'basins.png'}")))
 
 
 @app.command(epilog="Example:  diethrow lyapunov --shape tetrahedron --edge 0.040793 --orbits 8 --out out/lyapunov")
@@ -360,9 +337,7 @@ def lyapunov(
 
         with progress_bars() as progress:
             result = follow(plan, out, force=force, progress=progress, command=as_typed())
-        for line in summary(plan, result):
-            typer.echo(line)
-        typer.echo(f"See {out}")
+        typer.echo("\n".join((*summary(plan, result), f"See {out}")))
 
 
 @app.command(epilog="Example:  diethrow paper --quick --out out/paper")
@@ -387,6 +362,4 @@ def paper(
             result = replicate(
                 plan, out, force=force, threads=threads or usable_cores(), progress=progress, command=command
             )
-        for line in summary(result):
-            typer.echo(line)
-        typer.echo(f"Look at it:  {out / 'paper.html'}")
+        typer.echo("\n".join((*summary(result), f"Look at it:  {out / 'paper.html'}")))

@@ -3,20 +3,29 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
+
+from .progress import progress_bars
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
+    from ..files.scene import Scene
     from ..fitting.throw import IntervalMethod
     from ..tracking.quality import Quality
 
+R = TypeVar("R")
+
 SceneFile = Annotated[Path, typer.Argument(metavar="SCENE", help="The scene file: clip, camera, table and die.")]
+ThrowFile = Annotated[Path, typer.Argument(metavar="THROW.toml", help="The throw file: die, law, release and end.")]
+DieAndTable = Annotated[
+    Path, typer.Option("--scene", metavar="SCENE", help="The scene file; only its die and table are used.")
+]
 Threads = Annotated[int | None, typer.Option("--threads", min=1, help="Number of threads. [default: one per core]")]
 Scheduler = Annotated[
     str | None,
@@ -76,6 +85,20 @@ def executor_for(scheduler: str | None) -> Iterator[Executor | None]:
         yield executor
 
 
+def run_on(scheduler: str | None, command: Callable[..., R], *inputs: Any, threads: int | None, **options: Any) -> R:
+    """The result of a command, with progress bars, on the cores of this machine or on the cluster of that scheduler."""
+    with executor_for(scheduler) as executor, progress_bars() as progress:
+        workers = {"threads": threads or usable_cores(), "executor": executor}
+        return command(*inputs, **workers, progress=progress, command=as_typed(), **options)
+
+
+def checked_scene(path: Path, allow_outside: bool) -> Scene:
+    """The scene of a file, read before the stages are imported, so that a mistake in it is reported at once."""
+    from ..files.scene import read_scene
+
+    return read_scene(path, allow_outside=allow_outside)
+
+
 def two_counts(name: str, text: str) -> tuple[int, int]:
     """`7x5` as two numbers. Raises ValueError, naming the option, for any other text."""
     first, cross, second = text.lower().replace("×", "x").partition("x")
@@ -113,6 +136,11 @@ def interval_method(name: str) -> IntervalMethod:
         if name == method:
             return method
     raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
+
+
+def tracking_words(quality: str, every: int, shrink: int) -> tuple[str, ...]:
+    """The options of the tracking stage as typed."""
+    return ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
 
 
 def given_option(name: str, value: int | str, default: int | str) -> tuple[str, ...]:

@@ -179,23 +179,23 @@ def _is_same(before: os.stat_result, now: os.stat_result) -> bool:
 
 
 def write_provenance(
-    path: Path,
+    folder: Path,
     *,
     command: tuple[str, ...],
     understood: Any,
-    inputs: tuple[Path, ...] | Inputs,
     seconds: dict[str, float],
+    inputs: tuple[Path, ...] | Inputs = (),
     seeds: dict[str, int] | None = None,
     found: dict[str, float] | None = None,
 ) -> None:
-    """`provenance.json`: version, command line and working folder, settings, SHA-256 of every input, seeds, packages, timings.
+    """Write `provenance.json`: version, command line, working folder, settings, SHA-256 of every input, seeds, packages, timings.
 
     `understood` is the frozen value that the command read (a Scene, a Plan); `found` holds numbers that were estimated because
     the file does not give them; inputs as for `files_read`, or the `Inputs` of the run.
     """
     read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)
     write_json(
-        path,
+        folder / "provenance.json",
         {
             "diethrow": __version__,
             "command": list(command),

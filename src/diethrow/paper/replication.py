@@ -87,14 +87,7 @@ def paper(
         note = _note(plan)
         write_json(folder / "paper.json", paper_table(plan, results))
         (folder / "paper.html").write_text(page(results, folder, note), encoding="utf-8")
-        write_provenance(
-            folder / "provenance.json",
-            command=command,
-            understood=plan,
-            inputs=(),
-            seconds=watch.seconds,
-            seeds={"all": plan.seed},
-        )
+        write_provenance(folder, command=command, understood=plan, seconds=watch.seconds, seeds={"all": plan.seed})
     return Replication(tuple(results), watch.seconds)
 
 

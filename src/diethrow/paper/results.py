@@ -8,7 +8,6 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ..model.die import Die, make_die
@@ -129,6 +128,4 @@ def cell(value: Any) -> str:
 
 def drawing(inches: tuple[float, float]) -> Figure:
     """An empty figure, without pyplot's global state."""
-    figure = Figure(figsize=inches, dpi=140, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
+    return Figure(figsize=inches, dpi=140, layout="constrained")

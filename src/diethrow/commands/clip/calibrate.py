@@ -73,9 +73,7 @@ def calibrate_camera(
         shown = eight_bits(dict(greys)[str(table)]) if table is not None else None
         page = calibration_page(found, placed, shown, board.square_m)
         (folder / "calibration.html").write_text(page, encoding="utf-8")
-        write_provenance(
-            folder / "provenance.json", command=command, understood=board, inputs=paths, seconds=watch.seconds
-        )
+        write_provenance(folder, command=command, understood=board, inputs=paths, seconds=watch.seconds)
     return CameraFound(Path(out), found, placed, notices)
 
 

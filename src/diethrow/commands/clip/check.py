@@ -50,13 +50,7 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
         ]
         page = check_page(scene.path.resolve().parent.name, check.findings, tracked_parts, scene.die)
         (folder / "check.html").write_text(page, encoding="utf-8")
-        write_provenance(
-            folder / "provenance.json",
-            command=command,
-            understood=scene,
-            inputs=input_paths(scene),
-            seconds=watch.seconds,
-        )
+        write_provenance(folder, command=command, understood=scene, inputs=input_paths(scene), seconds=watch.seconds)
     return check
 
 

@@ -78,9 +78,7 @@ def fit_tracks(
                 fit = executor.submit(fit_jointly, entries, die, threads=threads).result()
         write_vertices(folder / "vertices.csv", die.solid)
         write_json(folder / "fit.json", joint_tables(fit, left_out))
-        write_provenance(
-            folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
-        )
+        write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds)
     return FitOfMany(Path(out), fit, left_out, watch.seconds)
 
 

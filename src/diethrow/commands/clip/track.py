@@ -250,14 +250,7 @@ def write_origin(
     corners: CornerRadius | None = None,
 ) -> None:
     found = {} if corners is None else {"corner_radius_m": corners.radius_m, "sigma_corner_radius_m": corners.sigma_m}
-    write_provenance(
-        folder / "provenance.json",
-        command=command,
-        understood=scene,
-        inputs=inputs,
-        seconds=watch.seconds,
-        found=found,
-    )
+    write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds, found=found)
 
 
 def if_there(path: Path) -> tuple[Path, ...]:

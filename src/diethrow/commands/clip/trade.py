@@ -130,9 +130,7 @@ def trade(
         with one_thread(), watch.stage("trade"):
             measured = _measured(scene, within, draws, progress)
         _write(folder, scene.path.resolve().parent.name, measured)
-        write_provenance(
-            folder / "provenance.json", command=command, understood=scene, inputs=inputs, seconds=watch.seconds
-        )
+        write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds)
     return measured
 
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import cv2
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -173,10 +172,9 @@ def basins(
             if measured:
                 draw_predictability(folder / "predictability.png", plan, measured)
         write_provenance(
-            folder / "provenance.json",
+            folder,
             command=command,
             understood=plan,
-            inputs=(),
             seconds=watch.seconds,
             seeds={"predictability": plan.seed} if plan.predictability else {},
         )
@@ -307,7 +305,6 @@ def predictability_table(plan: BasinsPlan, measured: Predictability) -> dict[str
 def draw_map(path: Path, plan: BasinsPlan, mapped: BasinMap) -> None:
     """Write the figure of the map with axes and legend, with about MAP_PIXELS of each side."""
     figure = Figure(figsize=(10.0, 7.0), dpi=160, layout="constrained")
-    FigureCanvasAgg(figure)
     rows, columns = (max(1, n // MAP_PIXELS) for n in mapped.face.shape)
     face, ending = mapped.face[::rows, ::columns], mapped.ending[::rows, ::columns]
     faces = len(plan.stage.die.solid.faces)
@@ -328,7 +325,6 @@ def draw_pixels(path: Path, mapped: BasinMap) -> None:
 def draw_predictability(path: Path, plan: BasinsPlan, measured: Predictability) -> None:
     """Write the figure of f(ε) with its fitted slope, and of the measures of balls."""
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     uncertain_shares(left, measured.sensitivity, measured.exponent).set_title("predictability", loc="left")
     ball_measures(right, measured.balls).set_title("fairness by dynamics", loc="left")

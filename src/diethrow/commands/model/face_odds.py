@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from scipy.stats import chi2
 
@@ -132,14 +131,7 @@ def odds(
             write_rows(folder / "odds.csv", plan, tallies)
         with watch.stage("figure"):
             draw_odds(folder / "odds.png", plan, tallies)
-        write_provenance(
-            folder / "provenance.json",
-            command=command,
-            understood=plan,
-            inputs=(),
-            seconds=watch.seconds,
-            seeds={"throws": plan.seed},
-        )
+        write_provenance(folder, command=command, understood=plan, seconds=watch.seconds, seeds={"throws": plan.seed})
     work.remove()
     return tallies
 
@@ -181,7 +173,6 @@ def draw_odds(path: Path, plan: OddsPlan, tallies: tuple[Tally, ...]) -> None:
     """Write the figure: odds of the faces among the throws that landed, and of the face that was lowest at release."""
     faces = len(tallies[0].landed)
     figure = Figure(figsize=(11.0, 4.4), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     names = [_name(chi, tally) for chi, tally in zip(plan.chi, tallies, strict=True)]
     landed = {n: [Share(int(k), t.rested) for k in t.landed] for n, t in zip(names, tallies, strict=True)}

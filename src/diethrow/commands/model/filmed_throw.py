@@ -186,7 +186,7 @@ def film(
         with watch.stage("film"):
             write_clip(folder, job, progress)
         write_provenance(
-            folder / "provenance.json",
+            folder,
             command=command,
             understood=_Understood(plan, settings, job.camera),
             inputs=inputs,

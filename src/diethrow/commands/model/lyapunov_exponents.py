@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...files.csv_and_json import write_json
@@ -106,14 +105,7 @@ def lyapunov(
             write_json(folder / "lyapunov.json", lyapunov_table(plan, result))
         with watch.stage("figure"):
             draw(folder / "lyapunov.png", plan, result)
-        write_provenance(
-            folder / "provenance.json",
-            command=command,
-            understood=plan,
-            inputs=(),
-            seconds=watch.seconds,
-            seeds={"orbits": plan.seed},
-        )
+        write_provenance(folder, command=command, understood=plan, seconds=watch.seconds, seeds={"orbits": plan.seed})
     return result
 
 
@@ -186,7 +178,6 @@ def _messages(plan: LyapunovPlan, result: LyapunovExponents) -> list[str]:
 def draw(path: Path, plan: LyapunovPlan, result: LyapunovExponents | ErrorGrowth) -> None:
     """Write the figure: the convergence of the estimates, or the growth of an error."""
     figure = Figure(figsize=(8.0, 5.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     ax = figure.add_subplot()
     if isinstance(result, ErrorGrowth):
         growth_curve(ax, result.at_impacts)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from ...files.csv_and_json import write_json
@@ -56,9 +55,7 @@ def throw(
                 title, sentences = plan.path.stem, table["messages"]
                 page = throw_page(title, plan.die, result.throw, sentences, folder / "replay.rrd")
                 (folder / "replay.html").write_text(page, encoding="utf-8")
-        write_provenance(
-            folder / "provenance.json", command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds
-        )
+        write_provenance(folder, command=command, understood=plan, inputs=(plan.path,), seconds=watch.seconds)
     return result
 
 
@@ -102,6 +99,5 @@ def throw_table(plan: Plan, result: ThrowResult) -> dict[str, Any]:
 def draw_heights(path: Path, plan: Plan, result: ThrowResult) -> None:
     """Write the figure of the heights of all corners over time, with the impacts."""
     figure = Figure(figsize=(9.0, 5.0), dpi=150, layout="constrained")
-    FigureCanvasAgg(figure)
     throw_heights(figure.add_subplot(), plan.die.solid, result.throw)
     figure.savefig(path)
