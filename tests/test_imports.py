@@ -61,7 +61,7 @@ def test_no_folder_holds_more_files_than_one_can_survey(sources: Sources) -> Non
 
 def test_the_picture_shows_the_imports_as_they_are(sources: Sources) -> None:
     drawn = PICTURE.read_text(encoding="utf-8")
-    assert drawn == draw(sources), "run: python docs/_build_steps/import_py"
+    assert drawn == draw(sources), "run: python docs/_build_steps/import_arrows.py"
 
 
 def test_an_arrow_that_others_imply_is_not_drawn() -> None:

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.rotations import rotation_between
 from ...model.throw import State
+from ...tracking.covariance import covariance_root
 from ...tracking.throw import perturbed
 from ...tracking.track import Track
-from ..estimation import covariance_root
 from ..predict import (
     MIN_FLIGHT_FRAMES,
     ReleaseState,

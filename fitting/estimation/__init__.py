@@ -14,6 +14,7 @@ from .least_squares import COST_TOLERANCE as COST_TOLERANCE
 from .least_squares import HUBER_THRESHOLD as HUBER_THRESHOLD
 from .least_squares import MEDIAN_SQUARE as MEDIAN_SQUARE
 from .least_squares import compressed as compressed
+from .least_squares import covariance_of as covariance_of
 from .least_squares import huber as huber
 from .least_squares import levenberg_marquardt as levenberg_marquardt
 from .least_squares import orthonormal_basis as orthonormal_basis
@@ -21,7 +22,6 @@ from .least_squares import robust_variance as robust_variance
 from .least_squares import times_inverse as times_inverse
 from .least_squares import triangular_factor as triangular_factor
 from .observations import FlightObservations as FlightObservations
-from .observations import covariance_root as covariance_root
 from .observations import flight_observations as flight_observations
 from .observations import pose_errors as pose_errors
 from .observations import whitened as whitened

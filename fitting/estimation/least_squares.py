@@ -170,6 +170,11 @@ def triangular_factor(jacobian: Array) -> Array:
     return root * np.where(np.diag(root) < 0.0, -1.0, 1.0)[:, None]
 
 
+def covariance_of(jacobian: Array) -> Array:
+    """(Jᵀ J)⁻¹ (m, m) of the derivative J (n, r, m) of whitened residuals; 0 for directions on which they have no information."""
+    return np.asarray(np.linalg.pinv(np.einsum("nij,nik->jk", jacobian, jacobian), rcond=1e-15, hermitian=True))
+
+
 def orthonormal_basis(jacobian: Array, root: Array) -> Array:
     """Orthonormal columns (n, m) that span those of a derivative (n, m), whose unknowns are scaled by `root` (m, m)."""
     scaled = times_inverse(jacobian, root)

@@ -141,9 +141,3 @@ def whitened_jacobian(observations: FlightObservations, errors: Array, jacobian:
     turn = np.eye(3) + cross / 2.0 + cross @ cross / 12.0
     observed = np.concatenate([jacobian[:, :3], turn @ jacobian[:, 3:]], axis=1)
     return -observations.whitener @ observed
-
-
-def covariance_root(covariance: Array) -> Array:
-    """L (m, m) with L Lᵀ a covariance (m, m), which may be singular: L z is a draw for z of independent normal numbers."""
-    values, axes = np.linalg.eigh(covariance)
-    return np.asarray(axes * np.sqrt(np.clip(values, 0.0, None)))

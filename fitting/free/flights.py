@@ -24,6 +24,7 @@ from ..estimation import (
     HUBER_THRESHOLD,
     MEDIAN_SQUARE,
     FlightObservations,
+    covariance_of,
     huber,
     levenberg_marquardt,
     pose_errors,
@@ -141,9 +142,8 @@ def fit_flight(observations: FlightObservations, guess: Flight) -> FreeFlight | 
     if freedom and (variance := robust_variance(residuals, freedom)) > _UNDERSTATED:
         # Frames whose covariances are too small would all look bad: the threshold follows their actual scatter.
         state, residuals, jacobian = _nearest(observations, state, k2 * variance)
-    covariance = np.linalg.pinv(np.einsum("nij,nik->jk", jacobian, jacobian), rcond=1e-15, hermitian=True)
     variance = robust_variance(residuals, freedom) if freedom else np.nan
-    flight = Flight(state, guess.end_s, covariance)
+    flight = Flight(state, guess.end_s, covariance_of(jacobian))
     return FreeFlight(flight, n, variance)
 
 

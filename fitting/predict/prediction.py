@@ -31,9 +31,10 @@ from ...model.throw import (
     packed_state,
     world_poses,
 )
+from ...tracking.covariance import covariance_root
 from ...tracking.throw import perturbed
 from ...tracking.track import ABSENT, TRACKED, Track
-from ..estimation import covariance_root, normal_quantile
+from ..estimation import normal_quantile
 from ..results import Parameter
 from ..throw import COARSE, INTERVAL_LEVEL, Physics, in_true_units, kernel_body, resting_face
 from .release_state import (

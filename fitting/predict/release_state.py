@@ -25,6 +25,7 @@ from ...model.throw import Flight, State, touching_vertices
 from ...model.world import GRAVITY_M_S2
 from ...tracking.throw import perturbed, pose_jacobian
 from ...tracking.track import Track
+from ..estimation import covariance_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -224,9 +225,7 @@ def release_from(track: Track, rows: Indices) -> ReleaseState:
     """The state from three rows or more that are known to belong to one flight."""
     state, errors, jacobian = _nearest(track, rows)
     sigma_m, sigma_rad = _standard_deviations(errors)
-    weighted = jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None]
-    information = np.einsum("nij,nik->jk", weighted, weighted)
-    covariance = np.linalg.pinv(information, rcond=1e-15, hermitian=True)
+    covariance = covariance_of(jacobian / np.repeat([sigma_m, sigma_rad], 3)[None, :, None])
     times = track.time_s[rows]
     return ReleaseState(
         rows, state, covariance, sigma_m, sigma_rad, float(times[0]), _derivative_by_offset(state, times)
@@ -280,9 +279,8 @@ class _Motion:
     def through(cls, track: Track, rows: Indices, guess: _Motion | None = None) -> _Motion:
         """The flight of these rows; a guess is that of fewer of them."""
         state, errors, jacobian = _nearest(track, rows, None if guess is None else guess.state)
-        parts = [jacobian[:, part][:, :, columns].reshape(-1, 6) for part, columns in _PARTS]
-        covariances = [np.asarray(np.linalg.pinv(j.T @ j, hermitian=True), dtype=np.float64) for j in parts]
-        return cls(state, len(rows), _standard_deviations(errors), (covariances[0], covariances[1]))
+        position, rotation = (covariance_of(jacobian[:, part][:, :, columns]) for part, columns in _PARTS)
+        return cls(state, len(rows), _standard_deviations(errors), (position, rotation))
 
     def departure(self, track: Track, row: np.int64) -> float:
         """Sigmas by which a frame departs from it."""

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from ...model.die import Die, lowest_face
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import State, Throw, Until
+from ...tracking.covariance import covariance_root
 from ...tracking.throw import perturbed
 from ...tracking.track import Track
-from ..estimation import covariance_root
 from .physics import COARSE, Physics
 
 Array = NDArray[np.float64]

@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..covariance import scaled_inverse
 from .boards import MIN_CORNERS, BoardView
 
 Array = NDArray[np.float64]
@@ -284,7 +285,7 @@ def _calibration(
         lens = lens[:, used]
         blocks.append((lens.T @ lens, lens.T @ pose, np.linalg.inv(pose.T @ pose)))
     variance = fit.squares / max(fit.terms - fit.numbers, 1)
-    C = _scaled_inverse(np.sum([A - B @ E @ B.T for A, B, E in blocks], axis=0))
+    C = scaled_inverse(np.sum([A - B @ E @ B.T for A, B, E in blocks], axis=0))
     covariance = np.zeros((9, 9))
     covariance[np.ix_(used, used)] = variance * C
     boards = tuple(
@@ -298,12 +299,6 @@ def _calibration(
         boards, left_out, corners_out, (),
     )  # fmt: skip
     return Calibration(**{**vars(found), "notices": _notices(found)})
-
-
-def _scaled_inverse(matrix: Array) -> Array:
-    """The inverse of a symmetric matrix whose units differ, through one with a diagonal of ones."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), np.finfo(float).tiny))
-    return np.asarray(np.linalg.pinv(matrix * np.outer(scale, scale), hermitian=True) * np.outer(scale, scale))
 
 
 def _notices(found: Calibration) -> tuple[str, ...]:

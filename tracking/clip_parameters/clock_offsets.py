@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import State, Throw
+from ..covariance import scaled_inverse
 from ..picture import BIWEIGHT_CUT, CameraRig, View, make_view, shares_in_view
 from ..pose import Pose, refine_pose
 from ..throw import CONTOUR_SHARE, CONTOUR_SIGMA_PX
@@ -192,9 +193,7 @@ def _fit_offset(rows: Array, contour_px: float) -> tuple[float, float]:
         gradient = np.einsum("n,nij,ni->j", weights, A, b)
         variance = 1.0
         for _ in range(VARIANCE_ITERATIONS):
-            information = normal / variance + np.diag(prior**2)
-            unit = 1.0 / np.sqrt(np.diag(information))
-            covariance = np.linalg.inv(information * np.outer(unit, unit)) * np.outer(unit, unit)
+            covariance = scaled_inverse(normal / variance + np.diag(prior**2))
             found = covariance @ (gradient / variance)
             squares = ((b - A @ found) ** 2).mean(1)
             variance = max(1.0, float((weights * squares).sum() / max(weights.sum(), 1.0)))

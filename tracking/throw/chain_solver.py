@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
-from .flights import scaled_inverse
+from ..covariance import scaled_inverse
 
 Array = NDArray[np.float64]
 

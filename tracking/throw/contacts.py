@@ -19,11 +19,12 @@ from ...model.die import Die, inner_vertices
 from ...model.rotations import angle_between, matrix_from_quat
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
+from ..covariance import scaled_inverse
 from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
 from .error_model import estimate_error_model
 from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH
-from .flights import ErrorModel, WeightedPoses, fit_flight, rms_residuals, scaled_inverse
+from .flights import ErrorModel, WeightedPoses, fit_flight, rms_residuals
 
 Array = NDArray[np.float64]
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import cross_matrix, matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Flight, State
+from ..covariance import SINGULAR_EIGENVALUE
 from . import flight_kernels as kernels
 from .flight_kernels import FrameInformation, PoseArrays
 
@@ -39,10 +40,6 @@ UNMODELLED_ROTATION_RAD = 1.0e-3
 """The same for the orientation [rad]."""
 GROUPS_PER_BATCH = 64
 """Groups whose frames are gathered at once: all groups of a long clip would take more memory than the clip's poses."""
-WELL_CONDITIONED_PIVOT = 1e-8
-"""Squared pivot of a scaled matrix below which some parameters may be undetermined: rounding changes one by some 1e-14."""
-SINGULAR_EIGENVALUE = 1e-14
-"""Relative eigenvalue below which a direction counts as undetermined."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,30 +293,6 @@ def perturbed(state: State, change: Array) -> State:
 
 
 # --- matrices and packing ----------------------------------------------------------------------------------------------
-
-
-def scaled_inverse(matrix: Array) -> Array:
-    """Inverse of a symmetric matrix whose parameters differ by ten orders of magnitude (seconds, metres, rad/s).
-
-    The diagonal is scaled to one first; undetermined directions get the pseudo-inverse. That needs eigenvalues, which take a
-    hundred times as long as a Cholesky factor, and is therefore used only if Cholesky finds a small pivot."""
-    known = np.diag(matrix) > 0.0
-    unit = np.where(known, 1.0 / np.sqrt(np.where(known, np.diag(matrix), 1.0)), 0.0)
-    scaled = matrix * np.outer(unit, unit)
-    if _is_well_conditioned(scaled):
-        inverse = np.linalg.inv(scaled)
-        inverse = 0.5 * (inverse + inverse.T)
-    else:
-        inverse = np.linalg.pinv(scaled, rcond=SINGULAR_EIGENVALUE, hermitian=True)
-    return np.asarray(inverse * np.outer(unit, unit))
-
-
-def _is_well_conditioned(scaled: Array) -> bool:
-    try:
-        pivots = np.diag(np.linalg.cholesky(scaled))
-    except np.linalg.LinAlgError:
-        return False
-    return bool(pivots.min() ** 2 > WELL_CONDITIONED_PIVOT)
 
 
 def _whiteners(C: Array) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...model.die import Die, inner_vertices, lowest_face
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
+from ..covariance import covariance_root
 from ..track import Track
 from .contact_clusters import instant_limit_s
 from .contacts import (
@@ -438,8 +439,8 @@ def _restitution_interval(joint_covariance: Array, before: State, after: State, 
     """95 % interval of the apparent restitution, by drawing both normal velocities from their joint covariance: that of the
     states on both sides and of the instant (25, 25)."""
     rows = normal_velocity_jacobian(before, after, arm)
-    values, vectors = np.linalg.eigh(rows @ joint_covariance @ rows.T)
-    draws = np.random.default_rng(SEED).standard_normal((DRAWS, 2)) * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+    root = covariance_root(rows @ joint_covariance @ rows.T)
+    draws = np.random.default_rng(SEED).standard_normal((DRAWS, 2)) @ root.T
     v_before, v_after = (np.array([normal_velocity(state, arm) for state in (before, after)]) + draws).T
     low, high = np.percentile(-v_after / v_before, INTERVAL_PERCENT)
     return float(low), float(high)
