@@ -9,20 +9,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import invoke
 from footage_files import write_cine
 from pictures_of_boards import CHARUCO_BOARD, MATRIX, on_table, picture, poses, table_pose_of
-from typer.testing import CliRunner
 
-from diethrow.cli.app import app
 from diethrow.files.scene import read_scene
 
 OPTIONS = ("--square-mm", "10", "--marker-mm", "7.5")
-
-
-def invoke(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["calibrate", *(str(word) for word in words)])
-    assert "Traceback" not in result.output
-    return result.exit_code, result.stdout, result.stderr
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +34,7 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
     out = tmp_path / "camera"
     empty = tmp_path / "empty.png"
     cv2.imwrite(str(empty), np.full((400, 480), 90, np.uint8))
-    status, output, notes = invoke(*pictures[:-1], empty, "--table", pictures[-1], *OPTIONS, "--out", out)
+    status, output, notes = invoke("calibrate", *pictures[:-1], empty, "--table", pictures[-1], *OPTIONS, "--out", out)
     assert status == 0
     assert "7 of 8 pictures" in output
     assert "No board is found on 1 of the pictures (empty.png)" in notes
@@ -67,9 +60,9 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
 
 
 def test_without_a_table_picture_the_pose_is_omitted_with_a_hint(pictures: list[Path], tmp_path: Path) -> None:
-    assert invoke(*pictures, *OPTIONS, "--out", tmp_path / "c")[0] == 0
+    assert invoke("calibrate", *pictures, *OPTIONS, "--out", tmp_path / "c")[0] == 0
     assert "--table" in (tmp_path / "c" / "camera.toml").read_text()
-    status, _, output = invoke(*pictures, *OPTIONS, "--out", tmp_path / "c")
+    status, _, output = invoke("calibrate", *pictures, *OPTIONS, "--out", tmp_path / "c")
     assert status == 2
     assert "exists" in output
 
@@ -86,7 +79,7 @@ def test_without_a_table_picture_the_pose_is_omitted_with_a_hint(pictures: list[
 def test_unusable_pictures_end_in_one_sentence(
     words: tuple[str, ...], status: int, message: str, pictures: list[Path], tmp_path: Path
 ) -> None:
-    ended, _, output = invoke(*pictures[:4], *words, "--out", tmp_path / "c")
+    ended, _, output = invoke("calibrate", *pictures[:4], *words, "--out", tmp_path / "c")
     assert ended == status
     assert message in output
     assert len(output.strip().splitlines()) == 1
@@ -96,14 +89,14 @@ def test_unusable_pictures_end_in_one_sentence(
 def test_pictures_of_two_sizes_are_refused(pictures: list[Path], tmp_path: Path) -> None:
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((60, 80), np.uint8))
-    assert "is 80 × 60 px" in invoke(*pictures[:3], small, *OPTIONS, "--out", tmp_path / "c")[2]
+    assert "is 80 × 60 px" in invoke("calibrate", *pictures[:3], small, *OPTIONS, "--out", tmp_path / "c")[2]
 
 
 def test_a_film_serves_as_a_picture_by_its_first_frame(pictures: list[Path], tmp_path: Path) -> None:
     board = cv2.imread(str(pictures[-1]), cv2.IMREAD_GRAYSCALE)
     film = write_cine(tmp_path / "table.cine", np.stack([board, 0 * board]), stored_bits=8)
-    assert invoke(*pictures[:-1], "--table", film, *OPTIONS, "--out", tmp_path / "film")[0] == 0
-    assert invoke(*pictures[:-1], "--table", pictures[-1], *OPTIONS, "--out", tmp_path / "picture")[0] == 0
+    assert invoke("calibrate", *pictures[:-1], "--table", film, *OPTIONS, "--out", tmp_path / "film")[0] == 0
+    assert invoke("calibrate", *pictures[:-1], "--table", pictures[-1], *OPTIONS, "--out", tmp_path / "picture")[0] == 0
     from_film, from_picture = (
         tomllib.loads((tmp_path / name / "camera.toml").read_text())["camera"] for name in ("film", "picture")
     )

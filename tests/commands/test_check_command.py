@@ -9,12 +9,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import invoke
 from footage_files import write_tiff
 from footage_of_throws import DICE, film, studio
 from random_throws import random_quaternion
-from typer.testing import CliRunner
 
-from diethrow.cli.app import app
 from diethrow.model.throw.motion import Flight, State, Throw
 
 ROOM = replace(studio(), noise_grey=2.0)
@@ -43,15 +42,9 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def invoke(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["check", *(str(word) for word in words)])
-    assert "Traceback" not in result.output
-    return result.exit_code, result.stdout, result.stderr
-
-
 def test_a_good_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "check"
-    status, output, _ = invoke(scene, "--out", out)
+    status, output, _ = invoke("check", scene, "--out", out)
     assert status == 0
     names = (
         *("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "corners"),
@@ -67,7 +60,7 @@ def test_a_good_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_p
     assert abs(values["edge_from_fall_m"] - DICE["cube"].solid.edge_m) < 1.5 * values["edge_from_fall_half_width_m"]
     page = (out / "check.html").read_text()
     assert "://" not in page.replace("http://www.w3.org", "")
-    assert invoke(scene, "--out", out)[0] == 2
+    assert invoke("check", scene, "--out", out)[0] == 2
 
 
 def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
@@ -80,7 +73,7 @@ def test_every_camera_is_checked_and_named(scene: Path, tmp_path: Path) -> None:
     other.write_text(text.replace(table, twice + twice.replace('background.png"', 'nothing.png"')))
     cv2.imwrite(str(scene.parent / "nothing.png"), np.rint(ROOM.table + 60).astype(np.uint8))
     out = tmp_path / "check"
-    status, output, _ = invoke(other, "--allow-outside", "--out", out)
+    status, output, _ = invoke("check", other, "--allow-outside", "--out", out)
     assert status == 1
     record = json.loads((out / "check.json").read_text())
     verdicts = {each["name"]: each["verdict"] for each in record["findings"]}
@@ -97,7 +90,7 @@ def test_a_bad_verdict_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
     cv2.imwrite(str(bright), np.rint(ROOM.table + 60).astype(np.uint8))
     other = tmp_path / "scene.toml"
     other.write_text(text.replace('"background.png"', f'"{bright}"'))
-    status, output, _ = invoke(other, "--allow-outside")
+    status, output, _ = invoke("check", other, "--allow-outside")
     assert status == 1
     assert "bad" in output
 
@@ -105,6 +98,6 @@ def test_a_bad_verdict_ends_with_status_1(scene: Path, tmp_path: Path) -> None:
 def test_a_missing_clip_is_one_sentence(scene: Path, tmp_path: Path) -> None:
     other = tmp_path / "scene.toml"
     other.write_text(scene.read_text())
-    status, _, output = invoke(other)
+    status, _, output = invoke("check", other)
     assert status == 2
     assert len(output.strip().splitlines()) == 1

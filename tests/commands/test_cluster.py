@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import CUBE_ON_WOOD, invoke
 from throws import random_release, seen
-from typer.testing import CliRunner
 
-from diethrow.cli.app import app
 from diethrow.files.throw_records import write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
@@ -25,16 +24,6 @@ from diethrow.model.throw.simulate import Until
 
 pytest.importorskip("distributed")
 
-SCENE = """
-[clip]
-fps = 1500.0
-[table]
-surface = "wood"
-[die]
-shape = "cube"
-edge_m = 0.016
-mass_kg = 0.0048
-"""
 SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
 
 
@@ -63,11 +52,6 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
                 process.kill()  # at once: they would wait for each other
 
 
-def invoke(*words: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    return result.exit_code, result.output
-
-
 def test_odds_maps_and_clips_are_the_same_on_a_cluster(cluster: str, tmp_path: Path) -> None:
     here, there = tmp_path / "here", tmp_path / "there"
     odds = ("odds", "--throws", "9000", "--chi", "0.3", "--after", "1", "--threads", "1")
@@ -75,8 +59,8 @@ def test_odds_maps_and_clips_are_the_same_on_a_cluster(cluster: str, tmp_path: P
     for words in (odds, basins):
         name = words[0]
         assert invoke(*words, "--out", here / name)[0] == 0
-        status, output = invoke(*words, "--out", there / name, "--scheduler", cluster)
-        assert status == 0, output
+        status, _, notes = invoke(*words, "--out", there / name, "--scheduler", cluster)
+        assert status == 0, notes
     assert (here / "odds" / "odds.csv").read_bytes() == (there / "odds" / "odds.csv").read_bytes()
     maps = [np.load(folder / "basins" / "basins.npz") for folder in (here, there)]
     for name in ("face", "impacts", "ending"):
@@ -87,14 +71,14 @@ def test_odds_maps_and_clips_are_the_same_on_a_cluster(cluster: str, tmp_path: P
     scene = shutil.copytree(SAMPLE, tmp_path / "clip") / "scene.toml"
     track = ("--only-track", "--quality", "fast")
     assert invoke("track", scene, "--quality", "fast", "--out", here / "clip")[0] == 0
-    status, output = invoke("batch", scene, *track, "--out", there / "clips", "--scheduler", cluster)
-    assert status == 0, output
+    status, _, notes = invoke("batch", scene, *track, "--out", there / "clips", "--scheduler", cluster)
+    assert status == 0, notes
     for name in ("track.csv", "track_covariance.npy", "bounces.csv"):
         assert (here / "clip" / name).read_bytes() == (there / "clips" / "clip" / name).read_bytes()
 
 
 def test_a_joint_fit_is_the_same_on_a_cluster(cluster: str, tmp_path: Path) -> None:
-    (tmp_path / "scene.toml").write_text(SCENE)
+    (tmp_path / "scene.toml").write_text(f"[clip]\nfps = 1500.0\n{CUBE_ON_WOOD}")
     die, random = make_die("cube", 0.016, 0.0048), np.random.default_rng(2)
     tracks = [tmp_path / f"throw_{k}.csv" for k in range(2)]
     for path in tracks:
@@ -102,14 +86,14 @@ def test_a_joint_fit_is_the_same_on_a_cluster(cluster: str, tmp_path: Path) -> N
         write_track(path, seen(throw, random, noise=0.05))
     words = ("fit", *tracks, "--scene", tmp_path / "scene.toml", "--threads", "1")
     for out, more in (("here", ()), ("there", ("--scheduler", cluster))):
-        status, output = invoke(*words, "--out", tmp_path / out, *more)
-        assert status == 0, output
+        status, _, notes = invoke(*words, "--out", tmp_path / out, *more)
+        assert status == 0, notes
     assert (tmp_path / "here" / "fit.json").read_bytes() == (tmp_path / "there" / "fit.json").read_bytes()
 
 
 def test_a_missing_scheduler_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("diethrow.executors.ANSWER_S", 0.5)
-    status, output = invoke("odds", "--out", tmp_path / "out", "--throws", "10", "--scheduler", "tcp://127.0.0.1:9")
+    status, _, notes = invoke("odds", "--out", tmp_path / "out", "--throws", "10", "--scheduler", "tcp://127.0.0.1:9")
     assert status == 1
-    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in output
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in notes
     assert os.listdir(tmp_path) == []

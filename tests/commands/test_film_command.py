@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import CUBE, LAW, RELEASE, SMALL_CAMERA, invoke, text_file
 
-from diethrow.cli.app import app
 from diethrow.commands.clip.track import open_footage
 from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, film_job
 from diethrow.files.plan import read_plan
@@ -24,49 +23,20 @@ with_mitsuba = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"
 )
 
-DIE = '[table]\nsurface = "cork"\n[die]\nshape = "cube"\nedge_m = 0.016\nmass_kg = 0.0048\n'
-THROW = """\
-[law]
-chi = 0.5
-[initial]
-position_m = [0.0, 0.0, 0.03]
-euler_rad = [0.1, 0.7, -0.4]
-velocity_m_s = [0.1, 0.1, -0.4]
-omega_body_rad_s = [9.0, 30.0, 4.0]
-[until]
-impacts = 2
-"""
-CAMERA = """\
-[clip]
-fps = 1000.0
-exposure_s = 0.0003
-[camera]
-width = 96
-height = 64
-matrix = [[700.0, 0.0, 47.5], [0.0, 700.0, 31.5], [0.0, 0.0, 1.0]]
-rotation = [[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]
-translation_m = [0.0, 0.02, 0.6]
-"""
-
-
-def invoke(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert "Traceback" not in result.output
-    return result.exit_code, result.stdout, result.stderr
+DIE = f'[table]\nsurface = "cork"\n{CUBE}'
+LOW_RELEASE = RELEASE.replace("0.06]", "0.03]").replace("[0.3,", "[0.1,")
+THROW = f"{LAW}{LOW_RELEASE}[until]\nimpacts = 2\n"
+CAMERA = f"[clip]\nfps = 1000.0\nexposure_s = 0.0003\n{SMALL_CAMERA}"
 
 
 @pytest.fixture
 def plan(tmp_path: Path) -> Path:
-    path = tmp_path / "throw.toml"
-    path.write_text(DIE + THROW)
-    return path
+    return text_file(tmp_path / "throw.toml", DIE + THROW)
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    path = tmp_path / "scene.toml"
-    path.write_text(CAMERA + DIE + 'marks = "pips"\n')
-    return path
+    return text_file(tmp_path / "scene.toml", CAMERA + DIE + 'marks = "pips"\n')
 
 
 @with_mitsuba

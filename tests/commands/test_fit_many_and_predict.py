@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import CUBE_ON_WOOD, invoke
 from throws import random_release, seen
-from typer.testing import CliRunner
 
-from diethrow.cli.app import app
 from diethrow.files.throw_records import read_simulated, write_track
 from diethrow.fitting.throw.physics import Physics
 from diethrow.model.die.die import make_die
@@ -18,25 +17,13 @@ from diethrow.model.laws import LEVEL
 from diethrow.model.throw.simulate import Until
 
 CUBE = make_die("cube", 0.016, 0.0048)
-SCENE = """
-[clip]
-fps = 1500.0
-
-[table]
-surface = "wood"
-
-[die]
-shape = "cube"
-edge_m = 0.016
-mass_kg = 0.0048
-"""
 
 
 @pytest.fixture(scope="module")
 def throws(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A scene, three tracks of one smooth law, a track without a bounce, and one whose times do not rise."""
     folder = tmp_path_factory.mktemp("throws")
-    (folder / "scene.toml").write_text(SCENE)
+    (folder / "scene.toml").write_text(f"[clip]\nfps = 1500.0\n{CUBE_ON_WOOD}")
     rng = np.random.default_rng(2)
     for k in range(3):
         throw = Physics(CUBE, LEVEL, {"chi": 0.6}).throw(random_release(CUBE, rng), Until(time_s=0.13)).throw
@@ -48,18 +35,15 @@ def throws(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(*arguments: object) -> tuple[int, str]:
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    return result.exit_code, result.output
-
-
 @pytest.fixture(scope="module")
 def fitted(throws: Path) -> Path:
     tracks = [throws / f"{name}.csv" for name in ("throw_0", "throw_1", "throw_2", "falling", "backwards")]
-    code, output = run("fit", *tracks, "--scene", throws / "scene.toml", "--out", throws / "joint", "--threads", 2)
-    assert code == 0, output
-    assert "falling.csv is left out" in output
-    assert "backwards.csv is left out: t_s" in output
+    status, _, notes = invoke(
+        "fit", *tracks, "--scene", throws / "scene.toml", "--out", throws / "joint", "--threads", 2
+    )
+    assert status == 0, notes
+    assert "falling.csv is left out" in notes
+    assert "backwards.csv is left out: t_s" in notes
     return throws / "joint" / "fit.json"
 
 
@@ -76,25 +60,25 @@ def test_several_tracks_share_their_parameters(fitted: Path) -> None:
 def test_a_prediction_has_one_row_per_row_of_its_track(throws: Path, fitted: Path) -> None:
     out = throws / "one.csv"
     wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--from-frame", "first-bounce", "--out", out)
-    code, output = run("predict", throws / "throw_0.csv", *wanted, "--draws", 10)
-    assert code == 0, output
+    status, output, notes = invoke("predict", throws / "throw_0.csv", *wanted, "--draws", 10)
+    assert status == 0, notes
     assert "after bounces" in output
     predicted, beside = read_simulated(out), json.loads(out.with_suffix(".json").read_text())
     assert len(predicted) == 196
     assert beside["frames_used"] >= 3
     assert set(beside["decided"]) == {"face", "bounces", "t_s"}
-    code, output = run("predict", throws / "throw_0.csv", *wanted)
-    assert code == 2
-    assert "exists" in output
+    status, _, notes = invoke("predict", throws / "throw_0.csv", *wanted)
+    assert status == 2
+    assert "exists" in notes
 
 
 def test_predictions_of_several_tracks_fill_a_folder(throws: Path, fitted: Path) -> None:
     tracks = [throws / f"{name}.csv" for name in ("throw_1", "throw_2", "falling")]
     out = throws / "predicted"
-    code, output = run("predict", *tracks, "--scene", throws / "scene.toml", "--fit", fitted, "--out", out)
-    assert code == 0, output
+    status, output, notes = invoke("predict", *tracks, "--scene", throws / "scene.toml", "--fit", fitted, "--out", out)
+    assert status == 0, notes
     assert "2 throws predicted" in output
-    assert "falling.csv is left out" in output
+    assert "falling.csv is left out" in notes
     assert {path.name for path in out.iterdir()} == {"throw_1.csv", "throw_1.json", "throw_2.csv", "throw_2.json"}
 
 
@@ -112,9 +96,11 @@ def test_a_file_that_is_no_fit_is_refused(
     fit = {**json.loads(fitted.read_text()), **change}
     (tmp_path / "fit.json").write_text(json.dumps(fit))
     track, scene = throws / "throw_0.csv", throws / "scene.toml"
-    code, output = run("predict", track, "--scene", scene, "--fit", tmp_path / "fit.json", "--out", tmp_path / "p.csv")
-    assert code == 1
-    assert expected in " ".join(output.split())
+    status, _, notes = invoke(
+        "predict", track, "--scene", scene, "--fit", tmp_path / "fit.json", "--out", tmp_path / "p.csv"
+    )
+    assert status == 1
+    assert expected in " ".join(notes.split())
     assert not (tmp_path / "p.csv").exists()
 
 
@@ -125,6 +111,6 @@ def test_a_frame_that_the_track_does_not_allow_is_refused(throws: Path, fitted: 
         ("9999", "--from-frame 9999"),
     ):
         wanted = ("--scene", throws / "scene.toml", "--fit", fitted, "--from-frame", frame, "--out", tmp_path / "p.csv")
-        code, output = run("predict", throws / "throw_0.csv", *wanted)
-        assert code == 1
-        assert expected in " ".join(output.split())
+        status, _, notes = invoke("predict", throws / "throw_0.csv", *wanted)
+        assert status == 1
+        assert expected in " ".join(notes.split())

@@ -6,30 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
-
-from diethrow.cli.app import app
+from command_line import CUBE, LAW, RELEASE, invoke, text_file
 
 FEW = ("--impacts", "400", "--orbits", "2", "--leave-out", "50")
-THROW = """\
-[die]
-shape = "cube"
-edge_m = 0.02
-mass_kg = 0.016
-[law]
-chi = 0.3
-[initial]
-position_m = [0.0, 0.0, 0.3]
-euler_rad = [0.1, 0.7, -0.4]
-velocity_m_s = [0.3, 0.1, -0.4]
-omega_body_rad_s = [9.0, 30.0, 4.0]
-"""
-
-
-def invoke(*arguments: object) -> tuple[int, str, str]:
-    """Status, standard output, standard error."""
-    result = CliRunner().invoke(app, [str(a) for a in arguments])
-    return result.exit_code, result.stdout, result.stderr
 
 
 def test_an_exponent_is_written_with_its_errors_and_a_figure(tmp_path: Path) -> None:
@@ -72,8 +51,7 @@ def test_impossible_starts_are_refused_in_one_sentence(options, sentence, tmp_pa
 
 
 def test_a_throw_states_whether_it_is_decidable_in_double_precision(tmp_path: Path) -> None:
-    plan = tmp_path / "throw.toml"
-    plan.write_text(THROW)
+    plan = text_file(tmp_path / "throw.toml", CUBE + LAW + RELEASE)
     assert invoke("throw", plan, "--out", tmp_path / "out")[0] == 0
     written = json.loads((tmp_path / "out" / "throw.json").read_text())
     assert written["decidable"] is True

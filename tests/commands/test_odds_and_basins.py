@@ -10,11 +10,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from command_line import invoke
 from matplotlib.figure import Figure
 from skimage.color import deltaE_ciede2000, rgb2lab
-from typer.testing import CliRunner
 
-from diethrow.cli.app import app
 from diethrow.commands.model.basin_maps import BasinsPlan, axes_of, basins, fixed_from
 from diethrow.commands.model.face_odds import OddsPlan, odds
 from diethrow.files.work_file import WorkFile
@@ -27,12 +26,6 @@ from diethrow.replay.figures.ensembles import basin_map, colours_of, face_odds
 
 PLAN = OddsPlan("cube", 0.02, 0.016, (0.5, 0.2), 40.0, throws=500, after=2)
 SMALL = BasinsPlan(Axis("z0", 0.1, 0.4, 20), Axis("omega_eta", 0.0, 50.0, 30))
-
-
-def invoke(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    assert "Traceback" not in result.output
-    return result.exit_code, result.stdout, result.stderr
 
 
 class StopAt:

@@ -8,17 +8,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
+from command_line import invoke
 
-from diethrow.cli.app import app
 from diethrow.commands.results.folder_comparison import compare
 
 SAMPLE = Path(__file__).parents[2] / "data_samples"
-
-
-def invoke(*words: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, [str(word) for word in words])
-    return result.exit_code, result.stdout, result.stderr
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_throws import DICE, random_release
+from random_throws import DICE, exact_octahedron, random_release, turned_down
 from scipy.optimize import brentq
 
 from diethrow.model.die.die import Die, loaded_die, make_die
@@ -14,7 +14,6 @@ from diethrow.model.laws import CoulombImpact, ImpactLaw, RestitutionBySpeed, Sm
 from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
-    quat_from_matrix,
     quat_from_rotvec,
     quat_multiply,
 )
@@ -29,21 +28,6 @@ LEVEL_POSE = np.array([1.0, 0.0, 0.0, 0.0])
 STILL = np.zeros(3)
 
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
-
-
-def exact_octahedron(edge_m: float = 0.02, mass_kg: float = 0.016) -> Die:
-    """Its vertices on the axes to the last bit, so that a drop on a tip is that of a ball."""
-    die = make_die("octahedron", edge_m, mass_kg)
-    radius = die.solid.circumradius
-    return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
-
-
-def with_down(direction: np.ndarray) -> np.ndarray:
-    """A quaternion that turns this direction of the body (3,) down."""
-    down = direction / np.linalg.norm(direction)
-    x = np.cross(down, [0.3, -0.5, 0.8])
-    x /= np.linalg.norm(x)
-    return quat_from_matrix([x, np.cross(-down, x), -down])
 
 
 def heights(die: Die, states: list[State]) -> np.ndarray:
@@ -219,7 +203,7 @@ def on(die: Die, what: str, velocity_m_s: float) -> tuple[State, float]:
         "edge": solid.vertices[solid.edges[0]].sum(0),
         "face": solid.normals[0],
     }[what]
-    state = State(0.7, STILL, with_down(down), np.array([0.0, 0.0, velocity_m_s]), STILL)
+    state = State(0.7, STILL, turned_down(down), np.array([0.0, 0.0, velocity_m_s]), STILL)
     state = clear(die, state, 0.0)
     reach = {"vertex": 0.0, "edge": solid.edge_m / 2, "face": np.sqrt(solid.circumradius**2 - solid.inradius**2)}
     return state, reach[what]
@@ -260,7 +244,7 @@ def test_a_die_released_on_the_table_rests_or_balances(die, what, chi, speed):
 def test_all_vertices_of_a_face_within_a_femtosecond(die, chi, tilt):
     """They strike one after the other, each where it is: no energy is made, nothing goes below the table, and a fall of
     a micrometre does not turn the die over."""
-    turn = quat_multiply(quat_from_rotvec([tilt, 0.3 * tilt, 0.2]), with_down(die.solid.normals[0]))
+    turn = quat_multiply(quat_from_rotvec([tilt, 0.3 * tilt, 0.2]), turned_down(die.solid.normals[0]))
     drop = 1e-6
     release = clear(die, State(0.0, STILL, turn, STILL, STILL), drop)
     until = Until(impacts=50) if chi == 1.0 else Until()
@@ -354,7 +338,7 @@ def grazing(die: Die, depth_m: float, spin_rad_s: float = 150.0) -> tuple[State,
     """
     before = 0.2 / spin_rad_s
     omega = np.array([spin_rad_s, 0.0, 0.0])
-    turn = quat_multiply(quat_from_rotvec(-before * omega), with_down(die.solid.vertices[0]))
+    turn = quat_multiply(quat_from_rotvec(-before * omega), turned_down(die.solid.vertices[0]))
     position = np.array([0.0, 0.0, die.solid.circumradius - depth_m - 0.5 * G * before**2])
     return State(0.0, position, turn, np.array([0.0, 0.0, G * before]), omega), before
 
@@ -457,7 +441,7 @@ def test_a_long_flight_is_not_mistaken_for_a_spinning_die(edge, fall, up):
 @each_die
 def test_a_flight_of_a_million_seconds_follows_its_parabola_and_its_rotation_to_the_end(die):
     up, spin = 9.81e6 / 2, 0.3
-    quaternion = with_down(die.solid.normals[0])
+    quaternion = turned_down(die.solid.normals[0])
     state = State(0.0, STILL, quaternion, np.array([0.0, 0.0, up]), spin * UP)
     release = clear(die, state, 1.0)
     throw = throw_die(die, release, SmoothImpact(0.5), until=Until(impacts=1)).throw
@@ -589,7 +573,7 @@ def test_every_die_obeys_its_impact_law_at_every_spin(other, spin, chi):
 @each_other
 def test_every_die_falls_a_kilometre_in_the_root_of_two_heights_over_g(other):
     die, law = other(0.02, 0.016)
-    quaternion = with_down(die.solid.normals[2])
+    quaternion = turned_down(die.solid.normals[2])
     arm = np.zeros(3) if die.centre_of_mass_m is None else matrix_from_quat(quaternion) @ die.centre_of_mass_m
     position = np.array([0.0, 0.0, die.solid.inradius + 1e3])
     first = throw_die(die, State(0.0, position, quaternion, STILL, STILL), law(0.5), until=Until(impacts=1)).throw
@@ -605,7 +589,7 @@ def test_every_die_laid_on_a_face_stays_on_it(other, chi):
     die, law = other(0.02, 0.016)
     for face, normal in enumerate(die.solid.normals):
         position = np.array([0.0, 0.0, die.solid.inradius])
-        result = throw_die(die, State(0.0, position, with_down(normal), STILL, STILL), law(chi))
+        result = throw_die(die, State(0.0, position, turned_down(normal), STILL, STILL), law(chi))
         assert (result.ending, result.landed_face, result.impact_count) == (Ending.RESTED, face + 1, 0)
 
 
@@ -630,6 +614,6 @@ def test_boundless_friction_sticks_and_vanishing_friction_is_the_smooth_impact(c
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.0])
 def test_a_die_at_rest_on_an_edge_to_rounding_rests_or_balances(die, yaw):
     for edge in die.solid.edges:
-        turn = quat_multiply(quat_from_rotvec(yaw * UP), with_down(die.solid.vertices[edge].sum(0)))
+        turn = quat_multiply(quat_from_rotvec(yaw * UP), turned_down(die.solid.vertices[edge].sum(0)))
         release = clear(die, State(0.0, STILL, turn, STILL, STILL), 0.0)
         assert throw_die(die, release, SmoothImpact(0.0)).ending in (Ending.RESTED, Ending.BALANCED)

@@ -9,15 +9,12 @@ from typing import Any
 import footage_of_throws
 import numpy as np
 import pytest
-from footage_of_throws import DICE, Studio, film, photograph, studio
+from footage_of_throws import DICE, Studio, falling_cube, film, photograph, studio
 from numpy.typing import NDArray
-from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_matrix, quat_multiply, rotation_between
-from diethrow.model.throw.motion import State, Throw
-from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.motion import Throw
 from diethrow.tracking.pose import candidate_poses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.tracker import NoDieError, track_clip
@@ -39,14 +36,6 @@ as stated, one in some ten thousand clips lies so far off."""
 def some_slow(*quick: int, slow: tuple[int, ...]) -> list[Any]:
     """Limits in their order, of which some take longer than a few seconds."""
     return [pytest.param(limit, marks=pytest.mark.slow if limit in slow else ()) for limit in sorted((*quick, *slow))]
-
-
-def thrown(height_m: float = 0.028, fall_m_s: float = 0.6) -> Throw:
-    """A cube that comes down, strikes the table at 24.3 ms and goes on for 0.1 s."""
-    rng = np.random.default_rng(1)
-    above, down = np.array([-0.002, 0.0, height_m]), np.array([0.05, 0.05, -fall_m_s])
-    release = State(0.0, above, random_quaternion(rng), down, 20.0 * rng.normal(size=3))
-    return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=0.1)).throw
 
 
 @dataclass(frozen=True)
@@ -101,7 +90,7 @@ def honest(outcome: Outcome | str) -> str:
 def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Note) -> None:
     """A die of few pixels is given up, or every pose is within its sigmas; from 30 px across on it is followed throughout."""
     room = replace(studio(focal_px=1500.0 * across_px / 80.0), noise_grey=2.0)
-    outcome = followed(film(room, CUBE, thrown(), FRAMES), room, thrown())
+    outcome = followed(film(room, CUBE, falling_cube(0.1), FRAMES), room, falling_cube(0.1))
     if across_px >= 30:
         assert isinstance(outcome, Outcome)
         assert outcome.track.tracked.all()
@@ -112,7 +101,7 @@ def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.Monk
     """A die found in a picture made smaller, as those above 800 px across are, is refined on the whole one."""
     monkeypatch.setattr(candidate_poses, "LARGEST_PX", 60)
     monkeypatch.setattr(candidate_poses, "SEARCHED_PX", 40)
-    throw = thrown()
+    throw = falling_cube(0.1)
     truth = throw.at(0.0)
     found = candidate_poses.pose_candidates(ROOM.view(CUBE), photograph(ROOM, CUBE, truth, np.random.default_rng(1)))
     away_mm = [1e3 * float(np.linalg.norm(pose.position_m - truth.position_m)) for _, pose in found]
@@ -126,7 +115,7 @@ def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatc
     """A die 2000 px across is found, and followed to a hundredth of a degree."""
     monkeypatch.setattr(footage_of_throws, "FINER", 1)  # coverage is computed exactly, and memory is finite
     room = replace(studio(2800, 2800, focal_px=37_500.0), noise_grey=2.0)
-    throw = thrown(height_m=0.0195, fall_m_s=0.4)
+    throw = falling_cube(0.1, height_m=0.0195, fall_m_s=0.4)
     outcome = followed(film(room, CUBE, throw, 8), room, throw)
     assert isinstance(outcome, Outcome)
     assert outcome.track.tracked.all()
@@ -139,7 +128,7 @@ def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Note) 
     """Without noise the poses are exact to a few hundredths of a degree; a die that stands out of the table by some 60 grey
     levels is followed through noise of 20, and given up in noise of 80."""
     room = replace(ROOM, noise_grey=float(noise_grey))
-    outcome = followed(film(room, CUBE, thrown(), FRAMES), room, thrown())
+    outcome = followed(film(room, CUBE, falling_cube(0.1), FRAMES), room, falling_cube(0.1))
     if noise_grey <= 20:
         assert isinstance(outcome, Outcome)
         assert outcome.track.tracked.all()
@@ -153,7 +142,7 @@ def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Note) 
 def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
     """A throw that is over between two frames, or turns too far between them to be followed, is given up; from 300 frames/s
     on it is followed throughout; one that hardly moves in all of the clip is followed, and no bounce is made up."""
-    throw = thrown()
+    throw = falling_cube(0.1)
     outcome = followed(film(ROOM, CUBE, throw, 60 if fps == 1_000_000 else 20, fps=float(fps)), ROOM, throw)
     if fps <= 30:
         assert isinstance(outcome, str)
@@ -184,7 +173,7 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
 )
 def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Note) -> None:
     """All of 16 bits are used, and where the brightest face is cut off at full scale the poses claim no more than they know."""
-    throw, clip = thrown(), film(ROOM, CUBE, thrown(), FRAMES, bit_depth=16)
+    throw, clip = falling_cube(0.1), film(ROOM, CUBE, falling_cube(0.1), FRAMES, bit_depth=16)
     gain = brightest * 65_535.0 / float(clip.array.max())
     brighter = np.minimum(np.rint(gain * clip.array), 65_535).astype(np.uint16)
     room = replace(ROOM, table=np.asarray(gain * ROOM.table, np.float32))
@@ -202,13 +191,13 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Not
 )
 def test_few_levels_make_worse_poses_or_none(bits: int, happened: Note) -> None:
     """Few grey levels make poses worse, and claim no more than they know; black and white pictures are given up."""
-    clip, lost = film(ROOM, CUBE, thrown(), FRAMES), 8 - bits
+    clip, lost = film(ROOM, CUBE, falling_cube(0.1), FRAMES), 8 - bits
     if bits == 1:
         frames, table = np.where(clip.array > 100, 255, 0), np.where(ROOM.table > 100, 255, 0)
     else:
         frames, table = clip.array >> lost << lost, np.rint(ROOM.table).astype(int) >> lost << lost
     room = replace(ROOM, table=np.asarray(table, np.float32))
-    outcome = followed(replace(clip, array=frames.astype(np.uint8)), room, thrown())
+    outcome = followed(replace(clip, array=frames.astype(np.uint8)), room, falling_cube(0.1))
     assert isinstance(outcome, str) == (bits == 1)
     if isinstance(outcome, Outcome):
         happened(str(outcome))
@@ -221,7 +210,7 @@ def test_few_levels_make_worse_poses_or_none(bits: int, happened: Note) -> None:
 def test_nothing_is_found_where_nothing_is(level: int, happened: Note) -> None:
     """Frames of one grey show no die."""
     clip = ArrayClip(np.full((20, 200, 200), level, np.uint8), np.arange(20) / FPS)
-    outcome = followed(clip, ROOM, thrown())
+    outcome = followed(clip, ROOM, falling_cube(0.1))
     assert isinstance(outcome, str)
     happened(honest(outcome))
 
@@ -229,9 +218,9 @@ def test_nothing_is_found_where_nothing_is(level: int, happened: Note) -> None:
 def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Note) -> None:
     """Where every frame is one picture of a die in the air, every pose is that of the picture, the sigmas admit that it does
     not fall, and no bounce is found."""
-    clip = film(ROOM, CUBE, thrown(), FRAMES)
+    clip = film(ROOM, CUBE, falling_cube(0.1), FRAMES)
     frozen = replace(clip, array=np.repeat(clip.array[10:11], FRAMES, axis=0))
-    throw = thrown()
+    throw = falling_cube(0.1)
     track = track_clip(frozen, ROOM.camera, CUBE, background=np.rint(ROOM.table)).track
     away = np.linalg.norm(track.position_m - throw.at(10 / FPS).position_m, axis=1)
     assert track.tracked.all()
@@ -291,7 +280,7 @@ class Live:
 def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Note) -> None:
     """60 ms of a throw are followed on 200 frames as on 60 000, at a million a second, and its bounces are where they are."""
     room = replace(studio(100, 100, focal_px=750.0), noise_grey=2.0)
-    throw = thrown()
+    throw = falling_cube(0.1)
     clip = Live(room, throw, np.arange(frames) * (0.06 / frames))
     track = track_clip(clip, room.camera, CUBE, background=np.rint(room.table), quality=FAST).track
     measured = measure_throw(track, CUBE, room.camera)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import text_file
 
 from diethrow.files.plan import read_plan
 from diethrow.files.settings import SceneError
@@ -61,9 +62,7 @@ MISTAKES = {
 
 
 def plan_file(folder: Path, text: str = PLAN) -> Path:
-    path = folder / "throw.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return text_file(folder / "throw.toml", text)
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)

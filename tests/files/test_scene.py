@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import CUBE_ON_WOOD, invoke, text_file
 
-from diethrow.cli.app import app
 from diethrow.files.scene import SceneError, read_scene
 from diethrow.tracking.clip_parameters.corner_radius import CornerRounding
 
-SCENE = """\
+SCENE = f"""\
 [clip]
 path = "clip.avi"
 fps = 1500.0
@@ -25,15 +24,7 @@ height = 384
 matrix = [[2700.0, 0.0, 197.0], [0.0, 2700.0, 189.0], [0.0, 0.0, 1.0]]
 rotation = [[1.0, 0.0, 0.0], [0.0, -0.6, -0.8], [0.0, 0.8, -0.6]]
 translation_m = [0.0, 0.02, 0.6]
-
-[table]
-surface = "wood"
-
-[die]
-shape = "cube"
-edge_m = 0.016
-mass_kg = 0.0048
-marks = "pips"
+{CUBE_ON_WOOD}marks = "pips"
 """
 
 # What is replaced, by what, and what the sentence must say.
@@ -152,9 +143,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def scene_file(folder: Path, text: str = SCENE) -> Path:
-    path = folder / "scene.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return text_file(folder / "scene.toml", text)
 
 
 @pytest.mark.parametrize(
@@ -199,11 +188,10 @@ def test_a_wrong_scene_ends_with_status_2_and_no_folder(folder: Path, mistake: s
     old, new, _ = MISTAKES[mistake]
     path = scene_file(folder, SCENE.replace(old, new))
     before = sorted(folder.rglob("*"))
-    result = CliRunner().invoke(app, [command, str(path), "--out", str(folder / "out")])
-    assert result.exit_code == 2
-    assert result.stderr.startswith(f"diethrow: {path}: ")
-    assert len(result.stderr.splitlines()) == 1
-    assert "Traceback" not in result.output
+    status, _, message = invoke(command, path, "--out", folder / "out")
+    assert status == 2
+    assert message.startswith(f"diethrow: {path}: ")
+    assert len(message.splitlines()) == 1
     assert sorted(folder.rglob("*")) == before
 
 

@@ -12,11 +12,14 @@ from typing import Protocol
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from random_throws import random_quaternion
 from replay_records import ArrayClip
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES, Solid
-from diethrow.model.throw.motion import Flight, State
+from diethrow.model.laws import SmoothImpact
+from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.picture.view import View, make_view
 
@@ -113,6 +116,19 @@ def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, 
     clouds = np.random.default_rng(7).normal(size=(height_px, width_px))
     texture = cv2.GaussianBlur(clouds, (0, 0), 3.0)
     return Studio(camera, np.asarray(75.0 + 7.0 * texture / texture.std(), np.float32))
+
+
+def still(rng: np.random.Generator, height_m: float = 0.018) -> State:
+    """A die at rest near the middle of the studio, in a random orientation."""
+    return State(0.0, np.array([0.001, -0.002, height_m]), random_quaternion(rng), np.zeros(3), np.zeros(3))
+
+
+def falling_cube(duration_s: float, height_m: float = 0.028, fall_m_s: float = 0.6) -> Throw:
+    """A cube that falls, and by default bounces once in the first 64 frames, at 24.3 ms, and stays in the picture."""
+    rng = np.random.default_rng(1)
+    above, down = np.array([-0.002, 0.0, height_m]), np.array([0.05, 0.05, -fall_m_s])
+    release = State(0.0, above, random_quaternion(rng), down, 20.0 * rng.normal(size=3))
+    return throw_die(DICE["cube"], release, SmoothImpact(0.6), until=Until(time_s=duration_s)).throw
 
 
 def photograph(

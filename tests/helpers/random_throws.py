@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES
+from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import State
 
 DICE = {shape: make_die(shape, 0.02, 0.016) for shape in SHAPES}
@@ -16,6 +19,33 @@ def random_quaternion(rng: np.random.Generator) -> np.ndarray:
     """Uniform over the rotations."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
+
+
+def turned_down(down: np.ndarray, tilt_rad: float = 0.0) -> np.ndarray:
+    """Quaternion that turns a direction of the body (3,) down, and then tilts it about the world's x axis."""
+    down = down / np.linalg.norm(down)
+    x = np.cross(down, [0.3, -0.5, 0.8])
+    x /= np.linalg.norm(x)
+    upright = quat_from_matrix([x, np.cross(-down, x), -down])
+    return quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
+
+
+def exact_octahedron(edge_m: float = 0.02, mass_kg: float = 0.016) -> Die:
+    """An octahedron with its vertices on the axes to the last bit, so that a drop on a tip is that of a ball."""
+    die = make_die("octahedron", edge_m, mass_kg)
+    radius = die.solid.circumradius
+    return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
+
+
+def disturbed(start: State, step: np.ndarray) -> State:
+    """The state moved by the first twelve of (12 or more,); rotations act in world axes."""
+    return State(
+        start.time_s,
+        start.position_m + step[:3],
+        quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
+        start.velocity_m_s + step[6:9],
+        start.omega_rad_s + step[9:12],
+    )
 
 
 def lowest_vertex_m(die: Die, state: State) -> float:

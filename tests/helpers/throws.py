@@ -5,15 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
+from diethrow.fitting.dataset.joint_fit import JointFit
+from diethrow.fitting.results import Fit
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import inner_vertices
-from diethrow.model.laws import SmoothImpact
+from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.throw.flight_chain import VertexImpact
+from diethrow.tracking.throw.flights import WeightedPoses
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]
@@ -88,6 +92,19 @@ def roughly_measured(throw: Throw, rng: np.random.Generator) -> Throw:
     return Throw(tuple(flights), tuple(impacts))
 
 
+def thrown(
+    die: Die, law: ImpactLaw, seed: int, *, table: Table = LEVEL, release: State | None = None, impacts: int = 3
+) -> tuple[Track, Throw]:
+    """Track and measured throw of a die with any law on any table, and on for at most 60 frames."""
+    rng = np.random.default_rng(seed)
+    start = random_release(die, rng) if release is None else release
+    whole = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
+    last = whole.flights[-1]
+    end_s = min(last.end_s, last.start.time_s + 60 / FPS)
+    throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
+    return seen(throw, rng), roughly_measured(throw, rng)
+
+
 def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames: float) -> Track:
     """The same track with errors of the same size that stay alike over so many frames (AR(1))."""
     positions, quaternions = throw.poses(track.time_s)
@@ -98,6 +115,31 @@ def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames
         errors[k] = keep * errors[k - 1] + np.sqrt(1.0 - keep**2) * white[k]
     rotated = quat_multiply(quat_from_rotvec(errors[:, 3:]), quaternions)
     return replace(track, position_m=positions + errors[:, :3], quaternion=rotated)
+
+
+def later(throw: Throw, seconds: float) -> Throw:
+    """The same throw, with all times later by so many seconds."""
+    flights = tuple(
+        replace(f, start=replace(f.start, time_s=f.start.time_s + seconds), end_s=f.end_s + seconds)
+        for f in throw.flights
+    )
+    return Throw(flights, tuple(replace(i, time_s=i.time_s + seconds) for i in throw.impacts))
+
+
+def weighted_poses(track: Track, unmodelled: float = 0.0) -> WeightedPoses:
+    """The poses of a track, and of their unmodelled errors so large a share."""
+    poses = (track.time_s, track.position_m, track.quaternion, track.covariance)
+    return WeightedPoses.from_poses(*poses, unmodelled=unmodelled)
+
+
+def assert_inside(fit: Fit | JointFit, name: str, truth: float, within: float = np.inf) -> None:
+    """A parameter is near the truth, and twice its 95 % interval contains it: one in ten thousand does not."""
+    found = fit.parameters[name]
+    assert found.value == pytest.approx(truth, abs=within)
+    assert found.low is not None
+    assert found.high is not None
+    margin = 0.5 * (found.high - found.low)
+    assert found.low - margin <= truth <= found.high + margin
 
 
 def initial_errors(fitted: State, true: State) -> Array:

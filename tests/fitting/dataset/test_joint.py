@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import FPS, random_release, seen
+from throws import FPS, assert_inside, random_release, seen
 
 from diethrow.fitting.dataset.data_set import Entry, entry_of
 from diethrow.fitting.dataset.joint_effects import clock_before_bounces, offset_before_bounces, refuted_by_flights
@@ -44,13 +44,8 @@ def frictional_fit() -> JointFit:
 def test_shared_parameters_come_back_within_their_intervals(frictional_fit: JointFit) -> None:
     assert [effect.name for effect in frictional_fit.chosen] == ["friction"]
     for name, value in TRUTH.items():
-        parameter = frictional_fit.parameters[name]
-        assert parameter.low is not None
-        assert parameter.high is not None
         # The bootstrap of ten throws is a tenth too narrow; a correct method does not miss twice the interval.
-        margin = 0.5 * (parameter.high - parameter.low)
-        assert parameter.low - margin <= value <= parameter.high + margin
-        assert parameter.value == pytest.approx(value, abs=0.02)
+        assert_inside(frictional_fit, name, value, 0.02)
 
 
 def test_an_effect_without_evidence_is_refused_with_a_reason(frictional_fit: JointFit) -> None:

@@ -6,68 +6,54 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import FPS, random_release, roughly_measured, seen, true_throw
+from throws import assert_inside, random_release, roughly_measured, seen, thrown, true_throw
 
 from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights
 from diethrow.fitting.free.loaded_die import CENTRE_OF_MASS, mass_offset_from_flights
-from diethrow.fitting.results import Fit
 from diethrow.fitting.throw.clock_and_scale import as_tracked
 from diethrow.fitting.throw.physics import EFFECTS, Physics
 from diethrow.fitting.throw.throw_fit import fit_throw
-from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws import LEVEL, CoulombImpact, ImpactLaw, RestitutionBySpeed, SmoothImpact, Table
+from diethrow.model.die.die import make_die
+from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat
-from diethrow.model.throw.motion import State, Throw
-from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.motion import Throw
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
 
 
-def thrown(
-    law: ImpactLaw, seed: int, *, die: Die = CUBE, table: Table = LEVEL, release: State | None = None, impacts: int = 3
-) -> tuple[Track, Throw]:
-    """Track and measured throw of a die with any law on any table."""
-    rng = np.random.default_rng(seed)
-    start = random_release(die, rng) if release is None else release
-    whole = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
-    last = whole.flights[-1]
-    end_s = min(last.end_s, last.start.time_s + 60 / FPS)
-    throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
-    return seen(throw, rng), roughly_measured(throw, rng)
-
-
-def assert_inside(fit: Fit, name: str, truth: float, within: float) -> None:
-    """A parameter is near the truth, and twice its interval contains it: one in ten thousand does not."""
-    found = fit.parameters[name]
-    assert found.value == pytest.approx(truth, abs=within)
-    assert found.low is not None
-    assert found.high is not None
-    margin = 0.5 * (found.high - found.low)
-    assert found.low - margin <= truth <= found.high + margin
-
-
 @pytest.mark.parametrize("seed", [4, 7, 14])
 def test_friction_is_found_with_its_coefficient(seed: int) -> None:
-    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.2), seed), CUBE)
+    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.6, 0.2), seed), CUBE)
     assert fit.chosen == ("friction",)
     assert fit.bounces_fitted == 3
     assert_inside(fit, "chi", 0.6, 2e-3)
     assert_inside(fit, "mu", 0.2, 5e-3)
 
 
-def test_friction_open_after_a_sticking_contact_is_found_at_a_sliding_one() -> None:
-    """At the first bounce of this throw the slip stops, as it would with any larger coefficient."""
-    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.2), 8), CUBE)
-    assert fit.bounces_fitted == 3
-    assert_inside(fit, "chi", 0.6, 2e-3)
-    assert_inside(fit, "mu", 0.2, 0.02)
+@pytest.mark.parametrize(
+    ("law", "seed", "chi_within", "mu_within", "bounces"),
+    [
+        # At the first bounce the slip stops, as it would with any larger coefficient; a later contact slides.
+        pytest.param(CoulombImpact(0.6, 0.2), 8, 2e-3, 0.02, 3, id="sticks first"),
+        # Descents from little friction end at the bend, 0.29; a fit from there goes through the first bounce alone.
+        pytest.param(CoulombImpact(0.84, 0.43), 7, 1e-3, 5e-3, 2, id="beyond the bend where a slip just stops"),
+        pytest.param(CoulombImpact(0.6, 0.3, "newton"), 1, 3e-3, 0.02, 1, id="another definition of restitution"),
+    ],
+)
+def test_friction_is_found_where_a_slip_stops(
+    law: CoulombImpact, seed: int, chi_within: float, mu_within: float, bounces: int
+) -> None:
+    fit = fit_throw(*thrown(CUBE, law, seed), CUBE)
+    assert fit.bounces_fitted >= bounces
+    assert_inside(fit, "chi", law.chi, chi_within)
+    assert_inside(fit, "mu", law.mu, mu_within)
 
 
 def test_the_interval_of_friction_is_open_above_where_any_larger_one_sticks_too() -> None:
     """The slip of this one bounce stops for every mu from 0.15 on, and chi varies little with it."""
-    fit = fit_throw(*thrown(CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
+    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
     assert fit.chosen == ("friction",)
     chi, mu = fit.parameters["chi"], fit.parameters["mu"]
     assert chi.low is not None
@@ -77,14 +63,6 @@ def test_the_interval_of_friction_is_open_above_where_any_larger_one_sticks_too(
     assert 0.1 < mu.low < 0.27
     assert mu.high == 3.0
     assert not mu.at_bound
-
-
-def test_friction_is_found_beyond_the_bend_where_a_slip_just_stops() -> None:
-    """Descents from little friction end at the bend, 0.29; a fit from there goes through the first bounce alone."""
-    fit = fit_throw(*thrown(CoulombImpact(0.84, 0.43), 7), CUBE)
-    assert fit.bounces_fitted >= 2
-    assert_inside(fit, "chi", 0.84, 1e-3)
-    assert_inside(fit, "mu", 0.43, 5e-3)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -100,7 +78,7 @@ def test_a_smooth_throw_shows_no_effect(seed: int) -> None:
 
 def test_a_tilted_table_is_found() -> None:
     table = Table(tilt_rad=0.03, downhill_rad=0.7)
-    fit = fit_throw(*thrown(SmoothImpact(0.5), 3, table=table), CUBE)
+    fit = fit_throw(*thrown(CUBE, SmoothImpact(0.5), 3, table=table), CUBE)
     assert "tilted table" in fit.chosen
     # The normal tilts towards (y, -x) of the turn.
     tilt = fit.parameters["tilt_y_rad"].value, -fit.parameters["tilt_x_rad"].value
@@ -108,7 +86,7 @@ def test_a_tilted_table_is_found() -> None:
 
 
 def test_fading_restitution_is_found() -> None:
-    fit = fit_throw(*thrown(RestitutionBySpeed(SmoothImpact(0.8), 0.5), 6), CUBE)
+    fit = fit_throw(*thrown(CUBE, RestitutionBySpeed(SmoothImpact(0.8), 0.5), 6), CUBE)
     assert "fading restitution" in fit.chosen
     assert_inside(fit, "chi", 0.8, 0.05)
     assert_inside(fit, "chi_fade_s_per_m", 2.0, 1.0)
@@ -116,7 +94,7 @@ def test_fading_restitution_is_found() -> None:
 
 def test_another_inertia_is_found() -> None:
     heavy = replace(CUBE, inertia_kg_m2=1.1 * CUBE.inertia_kg_m2)
-    fit = fit_throw(*thrown(SmoothImpact(0.5), 5, die=heavy), CUBE)
+    fit = fit_throw(*thrown(heavy, SmoothImpact(0.5), 5), CUBE)
     assert "inertia" in fit.chosen
     assert_inside(fit, "inertia_kg_m2", heavy.inertia_kg_m2, 0.02 * CUBE.inertia_kg_m2)
 
@@ -124,7 +102,7 @@ def test_another_inertia_is_found() -> None:
 def loaded(centre_of_mass_m: tuple[float, float, float], seed: int) -> tuple[Track, Throw]:
     """Track and measured throw of a cube whose centre of mass is not its centroid."""
     die = replace(CUBE, centre_of_mass_m=np.array(centre_of_mass_m))
-    return thrown(SmoothImpact(0.5), seed, die=die)
+    return thrown(die, SmoothImpact(0.5), seed)
 
 
 @pytest.mark.parametrize("seed", [3, 8])
@@ -151,7 +129,7 @@ def test_free_flights_alone_determine_a_centre_of_mass() -> None:
 
 
 def test_a_wrongly_tracked_flight_is_not_taken_for_a_loaded_die() -> None:
-    fair, measured = thrown(SmoothImpact(0.5), 3)
+    fair, measured = thrown(CUBE, SmoothImpact(0.5), 3)
     shift = matrix_from_quat(fair.quaternion) @ np.array([2e-4, -1e-4, 3e-4])
     second = measured.flights_at(fair.time_s) == 1
     bent = replace(fair, position_m=fair.position_m - np.where(second[:, None], shift, 0.0))
@@ -174,12 +152,6 @@ def test_fits_of_one_throw_combine_a_loaded_die_with_smooth_impacts_only() -> No
     assert not Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction").is_compatible_with("loaded die")
 
 
-def test_the_definition_of_restitution_is_found_where_slip_stops() -> None:
-    fit = fit_throw(*thrown(CoulombImpact(0.6, 0.3, "newton"), 1), CUBE)
-    assert_inside(fit, "chi", 0.6, 3e-3)
-    assert_inside(fit, "mu", 0.3, 0.02)
-
-
 def test_parameters_stay_within_their_bounds() -> None:
     physics = Physics(CUBE, LEVEL, {"chi": 0.5}).with_effect("friction")
     moved = physics.moved(np.array([0.7, -0.1]))
@@ -198,7 +170,7 @@ def test_physics_without_effects_is_the_plainest_law() -> None:
 
 @pytest.mark.parametrize("scale", ["clock_scale", "length_scale"])
 def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_in_the_units_of_the_track(scale: str) -> None:
-    track, measured = thrown(SmoothImpact(0.5), 3)
+    track, measured = thrown(CUBE, SmoothImpact(0.5), 3)
     clock, length = (1.02, 1.0) if scale == "clock_scale" else (1.0, 1.02)
     wrong = Physics(CUBE, LEVEL, {"chi": 0.5}).with_values(clock_scale=clock, length_scale=length)
     rescaled = replace(track, time_s=track.time_s / clock, position_m=length * track.position_m)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from throws import (
+    assert_inside,
     blurred_in_time,
     initial_errors,
     random_release,
@@ -314,8 +315,4 @@ def test_a_throw_of_many_bounces_is_fitted_as_far_as_double_precision_carries() 
     assert 5 <= fit.bounces_fitted < 12
     assert any(f"explains {fit.bounces_fitted} of 12 bounces" in m and "double precision" in m for m in fit.messages)
     assert fit.chosen == ("smooth impact",)
-    chi = fit.parameters["chi"]
-    assert chi.low is not None
-    assert chi.high is not None
-    assert chi.value == pytest.approx(0.9, abs=1e-4)
-    assert abs(0.9 - 0.5 * (chi.low + chi.high)) < chi.high - chi.low
+    assert_inside(fit, "chi", 0.9, 1e-4)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_throws import DICE, random_quaternion, random_release
+from random_throws import DICE, exact_octahedron, random_quaternion, random_release, turned_down
 from scipy.integrate import quad, solve_ivp
 
 from diethrow.model import engine
@@ -24,15 +24,6 @@ UP = np.array([0.0, 0.0, 1.0])
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 
 
-def turned_down(down: np.ndarray, tilt_rad: float = 0.0) -> np.ndarray:
-    """Quaternion that turns a direction of the body (3,) down, and then tilts it about the world's x axis."""
-    down = down / np.linalg.norm(down)
-    x = np.cross(down, [0.3, -0.5, 0.8])
-    x /= np.linalg.norm(x)
-    upright = quat_from_matrix([x, np.cross(-down, x), -down])
-    return quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
-
-
 def on_vertex(die, vertex: int, tilt_rad: float, omega) -> State:
     """A die on one vertex at rest vertically, the line to the centre tilted by an angle, with a horizontal velocity."""
     quaternion, omega = turned_down(die.solid.vertices[vertex], tilt_rad), np.asarray(omega, float)
@@ -50,13 +41,6 @@ def on_edge(die, tilt_rad: float, omega_z: float) -> State:
     quaternion = quat_multiply(quat_from_rotvec([tilt_rad, 0.0, 0.0]), upright)
     height = -(matrix_from_quat(quaternion) @ a)[2]
     return State(0.0, np.array([0, 0, height]), quaternion, np.zeros(3), np.array([0.0, 0.0, omega_z]))
-
-
-def exact_octahedron():
-    """An octahedron with its vertices on the axes to the last bit; those of the stored one are 1e-19 m off."""
-    die = DICE["octahedron"]
-    radius = die.solid.circumradius
-    return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
 
 
 def held_contacts(result) -> list[HeldContact]:

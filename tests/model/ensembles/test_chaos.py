@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_throws import DICE, random_quaternion, random_release
+from random_throws import DICE, disturbed, random_quaternion, random_release
 
 from diethrow.model import engine
 from diethrow.model.die.die import make_die
@@ -19,7 +19,6 @@ from diethrow.model.rotations import (
     matrix_from_quat,
     quat_from_euler,
     quat_from_rotvec,
-    quat_multiply,
     rotation_between,
 )
 from diethrow.model.throw.body import body_of, checked_release, unpacked_state
@@ -36,17 +35,6 @@ LAWS = {
 }
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 each_law = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS.keys())
-
-
-def disturbed(start: State, step: np.ndarray) -> State:
-    """The start moved by (12,); turns act in world axes."""
-    return State(
-        start.time_s,
-        start.position_m + step[:3],
-        quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
-        start.velocity_m_s + step[6:9],
-        start.omega_rad_s + step[9:],
-    )
 
 
 def apart(a: State, b: State) -> np.ndarray:

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from random_throws import DICE, lowest_vertex_m, random_release
+from random_throws import DICE, exact_octahedron, lowest_vertex_m, random_release
 from scipy.optimize import brentq
 
 from diethrow.model import engine
@@ -194,13 +194,6 @@ def test_an_impact_on_a_oscillating_table_reverses_the_velocity_relative_to_it(d
         assert impact.normal_velocity_before_m_s == pytest.approx(u, abs=1e-12)
         height = before.position_m[2] + arm[2]
         assert height == pytest.approx(table.amplitude_m * np.sin(rate * impact.time_s + table.phase_rad), abs=1e-14)
-
-
-def exact_octahedron():
-    """Its vertices on the axes to the last bit, so that a drop on a tip is that of a ball."""
-    die = DICE["octahedron"]
-    radius = die.solid.circumradius
-    return replace(die, solid=replace(die.solid, vertices=np.round(die.solid.vertices / radius) * radius))
 
 
 @pytest.mark.parametrize(("chi", "frequency"), [(0.2, 30.0), (0.5, 60.0), (0.8, 100.0)])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from random_throws import DICE, random_release
+from random_throws import DICE, disturbed, random_release
 
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
@@ -13,17 +13,6 @@ from diethrow.model.throw.tangent import propagate
 CHI = 0.6
 IMPACTS = 4
 each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
-
-
-def disturbed(start: State, step: np.ndarray) -> State:
-    """The start moved by the first twelve of (13,); turns act in world axes."""
-    return State(
-        start.time_s,
-        start.position_m + step[:3],
-        quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
-        start.velocity_m_s + step[6:9],
-        start.omega_rad_s + step[9:12],
-    )
 
 
 def a_throw(die, seed: int) -> tuple[State, list[int], np.ndarray]:

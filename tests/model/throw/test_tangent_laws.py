@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from random_throws import random_release
+from random_throws import disturbed, random_release
 from scipy.integrate import solve_ivp
 
 from diethrow.model import engine
@@ -72,17 +72,6 @@ def changed(model: Model, name: str, step: float) -> Model:
         name = name.removeprefix("table_")
         table = replace(table, **{name: getattr(table, name) + step})
     return die, law, table, drag
-
-
-def disturbed(start: State, step: np.ndarray) -> State:
-    """The start moved by (12,); turns act in world axes."""
-    return State(
-        start.time_s,
-        start.position_m + step[:3],
-        quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
-        start.velocity_m_s + step[6:9],
-        start.omega_rad_s + step[9:12],
-    )
 
 
 def a_throw(model: Model, seed: int, impacts: int) -> tuple[State, list[int], np.ndarray]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import replay_records as made
 from rrd_files import entities, rows, verify
+from throws import later
 
 from diethrow.model.throw.motion import Throw
 from diethrow.replay.elements.colours import BLACK, MEASURED, SIMULATED, THROW_COLOURS, WHITE, Colour, mixed
@@ -17,15 +18,6 @@ from diethrow.replay.recording.throw_recording import write_recording, write_thr
 
 LATER_FRAMES = 5
 EXACT_NS = round(1e9 * made.IMPACT_S)
-
-
-def later(throw: Throw, seconds: float) -> Throw:
-    """The same throw, begun later."""
-    flights = tuple(
-        replace(f, start=replace(f.start, time_s=f.start.time_s + seconds), end_s=f.end_s + seconds)
-        for f in throw.flights
-    )
-    return Throw(flights, tuple(replace(i, time_s=i.time_s + seconds) for i in throw.impacts))
 
 
 @pytest.fixture(scope="module")

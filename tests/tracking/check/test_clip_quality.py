@@ -7,14 +7,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, FPS, film, studio
-from random_throws import random_quaternion
+from footage_of_throws import DICE, FPS, falling_cube, film, studio
 from replay_records import ArrayClip
 
 from diethrow.model.die.die import Die, make_die
-from diethrow.model.laws import SmoothImpact
-from diethrow.model.throw.motion import State, Throw
-from diethrow.model.throw.simulate import Until, throw_die
+from diethrow.model.throw.motion import Throw
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.check.clip_quality import (
@@ -36,10 +33,7 @@ FRAMES = 64
 @cache
 def falling() -> tuple[ArrayClip, Throw]:
     """A cube that comes down and bounces once, at frame 36.5."""
-    rng = np.random.default_rng(1)
-    start, down = np.array([-0.002, 0.0, 0.028]), np.array([0.05, 0.05, -0.6])
-    release = State(0.0, start, random_quaternion(rng), down, 20.0 * rng.normal(size=3))
-    throw = throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
+    throw = falling_cube(FRAMES / FPS)
     return film(ROOM, CUBE, throw, FRAMES), throw
 
 

@@ -7,11 +7,9 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from footage_of_throws import DICE, photograph, studio
-from random_throws import random_quaternion
+from footage_of_throws import DICE, photograph, still, studio
 
 from diethrow.model.die.solid import SHAPES
-from diethrow.model.throw.motion import State
 from diethrow.tracking.picture.segmentation import (
     DITHERED,
     background_noise,
@@ -26,14 +24,10 @@ from diethrow.tracking.picture.segmentation import (
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
 
-def state_at(rng: np.random.Generator, height_m: float = 0.018) -> State:
-    return State(0.0, np.array([0.001, -0.002, height_m]), random_quaternion(rng), np.zeros(3), np.zeros(3))
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_shadow_is_distinguished_from_the_die(shape: str) -> None:
     rng = np.random.default_rng(20)
-    state, view = state_at(rng, 0.022), ROOM.view(DICE[shape])
+    state, view = still(rng, 0.022), ROOM.view(DICE[shape])
     image = photograph(ROOM, DICE[shape], state, rng)
     mask = differs_from_background(image, view.background, view.noise_grey)
     lit = without_shadow(image, view.background, view.noise_grey, mask)
@@ -53,7 +47,7 @@ def test_the_bulky_part_without_shadow_is_the_die(shape: str) -> None:
     die = DICE[shape]
     for seed in range(4):
         rng = np.random.default_rng([21, seed])
-        state = state_at(rng, 0.012)
+        state = still(rng, 0.012)
         image, view = photograph(ROOM, die, state, rng), ROOM.view(die)
         mask = differs_from_background(image, view.background, view.noise_grey)
         lit = without_shadow(image, view.background, view.noise_grey, mask)
@@ -69,7 +63,7 @@ def test_the_bulky_part_without_shadow_is_the_die(shape: str) -> None:
 
 def test_a_die_in_the_picture_does_not_raise_the_noise_of_the_table() -> None:
     rng = np.random.default_rng(5)
-    images = [photograph(ROOM, DICE["cube"], state_at(rng), rng) for _ in range(4)]
+    images = [photograph(ROOM, DICE["cube"], still(rng), rng) for _ in range(4)]
     # The median of 40 000 pixels has an error of 1 %; a fifth of them, under the die, only raise it.
     assert background_noise(images, ROOM.table) == pytest.approx(2.0, rel=0.25)
     assert background_noise([ROOM.table], ROOM.table) == 0.3
@@ -77,7 +71,7 @@ def test_a_die_in_the_picture_does_not_raise_the_noise_of_the_table() -> None:
 
 def test_the_step_between_grey_levels_is_that_of_the_rounding() -> None:
     rng = np.random.default_rng(5)
-    images = [np.rint(photograph(ROOM, DICE["cube"], state_at(rng), rng)) for _ in range(2)]
+    images = [np.rint(photograph(ROOM, DICE["cube"], still(rng), rng)) for _ in range(2)]
     assert level_step(images) == 1.0
     assert level_step([np.floor(image / 16.0) * 16.0 for image in images]) == 16.0
     # Levels stretched to the full scale lie 36 or 37 apart.

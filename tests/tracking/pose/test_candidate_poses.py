@@ -9,8 +9,7 @@ import cv2
 import footage_of_throws
 import numpy as np
 import pytest
-from footage_of_throws import DICE, REACH_M, photograph, studio
-from random_throws import random_quaternion
+from footage_of_throws import DICE, REACH_M, photograph, still, studio
 
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import SHAPES
@@ -25,14 +24,10 @@ from diethrow.tracking.pose.candidate_poses import DISTANCE_FACTORS, _trials, di
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
 
-def state_at(rng: np.random.Generator, height_m: float = 0.018) -> State:
-    return State(0.0, np.array([0.001, -0.002, height_m]), random_quaternion(rng), np.zeros(3), np.zeros(3))
-
-
 @pytest.mark.parametrize("shape", SHAPES)
 def test_an_initial_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> None:
     rng = np.random.default_rng(52)
-    state, view = state_at(rng), ROOM.view(DICE[shape])
+    state, view = still(rng), ROOM.view(DICE[shape])
     found = pose_candidates(view, photograph(ROOM, DICE[shape], state, rng))
     costs = [cost for cost, _ in found]
     assert costs == sorted(costs)
@@ -120,6 +115,6 @@ def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
 def test_a_die_cut_by_the_border_gives_no_initial_pose() -> None:
     rng = np.random.default_rng(3)
     right = ROOM.camera.rotation[0]
-    state = state_at(rng)
+    state = still(rng)
     state = replace(state, position_m=state.position_m + 0.0265 * right)
     assert die_blobs(ROOM.view(DICE["cube"]), photograph(replace(ROOM, shadow=0.0), DICE["cube"], state, rng)) == []

@@ -9,6 +9,7 @@ import pytest
 from footage_of_throws import DICE, FPS, ArrayClip, Studio, film, photograph, pips, studio
 from numpy.typing import NDArray
 from random_throws import random_quaternion
+from throws import later
 
 from diethrow.model.die.symmetry import symmetry_rotations
 from diethrow.model.laws import SmoothImpact
@@ -137,19 +138,10 @@ def bouncing_cube() -> Throw:
     return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=50 / 1500.0)).throw
 
 
-def later(throw: Throw, late_s: float) -> Throw:
-    """The same throw for a clock that is late: its time zero comes so much later."""
-    flights = tuple(
-        replace(f, start=replace(f.start, time_s=f.start.time_s - late_s), end_s=f.end_s - late_s)
-        for f in throw.flights
-    )
-    return Throw(flights, tuple(replace(i, time_s=i.time_s - late_s) for i in throw.impacts))
-
-
 def test_a_clock_offset_is_estimated_and_corrected() -> None:
     throw, late_s = bouncing_cube(), 0.3 / 1500.0
     room, side = (replace(r, noise_grey=2.0) for r in (ROOM, from_the_side(ROOM)))
-    clips = [film(room, CUBE, throw, 48, seed=1), film(side, CUBE, later(throw, late_s), 48, seed=2)]
+    clips = [film(room, CUBE, throw, 48, seed=1), film(side, CUBE, later(throw, -late_s), 48, seed=2)]
     found = track_clip(clips, [room.camera, side.camera], CUBE, background=[room.table, side.table])
     offsets, track = found.offsets, found.track
     assert abs(offsets.seconds[1] - late_s) < 4.0 * offsets.sigma_s[1] < 0.1 / 1500.0

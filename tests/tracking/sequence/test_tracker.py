@@ -8,15 +8,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from footage_of_throws import DICE, FPS, film, photograph, pips, studio
+from footage_of_throws import DICE, FPS, falling_cube, film, photograph, pips, studio
 from numpy.typing import NDArray
-from random_throws import random_quaternion
 from replay_records import ArrayClip
 
-from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
-from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
@@ -39,14 +36,6 @@ CUBE = DICE["cube"]
 FRAMES = 64
 
 
-def falling_cube() -> Throw:
-    """A cube that comes down, bounces once at frame 36.5 of the clip, and stays in the picture."""
-    rng = np.random.default_rng(1)
-    start, down = np.array([-0.002, 0.0, 0.028]), np.array([0.05, 0.05, -0.6])
-    release = State(0.0, start, random_quaternion(rng), down, 20.0 * rng.normal(size=3))
-    return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
-
-
 def crossing_cube() -> Throw:
     """A cube that flies through the picture from left to right and touches nothing."""
     right = ROOM.camera.rotation[0]
@@ -60,7 +49,7 @@ def crossing_cube() -> Throw:
 @cache
 def bouncing(bit_depth: int) -> tuple[ArrayClip, Track, list[tuple[int, int]]]:
     """The falling cube's clip, its track, and the progress that was reported."""
-    clip = film(ROOM, CUBE, falling_cube(), FRAMES, bit_depth=bit_depth)
+    clip = film(ROOM, CUBE, falling_cube(FRAMES / FPS), FRAMES, bit_depth=bit_depth)
     said: list[tuple[int, int]] = []
     table = np.rint(ROOM.table * np.float32(2.0 ** (bit_depth - 8)))
     track = track_clip(
@@ -85,7 +74,7 @@ def errors_of(track: Track, throw: Throw | Landing) -> Array:
 def test_a_bouncing_cube_is_tracked_on_every_frame(bit_depth: int) -> None:
     _, track, _ = bouncing(bit_depth)
     assert (track.status == TRACKED).all()
-    errors = errors_of(track, falling_cube())
+    errors = errors_of(track, falling_cube(FRAMES / FPS))
     rotated = np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
     across_m = np.linalg.norm(errors[:, :3] @ ROOM.camera.rotation[:2].T, axis=1)
     # 80 px across, contrast 60 and noise 2 grey levels: the pixels hold 0.04 degrees and 3 µm.
@@ -116,7 +105,7 @@ def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_frames_of_a_film_far_faster_than_the_die_are_skipped_except_at_impacts() -> None:
     """The tracker skips frames in flight, and none after an impact until it knows the new flight. The refinement then has a pose
     for every frame, as accurate as on a usual film."""
-    count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube()
+    count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube(FRAMES / FPS)
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
     source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
     beginning = find_initial_pose(view, source, np.zeros(count, bool))
@@ -204,7 +193,7 @@ def test_an_excluded_frame_stays_lost_although_no_flight_passes_over_it() -> Non
 
 def test_the_decimation_factor_ignores_a_long_rest() -> None:
     """No frame of a flight at usual speed is left out because of a long rest behind it; frames of slow motion are."""
-    usual = Flight(falling_cube().flights[0].start, np.inf)
+    usual = Flight(falling_cube(FRAMES / FPS).flights[0].start, np.inf)
     times, slow = np.arange(FRAMES + 40_000) / FPS, np.arange(4000) / (40.0 * FPS)
     assert decimation_factor(tracked(times, *usual.poses(np.minimum(times, FRAMES / FPS))), CUBE) == 1
     assert decimation_factor(tracked(slow, *usual.poses(slow)), CUBE) > 3
@@ -219,8 +208,8 @@ def tracked(times_s: Array, position_m: Array, quaternion: Array) -> Track:
 def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
     """The falling cube with a bar before its right side all the time, a fifth of its width; the table with the bar, and
     the bar's columns."""
-    clip, table = film(ROOM, CUBE, falling_cube(), FRAMES), np.rint(ROOM.table)
-    middle = ROOM.camera.project(falling_cube().at(0.5 * FRAMES / FPS).position_m[None])[0, 0]
+    clip, table = film(ROOM, CUBE, falling_cube(FRAMES / FPS), FRAMES), np.rint(ROOM.table)
+    middle = ROOM.camera.project(falling_cube(FRAMES / FPS).at(0.5 * FRAMES / FPS).position_m[None])[0, 0]
     bar = slice(int(middle) + 8, int(middle) + 24)
     frames, noise = (
         clip.array.copy(),
@@ -234,8 +223,8 @@ def behind_a_bar() -> tuple[ArrayClip, Array, slice]:
 def test_a_bar_in_front_of_the_die_does_not_bias_its_poses() -> None:
     clip, table, _ = behind_a_bar()
     track = track_clip(clip, ROOM.camera, CUBE, background=table).track
-    rotated = np.degrees(np.linalg.norm(errors_of(track, falling_cube())[track.tracked, 3:], axis=1))
-    states = [falling_cube().at(float(t)) for t in track.time_s]
+    rotated = np.degrees(np.linalg.norm(errors_of(track, falling_cube(FRAMES / FPS))[track.tracked, 3:], axis=1))
+    states = [falling_cube(FRAMES / FPS).at(float(t)) for t in track.time_s]
     whole = np.array([share_in_view(ROOM.view(CUBE), s.position_m, s.rotation) == 1.0 for s in states])
     assert track.tracked[whole].mean() > 0.9
     # Less of the contour is seen, and what is left of it says as much as before: usual frames are off by 0.1 degrees, and
@@ -247,7 +236,7 @@ def test_a_bar_in_front_of_the_die_does_not_bias_its_poses() -> None:
 def test_an_occluder_is_found_and_nothing_else() -> None:
     clip, table, bar = behind_a_bar()
     view = replace(ROOM, table=np.asarray(table, np.float32)).view(CUBE)
-    state = falling_cube().at(0.0)
+    state = falling_cube(FRAMES / FPS).at(0.0)
     pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), state.position_m, state.rotation)
     tracker = FrameTracker.from_pose(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
     tracker.track(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
@@ -284,7 +273,7 @@ def test_twelve_bits_give_the_track_of_eight() -> None:
 
 
 def test_the_impact_of_a_filmed_cube_is_found_to_a_small_part_of_a_frame() -> None:
-    true, throw = falling_cube(), measure_throw(bouncing(8)[1], CUBE)
+    true, throw = falling_cube(FRAMES / FPS), measure_throw(bouncing(8)[1], CUBE)
     assert [i.contact for i in throw.impacts] == ["vertex"]
     found, impact = throw.impacts[0], true.impacts[0]
     assert abs(found.time_s - impact.time_s) < 0.05 / FPS
@@ -355,7 +344,7 @@ def test_neighbouring_quaternions_never_flip() -> None:
 def test_a_smoothed_track_is_nearer_to_the_truth() -> None:
     track = bouncing(8)[1]
     smoothed = smooth(track, measure_throw(track, CUBE))
-    before, after = (np.linalg.norm(errors_of(t, falling_cube())[:, 3:], axis=1) for t in (track, smoothed))
+    before, after = (np.linalg.norm(errors_of(t, falling_cube(FRAMES / FPS))[:, 3:], axis=1) for t in (track, smoothed))
     # Thirty frames share twelve numbers: the errors shrink by the square root of five if they are independent, and the
     # noise of the pixels is.
     assert np.median(after) < 0.7 * np.median(before)

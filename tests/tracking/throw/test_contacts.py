@@ -10,7 +10,7 @@ import pytest
 from footage_of_throws import studio
 from numpy.typing import NDArray
 from scipy.signal import lfilter
-from throws import FPS, frame_covariance, impact_at, initial_errors, random_release, seen, true_throw
+from throws import FPS, frame_covariance, impact_at, initial_errors, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.symmetry import symmetry_rotations
@@ -65,10 +65,6 @@ CUBE = make_die("cube", 0.016, 0.0048)
 ROUND = make_die("cube", 0.016, 0.0048, corner_radius_m=0.001)
 TETRA = make_die("tetrahedron", 0.022, 0.0015)
 OCTA = make_die("octahedron", 0.016, 0.003)
-
-
-def weighted_poses(track: Track) -> WeightedPoses:
-    return WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from footage_of_throws import studio
 from numpy.typing import NDArray
-from throws import FPS, blurred_in_time, random_release, seen, true_throw
+from throws import FPS, blurred_in_time, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
@@ -17,7 +17,6 @@ from diethrow.tracking.check.gravity import fall_notices, measure_fall
 from diethrow.tracking.throw.error_model import estimate_error_model
 from diethrow.tracking.throw.flights import (
     ErrorModel,
-    WeightedPoses,
     chain_residuals,
     fit_flight,
     flight_residuals,
@@ -60,10 +59,6 @@ def error_model_of(track: Track) -> ErrorModel:
     observations = weighted_poses(track)
     state, _, _ = fit_flight(observations)
     return estimate_error_model(observations, [slice(0, len(track))], [state], np.zeros(0), np.ones(len(track)))
-
-
-def weighted_poses(track: Track) -> WeightedPoses:
-    return WeightedPoses.from_poses(track.time_s, track.position_m, track.quaternion, track.covariance, unmodelled=0.0)
 
 
 @pytest.mark.parametrize("stated", [0.5, 1.0, 3.0])
