@@ -1,18 +1,17 @@
 """Long clips: memory and speed from packed 12-bit pixels to tables, `PYTHONPATH=tests/helpers python benchmarks/long_clip.py`
 
-A cube falls through a picture of 512 × 512 and bounces; the whole throw is filmed on so many frames as asked for, at the
-frame rate that takes, and kept as a camera keeps it: an .mraw of packed 12 bit, 0.4 MB a frame. Every length is tracked in a
-process of its own.
+A cube falls and bounces in a picture of 512 × 512 pixels. The throw is rendered with the requested number of frames, at the
+rate that this needs, into an .mraw of packed 12-bit pixels, 0.4 MB a frame. Every clip is tracked in a separate process.
 
-  unpacked   frames a second that the pixels alone take: bytes to levels
-  decoded    frames a second that the reader hands out, from a file that the system has in memory
+  unpacked   frames a second of unpacking alone: bytes to grey levels
+  decoded    frames a second of the reader, from a file in the system's cache
   tracked    frames a second from the file to the tables on disk, as `diethrow track` writes them
-  CPU        processor time of the latter [ms a frame]
-  from mem.  frames a second from decoded frames in memory, of clips that fit into it (MOST_HELD)
-  MB         most memory that the process ever held, and what of that it held before it began: code and libraries
-  poses      share of the frames that have one
+  CPU        processor time of that [ms a frame]
+  from mem.  frames a second from decoded frames in memory, for clips of at most MOST_HELD frames
+  MB         peak memory of the process, and its memory before tracking: code and libraries
+  poses      share of the frames with a pose
 
-Rates hold for a machine that does nothing else: CPU does not mind what else runs.
+Rates need an idle machine; processor time does not.
 """
 
 from __future__ import annotations
@@ -44,15 +43,15 @@ from diethrow.tracking.footage.photron import unpack_12bit
 from diethrow.tracking.quality import QUALITIES
 
 SIDE_PX, FOCAL_PX = 512, 2000.0
-"""The cube is then 100 px across."""
+"""Size of the picture, and focal length: the cube is 100 px across."""
 NOISE_GREY = 32.0
-"""Of 4095: two grey levels of 8 bit."""
+"""Standard deviation in levels of 12 bits: two grey levels of 8 bits."""
 NOISES = 16
-"""Pictures of noise that the frames take turns with, each time moved by another random step."""
+"""Number of noise pictures, which the frames use in turn, each time shifted at random."""
 FILMED_S = 0.19
-"""Three bounces, and no fourth one: the frames cover the same time, whatever their number."""
+"""Filmed time, with three bounces, for any number of frames."""
 MOST_HELD = 20_000
-"""Frames that are decoded into memory: 10 GB."""
+"""Largest number of frames that are decoded into memory: 10 GB."""
 SAMPLED = 400
 """Frames over which unpacking and decoding are timed."""
 
@@ -62,7 +61,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", nargs="+", type=int, default=[2000, 20000])
     parser.add_argument("--qualities", nargs="+", choices=QUALITIES, default=["standard"])
-    parser.add_argument("--folder", type=Path, help="where the clips are kept for another time; else they are deleted")
+    parser.add_argument(
+        "--folder", type=Path, help="where the clips are kept for later runs; without it they are deleted"
+    )
     chosen = parser.parse_args(arguments)
     print(
         ROW.format("frames", "quality", "unpacked", "decoded", "tracked", "CPU", "MB", "before", "from mem.", "poses")
@@ -112,7 +113,7 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
         pixels = np.empty((len(clip), clip.height_px, clip.width_px), np.uint16)
         for k, frame in enumerate(clip.frames()):
             pixels[k] = frame
-        memory = HeldContact(pixels, clip.times_s, clip.bit_depth)
+        memory = DecodedClip(pixels, clip.times_s, clip.bit_depth)
         held = len(clip) / seconds(lambda: track_scene(scene, quality=QUALITIES[quality], clips=[memory]))
     return {
         "frames": len(clip),
@@ -127,8 +128,8 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
     }
 
 
-class HeldContact(ArrayClip):
-    """A clip decoded into memory; of further passes no more is copied than is looked at."""
+class DecodedClip(ArrayClip):
+    """A clip decoded into memory; a pass copies only the boxes that it reads."""
 
     in_any_order = True
 
@@ -142,14 +143,14 @@ class HeldContact(ArrayClip):
 
 
 def seconds(work: Any) -> float:
-    """Time that some work takes."""
+    """Duration of some work."""
     began = time.perf_counter()
     work()
     return time.perf_counter() - began
 
 
 def peak_MB() -> float:
-    """Most memory that this process ever held."""
+    """Peak memory of this process."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
@@ -181,7 +182,7 @@ def write_clip(folder: Path, count: int) -> None:
 def frame(
     room: Studio, throw: Throw, time_s: float, noise: NDArray[np.float32], rng: np.random.Generator
 ) -> NDArray[np.uint16]:
-    """One frame of 12 bit; its noise is a picture of noise, moved."""
+    """One frame of 12 bits with a shifted noise picture."""
     plain = photograph(room, CUBE, throw.at(time_s), spots=pips(CUBE))
     moved = np.roll(noise, tuple(rng.integers(0, SIDE_PX, 2)), (0, 1))
     return np.clip(np.rint(16.0 * plain + moved), 0, 4095).astype(np.uint16)
@@ -191,12 +192,12 @@ CUBE = DICE["cube"]
 
 
 def filmed_room() -> Studio:
-    """The camera of the tests with a larger picture; the exposure is too short to blur."""
+    """The camera of the tests with a larger picture, without motion blur."""
     return replace(studio(SIDE_PX, SIDE_PX, FOCAL_PX), noise_grey=NOISE_GREY / 16.0)
 
 
 def filmed_throw() -> Throw:
-    """A short fall and the bounces after it, all within the picture."""
+    """A short fall with bounces, within the picture."""
     release = State(
         0.0, np.array([-0.004, 0.0, 0.04]), np.array([0.9, 0.3, 0.2, 0.25]) / np.linalg.norm([0.9, 0.3, 0.2, 0.25]),
         np.array([0.03, 0.02, -0.2]), np.array([9.0, -14.0, 6.0]),

@@ -1,31 +1,30 @@
 """The tracker's accuracy and speed, clip by clip: `PYTHONPATH=tests/helpers python benchmarks/tracker.py CLIP_FOLDER...`
 
 A clip folder holds `scene.toml`, what it names, and its truth (see `benchmarks/accuracy.py`; `diethrow film` and
-`benchmarks/make_clips.py` write such folders). Every clip is tracked in a process of its own, once from its file and once
-from decoded frames for the time. The poses measured are those of `track.csv`: every frame's own, and smoothed within a
-flight.
+`benchmarks/make_clips.py` write such folders). Every clip is tracked in a separate process: once from its file, and once
+from decoded frames to measure the speed. The poses are those of `track.csv`: per frame, and smoothed within a flight.
 
   tracked    share of the frames with a pose, among those that show the whole die
   wrong      frames off by more than 5 degrees or 1 mm across the line of sight
   rotation   geodesic angle [deg], median and 95th percentile
   lateral    error of the centre across the line of sight [mm], the same; px: in pixels; depth: along it [mm]
-  NEES       normalised estimation error squared, median (5.35 where the covariances are honest); and the share of
-             frames within the 95 % ellipsoid
-  bounces    found of those that can be (in view, no other within two frames), + spurious ones
-  vertex     found bounces that name the right corner; late: error of their instant [frames], median
-  decoded    frames a second from decoded frames, and for each second of processor time. Finding the die, the flights and
-             the marks takes as long for a short clip as for a long one: `benchmarks/long_clip.py` has the rates of those
-  MB         most memory that the process ever held; code and libraries take 300 of it
+  NEES       normalised estimation error squared, median (5.35 for correct covariances); and the share of frames
+             within the 95 % ellipsoid
+  bounces    found, of those in view with no other within two frames; + spurious bounces
+  vertex     found bounces with the correct corner; late: error of their time [frames], median
+  decoded    frames a second from decoded frames, by the clock and by processor time. Initialisation, segmentation and the
+             marks take a constant time per clip: `benchmarks/long_clip.py` measures the rates of long clips
+  MB         peak memory of the process, of which code and libraries take 300 MB
 
 The second table holds the medians over the clips at each quality.
 
-The last one compares the tracker with what the pixels allow (Cramér-Rao), on pictures that match its assumptions: faces of
-one unknown grey, Gaussian edges, white noise. With J the derivative of the noiseless picture to the pose and to the grey of
-every face, the bound is the pose's block of (JᵀJ/σ²)⁻¹, from all pixels. The tracker's errors over many draws of the noise
-have the covariance C; printed is sqrt(tr(B⁻¹C)/6), 1 for an efficient estimator, and the standard deviations.
+The last table compares the tracker with the Cramér-Rao bound, on pictures that meet its assumptions: faces of one unknown
+grey, Gaussian edges, white noise. J is the derivative of the noiseless picture by the pose and by the grey of every face.
+The bound B is the pose's block of (JᵀJ/σ²)⁻¹, from all pixels. C is the covariance of the tracker's errors over many draws
+of the noise. The table has sqrt(tr(B⁻¹C)/6), which is 1 for an efficient estimator, and the standard deviations.
 
-`--picture FILE` draws the trade between the tracker's qualities, where there are several. `--keep FILE` writes every result to
-a file as soon as it is there, and takes over what the file holds already: many clips can so be measured in parts.
+`--picture FILE` draws accuracy against speed if there are several qualities. `--keep FILE` writes every result to a file at
+once, and skips results that the file already holds, so that many clips can be measured in parts.
 """
 
 from __future__ import annotations
@@ -90,7 +89,7 @@ ROWS = (
 
 @dataclass(frozen=True, eq=False)
 class DecodedClip:
-    """A clip held in memory, so that reading it costs nothing."""
+    """A clip in memory, so that reading takes no time."""
 
     stack: NDArray[Any]
     times_s: Array
@@ -144,7 +143,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def measured_clips(chosen: argparse.Namespace) -> tuple[list[dict[str, Any]], int]:
-    """Results of every clip at every quality, those at hand taken over, and how many clips failed."""
+    """Results of every clip at every quality, including kept ones, and the number of clips that failed."""
     kept = chosen.keep.read_text().splitlines() if chosen.keep is not None and chosen.keep.exists() else []
     results: list[dict[str, Any]] = [json.loads(line) for line in kept]
     have, failures = {(r["clip"], r["quality"]) for r in results}, 0
@@ -167,7 +166,7 @@ def measured_clips(chosen: argparse.Namespace) -> tuple[list[dict[str, Any]], in
 
 
 def in_own_process(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
-    """Measure a clip where nothing else has taken memory. Raises what the measurement raises."""
+    """Measure a clip in a new process, for its peak memory. Raises what the measurement raises."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         return pool.apply(measure, (folder, truth_at, quality))
 
@@ -176,7 +175,7 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     """Track one clip and compare: numbers by name."""
     scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_at)
     tracking = tracked(scene, quality, None)  # compiles, too
-    # Before the clip is decoded into memory, which no tracking does.
+    # Before the clip is decoded into memory, which tracking does not do.
     peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     view = scene.views()[0]
     clip = open_footage(scene, view)
@@ -190,12 +189,12 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
 
 
 def tracked(scene: Scene, quality: str, clip: Clip | None) -> Tracking:
-    """The whole of tracking, from the scene's file or from decoded frames."""
+    """The tracking stage, from the files of the scene or from decoded frames."""
     return track_scene(scene, quality=QUALITIES[quality], clips=None if clip is None else [clip])
 
 
 def errors(scene: Scene, truth: Truth, tracking: Tracking) -> dict[str, Any]:
-    """How far the poses and bounces are from the truth."""
+    """Errors of the poses and bounces."""
     track = tracking.smoothed
     row = rows_of(track, truth)
     turn = body_turn(track, truth, row, scene)
@@ -230,7 +229,7 @@ def spread_of(values: Array) -> tuple[float, float]:
 
 
 def bounce_errors(impacts: Sequence[Impact], truth: Truth, true_corner: NDArray[np.int64]) -> dict[str, Any]:
-    """How many of the bounces were found, and how well."""
+    """Number and errors of the bounces found."""
     frame_s = float(np.median(np.diff(truth.time_s)))
     times = np.array([impact.time_s for impact in impacts])
     gaps = np.abs(times[:, None] - truth.bounce_s) / frame_s
@@ -271,7 +270,7 @@ MIDDLES = ("tracked", "rotation", "lateral", "px", "depth", "NEES", "decoded", "
 
 
 def middles(quality: str, results: Sequence[dict[str, Any]]) -> list[str]:
-    """The row of a quality: medians over the clips; of the share of frames tracked, the least."""
+    """The row of a quality: medians over the clips, and the smallest share of frames tracked."""
     mine = [r for r in results if r["quality"] == quality]
     if not mine:
         return [quality, "0", *([""] * len(MIDDLES))]
@@ -326,13 +325,12 @@ def draw_trade(path: Path, results: Sequence[dict[str, Any]]) -> None:
 # --- against the bound ------------------------------------------------------------------------------------------------
 
 STEPS = np.array([2e-5] * 3 + [2e-3] * 3)
-"""Half steps of the derivatives [m, rad]: a tenth of a pixel, over which the picture is straight and the renderer's
-supersampling does not show."""
+"""Half steps of the derivatives [m, rad]: 0.1 px, where the picture is linear and supersampling has no effect."""
 NOISE_GREY = 4.0
 START = np.array([5e-5] * 3 + [5e-3] * 3)
-"""Standard deviation of the starts [m, rad]: what a flight predicts."""
+"""Standard deviation of the initial poses [m, rad]: that of a prediction from a flight."""
 POSES = 4
-"""Poses of each die."""
+"""Number of poses of each die."""
 
 
 def efficiency_rows(chosen: argparse.Namespace) -> list[list[str]]:
@@ -345,7 +343,7 @@ def efficiency_rows(chosen: argparse.Namespace) -> list[list[str]]:
 
 
 def efficiency_row(name: str, die: Die, quality: Quality, draws: int) -> list[str]:
-    """Errors of single frames over many draws of the noise, beside the bound."""
+    """Errors of single frames over many draws of the noise, and the bound."""
     room = studio()
     room = Studio(room.camera, room.table, noise_grey=NOISE_GREY)
     rng = np.random.default_rng(1)
@@ -362,7 +360,7 @@ def efficiency_row(name: str, die: Die, quality: Quality, draws: int) -> list[st
 
 
 def random_state(rng: np.random.Generator) -> State:
-    """Any orientation, in the middle of the picture, at rest: blur is not the question here."""
+    """A random orientation at rest in the middle of the picture: without motion blur."""
     quaternion = rng.standard_normal(4)
     position = np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018])
     return State(0.0, position, quaternion / np.linalg.norm(quaternion), np.zeros(3), np.zeros(3))
@@ -398,7 +396,7 @@ def shifted(state: State, step: Array) -> State:
 def covariance_of(
     room: Studio, die: Die, state: State, quality: Quality, draws: int, rng: np.random.Generator
 ) -> Array:
-    """(6, 6) of the tracker's errors about their mean, over draws of the noise, from starts a little off."""
+    """(6, 6) of the tracker's errors about their mean, over draws of the noise, from slightly wrong initial poses."""
     view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, quality=quality)
     plain = photograph(room, die, state)
     found = np.empty((draws, 6))

@@ -1,4 +1,4 @@
-"""Bounces and fits: one impact and sixty, χ at both ends, noise from none to too much."""
+"""Bounces and fits: 1 to 60 impacts, χ = 0 and χ = 1, noise from 0.0001 to 1000 times the usual."""
 
 from __future__ import annotations
 
@@ -21,25 +21,25 @@ Note = Callable[[str], None]
 
 CUBE = make_die("cube", 0.016, 0.0048)
 SEED = 2
-"""Of a throw whose first flights all last some tens of frames."""
+"""Seed of a throw whose first flights last tens of frames."""
 
 
 def filmed(chi: float, impacts: int, *, noise: float = 1.0) -> tuple[Throw, Track]:
-    """A throw through so many impacts and the frames of it, with noise that they state."""
+    """A throw through a number of impacts, and its track with noise of the stated size."""
     rng = np.random.default_rng(SEED)
     throw = true_throw(CUBE, random_release(CUBE, rng), chi, impacts=impacts)
     return throw, seen(throw, rng, noise=noise, stated=noise)
 
 
 def found(throw: Throw, track: Track) -> tuple[int, int]:
-    """Bounces that are where one is, to half a frame, and those that are nowhere."""
+    """Number of bounces found within half a frame of a true one, and number of spurious bounces."""
     true_s = np.array([impact.time_s for impact in throw.impacts])
     near = [np.abs(true_s - impact.time_s).min() < 0.5 / throws.FPS for impact in measure(track, CUBE).throw.impacts]
     return sum(near), len(near) - sum(near)
 
 
 def fitted(track: Track) -> Fit:
-    """As an analysis does it."""
+    """The fit of a track, as in an analysis."""
     measured = measure(track, CUBE)
     return fit_throw(measured.independent_frames, measured.throw, CUBE)
 
@@ -60,11 +60,11 @@ def chi_in_words(fit: Fit) -> str:
 
 
 def holds(fit: Fit, chi: float) -> bool:
-    """Whether the interval, twice as wide, holds the truth: one of 95 % proves little, twice its width proves a blunder."""
+    """Whether twice the 95 % interval contains the truth; the interval alone would fail for one correct throw in 20."""
     estimate = fit.parameters["chi"]
     if estimate.value is None or estimate.low is None or estimate.high is None:
         return False
-    # A bound of the range of χ is no edge of an interval that noise could have moved.
+    # At a bound of its range χ has no margin on that side.
     low, high = 2.0 * estimate.low - estimate.value, 2.0 * estimate.high - estimate.value
     return low <= chi <= high or (chi == 0.0 and estimate.low == 0.0) or (chi == 1.0 and estimate.high == 1.0)
 
@@ -77,7 +77,8 @@ def holds(fit: Fit, chi: float) -> bool:
 def test_every_impact_of_an_elastic_throw_is_found(
     impacts: int, monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
-    """Of one impact one is found, and of twenty and sixty at χ = 1 nine in ten, each to half a frame; none where none is."""
+    """A single impact is found. Of 20 and of 60 impacts at χ = 1, at least 90 % are found within half a frame, with
+    at most 5 % spurious impacts."""
     # Time grows faster than the square of the impacts: sixty take minutes.
     monkeypatch.setattr(throws, "FPS", 500.0)
     throw, track = filmed(1.0, impacts)
@@ -88,11 +89,12 @@ def test_every_impact_of_an_elastic_throw_is_found(
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="the interval misses the truth by some 1e-8, several times its own width")
-def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
+@pytest.mark.xfail(strict=False, reason="the interval misses the truth by 1e-8, several times its width")
+def test_a_fit_of_ten_impacts_extends_as_far_as_the_frames_determine(
     monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
-    """A throw of ten impacts at χ = 0.97 is fitted as far as the frames decide it, and χ lies in its interval."""
+    """A throw of ten impacts at χ = 0.97 is fitted through as many impacts as the frames determine, and the interval
+    contains χ."""
     monkeypatch.setattr(throws, "FPS", 500.0)
     fit = fitted(filmed(0.97, 10)[1])
     happened(chi_in_words(fit))
@@ -100,8 +102,8 @@ def test_a_fit_of_ten_impacts_goes_as_far_as_the_frames_decide_it(
 
 
 @pytest.mark.parametrize("chi", [0.0, 1.0], ids=lambda chi: f"chi {chi:g}")
-def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Note) -> None:
-    """At χ = 0 and at χ = 1 the interval holds the truth, and ends where the range does."""
+def test_the_interval_of_chi_stays_within_its_range(chi: float, happened: Note) -> None:
+    """At χ = 0 and at χ = 1 the interval contains the truth and lies within 0 to 1."""
     fit = fitted(filmed(chi, 1)[1])
     estimate = fit.parameters["chi"]
     assert holds(fit, chi)
@@ -112,16 +114,15 @@ def test_chi_at_the_ends_of_its_range_stays_in_it(chi: float, happened: Note) ->
 
 
 @pytest.mark.parametrize("noise", [1e-4, 1.0, 30.0], ids=lambda noise: f"{noise:g} times the usual noise")
-def test_noise_widens_the_interval_and_moves_nothing_out_of_it(noise: float, happened: Note) -> None:
-    """From no noise to speak of, 2 nm and a hundred-thousandth of a degree, to 0.6 mm and 3 degrees a frame, χ lies in its
-    interval."""
+def test_the_interval_contains_chi_at_low_and_high_noise(noise: float, happened: Note) -> None:
+    """The interval contains χ at noise from 2 nm and 0.00001° to 0.6 mm and 3° a frame."""
     fit = fitted(filmed(0.5, 2, noise=noise)[1])
     assert holds(fit, 0.5)
     happened(chi_in_words(fit))
 
 
-def test_exact_poses_are_no_division_by_zero(happened: Note) -> None:
-    """Poses without any error, that state the usual one, give χ all but exactly."""
+def test_exact_poses_cause_no_division_by_zero(happened: Note) -> None:
+    """Exact poses with the usual stated errors give χ to 1e-5."""
     rng = np.random.default_rng(SEED)
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.5, impacts=2)
     track = seen(throw, rng)
@@ -132,16 +133,16 @@ def test_exact_poses_are_no_division_by_zero(happened: Note) -> None:
     happened(chi_in_words(fit))
 
 
-def test_noise_that_hides_the_motion_is_given_up(happened: Note) -> None:
-    """Frames that err by 20 mm and 100 degrees show no flight: one sentence, and no χ."""
+def test_a_motion_hidden_by_noise_is_given_up(happened: Note) -> None:
+    """If frames have errors of 20 mm and 100°, no flight is found: the error is one sentence, and no χ is reported."""
     with pytest.raises(NoFlightError, match=r"\d+ frames are tracked, and \d+ of them move as a die can") as caught:
         measure(filmed(0.5, 2, noise=1000.0)[1], CUBE)
     happened(f"given up: {caught.value}")
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 10], ids=lambda n: f"{n} frame" + "s" * (n > 1))
-def test_few_frames_say_little(frames: int, happened: Note) -> None:
-    """Fewer than three frames make no flight; three and more do, and χ stays open without a bounce."""
+def test_few_frames_do_not_determine_chi(frames: int, happened: Note) -> None:
+    """A flight needs at least three frames. Without a bounce χ is not determined."""
     track = filmed(0.5, 1)[1]
     rows = slice(0, frames)
     few = Track(
@@ -161,10 +162,11 @@ def test_few_frames_say_little(frames: int, happened: Note) -> None:
 @pytest.mark.parametrize(
     "fps", [1, 30, pytest.param(100_000, marks=pytest.mark.slow)], ids=lambda fps: f"{fps} frames/s"
 )
-def test_a_rate_too_low_is_given_up_and_a_high_one_is_used(
+def test_a_low_frame_rate_is_given_up_and_a_high_one_is_used(
     fps: int, monkeypatch: pytest.MonkeyPatch, happened: Note
 ) -> None:
-    """A throw that is over in a few frames leaves χ open, in words; one on thousands of frames gives it all the better."""
+    """If a throw lasts a few frames only, a message states that χ is not determined. Thousands of frames determine it
+    more accurately."""
     monkeypatch.setattr(throws, "FPS", float(fps))
     rng = np.random.default_rng(SEED)
     release = random_release(CUBE, rng)

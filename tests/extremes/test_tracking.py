@@ -1,4 +1,4 @@
-"""Following a die: sizes, rates, noise, depths, and pictures that show nothing."""
+"""Tracking: size of the die, frame rate, noise, bit depth, and frames without a die."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ ROOM = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
 FRAMES, FPS = 40, 1500.0
 SIGMAS = 5.0
-"""A pose further from the truth than this, in any of its six numbers, claims more than it knows: of 240 numbers that err
-as stated, one in some ten thousand clips lies so far off."""
+"""Largest error of any of the six numbers of a pose, in standard errors. With correct covariances, one clip of 40 poses in
+7000 exceeds it."""
 
 
 def some_slow(*quick: int, slow: tuple[int, ...]) -> list[Any]:
-    """Limits in their order, of which some take longer than a few seconds."""
+    """Limits in increasing order; those of `slow` take longer than a few seconds."""
     return [pytest.param(limit, marks=pytest.mark.slow if limit in slow else ()) for limit in sorted((*quick, *slow))]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """A track beside its truth."""
+    """A track compared with the truth."""
 
     track: Track
     turned_deg: Array
-    """Of every tracked frame, from the nearest of the orientations that draw the same plain die."""
+    """Rotation error of every tracked frame, to the nearest orientation that the symmetry of the die allows."""
     farthest_sigmas: float
-    """Largest error of any number of any pose, in its own standard errors."""
+    """Largest error of any number of any pose, in standard errors."""
     bounces: int
 
     def __str__(self) -> str:
@@ -54,13 +54,13 @@ class Outcome:
         if not len(self.turned_deg):
             return found
         return (
-            f"{found}, {np.median(self.turned_deg):.1g}° off in the median and {self.turned_deg.max():.1g}° at the most, "
-            f"no number further than {np.ceil(self.farthest_sigmas):.0f} of its sigmas"
+            f"{found}, rotation error {np.median(self.turned_deg):.1g}° (median) and {self.turned_deg.max():.1g}° (largest), "
+            f"all errors below {np.ceil(self.farthest_sigmas):.0f} standard errors"
         )
 
 
 def followed(clip: ArrayClip, room: Studio, throw: Throw) -> Outcome | str:
-    """What comes of a clip: a track with its errors, or the sentence with which it was given up."""
+    """The track of a clip with its errors, or the sentence with which the clip was given up."""
     table = np.rint(room.table * np.float32(2.0 ** (clip.bit_depth - 8)))
     try:
         track = track_clip(clip, room.camera, CUBE, background=table).track
@@ -77,28 +77,29 @@ def followed(clip: ArrayClip, room: Studio, throw: Throw) -> Outcome | str:
     return Outcome(track, np.degrees(np.linalg.norm(turns, axis=1)), float(np.abs(errors / sigmas).max()), bounces)
 
 
-def honest(outcome: Outcome | str) -> str:
-    """What happened, after it is sure that no pose claims more than it knows."""
+def in_words(outcome: Outcome | str) -> str:
+    """The outcome in words. Raises AssertionError if an error of a pose exceeds SIGMAS standard errors."""
     if isinstance(outcome, Outcome):
-        assert outcome.farthest_sigmas < SIGMAS, f"{outcome}, which is {outcome.farthest_sigmas:.1f} of its sigmas"
+        assert outcome.farthest_sigmas < SIGMAS, f"{outcome}; largest error {outcome.farthest_sigmas:.1f} sigma"
         return str(outcome)
     assert "\n" not in outcome
     return f"given up: {outcome}"
 
 
 @pytest.mark.parametrize("across_px", some_slow(8, 30, slow=(16, 20)), ids=lambda px: f"{px} px across")
-def test_a_small_die_is_given_up_or_honest(across_px: int, happened: Note) -> None:
-    """A die of few pixels is given up, or every pose is within its sigmas; from 30 px across on it is followed throughout."""
+def test_a_small_die_is_given_up_or_tracked_with_correct_errors(across_px: int, happened: Note) -> None:
+    """A die of few pixels is given up, or every error of a pose is below 5 standard errors. From 30 px across, the
+    die is tracked on every frame."""
     room = replace(studio(focal_px=1500.0 * across_px / 80.0), noise_grey=2.0)
     outcome = followed(film(room, CUBE, falling_cube(0.1), FRAMES), room, falling_cube(0.1))
     if across_px >= 30:
         assert isinstance(outcome, Outcome)
         assert outcome.track.tracked.all()
-    happened(honest(outcome))
+    happened(in_words(outcome))
 
 
-def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
-    """A die found in a picture made smaller, as those above 800 px across are, is refined on the whole one."""
+def test_a_large_die_is_searched_in_a_reduced_picture(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
+    """A die above 800 px across is searched in a reduced picture, and its pose is refined at full resolution."""
     monkeypatch.setattr(candidate_poses, "LARGEST_PX", 60)
     monkeypatch.setattr(candidate_poses, "SEARCHED_PX", 40)
     throw = falling_cube(0.1)
@@ -111,22 +112,23 @@ def test_a_large_die_is_looked_for_in_a_smaller_picture(monkeypatch: pytest.Monk
 
 
 @pytest.mark.slow
-def test_a_die_of_two_thousand_pixels_is_followed(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
-    """A die 2000 px across is found, and followed to a hundredth of a degree."""
-    monkeypatch.setattr(footage_of_throws, "FINER", 1)  # coverage is computed exactly, and memory is finite
+def test_a_die_of_two_thousand_pixels_is_tracked(monkeypatch: pytest.MonkeyPatch, happened: Note) -> None:
+    """A die 2000 px across is found and tracked to 0.01°."""
+    # Coverage is exact without supersampling, which would need too much memory.
+    monkeypatch.setattr(footage_of_throws, "FINER", 1)
     room = replace(studio(2800, 2800, focal_px=37_500.0), noise_grey=2.0)
     throw = falling_cube(0.1, height_m=0.0195, fall_m_s=0.4)
     outcome = followed(film(room, CUBE, throw, 8), room, throw)
     assert isinstance(outcome, Outcome)
     assert outcome.track.tracked.all()
     assert np.median(outcome.turned_deg) < 0.01
-    happened(honest(outcome))
+    happened(in_words(outcome))
 
 
 @pytest.mark.parametrize("noise_grey", some_slow(0, 80, slow=(20, 40)), ids=lambda noise: f"noise {noise}")
-def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Note) -> None:
-    """Without noise the poses are exact to a few hundredths of a degree; a die that stands out of the table by some 60 grey
-    levels is followed through noise of 20, and given up in noise of 80."""
+def test_a_die_in_noise_is_tracked_or_given_up(noise_grey: int, happened: Note) -> None:
+    """Without noise, poses are accurate to a few hundredths of a degree. A die that differs from the table by 60 grey
+    levels is tracked at noise of 20 grey levels, and given up at 80."""
     room = replace(ROOM, noise_grey=float(noise_grey))
     outcome = followed(film(room, CUBE, falling_cube(0.1), FRAMES), room, falling_cube(0.1))
     if noise_grey <= 20:
@@ -135,13 +137,13 @@ def test_noise_is_borne_or_the_die_is_given_up(noise_grey: int, happened: Note) 
         assert np.median(outcome.turned_deg) < max(0.03, 0.03 * noise_grey)
     if noise_grey == 80:
         assert isinstance(outcome, str)
-    happened(honest(outcome))
+    happened(in_words(outcome))
 
 
 @pytest.mark.parametrize("fps", some_slow(1, 200, 1_000_000, slow=(30, 100, 300)), ids=lambda fps: f"{fps} frames/s")
 def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
-    """A throw that is over between two frames, or turns too far between them to be followed, is given up; from 300 frames/s
-    on it is followed throughout; one that hardly moves in all of the clip is followed, and no bounce is made up."""
+    """A throw is given up if it ends between two frames, or if the die turns too far between frames. From 300
+    frames/s, every frame is tracked. A die that hardly moves during the clip is tracked without a spurious impact."""
     throw = falling_cube(0.1)
     outcome = followed(film(ROOM, CUBE, throw, 60 if fps == 1_000_000 else 20, fps=float(fps)), ROOM, throw)
     if fps <= 30:
@@ -150,7 +152,7 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
         assert isinstance(outcome, Outcome)
         assert outcome.track.tracked.all()
         assert outcome.bounces == sum(impact.time_s < outcome.track.time_s[-1] for impact in throw.impacts)
-    happened(honest(outcome))
+    happened(in_words(outcome))
 
 
 @pytest.mark.parametrize(
@@ -163,8 +165,8 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
                 pytest.mark.slow,
                 pytest.mark.xfail(
                     strict=False,
-                    reason="an edge whose bright side is cut off seems to lie further out, which no sigma knows of; "
-                    "`diethrow check` names such light",
+                    reason="saturation moves the apparent edge outwards, and the covariance does not contain that error; "
+                    "`diethrow check` reports such light",
                 ),
             ],
         ),
@@ -172,7 +174,8 @@ def test_no_rate_makes_a_wrong_pose(fps: int, happened: Note) -> None:
     ids=lambda brightest: f"brightest at {brightest:.0%}",
 )
 def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Note) -> None:
-    """All of 16 bits are used, and where the brightest face is cut off at full scale the poses claim no more than they know."""
+    """All 16 bits are used. If the brightest face is saturated, the errors of the poses still agree with their
+    covariances."""
     throw, clip = falling_cube(0.1), film(ROOM, CUBE, falling_cube(0.1), FRAMES, bit_depth=16)
     gain = brightest * 65_535.0 / float(clip.array.max())
     brighter = np.minimum(np.rint(gain * clip.array), 65_535).astype(np.uint16)
@@ -181,7 +184,7 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Not
     assert isinstance(outcome, Outcome)
     assert outcome.track.tracked.all()
     happened(f"{(brighter == 65_535).mean():.1%} of the pixels at full scale, {outcome}")
-    honest(outcome)
+    in_words(outcome)
 
 
 @pytest.mark.parametrize(
@@ -189,8 +192,9 @@ def test_sixteen_bits_are_used_to_the_full_scale(brightest: float, happened: Not
     some_slow(1, slow=(2, 3, 4)),
     ids=lambda bits: f"{bits} bit" + "s" * (bits > 1),
 )
-def test_few_levels_make_worse_poses_or_none(bits: int, happened: Note) -> None:
-    """Few grey levels make poses worse, and claim no more than they know; black and white pictures are given up."""
+def test_few_grey_levels_increase_the_errors(bits: int, happened: Note) -> None:
+    """With few grey levels the errors of the poses are larger, and agree with their covariances. Black and white
+    pictures are given up."""
     clip, lost = film(ROOM, CUBE, falling_cube(0.1), FRAMES), 8 - bits
     if bits == 1:
         frames, table = np.where(clip.array > 100, 255, 0), np.where(ROOM.table > 100, 255, 0)
@@ -201,23 +205,23 @@ def test_few_levels_make_worse_poses_or_none(bits: int, happened: Note) -> None:
     assert isinstance(outcome, str) == (bits == 1)
     if isinstance(outcome, Outcome):
         happened(str(outcome))
-        honest(outcome)
+        in_words(outcome)
     else:
-        happened(honest(outcome))
+        happened(in_words(outcome))
 
 
 @pytest.mark.parametrize("level", [0, 255], ids=["black", "white"])
-def test_nothing_is_found_where_nothing_is(level: int, happened: Note) -> None:
-    """Frames of one grey show no die."""
+def test_no_die_is_found_in_uniform_frames(level: int, happened: Note) -> None:
+    """In frames of one uniform grey no die is found."""
     clip = ArrayClip(np.full((20, 200, 200), level, np.uint8), np.arange(20) / FPS)
     outcome = followed(clip, ROOM, falling_cube(0.1))
     assert isinstance(outcome, str)
-    happened(honest(outcome))
+    happened(in_words(outcome))
 
 
-def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Note) -> None:
-    """Where every frame is one picture of a die in the air, every pose is that of the picture, the sigmas admit that it does
-    not fall, and no bounce is found."""
+def test_a_repeated_picture_gives_one_pose_and_no_bounce(happened: Note) -> None:
+    """If all frames are the same picture of a die in the air, every pose is that of the picture. The standard errors
+    cover the missing fall, and no bounce is found."""
     clip = film(ROOM, CUBE, falling_cube(0.1), FRAMES)
     frozen = replace(clip, array=np.repeat(clip.array[10:11], FRAMES, axis=0))
     throw = falling_cube(0.1)
@@ -225,21 +229,21 @@ def test_a_frozen_die_is_where_it_is_and_bounces_nowhere(happened: Note) -> None
     away = np.linalg.norm(track.position_m - throw.at(10 / FPS).position_m, axis=1)
     assert track.tracked.all()
     assert away.max() < 2e-4
-    # A hundredth of the sigma: the last step depends a little on where the first one began.
+    # 1 % of the standard error: the last step depends slightly on the initial pose.
     assert np.ptp(track.position_m, axis=0).max() < 2e-5
-    # In 40 frames it would have fallen by 3 mm.
+    # A free fall over 40 frames is 3 mm.
     sigma_m = float(np.sqrt(track.covariance[:, 2, 2].min()))
     assert sigma_m > 1e-4
     assert measure_throw(track, CUBE, ROOM.camera).impacts == ()
     happened(
-        f"{track.tracked.sum()} of {FRAMES} frames tracked, {1e3 * away.max():.2f} mm off, height known to "
-        f"{1e3 * sigma_m:.1g} mm, no bounce"
+        f"{track.tracked.sum()} of {FRAMES} frames tracked, {1e3 * away.max():.2f} mm off, standard error of the "
+        f"height {1e3 * sigma_m:.1g} mm, no bounce"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Live:
-    """A clip whose pictures are drawn as they are asked for."""
+    """A clip whose frames are rendered on request."""
 
     room: Studio
     throw: Throw
@@ -278,7 +282,8 @@ class Live:
     ids=lambda n: f"{n} frames",
 )
 def test_the_same_throw_on_few_and_on_many_frames(frames: int, happened: Note) -> None:
-    """60 ms of a throw are followed on 200 frames as on 60 000, at a million a second, and its bounces are where they are."""
+    """60 ms of a throw are tracked on 200 frames and on 60 000 frames, at a million a second. The times of the
+    bounces are correct to 33 µs."""
     room = replace(studio(100, 100, focal_px=750.0), noise_grey=2.0)
     throw = falling_cube(0.1)
     clip = Live(room, throw, np.arange(frames) * (0.06 / frames))

@@ -1,4 +1,4 @@
-"""What happened at the limits, as a page: a row for each law, one line in it for each limit at which it was asked."""
+"""The page of the tests at the limits: one row for each law, and in it one line for each limit."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ import pytest
 COMMAND = "python -m pytest tests/extremes --slow --extremes-page docs/extremes.md"
 HEAD = f"""# Stability at the extremes
 
-Each stage at its limits: what was expected, and what happened. *Given up* means an error or a message in one sentence, and
-never a pose or a number that claims more than the frames show. Every row is a test that fails where the expectation does not
-hold; those marked *slow* run with `--slow` alone. Tests and page are one: this page was written by
+Each stage at its limits: the expectation and the result. *Given up* means an error or a message in one sentence, never a pose
+or a number that the frames do not determine. Every row is a test, which fails if the expectation does not hold; tests marked
+*slow* run with `--slow` only. This page was written by
 
 ```sh
 {COMMAND}
 ```
 """
 ORDER = ("model", "footage", "tracking", "bounces_and_fits", "records")
-"""Of the files, as a throw goes through them."""
+"""Order of the files on the page: the order of the stages."""
 SECTION = re.compile(r"^# -{4,} (.+?) -+$")
 """A heading among the tests of a file."""
 
 
 @dataclass(frozen=True)
 class Ran:
-    """One test that was run, or left out."""
+    """One test that was run or skipped."""
 
     file: str
     line: int
     name: str
-    """Of the function, without the limit at which it was asked."""
+    """Name of the function, without the parameters."""
     limit: str
-    """The parameters of the test, as it names them; empty where it has none."""
+    """Id of the parameters; empty for a test without parameters."""
     outcome: str
-    """`passed`, `failed`, `skipped`, or why it was known to fail."""
+    """`passed`, `failed`, `skipped`, or the reason of an expected failure."""
     stage: str
     expected: str
     happened: tuple[str, ...]
@@ -46,7 +46,7 @@ class Ran:
 
     @staticmethod
     def from_report(report: pytest.TestReport) -> Ran:
-        """What a report says of it."""
+        """The test of a report."""
         file, line, _ = report.location
         name, _, limit = report.nodeid.rpartition("::")[2].partition("[")
         properties = dict(report.user_properties)
@@ -59,25 +59,25 @@ class Ran:
 
 
 class PageOfExtremes:
-    """Listens to the tests, and writes the page when they are over."""
+    """A pytest plugin that collects the reports and writes the page at the end of the session."""
 
     def __init__(self, path: Path, root: Path) -> None:
         self._path, self._root = path, root
         self._ran: list[Ran] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """A test that is skipped, or fails before it begins, has no call."""
+        """Collect one report per test; a test that is skipped, or fails in its setup, has no `call` phase."""
         if report.when == "call" or (report.when == "setup" and report.outcome != "passed"):
             self._ran.append(Ran.from_report(report))
 
     def pytest_sessionfinish(self) -> None:
-        """The page, in the order in which the tests stand in their files."""
+        """Write the page, with the tests in the order of their files."""
         ran = sorted(self._ran, key=lambda one: (_place(one.file), one.line))
         self._path.write_text(page(self._root, ran), encoding="utf-8")
 
 
 def page(root: Path, ran: Sequence[Ran]) -> str:
-    """The page as Markdown, of tests in the order in which they stand in their files."""
+    """The page as Markdown."""
     parts = [HEAD]
     for _, tests in groupby((one for one in ran if one.expected), key=lambda one: one.file):
         of_file = list(tests)
@@ -110,7 +110,7 @@ def _place(file: str) -> tuple[int, str]:
 
 
 def _rows(tests: Sequence[Ran]) -> list[tuple[str, str]]:
-    """One a function."""
+    """One row for each function."""
     rows = []
     for _, alike in groupby(tests, key=lambda one: one.line):
         of_law = list(alike)
@@ -119,7 +119,7 @@ def _rows(tests: Sequence[Ran]) -> list[tuple[str, str]]:
 
 
 def _line(one: Ran) -> str:
-    """What happened at one limit."""
+    """The result at one limit."""
     limit = f"**{one.limit}**{' (slow)' if one.slow else ''}: " if one.limit else "(slow) " if one.slow else ""
     if one.outcome == "skipped":
         return f"{limit}not run this time"
@@ -128,7 +128,7 @@ def _line(one: Ran) -> str:
 
 
 def _laws(root: Path, tests: Sequence[Ran]) -> list[tuple[str, str, str]]:
-    """One a section of a file: its laws by their names."""
+    """One row for each section of a file: its laws by name."""
     rows = []
     for (file, heading), alike in groupby(tests, key=lambda one: (one.file, _heading(root / one.file, one.line))):
         of_section = list(alike)

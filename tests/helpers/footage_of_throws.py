@@ -1,7 +1,7 @@
 """Footage whose truth is known: sharp convex dice drawn through a camera over a textured table.
 
-The picture is that of the tracker's own assumptions and no kinder: faces of one grey each, an edge spread by a Gaussian
-of known width, white noise. What the lens cannot do (shadow, motion blur, something in front) is added on demand.
+The picture meets the assumptions of the tracker: each face has one grey level, edges are blurred by a Gaussian of known
+width, and noise is white. Shadows, motion blur and occluders are optional.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ Image = NDArray[np.float32]
 
 FPS = 1500.0
 FINER = 4
-"""Supersampling; with coverage computed on the fine grid too, an edge lies within 0.005 px of the truth."""
+"""Supersampling factor, also of the coverage: edges are accurate to 0.005 px."""
 MOMENTS = 9
-"""Instants averaged over an exposure: two pixels of motion then fall in steps of a quarter pixel, below the blur."""
+"""Instants averaged over an exposure: two pixels of motion give steps of a quarter pixel, less than the blur."""
 LIGHT = np.array([0.35, -0.55, 0.76])
-"""Towards the lamp."""
+"""Direction to the lamp."""
 REACH_M = 0.011
-"""Circumradius of every die here: about 80 px across."""
+"""Circumradius of every die, which is then 80 px across."""
 
 
 def die_of(shape: str, mass_kg: float = 0.005) -> Die:
-    """One of the five dice, all of one circumradius, so that all are seen equally large."""
+    """One of the five dice; all have the same circumradius, so that they appear equally large."""
     unit = make_die(shape, 1.0, 1.0).solid.circumradius
     return make_die(shape, REACH_M / unit, mass_kg)
 
@@ -54,7 +54,7 @@ class Spot:
     outline_m: Array
     """(n, 3) body axes, in the plane of the face."""
     reflectance: float
-    """Over that of the face's paint."""
+    """Relative to that of the face."""
 
 
 PIPS: dict[int, list[tuple[float, float]]] = {
@@ -84,7 +84,7 @@ def pips(cube: Die, reflectance: float = 0.15) -> tuple[Spot, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Studio:
-    """Camera, empty table and what the sensor does."""
+    """Camera, empty table, and the blur, noise and exposure of the sensor."""
 
     camera: Camera
     table: Image
@@ -92,17 +92,17 @@ class Studio:
     blur_px: float = 0.7
     noise_grey: float = 0.0
     shadow: float = 0.0
-    """Share of the light that the die takes from the table where it shades it."""
+    """Share of the light that the shadow of the die removes from the table."""
     exposure_s: float = 0.0
 
     def view(self, die: Die) -> View:
-        """The view that the tracker is given, with true values."""
+        """The view of the tracker, with the true values."""
         noise = max(self.noise_grey, 0.5)
         return make_view(self.camera, die, self.table, noise, self.exposure_s, self.blur_px)
 
 
 def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, distance_m: float = 0.4) -> Studio:
-    """A camera that looks down at 35 degrees on a cloudy table; a little lens distortion."""
+    """A camera with slight distortion, inclined by 35 degrees to a textured table."""
     pitch, heading = np.radians(35.0), np.radians(20.0)
     ahead = np.array([np.sin(heading) * np.cos(pitch), np.cos(heading) * np.cos(pitch), -np.sin(pitch)])
     target = np.array([0.0, 0.0, 0.018])
@@ -147,7 +147,7 @@ def photograph(
 
 
 class Moving(Protocol):
-    """Whatever has a state at every instant."""
+    """A motion with a state at every instant."""
 
     def at(self, time_s: float) -> State: ...
 
@@ -156,7 +156,7 @@ def film(
     room: Studio, die: Die, throw: Moving, frames: int, *, bit_depth: int = 8, seed: int = 1, fps: float = FPS,
     spots: tuple[Spot, ...] = (),
 ) -> ArrayClip:  # fmt: skip
-    """The throw from time zero, rounded to whole grey levels; a 12-bit sensor sees the same light 16 times finer."""
+    """The throw from time zero, rounded to grey levels; 12 bits resolve the same light 16 times finer than 8."""
     rng = np.random.default_rng(seed)
     times = np.arange(frames) / fps
     scale, dtype = 2.0 ** (bit_depth - 8), np.uint8 if bit_depth <= 8 else np.uint16
@@ -168,7 +168,7 @@ def film(
 
 
 def greys(die: Die, rotation: Array) -> Array:
-    """Grey of each face: dull, in the lamp's light, no two faces of quite the same paint."""
+    """Grey level of each face: Lambertian, with slightly different paint on every face."""
     lit = np.maximum(die.solid.normals @ rotation.T @ LIGHT, 0.0)
     paint = 1.0 + 0.12 * np.sin(2.4 * np.arange(len(lit)))
     return np.asarray((115.0 + 90.0 * lit) * paint)
@@ -187,7 +187,7 @@ def _still(room: Studio, die: Die, state: State, spots: tuple[Spot, ...]) -> Arr
     faces = [f for f in range(len(die.solid.faces)) if _faces_camera(die.solid, f, rotation, state, camera)]
     outlines = [_outline(camera, corners[list(die.solid.faces[f])]) for f in faces]
     light = greys(die, rotation)
-    # A mark takes light from a face that is there already: it adds no coverage.
+    # A mark changes the light of a face and adds no coverage.
     marks = [spot for spot in spots if spot.face in faces]
     outlines += [_outline(camera, spot.outline_m @ rotation.T + state.position_m) for spot in marks]
     values = [*light[faces], *((spot.reflectance - 1.0) * light[spot.face] for spot in marks)]
@@ -202,7 +202,7 @@ def _faces_camera(solid: Solid, f: int, rotation: Array, state: State, camera: C
 
 
 def _outline(camera: Camera, corners: Array) -> Array:
-    """The face's outline [px], with a point half-way along each edge, which the lens bends."""
+    """Outline of a face [px], with a point half-way along each edge, because distortion bends edges."""
     shares = np.arange(2)[:, None, None] / 2.0
     between = corners + shares * (np.roll(corners, -1, 0) - corners)
     return camera.project(between.transpose(1, 0, 2).reshape(-1, 3))
@@ -221,7 +221,7 @@ def _drawn(
     high = np.minimum(np.ceil(everything.max(0) + 5.0 * blur_px + 2.0), [width - 1, height - 1]).astype(int) + 1
     if (high - low < 2).any():
         return light, cover
-    # Where the window is cut by the picture's border the fine grid goes on, so that the blur knows what lies outside.
+    # The fine grid extends beyond the border of the picture, so that the blur includes what lies outside.
     x, y = (np.arange((low[a] - 4) * FINER, (high[a] + 4) * FINER) / FINER - 0.5 + 0.5 / FINER for a in (0, 1))
     fine = np.zeros((2, len(y), len(x)))
     for outline, value, covered in zip(outlines, values, covers, strict=True):

@@ -1,4 +1,4 @@
-"""Targets of fuzzing: small files of every kind that users receive from others, and the readers that must survive any change.
+"""Targets of fuzzing: small files of every format, and the readers that must read or refuse any changed file.
 
 A target takes the bytes of one file and reads it as a command does. It returns if the file was read, or refused with a message
 (ValueError, OSError); any other exception is a defect.

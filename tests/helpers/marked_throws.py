@@ -25,16 +25,16 @@ STUDIO = replace(studio(), noise_grey=3.0, exposure_s=2e-4)
 VIEW = STUDIO.view(CUBE)
 FRAMES = 90
 SIGMA = np.array([1e-5] * 3 + [2e-3] * 3)
-"""Noise of the poses by edges, position [m] and rotation [rad]."""
+"""Noise of the poses from edges, position [m] and rotation [rad]."""
 TOWARDS = (np.array([0.0, 0.0, 0.02]) - STUDIO.camera.centre_m) / np.linalg.norm(
     [0.0, 0.0, 0.02] - STUDIO.camera.centre_m
 )
 COMMON = np.concatenate([2e-3 * TOWARDS + 5e-5 * STUDIO.camera.rotation[0], np.radians([0.3, -0.2, 0.3])])
-"""An error that all poses by edges share: half a per cent of the distance, 0.05 mm sideways, and half a degree."""
+"""An error common to all poses from edges: 0.5 % of the distance, 0.05 mm across the line of sight, and 0.5 degrees."""
 
 
 def tossed() -> Flight:
-    """A cube that rises and falls in the picture and turns by half a turn."""
+    """A cube that rises and falls within the picture and rotates by half a turn."""
     start = State(
         0.0, np.array([-0.004, 0.0, 0.012]), np.array([0.8, 0.3, 0.1, 0.5]) / np.linalg.norm([0.8, 0.3, 0.1, 0.5]),
         np.array([0.12, 0.0, 0.32]), np.array([36.0, 30.0, -40.0]),
@@ -97,7 +97,7 @@ def struck(frames_after: int) -> Throw:
 
 @cache
 def struck_film() -> list[Image]:
-    """Frames until a little after the impact."""
+    """Frames until shortly after the impact."""
     throw, rng = struck(5), np.random.default_rng(3)
     times = np.arange(int(throw.flights[-1].end_s * FPS) + 1) / FPS
     states = [throw.flights[throw.flight_at(t)].at(t) for t in times]

@@ -1,4 +1,4 @@
-"""Dice and releases for the tests: seeded, so that every run asks the same questions."""
+"""Dice and random releases for the tests, with fixed seeds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DICE = {shape: make_die(shape, 0.02, 0.016) for shape in SHAPES}
 
 
 def random_quaternion(rng: np.random.Generator) -> np.ndarray:
-    """Uniform over the rotations."""
+    """A unit quaternion, uniformly distributed over the rotations."""
     q = rng.normal(size=4)
     return q / np.linalg.norm(q)
 
@@ -54,7 +54,7 @@ def lowest_vertex_m(die: Die, state: State) -> float:
 
 
 def random_release(rng: np.random.Generator, die: Die, *, spin_rad_s: float = 40.0, clearance_m: float = 0.1) -> State:
-    """Any orientation, a spin of the given size about any axis, a toss of about 0.5 m/s, the lowest vertex clear."""
+    """A random orientation and spin axis, a velocity of about 0.5 m/s, and the lowest vertex `clearance_m` above the table."""
     quaternion, axis = random_quaternion(rng), rng.normal(size=3)
     resting = State(0.0, np.zeros(3), quaternion, np.zeros(3), np.zeros(3))
     position = np.array([*rng.normal(scale=0.05, size=2), clearance_m - lowest_vertex_m(die, resting)])

@@ -81,7 +81,7 @@ def code_of(frame: NDArray[np.uint8]) -> int:
 
 
 def camera() -> Camera:
-    """From half a metre away, a little above the table, with some distortion."""
+    """A camera with distortion, half a metre from the die and slightly above the table."""
     centre, target = np.array([0.1, -0.45, 0.2]), np.array([0.0, 0.0, 0.02])
     ahead = (target - centre) / np.linalg.norm(target - centre)
     right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -97,7 +97,7 @@ def die() -> Die:
 
 
 def throw() -> Throw:
-    """Down on a corner and up again; the velocities are chosen, not computed."""
+    """A fall on a corner and a rise; the velocities are chosen, not simulated."""
     cube = die()
     down = np.array([0.1, 0.05, -0.6])
     corner = cube.solid.vertices[0] / np.linalg.norm(cube.solid.vertices[0])
@@ -127,7 +127,7 @@ def throw() -> Throw:
 
 
 def track(moved_m: float = 0.0, *, gaps: bool = True) -> Track:
-    """The throw on the clip's frames, set off along x; with frames 0 to 2 absent and 30 to 33 lost."""
+    """The throw on the frames of the clip, shifted along x; frames 0 to 2 are absent, 30 to 33 lost."""
     frame = FIRST_FRAME + np.arange(FRAMES)
     positions, quaternions = throw().poses(frame / FPS)
     positions[:, 0] += moved_m
@@ -141,7 +141,7 @@ def track(moved_m: float = 0.0, *, gaps: bool = True) -> Track:
 
 
 def fit(**changes: Any) -> Fit:
-    """A fit that found χ and nothing else."""
+    """A fit of χ alone."""
     found = Fit(
         parameters={
             "chi": Parameter(0.5831, 0.5802, 0.5859, 0.95, True, False),
@@ -162,12 +162,12 @@ def fit(**changes: Any) -> Fit:
 
 
 def estimates() -> tuple[Estimate, ...]:
-    """What was known after the one bounce."""
+    """The odds of the faces after the only bounce."""
     return (Estimate(1, IMPACT_S, Parameter(0.583, 0.58, 0.586, 0.95, True, False), {1: 0.0, 2: 0.25, 3: 0.75}),)
 
 
 def record(**changes: Any) -> Record:
-    """Everything at once: clip, camera, fit and both tracks."""
+    """A complete record: clip, camera, fit and both tracks."""
     whole = Record(
         title="a throw",
         die=die(),
@@ -185,7 +185,7 @@ def record(**changes: Any) -> Record:
 
 
 def turned(quaternions: Array, rotvec_rad: Array) -> Array:
-    """Orientations turned further in world axes."""
+    """Orientations rotated by a constant rotation in world axes."""
     return quat_multiply(quat_from_rotvec(rotvec_rad), quaternions)
 
 

@@ -1,4 +1,4 @@
-"""Pictures of a cube with rounded corners: a ray for every sixteenth of a pixel, followed to the surface.
+"""Pictures of a cube with rounded corners by ray marching, with 16 rays per pixel.
 
 A rounded cube is all points within the radius r of a smaller cube of half edge h - r, so a point p lies
 |max(|p| - (h - r), 0)| - r from its surface, and a ray that goes on by that much never passes through it (Hart, The Visual
@@ -19,7 +19,7 @@ from diethrow.model.throw.motion import State
 Array = NDArray[np.float64]
 
 GLOSS_POWER = 80.0
-"""Of the cosine between the normal and the middle of light and eye: a highlight some ten degrees wide."""
+"""Exponent of the cosine between the normal and the bisector of light and view: a highlight ten degrees wide."""
 MARCHES = 40
 """Steps along a ray: those that graze a bevel are the slowest, and are within a thousandth of a pixel then."""
 NEAR_M = 1e-7

@@ -1,4 +1,4 @@
-"""Recordings read back, by no more than the chunks that are in them."""
+"""Recordings read from their chunks, without a viewer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Throws whose truth is known, seen through frames with known noise."""
+"""Throws with known truth, and their tracks with known noise."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FPS = 1500.0
 
 
 def random_release(die: Die, rng: np.random.Generator, *, spin_rad_s: float = 30.0) -> State:
-    """A die in any orientation, a few centimetres up, on its way down."""
+    """A falling die in a random orientation, some centimetres above the table."""
     quaternion = rng.standard_normal(4)
     velocity = np.array([*rng.uniform(-0.1, 0.1, 2), rng.uniform(-1.0, -0.6)])
     omega = rng.standard_normal(3) * spin_rad_s / np.sqrt(3.0)
@@ -76,7 +76,7 @@ def seen(throw: Throw, rng: np.random.Generator, *, noise: float = 1.0, stated: 
 
 
 def roughly_measured(throw: Throw, rng: np.random.Generator) -> Throw:
-    """The throw as tracking might measure it: states of the flights a little off, impacts within 0.1 frames."""
+    """The throw with errors as tracking makes them: states slightly wrong, impacts within 0.1 frames."""
     flights = []
     for flight in throw.flights:
         s = flight.start
@@ -106,7 +106,7 @@ def thrown(
 
 
 def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames: float) -> Track:
-    """The same track with errors of the same size that stay alike over so many frames (AR(1))."""
+    """The same track with errors of the same size that have a correlation time of so many frames (AR(1))."""
     positions, quaternions = throw.poses(track.time_s)
     keep = np.exp(-1.0 / frames)
     white = np.einsum("nij,nj->ni", np.linalg.cholesky(track.covariance), rng.standard_normal((len(track), 6)))
@@ -127,7 +127,7 @@ def later(throw: Throw, seconds: float) -> Throw:
 
 
 def weighted_poses(track: Track, unmodelled: float = 0.0) -> WeightedPoses:
-    """The poses of a track, and of their unmodelled errors so large a share."""
+    """The poses of a track with their weights; `unmodelled` is the factor on the unmodelled errors."""
     poses = (track.time_s, track.position_m, track.quaternion, track.covariance)
     return WeightedPoses.from_poses(*poses, unmodelled=unmodelled)
 
