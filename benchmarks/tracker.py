@@ -73,8 +73,9 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.motion import Impact, State
 from diethrow.tracking.footage.clip import Clip, Frame
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import QUALITIES, STANDARD, Quality
 
 Array = NDArray[np.float64]
@@ -397,13 +398,13 @@ def covariance_of(
     room: Studio, die: Die, state: State, quality: Quality, draws: int, rng: np.random.Generator
 ) -> Array:
     """(6, 6) of the tracker's errors about their mean, over draws of the noise, from slightly wrong initial poses."""
-    view = make_view(room.camera, die, room.table, NOISE_GREY, None, room.blur_px, quality=quality)
+    view = make_view(room.camera, die, room.table, PixelNoise(NOISE_GREY), None, room.blur_px, quality=quality)
     plain = photograph(room, die, state)
     found = np.empty((draws, 6))
     for k in range(draws):
         picture = np.asarray(plain + rng.normal(scale=NOISE_GREY, size=plain.shape), np.float32)
         start = shifted(state, rng.standard_normal(6) * START)
-        pose = refine_pose(view, picture, start.position_m, start.rotation, coarse=1)
+        pose = refine_pose(view, picture, pose_state(start.position_m, start.rotation), coarse=1)
         turn = rotation_between(state.quaternion, quat_from_matrix(pose.rotation))
         found[k] = np.concatenate([pose.position_m - state.position_m, turn])
     return np.asarray(np.cov(found.T))

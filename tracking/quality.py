@@ -27,7 +27,7 @@ class Quality:
     tracking_steps: int
     """The same during frame-to-frame tracking, where a second pass refines every pose again; twice as many for rounded
     dice."""
-    tracking_stride: int
+    tracking_line_stride: int
     """Frame-to-frame tracking uses one pixel line in so many."""
     min_gain: float
     """[squared sigmas], of all six numbers of a pose together. A step that gains less is the last; it leaves about a
@@ -59,15 +59,15 @@ class Quality:
 
 
 FAST = Quality(
-    "fast", fine_steps=2, tracking_steps=2, tracking_stride=2, min_gain=0.5, min_step_px=0.1, band_px=3.5, region_pixels=400,
-    max_initial_poses=24, max_hypotheses=128, second_pass=False, marks=False,
+    "fast", fine_steps=2, tracking_steps=2, tracking_line_stride=2, min_gain=0.5, min_step_px=0.1, band_px=3.5,
+    region_pixels=400, max_initial_poses=24, max_hypotheses=128, second_pass=False, marks=False,
 )  # fmt: skip
 STANDARD = Quality(
-    "standard", fine_steps=4, tracking_steps=2, tracking_stride=2, min_gain=0.5, min_step_px=0.1, band_px=3.5, region_pixels=800,
-    max_initial_poses=24, max_hypotheses=128, second_pass=True, marks=True,
+    "standard", fine_steps=4, tracking_steps=2, tracking_line_stride=2, min_gain=0.5, min_step_px=0.1, band_px=3.5,
+    region_pixels=800, max_initial_poses=24, max_hypotheses=128, second_pass=True, marks=True,
 )  # fmt: skip
 FINE = Quality(
-    "fine", fine_steps=8, tracking_steps=4, tracking_stride=1, min_gain=1e-3, min_step_px=0.0, band_px=3.5, region_pixels=2500,
-    max_initial_poses=24, max_hypotheses=128, second_pass=True, marks=True,
+    "fine", fine_steps=8, tracking_steps=4, tracking_line_stride=1, min_gain=1e-3, min_step_px=0.0, band_px=3.5,
+    region_pixels=2500, max_initial_poses=24, max_hypotheses=128, second_pass=True, marks=True,
 )  # fmt: skip
 QUALITIES = {quality.name: quality for quality in (FAST, STANDARD, FINE)}

@@ -21,6 +21,7 @@ from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import View, make_view
 
 Array = NDArray[np.float64]
@@ -98,7 +99,7 @@ class Studio:
     def view(self, die: Die) -> View:
         """The view of the tracker, with the true values."""
         noise = max(self.noise_grey, 0.5)
-        return make_view(self.camera, die, self.table, noise, self.exposure_s, self.blur_px)
+        return make_view(self.camera, die, self.table, PixelNoise(noise), self.exposure_s, self.blur_px)
 
 
 def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, distance_m: float = 0.4) -> Studio:

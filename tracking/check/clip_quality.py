@@ -28,17 +28,18 @@ from ..camera import Camera
 from ..clip_parameters import CornerRadius, CornerRounding
 from ..footage import Clip, Frame, estimate_background
 from ..picture import (
+    PixelNoise,
     View,
     background_noise,
     differs_from_background,
     largest_blob,
     level_step,
     make_view,
-    noise_and_rounding,
     outline_box,
+    pixel_noise,
     without_shadow,
 )
-from ..pose import ManualInitialisation, die_blobs, refine_pose
+from ..pose import ManualInitialisation, die_blobs, pose_state, refine_pose
 from ..quality import FAST
 from ..sequence import NoDieError, track_clip
 from ..throw import NoFlightError, measure_throw, transition_matrix
@@ -166,12 +167,10 @@ def measure_clip_quality(
     empty = estimate_background(clip) if background is None else background
     rows = np.unique(np.linspace(0, len(clip) - 1, min(SAMPLED_FRAMES, len(clip))).astype(int))
     sample = [_grey(clip.frame(int(k))) for k in rows]
-    noise, step = noise_and_rounding(sample, empty)
+    noise = pixel_noise(sample, empty)
     background_match = _background_match(sample, empty, estimated, clip.bit_depth)
     tracked_part, failure, notices = None, "", clip.notices
-    first = _first_frame_with_die(
-        clip, make_view(camera, die, empty, noise, exposure_s, START_BLUR_PX, rounding_grey=step), start
-    )
+    first = _first_frame_with_die(clip, make_view(camera, die, empty, noise, exposure_s, START_BLUR_PX), start)
     if first is None:
         failure = "no frame that was searched shows the whole of anything that could be a die"
     else:
@@ -182,7 +181,7 @@ def measure_clip_quality(
                 part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded,
                 rounding=rounding, quality=FAST,
             )  # fmt: skip
-            view = make_view(camera, followed.die, empty, noise, exposure_s, START_BLUR_PX)
+            view = make_view(camera, followed.die, empty, PixelNoise(noise.noise_grey), exposure_s, START_BLUR_PX)
             tracked_part = _tracked_part(part, followed.track, view, followed.corners)
         except NoDieError as error:
             failure = str(error)
@@ -310,14 +309,8 @@ def _lens_blur_px(clip: Clip, view: View, track: Track, throw: Throw | None) -> 
     for k in _spread_rows(track, BLUR_FRAMES):
         image, state = _grey(clip.frame(k)), throw.at(float(track.time_s[k])) if throw else None
         velocity, omega = (state.velocity_m_s, state.omega_rad_s) if state is not None else (None, None)
-        rotation = matrix_from_quat(track.quaternion[k])
-        trials = [
-            refine_pose(
-                replace(view, blur_px=blur), image, track.position_m[k], rotation,
-                velocity_m_s=velocity, omega_rad_s=omega, coarse=0,
-            )
-            for blur in BLURS_PX
-        ]  # fmt: skip
+        start = pose_state(track.position_m[k], matrix_from_quat(track.quaternion[k]), velocity, omega)
+        trials = [refine_pose(replace(view, blur_px=blur), image, start, coarse=0) for blur in BLURS_PX]
         noise.append([trial.log_noise for trial in trials])
     level = np.median(np.array(noise) - np.min(noise, axis=1, keepdims=True), axis=0)
     best = int(np.clip(np.argmin(level), 1, len(BLURS_PX) - 2))

@@ -30,8 +30,8 @@ from numpy.typing import NDArray
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import State, Throw
 from ..covariance import scaled_inverse
-from ..picture import BIWEIGHT_CUT, CameraRig, View, make_view, shares_in_view
-from ..pose import Pose, refine_pose
+from ..picture import BIWEIGHT_CUT, CameraRig, PixelNoise, View, make_view, shares_in_view
+from ..pose import Pose, pose_state, refine_pose
 from ..throw import CONTOUR_SHARE, CONTOUR_SIGMA_PX
 
 Array = NDArray[np.float64]
@@ -138,10 +138,10 @@ def _view_of_one(view: View, c: int) -> View:
     camera = view.cameras[c]
     background = view.backgrounds[c, : camera.height_px, : camera.width_px]
     mirror = bool((view.rig.partner >= 0).any())
+    noise = PixelNoise(view.noise_grey, view.rounding_grey)
     alone = make_view(
-        camera, view.die, background, view.noise_grey, view.exposure_s, view.blur_px, rounding_grey=view.rounding_grey,
-        mirror=mirror, quality=view.quality,
-    )  # fmt: skip
+        camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality
+    )
     return replace(alone, light=view.light[view.rig.camera == c])
 
 
@@ -162,9 +162,7 @@ def _pose_by_edges(view: View, picture: NDArray[np.generic], state: State) -> Po
     if shares_in_view(view, state.position_m[None], state.rotation[None])[0] < 1.0:
         return None
     image = np.asarray(picture[: view.camera.height_px, : view.camera.width_px], np.float32)
-    pose = refine_pose(
-        view, image, state.position_m, state.rotation, velocity_m_s=state.velocity_m_s, omega_rad_s=state.omega_rad_s
-    )
+    pose = refine_pose(view, image, pose_state(state.position_m, state.rotation, state.velocity_m_s, state.omega_rad_s))
     return pose if pose.covariance is not None else None
 
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..picture import View
+from ..picture import PoseState, View
 from ..pose import SampledFrames, blur_step
 
 LEAST_BLUR_PX = 0.3
@@ -40,7 +40,9 @@ def estimate_lens_blur(view: View, frames: SampledFrames) -> float:
     """
     for _ in range(STEPS):
         poses = zip(frames.pictures, frames.position_m, frames.rotation, frames.motion, strict=True)
-        steps = np.array([blur_step(view, picture, p, R, motion[:3], motion[3:]) for picture, p, R, motion in poses])
+        steps = np.array(
+            [blur_step(view, picture, PoseState(p, R, motion[:3], motion[3:])) for picture, p, R, motion in poses]
+        )
         deviation = np.abs(steps[:, 0] - np.median(steps[:, 0]))
         near = deviation <= OUTLIER_DEVIATIONS * max(float(np.median(deviation)), LEAST_DEVIATION_PX)
         weight = np.where(near, steps[:, 1], 0.0)

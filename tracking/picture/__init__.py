@@ -58,11 +58,12 @@ from .region_cost import pose_cost as pose_cost
 from .region_cost import region_cost as region_cost
 from .segmentation import Blob as Blob
 from .segmentation import Mask as Mask
+from .segmentation import PixelNoise as PixelNoise
 from .segmentation import background_noise as background_noise
 from .segmentation import differs_from_background as differs_from_background
 from .segmentation import largest_blob as largest_blob
 from .segmentation import level_step as level_step
-from .segmentation import noise_and_rounding as noise_and_rounding
+from .segmentation import pixel_noise as pixel_noise
 from .segmentation import without_rims as without_rims
 from .segmentation import without_shadow as without_shadow
 from .small_matrices import cholesky_factor as cholesky_factor

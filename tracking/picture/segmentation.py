@@ -85,12 +85,22 @@ def rounding_is_correlated(step_grey: float, noise_grey: float) -> bool:
     return step_grey > 1.0 and noise_grey < DITHERED * step_grey
 
 
-def noise_and_rounding(images: list[Image], background: Image) -> tuple[float, float]:
-    """`background_noise` [grey] for the levels that the frames use, and the step between these [grey] if rounding
-    errors are correlated, else 0."""
+@dataclass(frozen=True)
+class PixelNoise:
+    """The errors of pixels of the still background."""
+
+    noise_grey: float
+    """Standard deviation between frames."""
+    rounding_grey: float = 0.0
+    """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
+
+
+def pixel_noise(images: list[Image], background: Image) -> PixelNoise:
+    """`background_noise` for the levels that the frames use, and the step between these if rounding errors are
+    correlated."""
     step_grey = level_step(images)
     noise_grey = background_noise(images, background, step_grey)
-    return noise_grey, step_grey if rounding_is_correlated(step_grey, noise_grey) else 0.0
+    return PixelNoise(noise_grey, step_grey if rounding_is_correlated(step_grey, noise_grey) else 0.0)
 
 
 def background_noise(images: list[Image], background: Image, step_grey: float = 1.0) -> float:

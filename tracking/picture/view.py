@@ -17,6 +17,7 @@ from ..quality import STANDARD, Quality
 from .kernel_types import LIGHT_TERMS, CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
 from .occluders import OccluderMask, new_occluder_mask
 from .projection import SMALLEST_WINDOW_PX, WINDOW_PX
+from .segmentation import PixelNoise
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -136,7 +137,7 @@ class View:
         return self.settings._replace(
             fine_steps=quality.tracking_steps * (1 if sharp else ROUNDED_TRACKING_STEPS),
             min_step_px=quality.min_step_px,
-            line_stride=quality.tracking_stride,
+            line_stride=quality.tracking_line_stride,
             strip_prior_share=TRACKED_STRIP_SHARE,
         )
 
@@ -168,15 +169,14 @@ def make_view(
     camera: Camera | Sequence[Camera],
     die: Die,
     background: NDArray[np.float32] | Sequence[NDArray[np.float32]],
-    noise_grey: float,
+    noise: PixelNoise,
     exposure_s: float | None,
     blur_px: float,
     *,
-    rounding_grey: float = 0.0,
     mirror: bool = False,
     quality: Quality = STANDARD,
 ) -> View:
-    """Prepare the geometry that all frames share; the arguments are the fields of `View`.
+    """Prepare the geometry that all frames share; the arguments are the fields of `View`, and `noise` is two of them.
 
     `mirror` says that the table reflects the die. The reflection then hides what is behind it, and counts as a view of
     its own after `with_reflections`.
@@ -185,8 +185,9 @@ def make_view(
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
     rig = _camera_rig(cameras, mirror)
     return View(
-        cameras, stack_pictures(pictures), die, noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)), rounding_grey,
+        cameras, stack_pictures(pictures), die, noise.noise_grey, exposure_s or 0.0, blur_px, quality,
+        symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)),
+        noise.rounding_grey,
     )  # fmt: skip
 
 

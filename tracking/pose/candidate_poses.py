@@ -25,6 +25,7 @@ from ..picture import (
     Blob,
     Image,
     Mask,
+    PixelNoise,
     View,
     differs_from_background,
     largest_blob,
@@ -37,7 +38,7 @@ from ..picture import (
     without_rims,
     without_shadow,
 )
-from .refine import Pose, refine_pose
+from .refine import Pose, PosePrior, pose_state, refine_pose
 from .refine_kernels import COARSE_STEPS
 
 Array = NDArray[np.float64]
@@ -131,7 +132,7 @@ def _candidates_in_regions(view: View, images: Image, blobs: list[Blob]) -> list
     distinct = _distinct(view, found)[: view.quality.max_initial_poses]
     limit = distinct[0][0] + ACCEPTED_EXCESS_COST if distinct else 0.0
     kept = distinct[:FEW_KEPT] + [pair for pair in distinct[FEW_KEPT:] if pair[0] < limit]
-    return [(cost, refine_pose(view, images, pose.position_m, pose.rotation)) for cost, pose in kept]
+    return [(cost, refine_pose(view, images, pose_state(pose.position_m, pose.rotation))) for cost, pose in kept]
 
 
 def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple[float, Pose]]:
@@ -143,12 +144,11 @@ def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple
         for pictures in (view.backgrounds, images)
     )
     small = make_view(
-        [less.camera(camera) for camera in view.cameras], view.die, backgrounds, view.noise_grey / shrink,
-        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror,
-        quality=view.quality,
+        [less.camera(camera) for camera in view.cameras], view.die, backgrounds, PixelNoise(view.noise_grey / shrink),
+        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror, quality=view.quality,
     )  # fmt: skip
     found = pose_candidates(small, stack_pictures(smaller))
-    return [(cost, refine_pose(view, images, pose.position_m, pose.rotation)) for cost, pose in found]
+    return [(cost, refine_pose(view, images, pose_state(pose.position_m, pose.rotation))) for cost, pose in found]
 
 
 def die_blobs(view: View, image: Image) -> list[Blob]:
@@ -248,21 +248,23 @@ def _refined_trials(view: View, images: Image, positions_m: Array, rotations: Ar
     The distance may be off by a fifth at first. A second camera sees that error from the side, too far off for any edge
     to be found.
     """
-    first, loose_m = with_first_camera_only(view), SIZE_PRIOR_REACH * view.reach_m
+    first, prior = with_first_camera_only(view), PosePrior(SIZE_PRIOR_REACH * view.reach_m, GRID_PRIOR_RAD)
 
     def refined(rows: NDArray[np.int64]) -> list[Pose]:
         work = new_workspace(view.shape, view.rig)
         poses = [
             refine_pose(
-                first, images, positions_m[k], rotations[k], coarse=COARSE_STEPS, prior_position_m=loose_m,
-                prior_rotation_rad=GRID_PRIOR_RAD, roughly=True, work=work,
+                first, images, pose_state(positions_m[k], rotations[k]), coarse=COARSE_STEPS, prior=prior, roughly=True,
+                work=work,
             )
             for k in rows
         ]  # fmt: skip
         if len(view.cameras) == 1:
             return poses
         return [
-            refine_pose(view, images, pose.position_m, pose.rotation, coarse=ALL_CAMERAS_COARSE_STEPS, work=work)
+            refine_pose(
+                view, images, pose_state(pose.position_m, pose.rotation), coarse=ALL_CAMERAS_COARSE_STEPS, work=work
+            )
             for pose in poses
             if pose.covariance is not None
         ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -110,41 +111,53 @@ def _loose_prior(settings: RefinementSettings) -> Array:
     return np.diag([1.0 / settings.loose_m**2] * 3 + [1.0 / settings.loose_rad**2] * 3)
 
 
-def refine_pose(
-    view: View,
-    image: Image,
-    position_m: Array,
-    rotation: Array,
-    *,
-    velocity_m_s: Array | None = None,
-    omega_rad_s: Array | None = None,
-    coarse: int = 2,
-    prior_position_m: float | None = None,
-    prior_rotation_rad: float | None = None,
-    roughly: bool = False,
-    work: Workspace | None = None,
-) -> Pose:
-    """The pose near an initial one that explains the edges of a frame best.
+class PosePrior(NamedTuple):
+    """Standard deviations of the prior about an initial pose. It keeps directions that the pixels leave open near that
+    pose, and is too weak to pull the others."""
 
-    `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
-    the number of steps at larger blurs before those at the lens blur. The prior, of standard deviations
-    `prior_position_m` and `prior_rotation_rad`, keeps directions that the pixels leave open near the initial pose and
-    is too weak to pull the others. `roughly` stops where the view's quality says, not at convergence.
-    """
-    converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
-    still, settings = np.zeros(3), view.tracking_settings if roughly else converged
-    work = new_workspace(view.shape, view.rig) if work is None else work
-    work.shared_grey[:] = 0.0
-    equations = new_equations()
-    start = PoseState(
+    sigma_m: float
+    """Of each coordinate of the centre."""
+    sigma_rad: float
+    """Of the rotation about each axis."""
+
+
+def pose_state(
+    position_m: Array, rotation: Array, velocity_m_s: Array | None = None, omega_rad_s: Array | None = None
+) -> PoseState:
+    """A pose (3,), (3, 3), and the motion that blurs it; at rest unless velocities are given."""
+    still = np.zeros(3)
+    return PoseState(
         np.asarray(position_m, float),
         np.ascontiguousarray(rotation, float),
         still if velocity_m_s is None else velocity_m_s,
         still if omega_rad_s is None else omega_rad_s,
     )
+
+
+def refine_pose(
+    view: View,
+    image: Image,
+    start: PoseState,
+    *,
+    coarse: int = 2,
+    prior: PosePrior | None = None,
+    roughly: bool = False,
+    work: Workspace | None = None,
+) -> Pose:
+    """The pose near an initial one, `start`, that explains the edges of a frame best.
+
+    `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
+    the number of steps at larger blurs before those at the lens blur. `prior` is the loose one of the view if it is
+    None. `roughly` stops where the view's quality says, not at convergence.
+    """
+    converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
+    settings = view.tracking_settings if roughly else converged
+    sigma_m, sigma_rad = prior or PosePrior(settings.loose_m, settings.loose_rad)
+    work = new_workspace(view.shape, view.rig) if work is None else work
+    work.shared_grey[:] = 0.0
+    equations = new_equations()
     p, Q, cost = refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), start, prior_position_m or settings.loose_m,
-        prior_rotation_rad or settings.loose_rad, coarse, work, equations,
+        whole_frame_windows(view, image), view.model(settings), start, sigma_m, sigma_rad, coarse, work, equations,
     )  # fmt: skip
     return _pose_from(p, Q, cost, equations, settings)
 
@@ -170,9 +183,7 @@ def _pose_from(
     )
 
 
-def blur_step(
-    view: View, image: Image, position_m: Array, rotation: Array, velocity_m_s: Array, omega_rad_s: Array
-) -> tuple[float, float]:
+def blur_step(view: View, image: Image, start: PoseState) -> tuple[float, float]:
     """The Newton step of the lens blur [px] on one frame, with the pose eliminated, and its information [1/px²]; (0, 0)
     if there is none."""
     settings = view.settings._replace(
@@ -180,7 +191,7 @@ def blur_step(
     )
     equations = new_equations()
     refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), PoseState(position_m, rotation, velocity_m_s, omega_rad_s),
+        whole_frame_windows(view, image), view.model(settings), start,
         settings.loose_m, settings.loose_rad, 0, new_workspace(view.shape, view.rig), equations,
     )  # fmt: skip
     H, g = equations.H, equations.g

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...model.die import inversion_rotation, nearest_equivalent_rotation
 from ..footage import FrameSource
 from ..picture import View
-from ..pose import ClipPoses, Pose, as_track, refine_pose, same_picture
+from ..pose import ClipPoses, Pose, as_track, pose_state, refine_pose, same_picture
 from ..throw import UNMODELLED_SHARE, fit_flights, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
@@ -151,7 +151,7 @@ def _reversal(view: View, source: FrameSource, poses: ClipPoses, k: int) -> Pose
     if rotation is None:
         return None
     picture, here = np.asarray(source.frame(k), np.float32), (poses.position_m[k], poses.rotation[k])
-    pose = refine_pose(view, picture, here[0], rotation, coarse=2, roughly=True)
+    pose = refine_pose(view, picture, pose_state(here[0], rotation), coarse=2, roughly=True)
     if pose.covariance is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + REVERSAL_MISFIT:
         return None
     return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose

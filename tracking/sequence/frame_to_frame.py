@@ -28,7 +28,17 @@ from ..picture import (
     share_in_view,
     with_occluder_mask,
 )
-from ..pose import LEAST_CONTOUR_PX, ClipPoses, Pose, longest_stride, pose_candidates, power_of_two, refine_pose
+from ..pose import (
+    LEAST_CONTOUR_PX,
+    ClipPoses,
+    Pose,
+    PosePrior,
+    longest_stride,
+    pose_candidates,
+    pose_state,
+    power_of_two,
+    refine_pose,
+)
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
@@ -259,18 +269,14 @@ class FrameTracker:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
         settings = self.view.settings
-        tight = (
+        tight = PosePrior(
             float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 0), settings.tight_m, settings.loose_m)),
             float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
         )
-        loose = settings.loose_m, settings.loose_rad
         others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
-        for start, coarse, prior in ((expected, 1, tight), *((s, c, loose) for s, c in others)):
-            pose = refine_pose(
-                self.view, image, start.position_m, start.rotation, velocity_m_s=start.velocity_m_s,
-                omega_rad_s=start.omega_rad_s, coarse=coarse, prior_position_m=prior[0], prior_rotation_rad=prior[1],
-                roughly=True, work=self._work,
-            )  # fmt: skip
+        for start, coarse, prior in ((expected, 1, tight), *((s, c, None) for s, c in others)):
+            initial = pose_state(start.position_m, start.rotation, start.velocity_m_s, start.omega_rad_s)
+            pose = refine_pose(self.view, image, initial, coarse=coarse, prior=prior, roughly=True, work=self._work)
             if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX:
                 continue
             if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:

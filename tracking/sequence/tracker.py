@@ -29,7 +29,7 @@ from ..clip_parameters import (
     with_light,
 )
 from ..footage import Clip, FrameSource, estimate_background
-from ..picture import View, make_view, noise_and_rounding, share_in_view, with_corner_radius, with_reflections
+from ..picture import PixelNoise, View, make_view, pixel_noise, share_in_view, with_corner_radius, with_reflections
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
@@ -127,19 +127,15 @@ def _view_of(
     """The scene as the refinement needs it, with the noise of the still background."""
     given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
     given += [None] * (len(clips) - len(given))
-    pictures, noises, roundings = [], [], []
+    pictures, noises = [], []
     for one, camera, picture in zip(clips, cameras, given, strict=True):
         _check_sizes(one, camera, picture)
         picture = np.asarray(estimate_background(one) if picture is None else picture, np.float32)
         chosen = np.unique(np.linspace(0, len(one) - 1, NOISE_FRAMES).astype(int))
-        noise, rounding = noise_and_rounding([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture)
-        noises.append(noise)
-        roundings.append(rounding)
+        noises.append(pixel_noise([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture))
         pictures.append(picture)
-    return make_view(
-        cameras, die, pictures, max(noises), exposure_s, INITIAL_BLUR_PX, rounding_grey=max(roundings), mirror=mirror,
-        quality=quality,
-    )  # fmt: skip
+    noise = PixelNoise(max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises))
+    return make_view(cameras, die, pictures, noise, exposure_s, INITIAL_BLUR_PX, mirror=mirror, quality=quality)
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> None:

@@ -20,8 +20,9 @@ from diethrow.replay.render.renderer import FilmRenderer, RenderSettings, frame_
 from diethrow.replay.render.sensor import Sensor, expose, fixed_pattern, rounded
 from diethrow.replay.render.table_textures import SURFACES, table_paint
 from diethrow.tracking.camera import Camera
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 
 Array = NDArray[np.float64]
 
@@ -233,9 +234,9 @@ def test_the_die_is_seen_where_the_camera_projects_it(distortion: float) -> None
     room = studio(die, distortion=distortion, samples=64, size=160)
     throw = flight((0.0, 0.0, 0.03))
     light = next(frame_light(room, throw, np.array([0.0]), 1e-6))
-    view = make_view(room.camera, die, np.asarray(255.0 * room.empty(), np.float32), 1.5, None, 0.6)
+    view = make_view(room.camera, die, np.asarray(255.0 * room.empty(), np.float32), PixelNoise(1.5), None, 0.6)
     true = throw.at(0.0)
-    found = refine_pose(view, np.asarray(255.0 * light, np.float32), true.position_m, true.rotation)
+    found = refine_pose(view, np.asarray(255.0 * light, np.float32), pose_state(true.position_m, true.rotation))
     assert found is not None
     miss = room.camera.rotation @ (found.position_m - true.position_m)
     # 0.45 mm a pixel: within a tenth of a pixel, where a pixel's half would betray another origin of the axes. The

@@ -30,7 +30,7 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     rounding_gain,
 )
 from diethrow.tracking.pose.clip_poses import ClipPoses
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import tracking_pass
 from diethrow.tracking.sequence.tracker import TrackedClip, track_clip
@@ -118,7 +118,7 @@ def test_light_on_the_bevels_moves_a_rounded_die_by_little_more_than_its_standar
     setting, die, squared = replace(STUDIO, noise_grey=3.0), replace(CUBE, corner_radius_m=0.6e-3), []
     for k, state in enumerate(states(MANY)):
         image = photograph_rounded(setting, die, state, np.random.default_rng([11, k]), gloss_grey=gloss_grey)
-        pose = refine_pose(setting.view(die), image, state.position_m, state.rotation, coarse=0)
+        pose = refine_pose(setting.view(die), image, pose_state(state.position_m, state.rotation), coarse=0)
         if pose.covariance is not None:
             turned = rotation_between(state.quaternion, quat_from_matrix(pose.rotation))
             errors = np.concatenate([pose.position_m - state.position_m, turned])

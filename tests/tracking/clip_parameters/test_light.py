@@ -18,7 +18,7 @@ from diethrow.tracking.clip_parameters.light import normal_monomials, with_light
 from diethrow.tracking.picture.kernel_types import LIGHT_TERMS
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 
 Array = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def test_known_light_reduces_the_errors_of_a_rounded_die(gloss_grey: float) -> N
     aside, turned, squared = [], [], []
     for view in (plain, light):
         poses = [
-            refine_pose(view, image, one.position_m, one.rotation, coarse=0)
+            refine_pose(view, image, pose_state(one.position_m, one.rotation), coarse=0)
             for image, one in zip(shown, at, strict=True)
         ]
         moved = np.array([pose.position_m - one.position_m for pose, one in zip(poses, at, strict=True)])
@@ -107,7 +107,9 @@ def test_bevels_do_not_raise_the_cost_of_a_picture() -> None:
     for die, draw in ((sharp, photograph), (ROUND, photograph_rounded)):
         for k, state in enumerate(states(8, 4)):
             image = draw(STUDIO, die, state, np.random.default_rng([4, k]))
-            costs.append(refine_pose(STUDIO.view(die), image, state.position_m, state.rotation, coarse=0).cost)
+            costs.append(
+                refine_pose(STUDIO.view(die), image, pose_state(state.position_m, state.rotation), coarse=0).cost
+            )
     assert np.mean(costs[8:]) < 1.1 * np.mean(costs[:8])
 
 

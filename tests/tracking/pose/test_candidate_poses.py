@@ -16,6 +16,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.pose_costs import mirror_region_costs
 from diethrow.tracking.picture.segmentation import Blob, differs_from_background, largest_blob
 from diethrow.tracking.picture.view import make_view
@@ -99,7 +100,7 @@ def test_a_dark_face_before_a_mirror_is_no_shadow(seed: int) -> None:
     smooth = replace(ROOM, table=np.full_like(ROOM.table, 80.0), shadow=0.0)
     with patch.object(footage_of_throws, "greys", dark_but_above):
         image = photograph(smooth, DICE["cube"], state, rng)
-    view = make_view(smooth.camera, DICE["cube"], smooth.table, 2.0, None, smooth.blur_px, mirror=True)
+    view = make_view(smooth.camera, DICE["cube"], smooth.table, PixelNoise(2.0), None, smooth.blur_px, mirror=True)
     found = pose_candidates(view, image)
     alike = nearest_equivalent_rotation(found[0][1].rotation, state.rotation, view.symmetries)
     assert np.degrees(np.linalg.norm(rotvec_from_quat(quat_from_matrix(alike @ state.rotation.T)))) < 0.5

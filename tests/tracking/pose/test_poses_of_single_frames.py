@@ -15,7 +15,7 @@ from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
 from diethrow.tracking.picture.view import outline_box, share_in_view
-from diethrow.tracking.pose.refine import Pose, refine_pose
+from diethrow.tracking.pose.refine import Pose, pose_state, refine_pose
 
 Array = NDArray[np.float64]
 
@@ -48,9 +48,8 @@ def found(room: Studio, shape: str, state: State, image: NDArray[np.float32]) ->
     view = room.view(DICE[shape])
     start = matrix_from_quat(quat_from_rotvec([0.02, -0.02, 0.02])) @ state.rotation
     off = np.array([4e-4, -4e-4, 8e-4])
-    return refine_pose(
-        view, image, state.position_m + off, start, velocity_m_s=state.velocity_m_s, omega_rad_s=state.omega_rad_s, coarse=3
-    )  # fmt: skip
+    moving = pose_state(state.position_m + off, start, state.velocity_m_s, state.omega_rad_s)
+    return refine_pose(view, image, moving, coarse=3)
 
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
@@ -61,7 +60,7 @@ def test_a_displaced_pose_is_brought_back(shape: str, direction: str) -> None:
     change = np.zeros(6)
     change[DIRECTIONS[direction]] = 8e-4 if DIRECTIONS[direction] < 3 else 0.04
     turned = matrix_from_quat(quat_from_rotvec(change[3:])) @ state.rotation
-    pose = refine_pose(ROOM.view(DICE[shape]), image, state.position_m + change[:3], turned, coarse=2)
+    pose = refine_pose(ROOM.view(DICE[shape]), image, pose_state(state.position_m + change[:3], turned), coarse=2)
     # The drawn edge is a Gaussian averaged over the pixel, the model a Gaussian: the difference stays below what half a
     # grey level of noise, the least that is assumed, would do.
     assert nees_of(state, pose) < 6.0
@@ -199,13 +198,11 @@ def test_a_known_exposure_lowers_the_residual_noise() -> None:
         rng = np.random.default_rng(300 + seed)
         state = resting_state(rng, np.array([0.5, 0.3, -1.2]), 50.0 * rng.normal(size=3))
         image, view = photograph(room, DICE["cube"], state, rng), room.view(DICE["cube"])
+        moving = pose_state(state.position_m, state.rotation, state.velocity_m_s, state.omega_rad_s)
         known, unknown = (
-            refine_pose(
-                replace(view, exposure_s=exposure_s), image, state.position_m, state.rotation,
-                velocity_m_s=state.velocity_m_s, omega_rad_s=state.omega_rad_s,
-            ).log_noise
+            refine_pose(replace(view, exposure_s=exposure_s), image, moving).log_noise
             for exposure_s in (room.exposure_s, 0.0)
-        )  # fmt: skip
+        )
         # Three pixels of motion spread an edge by twice the lens blur: measured 0.07 to 0.3 over sixteen dice.
         assert unknown > known + 0.03
 
@@ -217,7 +214,7 @@ def test_the_residual_noise_is_least_at_the_true_blur() -> None:
     left = {}
     for blur in (0.5, 0.7, 0.9, 1.1, 1.4):
         view = replace(room.view(DICE["cube"]), blur_px=blur)
-        left[blur] = refine_pose(view, image, state.position_m, state.rotation, coarse=0).log_noise
+        left[blur] = refine_pose(view, image, pose_state(state.position_m, state.rotation), coarse=0).log_noise
     assert min(left, key=lambda blur: left[blur]) == 0.9
 
 
@@ -236,7 +233,7 @@ def test_a_pose_does_not_depend_on_the_unit_of_grey() -> None:
 def test_a_die_out_of_the_picture_has_no_pose() -> None:
     state = replace(resting_state(np.random.default_rng(2)), position_m=np.array([0.1, 0.0, 0.02]))
     view = ROOM.view(DICE["cube"])
-    pose = refine_pose(view, ROOM.table, state.position_m, state.rotation)
+    pose = refine_pose(view, ROOM.table, pose_state(state.position_m, state.rotation))
     assert pose.covariance is None
     assert share_in_view(view, state.position_m, state.rotation) == 0.0
     assert outline_box(view, state.position_m, state.rotation, 4.0) is None

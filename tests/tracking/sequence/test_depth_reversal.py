@@ -16,7 +16,7 @@ from diethrow.model.throw.motion import Flight, State
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.sequence.depth_reversal import correct_depth_reversals, reversed_in_depth
 
 FRAMES = 48
@@ -58,8 +58,8 @@ def test_edges_distinguish_a_reversal_better_than_the_picture_as_a_whole() -> No
             reversed_in_depth(view, position, state.rotation),
         )
         assert other is not None
-        true = refine_pose(view, picture, position, state.rotation, coarse=0)
-        wrong = refine_pose(view, picture, position, other, coarse=2)
+        true = refine_pose(view, picture, pose_state(position, state.rotation), coarse=0)
+        wrong = refine_pose(view, picture, pose_state(position, other), coarse=2)
         gaps.append((wrong.cost - true.cost, wrong.cost_with_edge_noise - true.cost_with_edge_noise))
     whole, both = np.array(gaps).T
     assert len(gaps) > 10
@@ -96,7 +96,9 @@ def seen_at(view: View, source: FrameSource, flight: Moving, *, reverse: bool) -
         state = flight.at(float(time_s))
         rotation = reversed_in_depth(view, state.position_m, state.rotation) if reverse else state.rotation
         assert rotation is not None
-        pose = refine_pose(view, np.asarray(source.frame(k), np.float32), state.position_m, rotation, coarse=0)
+        pose = refine_pose(
+            view, np.asarray(source.frame(k), np.float32), pose_state(state.position_m, rotation), coarse=0
+        )
         seen.put(k, pose, np.concatenate([state.velocity_m_s, state.omega_rad_s]))
     return seen
 

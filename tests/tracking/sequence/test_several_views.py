@@ -18,8 +18,9 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.camera import Camera
 from diethrow.tracking.clip_parameters.clock_offsets import rig_at
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import MIRRORED, View, make_view, stack_pictures, with_reflections
-from diethrow.tracking.pose.refine import Pose, refine_pose
+from diethrow.tracking.pose.refine import Pose, pose_state, refine_pose
 from diethrow.tracking.quality import FAST, STANDARD
 from diethrow.tracking.sequence.tracker import track_clip
 from diethrow.tracking.surface_marks.face_numbers import read_faces
@@ -53,7 +54,7 @@ def state_at(rng: np.random.Generator, height_m: float) -> State:
 
 def found(view: View, image: Image, state: State) -> Pose:
     start = matrix_from_quat(quat_from_rotvec([0.02, -0.02, 0.02])) @ state.rotation
-    return refine_pose(view, image, state.position_m + np.array([4e-4, -4e-4, 8e-4]), start, coarse=3)
+    return refine_pose(view, image, pose_state(state.position_m + np.array([4e-4, -4e-4, 8e-4]), start), coarse=3)
 
 
 def judged(view: View, states: list[State], images: list[Image]) -> tuple[Array, Array]:
@@ -72,7 +73,7 @@ def judged(view: View, states: list[State], images: list[Image]) -> tuple[Array,
 
 
 def view_of(cameras: list[Camera], tables: list[Image], *, mirror: bool = False) -> View:
-    return make_view(cameras, CUBE, tables, ROOM.noise_grey, None, ROOM.blur_px, mirror=mirror)
+    return make_view(cameras, CUBE, tables, PixelNoise(ROOM.noise_grey), None, ROOM.blur_px, mirror=mirror)
 
 
 def test_a_second_camera_gives_the_depth_that_the_first_lacks() -> None:

@@ -17,9 +17,10 @@ from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
+from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view, share_in_view
 from diethrow.tracking.pose.clip_poses import ClipPoses, longest_stride
-from diethrow.tracking.pose.refine import refine_pose
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
@@ -107,7 +108,7 @@ def test_frames_of_a_film_far_faster_than_the_die_are_skipped_except_at_impacts(
     for every frame, as accurate as on a usual film."""
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube(FRAMES / FPS)
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
-    source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], 2.0, None, 0.7)
+    source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], PixelNoise(2.0), None, 0.7)
     beginning = find_initial_pose(view, source, np.zeros(count, bool))
     assert beginning is not None
     tracker, seen = beginning
@@ -237,7 +238,7 @@ def test_an_occluder_is_found_and_nothing_else() -> None:
     clip, table, bar = behind_a_bar()
     view = replace(ROOM, table=np.asarray(table, np.float32)).view(CUBE)
     state = falling_cube(FRAMES / FPS).at(0.0)
-    pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), state.position_m, state.rotation)
+    pose = refine_pose(view, np.asarray(clip.frame(0), np.float32), pose_state(state.position_m, state.rotation))
     tracker = FrameTracker.from_pose(view, pose, clip.times_s, 0, np.zeros(FRAMES, bool))
     tracker.track(clip.array[:30, None], clip.times_s, 0, ClipPoses.empty(FRAMES))
     blank = np.isnan(tracker.view.backgrounds[0])

@@ -80,8 +80,8 @@ FIRST_OF_LADDER = ("standard", 1, 1)
 """Run once untimed, so that no speed includes compilation or loading of kernels."""
 
 WORK: tuple[tuple[str, Quality], ...] = (
-    ("every pixel line in the first pass, not every second", replace(STANDARD, tracking_stride=1)),
-    ("every fourth pixel line", replace(STANDARD, tracking_stride=4)),
+    ("every pixel line in the first pass, not every second", replace(STANDARD, tracking_line_stride=1)),
+    ("every fourth pixel line", replace(STANDARD, tracking_line_stride=4)),
     ("edges by 8 pixels to either side, not 3.5", replace(STANDARD, band_px=8.0)),
     ("200 pixels score a pose, not 800", replace(STANDARD, region_pixels=200)),
     ("2500 pixels", replace(STANDARD, region_pixels=2500)),
