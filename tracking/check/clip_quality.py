@@ -13,7 +13,7 @@ frame with the die in view. All else follows from its poses and their pixels:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, State, Throw
 from ..camera import Camera
-from ..clip_parameters import CornerRadius, CornerRounding
+from ..clip_parameters import CornerRadius
 from ..footage import Clip, Frame, estimate_background
 from ..picture import (
     PixelNoise,
@@ -41,7 +41,7 @@ from ..picture import (
 )
 from ..pose import ManualInitialisation, die_blobs, pose_state, refine_pose
 from ..quality import FAST
-from ..sequence import NoDieError, track_clip
+from ..sequence import NO_FACTS, ClipFacts, NoDieError, track_clip
 from ..throw import NoFlightError, measure_throw, transition_matrix
 from ..track import Track
 from .gravity import Fall, measure_fall
@@ -152,15 +152,11 @@ def measure_clip_quality(
     open_part: Callable[[int, int], Clip],
     *,
     background: Image | None = None,
-    exposure_s: float | None = None,
-    start: ManualInitialisation | None = None,
-    excluded: Sequence[tuple[int, int]] = (),
-    rounding: CornerRounding = CornerRounding.GIVEN,
+    facts: ClipFacts = NO_FACTS,
 ) -> ClipQuality:
     """Measure the quality of a clip. `open_part` opens the frames from first to stop (numbers in the file) of the same clip.
 
-    `background` (height, width) is a frame without the die; `exposure_s`, `start`, `excluded` and `rounding` as for
-    `track_clip`.
+    `background` (height, width) is a frame without the die.
     Raises ValueError where the clip cannot be read.
     """
     estimated = background is None
@@ -170,18 +166,16 @@ def measure_clip_quality(
     noise = pixel_noise(sample, empty)
     background_match = _background_match(sample, empty, estimated, clip.bit_depth)
     tracked_part, failure, notices = None, "", clip.notices
-    first = _first_frame_with_die(clip, make_view(camera, die, empty, noise, exposure_s, START_BLUR_PX), start)
+    view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX)
+    first = _first_frame_with_die(clip, view, facts.start)
     if first is None:
         failure = "no frame that was searched shows the whole of anything that could be a die"
     else:
         stop = min(first + PART_FRAMES, len(clip))
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
-            followed = track_clip(
-                part, camera, die, background=empty, exposure_s=exposure_s, start=start, excluded=excluded,
-                rounding=rounding, quality=FAST,
-            )  # fmt: skip
-            view = make_view(camera, followed.die, empty, PixelNoise(noise.noise_grey), exposure_s, START_BLUR_PX)
+            followed = track_clip(part, camera, die, background=empty, facts=facts, quality=FAST)
+            view = make_view(camera, followed.die, empty, PixelNoise(noise.noise_grey), facts.exposure_s, START_BLUR_PX)
             tracked_part = _tracked_part(part, followed.track, view, followed.corners)
         except NoDieError as error:
             failure = str(error)

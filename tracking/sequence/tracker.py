@@ -52,6 +52,25 @@ NOISE_FRAMES = 12
 """Frames from which the noise of the still background is estimated."""
 
 
+@dataclass(frozen=True)
+class ClipFacts:
+    """What is known of a clip before it is tracked, beside its cameras, its background and the die."""
+
+    exposure_s: float | None = None
+    """None if it is not known."""
+    mirror: bool = False
+    """Whether the table reflects the die."""
+    start: ManualInitialisation | None = None
+    """An initial pose by hand."""
+    excluded: Sequence[tuple[int, int]] = ()
+    """Ranges (first, stop) of frame numbers whose pictures are not used: they are lost."""
+    rounding: CornerRounding = CornerRounding.GIVEN
+    """Whether the radius of the die's corners is given."""
+
+
+NO_FACTS = ClipFacts()
+
+
 @dataclass(frozen=True, eq=False)
 class TrackedClip:
     """The result of tracking a die through a clip."""
@@ -73,29 +92,25 @@ def track_clip(
     die: Die,
     *,
     background: Background | Sequence[Background | None] | None = None,
-    exposure_s: float | None = None,
-    mirror: bool = False,
-    start: ManualInitialisation | None = None,
-    excluded: Sequence[tuple[int, int]] = (),
-    rounding: CornerRounding = CornerRounding.GIVEN,
+    facts: ClipFacts = NO_FACTS,
     quality: Quality = STANDARD,
     progress: Progress | None = None,
 ) -> TrackedClip:
     """Track a die through a clip: a pose with covariance for every frame on which it can be known.
 
     `clip` and `camera` are one each, or as many synchronised ones as there are cameras. `background` (height, width) is a frame
-    without the die (one a camera), estimated from the clip if it is None. `mirror` states that the table reflects the die.
-    `start` is an initial pose by hand. `excluded` are ranges (first, stop) of frame numbers whose pictures are not used: they are
-    lost. `rounding` states whether the radius of the die's corners is given. `progress` is called with frames done and frames to
-    do. Raises ValueError if camera, background and clip differ in size, and NoDieError if no die was found."""
+    without the die (one a camera), estimated from the clip if it is None. `progress` is called with frames done and frames to do.
+    Raises ValueError if camera, background and clip differ in size, and NoDieError if no die was found."""
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     source = FrameSource(clips)
-    view = _view_of(clips, cameras, die, background, exposure_s, mirror, quality)
+    view = _view_of(clips, cameras, die, background, facts, quality)
     report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(source))
     unused = np.zeros(len(source), bool)
-    unused[list(excluded_rows(excluded, source.first_frame, len(source)))] = True
-    view, poses, corners = track_rounded(view, TrackingTask(source, unused, start, report.at_least), rounding)
+    unused[list(excluded_rows(facts.excluded, source.first_frame, len(source)))] = True
+    view, poses, corners = track_rounded(
+        view, TrackingTask(source, unused, facts.start, report.at_least), facts.rounding
+    )
     throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, source.times_s)
@@ -120,8 +135,7 @@ def _view_of(
     cameras: list[Camera],
     die: Die,
     background: Background | Sequence[Background | None] | None,
-    exposure_s: float | None,
-    mirror: bool,
+    facts: ClipFacts,
     quality: Quality,
 ) -> View:
     """The scene as the refinement needs it, with the noise of the still background."""
@@ -135,7 +149,9 @@ def _view_of(
         noises.append(pixel_noise([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture))
         pictures.append(picture)
     noise = PixelNoise(max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises))
-    return make_view(cameras, die, pictures, noise, exposure_s, INITIAL_BLUR_PX, mirror=mirror, quality=quality)
+    return make_view(
+        cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality
+    )
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> None:

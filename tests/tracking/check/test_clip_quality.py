@@ -23,6 +23,7 @@ from diethrow.tracking.check.clip_quality import (
 )
 from diethrow.tracking.check.gravity import Fall
 from diethrow.tracking.check.verdicts import Finding, Verdict, judge
+from diethrow.tracking.sequence import ClipFacts
 from diethrow.tracking.track import LOST, TRACKED, Track
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.3, blur_px=0.8)
@@ -41,7 +42,7 @@ def measured(clip: ArrayClip, camera: Camera = ROOM.camera, die: Die = CUBE) -> 
     def part(first: int, stop: int) -> ArrayClip:
         return replace(clip, array=clip.array[first:stop], times_s=clip.times_s[first:stop], first_frame=first)
 
-    return measure_clip_quality(clip, camera, die, part, background=np.rint(ROOM.table), exposure_s=1e-4)
+    return measure_clip_quality(clip, camera, die, part, background=np.rint(ROOM.table), facts=ClipFacts(1e-4))
 
 
 @cache

@@ -33,7 +33,7 @@ from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import tracking_pass
-from diethrow.tracking.sequence.tracker import TrackedClip, track_clip
+from diethrow.tracking.sequence.tracker import ClipFacts, TrackedClip, track_clip
 
 STUDIO = replace(studio(), noise_grey=2.0)
 CUBE = DICE["cube"]
@@ -179,7 +179,8 @@ def clip() -> tuple[ArrayClip, Throw]:
 def tracked(rounding: CornerRounding, radius_m: float) -> TrackedClip:
     """The clip, tracked from a radius that is given or to be found."""
     die = replace(CUBE, corner_radius_m=radius_m)
-    return track_clip(clip()[0], STUDIO.camera, die, background=np.rint(STUDIO.table), rounding=rounding, quality=FAST)
+    facts, table = ClipFacts(rounding=rounding), np.rint(STUDIO.table)
+    return track_clip(clip()[0], STUDIO.camera, die, background=table, facts=facts, quality=FAST)
 
 
 def depth_errors_m(result: TrackedClip) -> np.ndarray:
@@ -232,9 +233,8 @@ def sharp_clip() -> ArrayClip:
 
 
 def sharp_tracked(rounding: CornerRounding) -> TrackedClip:
-    return track_clip(
-        sharp_clip(), STUDIO.camera, CUBE, background=np.rint(STUDIO.table), rounding=rounding, quality=FAST
-    )
+    facts, table = ClipFacts(rounding=rounding), np.rint(STUDIO.table)
+    return track_clip(sharp_clip(), STUDIO.camera, CUBE, background=table, facts=facts, quality=FAST)
 
 
 def test_the_test_for_rounding_leaves_the_track_of_a_sharp_die_unchanged() -> None:

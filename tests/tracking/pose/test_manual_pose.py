@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from random_throws import random_quaternion
 
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
-from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.picture.view import View, visible_faces
 from diethrow.tracking.pose.manual_pose import (
@@ -22,7 +22,7 @@ from diethrow.tracking.pose.manual_pose import (
     poses_from_clicks,
 )
 from diethrow.tracking.pose.refine import Pose
-from diethrow.tracking.sequence.tracker import track_clip
+from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 from diethrow.tracking.track import LOST, TRACKED
 
 Array = NDArray[np.float64]
@@ -120,15 +120,13 @@ def test_a_clip_is_tracked_from_a_manual_pose_and_excluded_frames_are_lost() -> 
     clip.array[ruined] = 250 - clip.array[ruined]
     truth = throw.at(12 / FPS)
     start = ManualInitialisation(12, truth.position_m + 5e-4, truth.quaternion)
-    track = track_clip(clip, ROOM.camera, die, background=np.rint(ROOM.table), start=start, excluded=[(8, 11)]).track
+    facts, table = ClipFacts(start=start, excluded=[(8, 11)]), np.rint(ROOM.table)
+    track = track_clip(clip, ROOM.camera, die, background=table, facts=facts).track
     assert (track.status[ruined] == LOST).all()
     assert np.isnan(track.position_m[ruined]).all()
     assert (np.delete(track.status, np.r_[ruined]) == TRACKED).all()
     # The labelling is that of the start, so the truth's own orientation comes back, with no symmetry to be told apart.
     _, quaternions = throw.poses(track.time_s)
-    off = rotation_between(track.quaternion[track.tracked], quaternions[track.tracked])
-    assert np.degrees(np.linalg.norm(off, axis=1)).max() < 1.0
+    assert np.degrees(angle_between(track.quaternion[track.tracked], quaternions[track.tracked])).max() < 1.0
     with pytest.raises(ValueError, match=r"start\.frame = 9\b"):
-        track_clip(
-            clip, ROOM.camera, die, background=np.rint(ROOM.table), start=replace(start, frame=9), excluded=[(8, 11)]
-        )
+        track_clip(clip, ROOM.camera, die, background=table, facts=replace(facts, start=replace(start, frame=9)))

@@ -24,7 +24,7 @@ from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence.initialisation import best_hypothesis, find_initial_pose
-from diethrow.tracking.sequence.tracker import track_clip
+from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 
 ROOT = Path(__file__).parents[3]
 
@@ -38,9 +38,8 @@ def test_a_plain_tetrahedron_that_shows_one_face_is_tracked_in_its_true_pose() -
     assert view.background_path is not None
     clip = open_clip(view.path, fps=scene.clip.fps, frame_range=(0, 50))
     background = load_background(view.background_path, clip)
-    track = track_clip(
-        clip, view.camera, scene.die, background=background, exposure_s=scene.clip.exposure_s, quality=FAST
-    ).track
+    facts = ClipFacts(exposure_s=scene.clip.exposure_s)
+    track = track_clip(clip, view.camera, scene.die, background=background, facts=facts, quality=FAST).track
     truth = read_table(ROOT / "tests" / "data" / "tetrahedron_wood" / "truth.csv", ("frame",))
     rows = np.flatnonzero(track.tracked)
     assert len(rows) > 40

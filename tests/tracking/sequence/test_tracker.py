@@ -24,7 +24,7 @@ from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
-from diethrow.tracking.sequence.tracker import NoDieError, track_clip
+from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
 from diethrow.tracking.throw.flight_segmentation import decimation_factor
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.smoothing import smooth
@@ -187,7 +187,9 @@ def test_an_excluded_frame_stays_lost_although_no_flight_passes_over_it() -> Non
     rng = np.random.default_rng(2)
     frames = np.clip(still + rng.integers(-2, 3, (3 * FRAMES, *still.shape)), 0, 255).astype(np.uint8)
     clip = ArrayClip(frames, np.arange(len(frames)) / FPS, 8)
-    track = track_clip(clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), excluded=[(101, 102)]).track
+    track = track_clip(
+        clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), facts=ClipFacts(excluded=[(101, 102)])
+    ).track
     assert track.status[101] == LOST
     assert (np.delete(track.status, 101) == TRACKED).all()
 

@@ -14,6 +14,7 @@ from ...replay.pages import check_page
 from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge, measure_clip_quality
 from ...tracking.footage import Clip, open_clip
 from ...tracking.pose import ManualInitialisation
+from ...tracking.sequence import ClipFacts
 from .track import check_scene, input_paths, open_background, open_footage
 
 
@@ -78,17 +79,9 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
         return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
 
     try:
-        return measure_clip_quality(
-            clip,
-            view.camera,
-            scene.die,
-            open_part,
-            background=background,
-            exposure_s=scene.clip.exposure_s or clip.metadata().get("exposure_s"),
-            start=start,
-            excluded=scene.clip.excluded,
-            rounding=scene.rounding,
-        )
+        exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")
+        facts = ClipFacts(exposure_s, start=start, excluded=scene.clip.excluded, rounding=scene.rounding)
+        return measure_clip_quality(clip, view.camera, scene.die, open_part, background=background, facts=facts)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error
 

@@ -23,7 +23,7 @@ from ...tracking.camera import Camera
 from ...tracking.clip_parameters import CornerRadius
 from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_background, open_clip
 from ...tracking.quality import QUALITIES, STANDARD, Quality
-from ...tracking.sequence import TrackedClip, track_clip
+from ...tracking.sequence import ClipFacts, TrackedClip, track_clip
 from ...tracking.surface_marks import read_faces, with_numbers
 from ...tracking.throw import NoFlightError, flights_only, measure
 from ...tracking.track import ABSENT, LOST, Track
@@ -177,17 +177,16 @@ def _follow(
     quality: Quality,
     progress: Progress,
 ) -> TrackedClip:
+    facts = ClipFacts(
+        scene.clip.exposure_s, scene.table.surface == "mirror", scene.start, scene.clip.excluded, scene.rounding
+    )
     try:
         return track_clip(
             clips,
             cameras,
             scene.die,
             background=backgrounds,
-            exposure_s=scene.clip.exposure_s,
-            mirror=scene.table.surface == "mirror",
-            start=scene.start,
-            excluded=scene.clip.excluded,
-            rounding=scene.rounding,
+            facts=facts,
             quality=quality,
             progress=lambda done, total: progress("Tracking the die", done, total),
         )
