@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import angle_between
+from ...model.rotations import angle_between, cross_matrix
 from ..camera import Camera
 from .boards import Board
 from .intrinsics import Calibration, PosedBoard
@@ -135,7 +135,6 @@ def _check_above_table(camera: Camera, name: str) -> None:
 
 def _covariance_at_world_origin(covariance: Array, camera: Camera, t: Array) -> Array:
     """The covariance of (δθ, δt), transferred from the board's origin to the world's: t' = t + a, δt' = δt + δθ × a."""
-    x, y, z = camera.translation_m - t
     M = np.eye(6)
-    M[3:, :3] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    M[3:, :3] = -cross_matrix(camera.translation_m - t)
     return np.asarray(M @ covariance @ M.T)

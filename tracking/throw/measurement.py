@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, lowest_face
+from ...model.rotations import cross_matrix
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
@@ -342,10 +343,9 @@ def _plus_constant_error(flight: Flight, covariance: Array) -> Flight:
     motion has no covariance, and is returned unchanged."""
     if flight.covariance is None:
         return flight
-    x, y, z = flight.start.omega_rad_s
     by_error = np.zeros((12, 6))
     by_error[:6] = np.eye(6)
-    by_error[9:, 3:] = -np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    by_error[9:, 3:] = -cross_matrix(flight.start.omega_rad_s)
     return replace(flight, covariance=flight.covariance + by_error @ covariance @ by_error.T)
 
 
