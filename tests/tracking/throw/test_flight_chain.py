@@ -13,6 +13,7 @@ from throws import FPS, initial_errors, random_release, seen, true_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.covariance import scaled_inverse
 from diethrow.tracking.throw.flight_chain import FlightChain, Link, fit_chain
 from diethrow.tracking.throw.flights import (
     UNMODELLED_POSITION_M,
@@ -21,7 +22,6 @@ from diethrow.tracking.throw.flights import (
     fit_flight,
     left_jacobians,
     perturbed,
-    scaled_inverse,
     transition_matrix,
 )
 from diethrow.tracking.track import Track
