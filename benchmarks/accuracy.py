@@ -267,7 +267,7 @@ def bounce_rows(impacts: Sequence[Impact], truth: Truth, true_corner: NDArray[np
 
 
 def findable(truth: Truth, frame_s: float) -> Flags:
-    """(bounces,) in view, with no other bounce beside it, and with a flight to be seen on either side."""
+    """(bounces,) in view, without another bounce nearby, and with a visible flight before and after."""
     flags = np.zeros(len(truth.bounce_s), bool)
     for k, t in enumerate(truth.bounce_s):
         row = int(np.abs(truth.time_s - t).argmin())

@@ -1,6 +1,6 @@
 """What comes after the pictures: time from poses to flights and bounces, `PYTHONPATH=tests/helpers python benchmarks/flights.py`
 
-A cube is thrown in the model and seen on so many frames, with noise as tracking leaves it; no picture is drawn. First one
+A throw of a cube is simulated and sampled on a number of frames, with the noise of tracking and without pictures. First one
 throw of three bounces with more and more frames, then throws with more and more bounces, filmed at 1500 frames a second.
 
   measure     flights, impacts, error model and covariances, from the poses of single frames [s]

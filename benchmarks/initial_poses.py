@@ -1,12 +1,12 @@
-"""From which frames of a clip the right initial pose is found.
+"""The frames of a clip from which the correct initial pose is found.
 
     PYTHONPATH=tests/helpers python benchmarks/initial_poses.py CLIP_FOLDER...
 
 A clip folder is as for `benchmarks/tracker.py`: its truth lies beside it or in `tests/data`. Frames are spread over
 those that show the whole die. On each, an initial pose is found twice: on that frame alone, and on the clip as if it
 began there. It is right if the first and the last pose of its hypothesis are within 5 degrees of the truth, 1 mm
-across the line of sight and an edge along it. A pose farther away is another one that looks much the same; the
-refinement corrects a nearer one.
+across the line of sight and an edge along it. A larger error means a different pose with a similar picture; the refinement
+corrects a smaller one.
 
   certain    poses on one frame that are accepted at once: right ones, and WRONG ones, of which there should be none
   uncertain  poses on one frame that are compared with those on other frames
@@ -122,7 +122,7 @@ def measured(folder: Path, count: int, print_all: bool) -> list[str]:
 
 
 def prepared(scene: Scene) -> tuple[View, FrameSource, Mask]:
-    """The arguments with which the tracker looks for the initial pose of a scene.
+    """The arguments with which the tracker searches the initial pose of a scene.
 
     Raises ValueError if the scene gives that pose by hand.
     """

@@ -1,4 +1,4 @@
-"""The event-driven throw beside general physics engines: `python benchmarks/peers.py`, with the engines installed
+"""The event-driven throw compared with general physics engines: `python benchmarks/peers.py`, with the engines installed
 (`pip install mujoco==4.0.0 dartpy==6.20.0`); an engine that is not installed is left out, with a line.
 
 All throw the same: a sharp cube of 2 cm and 16 g, released at rest 0.3 m above the table, uniformly turned, with 40 rad/s
@@ -6,7 +6,7 @@ about a uniformly random axis, without friction. In every engine a throw ends as
 leave its lowest face (checked every 16 ms of the motion). Two tables:
 
 speed        throws a second, by the CPU time of one core, at χ 0.5. diethrow and the engines take turns, so that a busy
-             machine affects all alike. The ratio diethrow : engine is taken in each round, and its median and range are
+             machine affects all equally. The ratio diethrow : engine is taken in each round, and its median and range are
              printed. Compiling diethrow and building the engines' worlds is not counted.
 agreement    at χ 0.1, as the engine's step shrinks: throws that land on the same face as in diethrow (chance: 17 %), with
              the Wilson 95 % interval; and the errors, median and 90th percentile over the throws, of the height of the

@@ -60,7 +60,7 @@ def true_poses(truth: dict[str, Array]) -> tuple[Array, Array]:
 
 
 def cube_rotations() -> list[Array]:
-    """The 24 rotations of a cube, whose faces look alike but for their pips: the numbering of axes is nobody's."""
+    """The 24 rotations of a cube, whose faces differ by their pips only: the numbering of the axes is arbitrary."""
     turned = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((-1.0, 1.0), repeat=3):

@@ -81,7 +81,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="module")
 def done(scenes: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A batch of them, which nobody changes."""
+    """The finished batch of the scenes; tests do not change it."""
     out = tmp_path_factory.mktemp("done") / "out"
     track(scenes, out)
     return out

@@ -50,7 +50,7 @@ def test_the_written_camera_is_that_of_the_pictures_and_fits_a_scene(pictures: l
     rotation, shift = table_pose_of()
     record = json.loads((out / "calibration.json").read_text())
     sigma = record["intrinsics"]["fx"]["sigma"]
-    # Found corners err together, by blur and neighbours: six sigmas of white noise, and a hundredth of a radian.
+    # Blur and neighbouring squares correlate the errors of the corners: six sigmas of white noise, and a hundredth of a radian.
     assert abs(camera.matrix[0, 0] - MATRIX[0, 0]) < 6.0 * sigma
     assert sigma < 10.0
     assert np.abs(camera.rotation - rotation).max() < 0.01

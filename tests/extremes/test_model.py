@@ -63,7 +63,7 @@ def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Note) -> None
 
 @pytest.mark.parametrize("throws", [1, 2000], ids=lambda n: f"{n} throw" + "s" * (n > 1))
 def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: Note) -> None:
-    """One throw and two thousand land as the same throws do one by one, the first five looked at."""
+    """An ensemble of 1 and of 2000 throws lands as the same throws one by one; the first five are compared."""
     rng = np.random.default_rng(5)
     states = [random_release(rng, CUBE) for _ in range(throws)]
     starts = np.array([[*s.position_m, *s.quaternion, *s.velocity_m_s, *s.omega_rad_s] for s in states])
@@ -75,7 +75,7 @@ def test_an_ensemble_of_any_size_lands_as_its_throws_do(throws: int, happened: N
 
 @pytest.mark.parametrize("step_s", [0.0, -1e-3, np.nan, np.inf], ids=lambda step: f"{step:g} s")
 def test_a_step_that_is_none_is_refused(step_s: float, happened: Note) -> None:
-    """Fixed steps of no length, or of none that ends, are refused."""
+    """Fixed steps that are not positive or not finite are refused."""
     with pytest.raises(ValueError, match="wanted a time above 0 s") as caught:
         stepped_landings(CUBE, 0.5, np.zeros((1, 13)), step_s)
     happened(str(caught.value))

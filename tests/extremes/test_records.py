@@ -19,7 +19,7 @@ Report = Callable[[str], None]
 
 
 def tracked(frames: int) -> Track:
-    """A track of so many frames of the throw by hand, evenly over its time."""
+    """A track with a number of frames at equal intervals."""
     times = np.linspace(0.0, 0.04, frames)
     positions, quaternions = made.throw().poses(times)
     covariance = np.tile(1e-9 * np.eye(6), (frames, 1, 1))

@@ -181,7 +181,7 @@ def test_a_film_that_shrinks_while_it_is_read_gives_one_message(kind: str, tmp_p
 
 
 def test_every_file_of_a_film_is_an_input(tmp_path: Path) -> None:
-    """Once the pixels beside a Photron header were not: they could change, and nothing showed it."""
+    """An earlier version left out the pixels of a Photron header, so that a change went unnoticed."""
     header = write_photron(tmp_path / "x.cihx", FRAMES, stored_bits=16)
     assert set(clip_files(header)) == set(clip_files(tmp_path / "x.mraw")) == {header, tmp_path / "x.mraw"}
     pictures = write_pictures(tmp_path / "x", FRAMES)

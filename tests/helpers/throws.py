@@ -35,7 +35,7 @@ def random_release(die: Die, rng: np.random.Generator, *, spin_rad_s: float = 30
 
 
 def true_throw(die: Die, release: State, chi: float, *, impacts: int, frames_after: int = 60) -> Throw:
-    """The smooth throw through so many impacts, and on for at most so many frames, but not to the next impact."""
+    """The smooth throw through a number of impacts, and at most `frames_after` frames of the last flight."""
     whole = throw_die(die, release, SmoothImpact(chi), until=Until(impacts=impacts)).throw
     last = whole.flights[-1]
     end_s = min(last.end_s, last.start.time_s + frames_after / FPS)
@@ -106,7 +106,7 @@ def thrown(
 
 
 def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames: float) -> Track:
-    """The same track with errors of the same size that have a correlation time of so many frames (AR(1))."""
+    """The same track with errors of the same size that have a correlation time of `frames` (AR(1))."""
     positions, quaternions = throw.poses(track.time_s)
     keep = np.exp(-1.0 / frames)
     white = np.einsum("nij,nj->ni", np.linalg.cholesky(track.covariance), rng.standard_normal((len(track), 6)))
@@ -118,7 +118,7 @@ def blurred_in_time(track: Track, throw: Throw, rng: np.random.Generator, frames
 
 
 def later(throw: Throw, seconds: float) -> Throw:
-    """The same throw, with all times later by so many seconds."""
+    """The same throw with all times later by `seconds`."""
     flights = tuple(
         replace(f, start=replace(f.start, time_s=f.start.time_s + seconds), end_s=f.end_s + seconds)
         for f in throw.flights

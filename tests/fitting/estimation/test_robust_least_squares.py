@@ -69,7 +69,7 @@ def test_repeated_residuals_have_the_correlation_time_of_their_repetition() -> N
     rng = np.random.default_rng(3)
     flight = np.zeros(200, int)
     assert correlation_time(rng.standard_normal((200, 6)), flight) < 1.15
-    # Each value four times over: n values are worth n/4.
+    # Each value occurs four times: n values count as n/4.
     repeated = np.repeat(rng.standard_normal((50, 6)), 4, axis=0)
     assert correlation_time(repeated, flight) == pytest.approx(4.0, rel=0.25)
 

@@ -111,7 +111,7 @@ def test_sizes_of_zero_raise() -> None:
 
 
 def test_a_throw_at_small_restitution_is_predictable_as_the_paper_defines_it() -> None:
-    # Few bounces, so that basins are open sets: at 1e-6 of the window nearly every neighbour lands alike.
+    # Few bounces, so that basins are open sets: at 1e-6 of the window nearly every neighbour lands on the same face.
     setup = ThrowSetup(TETRAHEDRON.die, SmoothImpact(0.05))
 
     def outcome(points: Array) -> NDArray[np.int64]:

@@ -47,7 +47,7 @@ def test_corners_of_a_rendered_board_are_found_where_they_are(board: Board) -> N
         truth = Camera(WIDTH, HEIGHT, MATRIX, DISTORTION, R, t).project(view.corners_m)
         error = view.pixels - truth
         if board is PLAIN_BOARD and np.abs(error).max() > 5:
-            error = view.pixels - truth[::-1]  # even by even squares look the same from either end
+            error = view.pixels - truth[::-1]  # boards with even numbers of squares are symmetric
         # Detectors reach some hundredths of a pixel at this noise; half a pixel of offset would be another convention.
         assert np.abs(error.mean(0)).max() < 0.04
         assert error.std() < 0.1
@@ -57,7 +57,7 @@ def test_a_camera_comes_back_from_rendered_pictures() -> None:
     views = seen(rendered(CHARUCO_BOARD, 8, noise_grey=2.0))
     found = calibrate(views, WIDTH, HEIGHT)
     assert found.rms_px < 0.12
-    # Detected corners err together (blur, their neighbours), so that a few sigmas more than white noise gives are allowed.
+    # Errors of detected corners are correlated (blur, neighbouring squares): some sigmas more than for white noise are allowed.
     off = (found.values - TRUTH)[:4] / found.sigmas[:4]
     assert np.abs(off).max() < 6.0
 

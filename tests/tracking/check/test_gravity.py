@@ -24,7 +24,7 @@ def seen_throw(seed: int) -> tuple[Track, Throw]:
 
 
 def scaled(track: Track, share: float) -> Track:
-    """The track of somebody who believes in a die of so many times its size."""
+    """The track with the size of the die wrong by a factor."""
     lengths = np.array([share] * 3 + [1.0] * 3)
     return replace(track, position_m=share * track.position_m, covariance=track.covariance * np.outer(lengths, lengths))
 
@@ -73,7 +73,7 @@ def test_a_few_frames_with_a_wrong_pose_do_not_bend_the_fall() -> None:
     position[10:13] += 5e-3
     fall = measure_fall(replace(track, position_m=position), throw)
     assert fall is not None
-    # Three of some fifty frames of the first flight, each worth 2.5 sigma at most.
+    # Three of some fifty frames of the first flight, each with a weight of at most 2.5 sigma.
     assert np.linalg.norm(fall.acceleration_m_s2 + np.array([0.0, 0.0, 9.81])) < 1.0
     assert fall_notices(fall) == ()
 

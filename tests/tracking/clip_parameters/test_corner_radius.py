@@ -53,7 +53,7 @@ def states(count: int) -> list[State]:
 
 
 def sampled(drawn: Callable[[State, np.random.Generator], Image], count: int, *, error: float = 0.0) -> SampledFrames:
-    """Pictures of a die at rest in those orientations, with positions that err by `error` times 0.1 mm."""
+    """Pictures of a die at rest in those orientations, with errors of the position of `error` times 0.1 mm."""
     rng = np.random.default_rng(1)
     at = states(count)
     wrong = error * rng.standard_normal((count, 3)) * 1e-4
@@ -201,7 +201,7 @@ def test_a_die_is_tracked_with_the_radius_that_it_shows(rounding: CornerRounding
 
 
 def test_a_rounded_die_taken_for_sharp_appears_too_far_away() -> None:
-    """Contours that lie further in look like a larger distance."""
+    """Contours further inside correspond to a larger distance."""
     sharp, found, given = (
         float(np.median(depth_errors_m(each)))
         for each in (

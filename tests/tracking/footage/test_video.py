@@ -19,7 +19,7 @@ RAMP = np.kron(np.arange(256, dtype=np.uint8).reshape(16, 16), np.ones((4, 4), n
 @pytest.mark.parametrize(
     ("name", "codec", "pixels", "options", "color_range", "tolerance"),
     [
-        # Monochrome is stored as it is, whatever tag the decoder makes up.
+        # Monochrome is stored as it is, for any tag of the decoder.
         ("x.mp4", "libx264", "gray", {"qp": "0"}, None, 0),
         ("x.avi", "libx264", "gray", {"qp": "0"}, None, 0),
         ("x.mkv", "libx265", "gray", {"x265-params": "lossless=1:log-level=none"}, None, 0),

@@ -125,7 +125,7 @@ def test_a_clip_is_tracked_from_a_manual_pose_and_excluded_frames_are_lost() -> 
     assert (track.status[ruined] == LOST).all()
     assert np.isnan(track.position_m[ruined]).all()
     assert (np.delete(track.status, np.r_[ruined]) == TRACKED).all()
-    # The labelling is that of the start, so the truth's own orientation comes back, with no symmetry to be told apart.
+    # The labelling is that of the start, so the result is the true orientation itself, not a symmetric equivalent.
     _, quaternions = throw.poses(track.time_s)
     assert np.degrees(angle_between(track.quaternion[track.tracked], quaternions[track.tracked])).max() < 1.0
     with pytest.raises(ValueError, match=r"start\.frame = 9\b"):

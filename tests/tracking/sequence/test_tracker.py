@@ -81,13 +81,13 @@ def test_a_bouncing_cube_is_tracked_on_every_frame(bit_depth: int) -> None:
     # 80 px across, contrast 60 and noise 2 grey levels: the pixels hold 0.04 degrees and 3 µm.
     assert np.median(rotated) < 0.08
     assert np.median(across_m) < 8e-6
-    # One frame shows little more than a single face, and says so: its sigma is a third of a degree.
+    # One frame shows little more than a single face; its standard error is a third of a degree.
     assert rotated.max() < 0.9
     assert across_m.max() < 8e-5
     nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
     # The median of chi-square with six numbers is 5.35; its standard deviation over 64 frames is 0.5, and the shadow of this die
-    # and the rounding to whole grey levels are not in the model. Below it: what all frames of a clip could err alike is
-    # part of every covariance, and this clip's contour is where the model has it.
+    # and the rounding to whole grey levels are not in the model. A smaller value is expected: every covariance contains
+    # the errors common to all frames of a clip, and this clip has none.
     assert 1.5 < np.median(nees) < 9.0
 
 
@@ -104,14 +104,14 @@ def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("few_are_plenty")
 def test_frames_of_a_film_far_faster_than_the_die_are_skipped_except_at_impacts() -> None:
-    """The tracker skips frames in flight, and none after an impact until it knows the new flight. The refinement then has a pose
+    """The tracker skips frames in flight, and none after an impact until the flight is determined. The refinement then has a pose
     for every frame, as accurate as on a usual film."""
     count, fps, throw = TIMES_FASTER * FRAMES, TIMES_FASTER * FPS, falling_cube(FRAMES / FPS)
     clip, table = film(ROOM, CUBE, throw, count, fps=fps), np.rint(ROOM.table)
     source, view = FrameSource([clip]), make_view([ROOM.camera], CUBE, [table], PixelNoise(2.0), None, 0.7)
-    beginning = find_initial_pose(view, source, np.zeros(count, bool))
-    assert beginning is not None
-    tracker, seen = beginning
+    initial = find_initial_pose(view, source, np.zeros(count, bool))
+    assert initial is not None
+    tracker, seen = initial
     tracker.track_to_end(source, seen, lambda frame: None, all_frames=False)
     (bounce,) = throw.bounces
     struck = int(np.ceil(bounce.time_s * fps))

@@ -68,7 +68,7 @@ OCTA = make_die("octahedron", 0.016, 0.003)
 
 
 def bounced(die: Die, law: ImpactLaw, seed: int, frames_after: int) -> tuple[Throw, Track]:
-    """One bounce, and so many frames of the flight behind it."""
+    """One bounce, and `frames_after` frames of the flight after it."""
     rng = np.random.default_rng(seed)
     release = random_release(die, rng)
     whole = throw_die(die, release, law, until=Until(impacts=1)).throw

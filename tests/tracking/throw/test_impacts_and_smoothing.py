@@ -93,7 +93,7 @@ def test_energies_and_velocities_are_those_of_the_throw() -> None:
     for true, found in matches():
         velocities = [found.normal_velocity_before_m_s, found.normal_velocity_after_m_s]
         wanted = [true.normal_velocity_before_m_s, true.normal_velocity_after_m_s]
-        # A flight of eight frames or more knows the velocity of a corner to about a cm/s.
+        # A flight of eight frames or more determines the velocity of a corner to about 1 cm/s.
         np.testing.assert_allclose(velocities, wanted, atol=0.05)
         assert found.energy_before_J == pytest.approx(true.energy_before_J, rel=0.03)
         assert found.energy_after_J == pytest.approx(true.energy_after_J, rel=0.03)
@@ -155,7 +155,7 @@ def test_fewer_than_three_frames_are_no_flight(kept: int) -> None:
 
 
 def kicked(throw: Throw, gap_frames: float) -> Throw:
-    """The first impact followed by another push upwards so many frames later."""
+    """The first impact followed by another upward impulse some frames later."""
     before, bounce = throw.flights[0], throw.impacts[0]
     middle = throw.flights[1]
     again_s = bounce.time_s + gap_frames / FPS
@@ -223,7 +223,7 @@ def test_frames_lost_within_a_flight_are_filled_and_no_others() -> None:
     assert np.isnan(smoothed.position_m[[0, 1, 2, -2, -1]]).all()
     p, q = true.poses(track.time_s)
     gap = slice(middle, middle + 4)
-    # A flight of some forty frames at 0.1 degrees and 0.02 mm across, 0.15 mm along the sight, knows its middle well.
+    # A flight of some forty frames at 0.1 degrees and 0.02 mm across, 0.15 mm along the sight, determines its middle well.
     np.testing.assert_allclose(smoothed.position_m[gap], p[gap], atol=2e-4)
     assert np.degrees(angle_between(smoothed.quaternion[gap], q[gap])).max() < 0.2
 
