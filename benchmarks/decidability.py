@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from throws import releases
 
 from diethrow.model.die.die import make_die
 from diethrow.model.ensembles.chaos import decidable_in_double_precision_many
@@ -30,17 +31,6 @@ CHI = (0.1, 0.3, 0.5, 0.7)
 BLOCK = 4096
 THREADS = 2
 CUBE = make_die("cube", 0.02, 0.016)
-
-
-def releases(count: int, seed: int) -> Array:
-    """Packed starts (count, 13)."""
-    rng = np.random.default_rng(seed)
-    starts = np.zeros((count, 13))
-    starts[:, 2] = 0.3
-    q, w = rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
-    starts[:, 3:7] = q / np.linalg.norm(q, axis=1)[:, None]
-    starts[:, 10:] = 40.0 * w / np.linalg.norm(w, axis=1)[:, None]
-    return starts
 
 
 def in_blocks(work: Callable[[Array], Any], starts: Array) -> tuple[list[Any], float]:

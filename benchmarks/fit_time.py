@@ -9,22 +9,21 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
-from throws import FPS, random_release, roughly_measured, seen
+from measuring import timed
+from throws import thrown
 
 from diethrow.executors import one_thread
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import CoulombImpact, SmoothImpact
 from diethrow.model.throw.motion import Throw
-from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.track import Track
 
 CUBE = make_die("cube", 0.016, 0.0048)
@@ -34,14 +33,9 @@ BOUNCES = 6
 FRAMES = 300
 
 
-def thrown(law: SmoothImpact | CoulombImpact, seed: int) -> tuple[Track, Throw]:
+def thinned(law: SmoothImpact | CoulombImpact, seed: int) -> tuple[Track, Throw]:
     """A track of about `FRAMES` frames, and its measured throw."""
-    rng = np.random.default_rng(seed)
-    whole = throw_die(CUBE, random_release(CUBE, rng), law, until=Until(impacts=BOUNCES)).throw
-    last = whole.flights[-1]
-    end_s = min(last.end_s, last.start.time_s + 60 / FPS)
-    throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
-    track, measured = seen(throw, rng), roughly_measured(throw, rng)
+    track, measured = thrown(CUBE, law, seed, impacts=BOUNCES)
     columns = (track.frame, track.time_s, track.position_m, track.quaternion, track.covariance, track.status)
     step = max(1, round(len(track) / FRAMES))
     return Track(*(column[::step] for column in columns)), measured
@@ -59,13 +53,11 @@ def main() -> None:
 def measure(count: int) -> None:
     """Fits `count` throws of each law."""
     for law in (SmoothImpact(CHI), CoulombImpact(CHI, MU)):
-        fit_throw(*thrown(law, count), CUBE)  # compiles
+        fit_throw(*thinned(law, count), CUBE)  # compiles
         seconds, off = [], []
         for seed in range(count):
-            track, measured = thrown(law, seed)
-            began = time.process_time()
-            fit = fit_throw(track, measured, CUBE)
-            seconds.append(time.process_time() - began)
+            fit, spent = timed(partial(fit_throw, *thinned(law, seed), CUBE))
+            seconds.append(spent)
             found = {name: p.value for name, p in fit.parameters.items() if p.value is not None}
             off.append([found.get("chi", np.nan) - CHI, found.get("mu", MU) - MU])
         worst = np.abs(off).max(0)

@@ -15,7 +15,6 @@ Times are processor time, the least of some runs.
 from __future__ import annotations
 
 import argparse
-import time
 import tracemalloc
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,6 +22,7 @@ from typing import TypeVar
 
 import numpy as np
 from footage_of_throws import studio
+from measuring import timed
 from numpy.typing import NDArray
 
 from diethrow.model.die.die import make_die
@@ -90,9 +90,9 @@ def seen(throw: Throw, times_s: NDArray[np.float64], rng: np.random.Generator) -
 def report(throw: Throw, track: Track, runs: int) -> None:
     """One row."""
     camera = studio().camera
-    found, measuring = timed(lambda: measure(track, CUBE, camera), runs)
-    sure, calibrating = timed(lambda: with_calibrated_covariance(track, CUBE, camera), runs)
-    _, smoothing = timed(lambda: smooth(sure, found.throw_without_shared_errors, found.shared_covariance), runs)
+    found, measuring = fastest(lambda: measure(track, CUBE, camera), runs)
+    sure, calibrating = fastest(lambda: with_calibrated_covariance(track, CUBE, camera), runs)
+    _, smoothing = fastest(lambda: smooth(sure, found.throw_without_shared_errors, found.shared_covariance), runs)
     tracemalloc.start()
     measure(track, CUBE, camera)
     smooth(sure, found.throw_without_shared_errors, found.shared_covariance)
@@ -106,14 +106,11 @@ def report(throw: Throw, track: Track, runs: int) -> None:
     )
 
 
-def timed(work: Callable[[], T], runs: int) -> tuple[T, float]:
-    """What some work gives, and the least processor time [s] that it took."""
-    result, least_s = work(), np.inf
-    for _ in range(runs):
-        begin_s = time.process_time()
-        result = work()
-        least_s = min(least_s, time.process_time() - begin_s)
-    return result, least_s
+def fastest(work: Callable[[], T], runs: int) -> tuple[T, float]:
+    """The result of some work, and its least processor time [s], after a first run."""
+    work()
+    timings = [timed(work) for _ in range(runs)]
+    return timings[-1][0], min(seconds for _, seconds in timings)
 
 
 def score(true: Throw, found: Throw, spacing_s: float) -> tuple[int, int]:

@@ -23,6 +23,7 @@ from types import FrameType
 
 import numpy as np
 from fuzz_targets import Target, mutated, targets
+from measuring import peak_MB
 
 MAX_S = 10
 """Longest time for one file."""
@@ -76,7 +77,7 @@ def _mutations(chosen: list[Target], folder: Path, runs: int, minutes: float | N
             done += 1
         spent = time.monotonic() - begin
         print(f"{target.name:12} {done:8} files in {spent:6.0f} s, slowest {slowest:.3f} s", flush=True)
-    most_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    most_mb = peak_MB()
     print(f"{found} defects; most memory {most_mb:.0f} MB, the program and its libraries among it")
     return 1 if found else 0
 

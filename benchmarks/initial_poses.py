@@ -19,16 +19,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
 import numpy as np
 from accuracy import WRONG_DEG, WRONG_M, Truth, read_truth, rotations_onto, truth_folder
+from measuring import timed
 from numpy.typing import NDArray
 from tracker import print_rows
 
@@ -100,13 +101,13 @@ def measured(folder: Path, count: int, print_all: bool) -> list[str]:
     frame_ms, clip_ms = [], []
     best_hypothesis(view, source, int(judge.frames(1)[0]), unused)  # compiles
     for k in judge.frames(count):
-        hypothesis, ms = timed(best_hypothesis, view, source, k, unused)
-        frame_ms.append(ms)
+        hypothesis, seconds = timed(partial(best_hypothesis, view, source, k, unused))
+        frame_ms.append(1e3 * seconds)
         on_frame = "none"
         if hypothesis is not None:
             on_frame = f"{'certain' if hypothesis.is_certain else 'uncertain'} {judge.verdict(hypothesis.poses, k)}"
-        found, ms = timed(find_initial_pose, view, source, unused | (np.arange(len(source)) < k))
-        clip_ms.append(ms)
+        found, seconds = timed(partial(find_initial_pose, view, source, unused | (np.arange(len(source)) < k)))
+        clip_ms.append(1e3 * seconds)
         on_clip = "clip none" if found is None else f"clip {judge.verdict(found[1], 0)}"
         outcomes.update([on_frame, on_clip])
         if print_all or "wrong" in on_frame + on_clip:
@@ -137,13 +138,6 @@ def prepared(scene: Scene) -> tuple[View, FrameSource, Mask]:
     if not kept:
         raise ValueError("the scene gives its first pose by hand: take [start] out")
     return kept[0]
-
-
-def timed(call: Any, *arguments: Any) -> tuple[Any, float]:
-    """The result of a call, and its processor time [ms]."""
-    began = time.process_time()
-    result = call(*arguments)
-    return result, 1e3 * (time.process_time() - began)
 
 
 class Judge:

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
-import resource
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ import cv2
 import numpy as np
 from footage_files import pack, write_photron
 from footage_of_throws import DICE, Studio, photograph, pips, studio
+from measuring import peak_MB, timed
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
@@ -101,8 +102,8 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
     few = min(SAMPLED, len(clip))
     packed = np.frombuffer((folder / "clip.mraw").open("rb").read(SIDE_PX * SIDE_PX * 3 // 2), np.uint8)
     unpack_12bit(packed[:3])  # compiles
-    unpacked_s = seconds(lambda: [unpack_12bit(packed) for _ in range(few)])
-    decoded_s = seconds(lambda: [None for _ in clip.frames(0, few)])
+    _, unpacked_s = timed(lambda: [unpack_12bit(packed) for _ in range(few)], time.perf_counter)
+    _, decoded_s = timed(lambda: [None for _ in clip.frames(0, few)], time.perf_counter)
     before = peak_MB()
     began, used = time.perf_counter(), time.process_time()
     with tempfile.TemporaryDirectory() as scratch:
@@ -114,7 +115,8 @@ def measure(folder: Path, quality: str) -> dict[str, float]:
         for k, frame in enumerate(clip.frames()):
             pixels[k] = frame
         memory = DecodedClip(pixels, clip.times_s, clip.bit_depth)
-        held = len(clip) / seconds(lambda: track_scene(scene, quality=QUALITIES[quality], clips=[memory]))
+        track_memory = partial(track_scene, scene, quality=QUALITIES[quality], clips=[memory])
+        held = len(clip) / timed(track_memory, time.perf_counter)[1]
     return {
         "frames": len(clip),
         "unpacked": few / unpacked_s,
@@ -140,18 +142,6 @@ class DecodedClip(ArrayClip):
             return
         for picture, there, (x0, y0, x1, y1) in zip(out, self.array[start:], boxes.tolist(), strict=False):
             picture[y0:y1, x0:x1] = there[y0:y1, x0:x1]
-
-
-def seconds(work: Any) -> float:
-    """Duration of some work."""
-    began = time.perf_counter()
-    work()
-    return time.perf_counter() - began
-
-
-def peak_MB() -> float:
-    """Peak memory of this process."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 # --- the clip ---------------------------------------------------------------------------------------------------------

@@ -42,6 +42,7 @@ from math import acos, pi, sqrt
 from typing import Any, Protocol
 
 import numpy as np
+from measuring import spread, timed
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
@@ -153,18 +154,15 @@ def releases(count: int, seed: int) -> Array:
 
 def print_speed(engines: dict[str, MakeEngine], chi: float, rounds: int, starts: Array) -> None:
     """Throws a second of each engine at 1 ms, and of diethrow."""
-    began = time.perf_counter()
-    our_faces(starts[:2], chi)
-    compiled_s = time.perf_counter() - began
+    _, compiled_s = timed(partial(our_faces, starts[:2], chi), time.perf_counter)
     worlds = {name: make(chi, COARSEST_STEP_S) for name, make in engines.items()}
     many = np.tile(starts, (100, 1))  # takes about as long as the engines do
     ours: list[float] = []
     theirs: dict[str, list[float]] = {name: [] for name in worlds}
     for _ in range(rounds):
-        ours.append(len(many) / cpu_seconds(partial(our_faces, many, chi)))
+        ours.append(len(many) / timed(partial(our_faces, many, chi))[1])
         for name, world in worlds.items():
-            seconds = cpu_seconds(partial(landed_faces, world, starts))
-            theirs[name].append(len(starts) / seconds)
+            theirs[name].append(len(starts) / timed(partial(landed_faces, world, starts))[1])
     print(
         f"\nThrows a second on one core, χ {chi:g}, engines at {COARSEST_STEP_S * 1e3:g} ms; median (range) of {rounds} rounds"
     )
@@ -172,18 +170,6 @@ def print_speed(engines: dict[str, MakeEngine], chi: float, rounds: int, starts:
     print(f"{'diethrow':14}{spread(ours):>26}   (compiled or loaded in {compiled_s:.1f} s before)")
     for name, rates in theirs.items():
         print(f"{name:14}{spread(rates):>26}   {spread([a / b for a, b in zip(ours, rates, strict=True)])}")
-
-
-def cpu_seconds(run: Callable[[], Any]) -> float:
-    """CPU time [s] of a call."""
-    began = time.process_time()
-    run()
-    return time.process_time() - began
-
-
-def spread(values: Sequence[float]) -> str:
-    """Median and range."""
-    return f"{np.median(values):.0f} ({min(values):.0f} to {max(values):.0f})"
 
 
 def our_faces(starts: Array, chi: float) -> NDArray[np.int64]:

@@ -36,6 +36,7 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
+from measuring import spread
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
@@ -249,11 +250,6 @@ def print_dice(sizes: Sizes) -> bool:
             cells.append(f"{np.median([r.by_cpu for r in rounds]):.0f} ({rounds[0].landed[:, 1].mean():.0f})")
         print(f"{shape:13}" + "".join(f"{cell:>16}" for cell in cells))
     return False
-
-
-def spread(values: Sequence[float], digits: int = 0) -> str:
-    """Median and range."""
-    return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
 
 
 # --- exactness --------------------------------------------------------------------------------------------------------

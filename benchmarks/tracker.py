@@ -32,11 +32,10 @@ from __future__ import annotations
 import argparse
 import json
 import multiprocessing
-import resource
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -58,7 +57,9 @@ from accuracy import (
     turn_errors,
 )
 from footage_of_throws import DICE, Studio, greys, photograph, studio
+from measuring import peak_MB
 from numpy.typing import NDArray
+from replay_records import ArrayClip
 
 from diethrow.analysis import Tracking
 from diethrow.commands.clip.track import open_footage, track_scene
@@ -72,7 +73,7 @@ from diethrow.model.rotations import (
     rotation_between,
 )
 from diethrow.model.throw.motion import Impact, State
-from diethrow.tracking.footage.clip import Clip, Frame
+from diethrow.tracking.footage.clip import Clip
 from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.refine import pose_state, refine_pose
@@ -86,37 +87,6 @@ ROWS = (
     *("tracked", "wrong", "rotation", "lateral", "px", "depth", "NEES", "bounces", "vertex", "late"),
     *("decoded", "MB"),
 )
-
-
-@dataclass(frozen=True, eq=False)
-class DecodedClip:
-    """A clip in memory, so that reading takes no time."""
-
-    stack: NDArray[Any]
-    times_s: Array
-    bit_depth: int
-    first_frame: int
-    notices: tuple[str, ...] = ()
-
-    @property
-    def width_px(self) -> int:
-        return int(self.stack.shape[2])
-
-    @property
-    def height_px(self) -> int:
-        return int(self.stack.shape[1])
-
-    def __len__(self) -> int:
-        return len(self.stack)
-
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        yield from self.stack[start:stop]
-
-    def frame(self, index: int) -> Frame:
-        return np.asarray(self.stack[index])
-
-    def metadata(self) -> dict[str, Any]:
-        return {}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -177,14 +147,14 @@ def measure(folder: Path, truth_at: Path, quality: str) -> dict[str, Any]:
     scene, truth = read_scene(folder / "scene.toml"), read_truth(truth_at)
     tracking = tracked(scene, quality, None)  # compiles, too
     # Before the clip is decoded into memory, which tracking does not do.
-    peak_MB = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    most_MB = peak_MB()
     view = scene.views()[0]
     clip = open_footage(scene, view)
-    decoded = DecodedClip(np.stack(list(clip.frames())), np.asarray(clip.times_s), clip.bit_depth, clip.first_frame)
+    decoded = ArrayClip(np.stack(list(clip.frames())), np.asarray(clip.times_s), clip.bit_depth, clip.first_frame)
     began, used = time.perf_counter(), time.process_time()
     tracked(scene, quality, decoded)
     decoded_s, used_s = time.perf_counter() - began, time.process_time() - used
-    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "MB": peak_MB}
+    rates = {"decoded": (len(clip) / decoded_s, len(clip) / used_s), "MB": most_MB}
     name = folder.resolve().name
     return {"clip": name, "quality": quality} | errors(scene, truth, tracking) | rates
 

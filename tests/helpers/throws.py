@@ -5,11 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
-from diethrow.fitting.dataset.joint_fit import JointFit
-from diethrow.fitting.results import Fit
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import inner_vertices
 from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
@@ -130,16 +127,6 @@ def weighted_poses(track: Track, unmodelled: float = 0.0) -> WeightedPoses:
     """The poses of a track with their weights; `unmodelled` is the factor on the unmodelled errors."""
     poses = (track.time_s, track.position_m, track.quaternion, track.covariance)
     return WeightedPoses.from_poses(*poses, unmodelled=unmodelled)
-
-
-def assert_inside(fit: Fit | JointFit, name: str, truth: float, within: float = np.inf) -> None:
-    """A parameter is near the truth, and twice its 95 % interval contains it: one in ten thousand does not."""
-    found = fit.parameters[name]
-    assert found.value == pytest.approx(truth, abs=within)
-    assert found.low is not None
-    assert found.high is not None
-    margin = 0.5 * (found.high - found.low)
-    assert found.low - margin <= truth <= found.high + margin
 
 
 def initial_errors(fitted: State, true: State) -> Array:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import FPS, assert_inside, random_release, seen
+from intervals import assert_inside
+from throws import FPS, random_release, seen
 
 from diethrow.fitting.dataset.data_set import Entry, entry_of
 from diethrow.fitting.dataset.joint_effects import clock_before_bounces, offset_before_bounces, refuted_by_flights

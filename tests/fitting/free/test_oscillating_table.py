@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from throws import assert_inside, thrown
+from intervals import assert_inside
+from throws import thrown
 
 from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights

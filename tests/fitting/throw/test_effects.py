@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import assert_inside, random_release, roughly_measured, seen, thrown, true_throw
+from intervals import assert_inside
+from throws import random_release, roughly_measured, seen, thrown, true_throw
 
 from diethrow.fitting.estimation.observations import flight_observations
 from diethrow.fitting.free.flights import fit_flights

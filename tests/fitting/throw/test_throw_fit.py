@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from intervals import assert_inside
 from throws import (
-    assert_inside,
     blurred_in_time,
     initial_errors,
     random_release,

@@ -1,0 +1,29 @@
+"""Times, memory and spreads, as several benchmarks print them."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+T = TypeVar("T")
+
+
+def timed(work: Callable[[], T], clock: Callable[[], float] = time.process_time) -> tuple[T, float]:
+    """The result of some work, and its duration [s] by that clock: by default, processor time."""
+    began = clock()
+    result = work()
+    return result, clock() - began
+
+
+def spread(values: Sequence[float], digits: int = 0) -> str:
+    """Median and range."""
+    return f"{np.median(values):.{digits}f} ({min(values):.{digits}f} to {max(values):.{digits}f})"
+
+
+def peak_MB() -> float:
+    """Peak memory of this process."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
