@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
-from throws import initial_errors, random_release, roughly_measured, seen, true_throw
+from random_throws import state_difference
+from throws import random_release, roughly_measured, seen, true_throw
 
 from diethrow.fitting.estimation.observations import flight_observations, pose_errors, whitened_jacobian
 from diethrow.fitting.throw.physics import Physics, model_poses
@@ -71,7 +72,7 @@ def one(seed: int, noise: float) -> dict[str, object] | None:
     if found.value is None or fit.initial is None or fit.initial_covariance is None or not fit.bounces_fitted:
         return None
     sigma = bound(track, throw, die, chi, fit.bounces_fitted, fit.initial.time_s)
-    errors = initial_errors(fit.initial, throw.flights[0].at(fit.initial.time_s))
+    errors = state_difference(fit.initial, throw.flights[0].at(fit.initial.time_s))
     own = np.sqrt(np.diag(fit.initial_covariance))
     return {
         "seed": seed,

@@ -68,10 +68,12 @@ def stroboscope(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: Seq
         _lay_over(ax, window.apply(clip.frame(frame - clip.first_frame)), edges, layer)
         # Half a layer above its own die: a later die also covers the edges of an earlier one.
         _draw_edges(ax, camera, solid, motions, frame, layer=layer + 0.5)
-    ax.set_xlim(-0.5, clip.width_px - 0.5)
-    ax.set_ylim(clip.height_px - 0.5, -0.5)
-    ax.set_xlabel("x [px]")
-    ax.set_ylabel("y [px]")
+    return _in_pixels(ax, clip)
+
+
+def _in_pixels(ax: Axes, clip: Clip) -> Axes:
+    """The axes with the limits of a frame, y downwards."""
+    ax.set(xlim=(-0.5, clip.width_px - 0.5), ylim=(clip.height_px - 0.5, -0.5), xlabel="x [px]", ylabel="y [px]")
     return ax
 
 
@@ -125,11 +127,7 @@ def edges_on_frame(ax: Axes, clip: Clip, camera: Camera, solid: Solid, motions: 
     picture = display_window(clip).apply(clip.frame(index))
     ax.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
     _draw_edges(ax, camera, solid, motions, frame)
-    ax.set_xlim(-0.5, clip.width_px - 0.5)
-    ax.set_ylim(clip.height_px - 0.5, -0.5)
-    ax.set_xlabel("x [px]")
-    ax.set_ylabel("y [px]")
-    return ax
+    return _in_pixels(ax, clip)
 
 
 def rows_of_strip(

@@ -64,11 +64,11 @@ def video_frame(levels: NDArray, pixels: str) -> av.VideoFrame:
     return frame
 
 
-def write_pictures(folder: Path, frames: NDArray, *, suffix: str = ".png", first: int = 1) -> Path:
+def write_pictures(folder: Path, frames: NDArray, *, suffix: str = ".png") -> Path:
     """A numbered sequence whose numbers are not padded, so that sorting by name would be wrong."""
     folder.mkdir(exist_ok=True)
-    for k, frame in enumerate(frames):
-        assert cv2.imwrite(str(folder / f"frame_{first + k}{suffix}"), frame)
+    for k, frame in enumerate(frames, 1):
+        assert cv2.imwrite(str(folder / f"frame_{k}{suffix}"), frame)
     return folder
 
 
@@ -138,20 +138,14 @@ def write_cine(
     times_s: Sequence[float] | None = None,
     timed: bool = True,
     exposure_s: float | Sequence[float] = 2e-4,
-    first_image: int = -7,
     flips: tuple[int, int] = (0, 0),
     annotation: bytes = b"",
-    declared_frames: int | None = None,
-    recorded: int | None = None,
-    filters: int = 0,
-    compression: int = 0,
 ) -> Path:
     """A Phantom .cine: three headers, tagged blocks of times and exposures, offsets, frames."""
     count, height, width = frames.shape
     setup = bytearray(5740)
     struct.pack_into("<2sH", setup, 140, b"ST", len(setup))
     struct.pack_into("<iiII", setup, 756, *flips, 0, rate_hz)
-    struct.pack_into("<I", setup, 808, filters)
     struct.pack_into("<I", setup, 896, real_bits or min(stored_bits, 12))
     struct.pack_into("<I", setup, 1568, round(1e9 * float(np.mean(exposure_s))))
     trigger_s = 1_785_000_000.25
@@ -169,10 +163,9 @@ def write_cine(
     begin = struct.pack("<I", 8 + len(annotation)) + annotation + struct.pack("<I", len(picture[0]))
     size = len(begin) + len(picture[0])
     offsets = offsets_at + 8 * count + size * np.arange(count)
-    declared = count if declared_frames is None else declared_frames
     packing = {10: 256, 12: 1024}.get(stored_bits, 0)
-    counts = first_image, recorded or 4 * count, first_image, declared
-    file_header = struct.pack("<2sHHHiIiIIII", b"CI", 44, compression, 1, *counts, 44, 84, offsets_at)
+    counts = -7, 4 * count, -7, count  # the trigger is within the film, whose recording was four times as long
+    file_header = struct.pack("<2sHHHiIiIIII", b"CI", 44, 0, 1, *counts, 44, 84, offsets_at)
     bits = 8 if stored_bits == 8 else 16
     bitmap = struct.pack("<IiiHHIIiiII", 40, width, height, 1, bits, packing, len(picture[0]), 0, 0, 0, 0)
     path.write_bytes(

@@ -8,7 +8,7 @@ import numpy as np
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply
+from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
 
 DICE = {shape: make_die(shape, 0.02, 0.016) for shape in SHAPES}
@@ -45,6 +45,18 @@ def disturbed(start: State, step: np.ndarray) -> State:
         quat_multiply(quat_from_rotvec(step[3:6]), start.quaternion),
         start.velocity_m_s + step[6:9],
         start.omega_rad_s + step[9:12],
+    )
+
+
+def state_difference(one: State, other: State) -> np.ndarray:
+    """(12,) from one state to the other: position, rotation vector, velocity, angular velocity."""
+    return np.concatenate(
+        [
+            other.position_m - one.position_m,
+            rotation_between(one.quaternion, other.quaternion),
+            other.velocity_m_s - one.velocity_m_s,
+            other.omega_rad_s - one.omega_rad_s,
+        ]
     )
 
 

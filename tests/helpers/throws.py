@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import inner_vertices
 from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
-from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
+from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.tracking.throw.flight_chain import VertexImpact
@@ -89,13 +89,10 @@ def roughly_measured(throw: Throw, rng: np.random.Generator) -> Throw:
     return Throw(tuple(flights), tuple(impacts))
 
 
-def thrown(
-    die: Die, law: ImpactLaw, seed: int, *, table: Table = LEVEL, release: State | None = None, impacts: int = 3
-) -> tuple[Track, Throw]:
+def thrown(die: Die, law: ImpactLaw, seed: int, *, table: Table = LEVEL, impacts: int = 3) -> tuple[Track, Throw]:
     """Track and measured throw of a die with any law on any table, and on for at most 60 frames."""
     rng = np.random.default_rng(seed)
-    start = random_release(die, rng) if release is None else release
-    whole = throw_die(die, start, law, until=Until(impacts=impacts), table=table).throw
+    whole = throw_die(die, random_release(die, rng), law, until=Until(impacts=impacts), table=table).throw
     last = whole.flights[-1]
     end_s = min(last.end_s, last.start.time_s + 60 / FPS)
     throw = Throw((*whole.flights[:-1], replace(last, end_s=end_s)), whole.impacts)
@@ -127,15 +124,3 @@ def weighted_poses(track: Track, unmodelled: float = 0.0) -> WeightedPoses:
     """The poses of a track with their weights; `unmodelled` is the factor on the unmodelled errors."""
     poses = (track.time_s, track.position_m, track.quaternion, track.covariance)
     return WeightedPoses.from_poses(*poses, unmodelled=unmodelled)
-
-
-def initial_errors(fitted: State, true: State) -> Array:
-    """(12,) true minus fitted: position, rotation vector, velocity, angular velocity."""
-    return np.concatenate(
-        [
-            true.position_m - fitted.position_m,
-            rotation_between(fitted.quaternion, true.quaternion),
-            true.velocity_m_s - fitted.velocity_m_s,
-            true.omega_rad_s - fitted.omega_rad_s,
-        ]
-    )

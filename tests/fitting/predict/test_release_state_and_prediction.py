@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from throws import initial_errors, random_release, seen
+from random_throws import state_difference
+from throws import random_release, seen
 
 from diethrow.fitting.predict.prediction import DECISION_SHARE, decide, predict_track, simulated_poses
 from diethrow.fitting.predict.release_state import first_bounce_row, release_before
@@ -111,7 +112,7 @@ def test_the_covariance_of_the_release_state_has_the_size_of_its_errors() -> Non
     for seed in range(40):
         track, throw = filmed(seed=seed, noise=1.0)
         estimated = release_before(track, CUBE, first_bounce_row(track, CUBE) - 3)
-        errors = initial_errors(estimated.state, throw.at(estimated.state.time_s))
+        errors = state_difference(estimated.state, throw.at(estimated.state.time_s))
         ratios.append(errors @ np.linalg.solve(estimated.covariance, errors) / 12.0)
     # Errors are larger along the line of sight than across, while one sigma stands for all axes: not χ² of twelve degrees
     # of freedom, but the same mean of 1, here of 40 values with a standard deviation of about 0.5.

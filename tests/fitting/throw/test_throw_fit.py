@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from intervals import assert_inside
+from random_throws import state_difference
 from throws import (
     blurred_in_time,
-    initial_errors,
     random_release,
     roughly_measured,
     seen,
@@ -64,7 +64,7 @@ def test_intervals_and_covariances_have_their_stated_coverage(frames_correlated:
         assert abs(value - chi) < 0.05
         assert fit.initial is not None
         assert fit.initial_covariance is not None
-        error = initial_errors(fit.initial, throw.flights[0].at(fit.initial.time_s))
+        error = state_difference(fit.initial, throw.flights[0].at(fit.initial.time_s))
         nees.append(float(error @ np.linalg.solve(fit.initial_covariance, error)))
     assert len(held) >= 30
     # Of 30 to 40 throws, fewer than 88 % inside a true 95 % interval has odds of about one in fifty, fewer than 82 % of one

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from footage_of_throws import studio
 from numpy.typing import NDArray
+from random_throws import state_difference
 from scipy.signal import lfilter
-from throws import FPS, frame_covariance, impact_at, initial_errors, random_release, seen, true_throw, weighted_poses
+from throws import FPS, frame_covariance, impact_at, random_release, seen, true_throw, weighted_poses
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.symmetry import symmetry_rotations
@@ -472,7 +473,7 @@ def test_contacts_without_a_frame_between_are_one(second_is_open: bool) -> None:
     # Its instant is where the motion before comes down to the table, known from its many frames to a tenth of a frame.
     assert abs(resolved.links[0].time_s - t) < 0.3 / FPS
     for fitted, true in zip(resolved.flights, throw.flights, strict=True):
-        errors = initial_errors(fitted.at(t), true.at(t))
+        errors = state_difference(fitted.at(t), true.at(t))
         sigma = np.sqrt(np.diag(transition_matrix(fitted, t) @ fitted.covariance @ transition_matrix(fitted, t).T))
         # Twelve numbers, the largest of which is seldom beyond three sigmas.
         assert np.abs(errors / sigma).max() < 4.0

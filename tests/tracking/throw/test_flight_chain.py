@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from random_throws import random_quaternion
-from throws import FPS, initial_errors, random_release, seen, true_throw
+from random_throws import random_quaternion, state_difference
+from throws import FPS, random_release, seen, true_throw
 
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
@@ -47,7 +47,7 @@ def test_the_transition_is_the_derivative_of_the_motion(seed: int, after_s: floa
     measured = np.empty((12, 12))
     for a, step in enumerate(steps):
         ahead, behind = (Flight(perturbed(flight.start, sign * step), np.inf).at(end.time_s) for sign in (1.0, -1.0))
-        measured[:, a] = (initial_errors(end, ahead) - initial_errors(end, behind)) / 2e-5
+        measured[:, a] = (state_difference(end, ahead) - state_difference(end, behind)) / 2e-5
     np.testing.assert_allclose(transition_matrix(flight, end.time_s), measured, atol=1e-8)
 
 
@@ -115,7 +115,7 @@ def test_a_chain_without_noise_is_found_exactly() -> None:
     throw = true_throw(CUBE, random_release(CUBE, rng), 0.6, impacts=2)
     chain = chain_through(throw, seen(throw, rng, noise=1e-9), rng)
     for fitted, true in zip(chain.flights, throw.flights, strict=True):
-        errors = initial_errors(fitted.at(true.start.time_s), true.start)
+        errors = state_difference(fitted.at(true.start.time_s), true.start)
         # Only rounding and the stop of the fit (a relative 1e-9 of a cost that goes to zero) remain.
         np.testing.assert_allclose(errors, 0.0, atol=1e-3)
     np.testing.assert_allclose(chain.link_times_s, [i.time_s for i in throw.impacts], atol=1e-8)
@@ -134,7 +134,7 @@ def chains() -> tuple[Array, Array]:
         chain = chain_through(throw, with_unmodelled_errors(seen(throw, rng), rng), rng)
         first = chain.flights[0]
         assert first.covariance is not None
-        errors = initial_errors(first.start, throw.flights[0].at(first.start.time_s))
+        errors = state_difference(first.start, throw.flights[0].at(first.start.time_s))
         unit = 1.0 / np.sqrt(np.diag(first.covariance))
         states.append(errors * unit @ np.linalg.solve(first.covariance * np.outer(unit, unit), errors * unit))
         instants.append((chain.link_times_s - [i.time_s for i in throw.impacts]) / chain.sigma_time_s)
@@ -157,7 +157,7 @@ def test_the_covariance_of_a_single_flight_is_true(spin_rad_s: float) -> None:
         rng = np.random.default_rng(seed)
         throw = true_throw(CUBE, random_release(CUBE, rng, spin_rad_s=spin_rad_s), 0.6, impacts=0)
         state, covariance, _ = fit_flight(weighted_poses(with_unmodelled_errors(seen(throw, rng), rng)))
-        errors = initial_errors(state, throw.at(state.time_s))
+        errors = state_difference(state, throw.at(state.time_s))
         unit = 1.0 / np.sqrt(np.diag(covariance))
         nees.append(errors * unit @ np.linalg.solve(covariance * np.outer(unit, unit), errors * unit))
     # Sixty flights: chi-square with twelve numbers has a mean of 12 ± 0.63.
@@ -221,7 +221,7 @@ def test_states_that_do_not_meet_stay_apart_at_an_open_link() -> None:
     apart = Throw((throw.flights[0], Flight(perturbed(after.start, aside), after.end_s)), throw.impacts)
     track = seen(apart, rng, noise=1e-9)
     chain = fit_chain(weighted_poses(track), [f.start for f in apart.flights], [Link(t, is_open=True)])
-    np.testing.assert_allclose(initial_errors(chain.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
+    np.testing.assert_allclose(state_difference(chain.flights[1].at(t), apart.flights[1].at(t)), 0.0, atol=1e-6)
     assert np.isnan(chain.sigma_time_s[0])
     assert np.isnan(chain.joint_covariance[0]).all()
 

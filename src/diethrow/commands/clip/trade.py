@@ -150,9 +150,9 @@ def setting_for(
 ) -> tuple[str, Decimation]:
     """Quality and decimation of the fastest analysis that gives χ to ± `within`.
 
-    From the trade.json of `measured`, on this or a like scene; without it the ladder is climbed until the interval is
-    half as wide as is wanted, because what a coarse run gets wrong is not in its own interval. Raises ValueError where
-    no setting is enough, RunError where the die is not found at all.
+    The setting is taken from the trade.json `measured` of this or a similar scene. Without it, the settings of LADDER are tried
+    until the interval is half as wide as wanted: the interval of a coarse run does not contain its systematic error. Raises
+    ValueError if no setting is accurate enough, RunError if no setting finds the die.
     """
     if measured is not None:
         best = fastest_within([s for s in read_trade(measured) if s.kind == "tracking"], within)
