@@ -28,7 +28,7 @@ TABLES = ("track.csv", "track_frames.csv", "bounces.csv", "faces.csv", "vertices
 
 
 def main() -> int:
-    """Kill, look, and count."""
+    """Kill, examine, and count."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=200)
     parser.add_argument("--clips", type=int, default=6)
@@ -66,7 +66,7 @@ def one_batch(
     random: np.random.Generator,
     tally: dict[str, int],
 ) -> int:
-    """Begin a batch again and again until it comes to its end; returns the kills that this took."""
+    """Restart a batch until it finishes; returns the number of kills."""
     out, kills = root / "out", 0
     finished: dict[str, int] = {}
     while True:
@@ -100,7 +100,7 @@ def one_batch(
 
 
 def killed(pid: int) -> int:
-    """1 where there was something to kill."""
+    """1 if a process was killed."""
     try:
         os.kill(pid, signal.SIGKILL)
     except ProcessLookupError:
@@ -120,7 +120,7 @@ def workers_of(pid: int) -> list[int]:
 
 
 def command_of(pid: int) -> bytes:
-    """The command line of a process, empty when it is gone."""
+    """The command line of a process; empty if it has ended."""
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:
@@ -128,7 +128,7 @@ def command_of(pid: int) -> bytes:
 
 
 def faults(out: Path, whole: Path, finished: dict[str, int]) -> int:
-    """What is wrong in the folder; remembers the finished clips by their inodes."""
+    """Faults of the folder; keeps the inodes of finished clips."""
     count = 0
     if not out.is_dir():
         return 0

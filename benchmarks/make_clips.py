@@ -231,7 +231,7 @@ def random_camera(case: Case, rng: np.random.Generator) -> Camera:
 
 
 def random_release(case: Case, die: Die, rng: np.random.Generator) -> State:
-    """Any orientation and axis, falling at about 0.8 m/s."""
+    """A random orientation and axis, falling at about 0.8 m/s."""
     quaternion = rng.standard_normal(4)
     axis = rng.standard_normal(3)
     height = die.solid.circumradius + case.height_m
@@ -242,7 +242,7 @@ def random_release(case: Case, die: Die, rng: np.random.Generator) -> State:
 
 
 def stays_in_view(throw: Throw, die: Die, camera: Camera, case: Case) -> bool:
-    """Seen whole from before the first bounce to the end, over enough bounces that stand apart."""
+    """Seen whole from before the first bounce to the end, with enough separate bounces."""
     times = np.arange(case.frames) / FPS
     positions, _ = throw.poses(times)
     rotations = np.array([throw.at(float(t)).rotation for t in times])
@@ -255,7 +255,7 @@ def stays_in_view(throw: Throw, die: Die, camera: Camera, case: Case) -> bool:
 
 
 def rod_before(throw: Throw, camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...], float]:
-    """An upright rod, 4 mm thick, before where the die is seen a while after its first bounce."""
+    """An upright rod, 4 mm thick, in front of the die some time after its first bounce."""
     seen = throw.at(throw.bounces[0].time_s + 0.03).position_m
     foot = seen + 0.25 * (camera.centre_m - seen) + 0.004 * camera.rotation[0]
     return (float(foot[0]), float(foot[1]), 0.0), (float(foot[0]), float(foot[1]), 0.5), 0.002

@@ -74,7 +74,7 @@ def make_sample(samples: Path, truth: Path, name: str, variant: str) -> None:
 
 
 def settings_with(settings: FilmSettings, variant: str) -> FilmSettings:
-    """The settings on another of Mitsuba's variants: the same light but for its noise."""
+    """The settings on another of Mitsuba's variants: the same light with other noise."""
     return replace(settings, variant=variant)
 
 

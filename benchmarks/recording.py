@@ -11,10 +11,12 @@ from __future__ import annotations
 import tempfile
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import replay_records as made
+from measuring import timed
 
 from diethrow.files.throw_records import simulated_track
 from diethrow.fitting.results import Fit
@@ -51,7 +53,7 @@ def record_of(frames: int) -> Record:
 
 
 def film(frames: int) -> made.ArrayClip:
-    """Noise that stands still, a little that does not, and a bright square on its way across."""
+    """Constant noise, a little varying noise, and a moving bright square."""
     rng = np.random.default_rng(1)
     board = np.kron(rng.normal(70.0, 12.0, (SIDE_PX // 4, SIDE_PX // 4)), np.ones((4, 4)))
     pictures = np.empty((frames, SIDE_PX, SIDE_PX), np.uint8)
@@ -65,12 +67,7 @@ def film(frames: int) -> made.ArrayClip:
 
 def seconds_for(record: Record, path: Path) -> float:
     """The best of three."""
-    taken = []
-    for _ in range(3):
-        begin = time.perf_counter()
-        write_recording(path, record)
-        taken.append(time.perf_counter() - begin)
-    return min(taken)
+    return min(timed(partial(write_recording, path, record), time.perf_counter)[1] for _ in range(3))
 
 
 def main() -> None:

@@ -188,7 +188,7 @@ def compile_seconds() -> float:
 
 @dataclass(frozen=True)
 class Timed:
-    """The rates of some throws on some threads."""
+    """Rates of simulated throws on a number of threads."""
 
     by_clock: float
     """Throws a second."""

@@ -1,6 +1,6 @@
 """Speed against accuracy, measured and published: `python benchmarks/trades.py` writes docs/trades.md and its pictures.
 
-Tracking and its work, on the clips in data_samples: every setting that `diethrow trade` tries, followed and fitted. χ is
+Tracking and its work, on the clips in data_samples: every setting of `diethrow trade`, tracked and fitted. χ is
 compared with the truth that is kept in tests/data. The model, on the throws of `benchmarks/peers.py`: by events at several
 tolerances, in fixed steps in double and single precision, and, where they are installed (`pip install mujoco==4.0.0
 dartpy==6.20.0`), MuJoCo and DART at two steps; faces are compared with those of exact events.
@@ -94,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def as_words(value: object) -> str:
-    """As it stands on a command line."""
+    """The setting as command-line options."""
     return " ".join(value) if isinstance(value, list) else str(value)
 
 
@@ -122,7 +122,7 @@ def by_turns(default: Callable[[], float], others: Sequence[Callable[[], float]]
 
 
 def over_rounds(settings: Sequence[Setting], speeds: NDArray[np.float64]) -> list[Row]:
-    """Rows from the speeds (rounds, settings); NaN for a setting that gave nothing."""
+    """Rows from the speeds (rounds, settings); NaN for a setting without a result."""
     middle = np.median(speeds, axis=0)
     return [
         Row(replace(s, rate=float(m) if np.isfinite(m) else 0.0), tuple(speeds[:, k]), s.kind == "work")
@@ -163,7 +163,7 @@ def measured_clip(name: str, rounds: int) -> list[Row]:
 
 
 def run_or_reason(scene: Scene, quality: Quality, decimation: Decimation) -> Run | str:
-    """A run, or why there is none."""
+    """A run, or the reason why there is none."""
     try:
         return track_and_fit(scene, quality, decimation)
     except RunError as error:
@@ -179,7 +179,7 @@ def marked(rows: Sequence[Row], badness: Callable[[Setting], float | None] = lam
 
 
 def measured_model(rounds: int, throws: int) -> list[Row]:
-    """The same throws in all ways, by turns; the first way is ours as it comes."""
+    """The same throws by every method in turn; the first is the default."""
     starts = releases(throws, 1)
     law = SmoothImpact(CHI)
     ways: list[tuple[str, int, Callable[[], Faces]]] = []

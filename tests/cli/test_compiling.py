@@ -101,7 +101,7 @@ def test_on_one_core_no_second_process_compiles(
 
 
 def test_the_model_is_compiled_in_every_way_that_a_fit_needs() -> None:
-    """Smooth, with friction, and through the air: what fits try."""
+    """The laws that fits use: smooth impacts, friction, and air drag."""
     compile_model()
     kinds = {(each[1].instance_class, each[3].instance_class) for each in derivatives.run_tangent.signatures}
     smooth, rough = engine.SmoothLaw, engine.RoughLaw

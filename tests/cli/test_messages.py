@@ -27,7 +27,7 @@ def cut_scene(tmp_path: Path) -> Path:
 
 
 def test_a_truncated_clip_without_a_die_is_reported_as_truncated(cut_scene: Path, tmp_path: Path) -> None:
-    """Once the message named only the missing die, and a truncated copy went unnoticed."""
+    """An earlier message named the missing die only, so that a truncated copy went unnoticed."""
     status, _, messages = invoke("track", cut_scene, "--out", tmp_path / "out")
     assert status == 1
     note, sentence = messages.strip().splitlines()
@@ -38,7 +38,7 @@ def test_a_truncated_clip_without_a_die_is_reported_as_truncated(cut_scene: Path
 
 
 def test_an_impossible_output_folder_is_one_sentence_with_advice(tmp_path: Path) -> None:
-    """Once the message was `[Errno 17] File exists`, which named neither the option nor the cause."""
+    """An earlier message was `[Errno 17] File exists`, without the option and the cause."""
     (tmp_path / "notes.txt").write_text("kept")
     message = r"cannot be made \(.+\); wanted a place .+ another --out"
     with pytest.raises(OutputPlaceError, match=message), whole_folder(tmp_path / "notes.txt" / "out"):

@@ -28,7 +28,7 @@ SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
 
 
 class InLine(Executor):
-    """Does each call at once, in this process; `lose` of a number of the call says that its worker died."""
+    """An executor that makes each call at once in this process; for the calls in `lose` it reports a dead worker."""
 
     def __init__(self, lose: Callable[[int], bool] = lambda number: False) -> None:
         self.calls = 0
@@ -64,7 +64,7 @@ def track(scenes: list[Path], out: Path, executor: Executor | None = None, **mor
 
 
 def numbers_in(folder: Path) -> dict[str, bytes]:
-    """Every table of a batch, and the results without the seconds that they took."""
+    """Every table of a batch; results without their durations."""
     files = sorted(file for file in folder.rglob("*") if file.suffix in (".csv", ".npy") and file.parent != folder)
     found = {str(file.relative_to(folder)): file.read_bytes() for file in files}
     with (folder / "results.csv").open(newline="") as table:
@@ -278,7 +278,7 @@ def test_workers_die_with_a_parent_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_kills_affect_only_the_clips_being_analysed(scenes: list[Path], done: Path, tmp_path: Path) -> None:
-    """Two of the kills that `benchmarks/kills.py` makes two hundred of."""
+    """Two kills; `benchmarks/kills.py` makes two hundred."""
     out = tmp_path / "out"
     good = [scenes[0], scenes[2]]
     words = [sys.executable, "-m", "diethrow", "batch", *map(str, good), "--out", str(out)]

@@ -29,7 +29,7 @@ SAMPLE = Path(__file__).parents[2] / "data_samples" / "cube_wood_photron"
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The address of a scheduler with one worker, both processes of their own as on a real cluster."""
+    """The address of a scheduler with one worker, both in separate processes, as on a real cluster."""
     folder = tmp_path_factory.mktemp("cluster")
     file = folder / "scheduler.json"
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}

@@ -1,4 +1,4 @@
-"""Reading: depths, rates and numbers of frames."""
+"""Reading: bit depths, frame rates and numbers of frames."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def test_sixteen_bits_are_read_to_the_last_level(suffix: str, tmp_path: Path, ha
 
 @pytest.mark.parametrize("fps", [1.0, 1e6], ids=lambda fps: f"{fps:.0f} frames/s")
 def test_times_are_multiples_of_the_frame_interval_and_no_sums(fps: float, tmp_path: Path, happened: Report) -> None:
-    """Frame k of 60 000 is at k / fps to the last bit, and the last frame is read as fast as the first."""
+    """Frame k of 60 000 is at k / fps to the last bit, and the last frame is readable."""
     frames = np.arange(60_000, dtype=np.uint16)[:, None, None] % 4096 * np.ones((1, 2, 8), np.uint16)
     path = write_photron(tmp_path / "clip.cihx", frames, stored_bits=12, record_rate_hz=int(fps))
     clip = open_clip(path, fps=fps)

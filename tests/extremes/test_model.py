@@ -1,4 +1,4 @@
-"""The model: numbers of impacts, χ at both ends, and releases that leave nothing to do."""
+"""The model: numbers of impacts, χ = 0 and χ = 1, and releases at rest."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CUBE = DICE["cube"]
 
 @pytest.mark.parametrize("impacts", [1, 60, 2000], ids=lambda n: f"{n} impact" + "s" * (n > 1))
 def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int, happened: Note) -> None:
-    """At χ = 1 without friction the energy stays, to rounding, through any number of impacts."""
+    """At χ = 1 without friction the energy is constant to rounding over any number of impacts."""
     release = random_release(np.random.default_rng(1), CUBE)
     throw = throw_die(CUBE, release, SmoothImpact(1.0), until=Until(impacts=impacts)).throw
     energies = np.array([energy_J(CUBE, flight.start) for flight in throw.flights])
@@ -35,7 +35,7 @@ def test_an_elastic_throw_keeps_its_energy_however_often_it_strikes(impacts: int
 @pytest.mark.parametrize("chi", [0.0, 1e-9, 0.99], ids=lambda chi: f"chi {chi:g}")
 @pytest.mark.parametrize("shape", ["tetrahedron", "icosahedron"])
 def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, happened: Note) -> None:
-    """From impacts that end dead to those that hardly lose anything, a die comes to rest on a face."""
+    """From χ = 0 to χ = 0.99, a die comes to rest on a face."""
     die = DICE[shape]
     results = [throw_die(die, random_release(np.random.default_rng(k), die), SmoothImpact(chi)) for k in range(5)]
     assert all(result.ending is Ending.RESTED for result in results)
@@ -45,7 +45,7 @@ def test_every_throw_that_loses_energy_comes_to_rest(shape: str, chi: float, hap
 
 @pytest.mark.parametrize("mu", [0.0, 1e6], ids=lambda mu: f"mu {mu:g}")
 def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: Note) -> None:
-    """Without friction, and with friction that nothing overcomes, no impact adds energy."""
+    """Without friction and with very large friction, no impact adds energy."""
     release = random_release(np.random.default_rng(3), CUBE)
     impacts = throw_die(CUBE, release, CoulombImpact(0.5, mu)).throw.impacts
     gained = max(impact.energy_after_J / impact.energy_before_J - 1.0 for impact in impacts)
@@ -54,7 +54,7 @@ def test_friction_from_none_to_boundless_makes_no_energy(mu: float, happened: No
 
 
 def test_a_die_that_lies_on_the_table_is_at_rest_at_once(happened: Note) -> None:
-    """A die released on a face, at rest, has landed without an impact."""
+    """A die released at rest on a face has landed, without an impact."""
     down = State(0.0, np.array([0.0, 0.0, CUBE.solid.inradius]), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3))
     result = throw_die(CUBE, down, SmoothImpact(0.5))
     assert (result.ending, result.impact_count) == (Ending.RESTED, 0)

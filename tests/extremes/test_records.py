@@ -1,4 +1,4 @@
-"""Records and pages: one frame and sixty thousand, all poses known and none."""
+"""Records and pages: 1 frame and 60 000 frames, complete tracks and tracks without a pose."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ def size_of(path: Path) -> str:
     "frames", [1, pytest.param(60_000, marks=pytest.mark.slow)], ids=lambda n: f"{n} frame" + "s" * (n > 1)
 )
 def test_a_recording_and_a_page_of_any_length(frames: int, tmp_path: Path, happened: Report) -> None:
-    """A throw on one frame and on sixty thousand has a recording and a page, and its table is read back as it was."""
+    """A throw on one frame and one on 60 000 frames have a recording and a page, and their tables are read back
+    unchanged."""
     track = tracked(frames)
     record = made.record(clip=None, track=track, simulated=None, fps=1500.0)
     write_recording(tmp_path / "replay.rrd", record)
@@ -48,7 +49,7 @@ def test_a_recording_and_a_page_of_any_length(frames: int, tmp_path: Path, happe
 
 
 def test_a_track_without_poses_has_a_page(tmp_path: Path, happened: Report) -> None:
-    """A track without any pose, and without a fit, has a page that shows no NaN."""
+    """The page of a track without poses and without a fit contains no NaN."""
     lost = replace(
         tracked(40), position_m=np.full((40, 3), np.nan), quaternion=np.full((40, 4), np.nan),
         covariance=np.full((40, 6, 6), np.nan), status=np.full(40, LOST, dtype="<U7"),

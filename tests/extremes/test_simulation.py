@@ -31,12 +31,12 @@ each_die = pytest.mark.parametrize("die", DICE.values(), ids=DICE.keys())
 
 
 def heights(die: Die, states: list[State]) -> np.ndarray:
-    """Of the vertices above a level table, (states, vertices) [m]."""
+    """Heights (states, vertices) [m] of the vertices above a level table."""
     return np.array([s.position_m[2] + die.solid.vertices @ s.rotation[2] for s in states])
 
 
 def clear(die: Die, release: State, clearance_m: float) -> State:
-    """The release with its lowest vertex so high above the table."""
+    """The release with its lowest vertex `clearance_m` above the table."""
     low = heights(die, [release])[0].min()
     return replace(release, position_m=release.position_m + (clearance_m - low) * UP)
 
@@ -107,7 +107,7 @@ def dimensionless(result: ThrowResult, s: float, m: float) -> np.ndarray:
 
 
 def discrete_results(result: ThrowResult) -> tuple:
-    """The results without a unit."""
+    """The dimensionless results."""
     return result.ending, result.landed_face, [(i.contact, i.vertices) for i in result.throw.impacts]
 
 
@@ -406,7 +406,7 @@ def test_at_the_poles_of_the_euler_angles_only_the_sum_or_difference_of_the_othe
 
 
 def quat_free(result: ThrowResult) -> np.ndarray:
-    """The history with each quaternion's sign taken out, which is no part of a pose."""
+    """The history, with quaternions of one sign: q and -q are the same pose."""
     rows = dimensionless(result, 1.0, 1.0)
     rows[:, 13:17] *= np.sign(rows[:, 13:17][np.arange(len(rows)), np.abs(rows[:, 13:17]).argmax(1)])[:, None]
     return rows

@@ -30,7 +30,7 @@ FRAMES = noisy_frames(12, bits=12)
 
 
 def fill(output: Path, number: int) -> None:
-    """Write a folder, and meet what the system says of a disk."""
+    """Write a folder on a disk that raises an error."""
     with whole_folder(output) as aside:
         (aside / "track.csv").write_text("half")
         raise OSError(number, os.strerror(number), "track.csv")

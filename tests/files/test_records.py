@@ -1,4 +1,4 @@
-"""Records are read back as they were written, bit by bit; what is no record is refused with its file, row and column."""
+"""Records are read back as they were written, bit by bit; other files are refused with file, row and column."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def some_state(seed: int = 2) -> State:
 
 
 def some_impacts() -> tuple[Impact, ...]:
-    """One with every number known, one with hardly any, and one of an edge."""
+    """An impact with all numbers, one with few, and one of an edge."""
     known = Impact(
         0.1 / 3, "vertex", (3,), np.array([0.1 / 7, -0.2]), np.zeros(3), -0.7, 0.31, 1 / 3e3, 2 / 9e3, 1, 6, 1e-5
     )
@@ -84,7 +84,7 @@ def some_fit() -> Fit:
 
 
 def same(a: object, b: object) -> bool:
-    """Equal to the last bit, NaN equal to NaN."""
+    """Whether arrays are equal bit by bit; NaN equals NaN."""
     if isinstance(a, np.ndarray):
         return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
     return a == b or (a != a and b != b)

@@ -1,4 +1,4 @@
-"""The replication of the paper: every statement has a verdict, and what the page says is what was computed."""
+"""The replication of the paper: every statement has a verdict, and the page agrees with the computed numbers."""
 
 import json
 from math import sqrt
@@ -25,7 +25,7 @@ TINY = Effort(1000, 200, 24, 8, 64, 32, 2, 30, 100, 2, 80)
 
 @pytest.fixture(scope="module")
 def replicated(tmp_path_factory):
-    """A whole run with hardly any throws: verdicts that need numbers fall out as they may."""
+    """A whole run with hardly any throws: verdicts that depend on counts are arbitrary."""
     out = tmp_path_factory.mktemp("paper") / "out"
     replication = paper(PaperPlan(TINY), out, threads=2, command=("diethrow", "paper"))
     return out, replication

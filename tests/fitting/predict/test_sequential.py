@@ -42,7 +42,7 @@ def test_the_last_estimate_is_that_of_the_whole_fit(estimated: tuple[tuple[Estim
 def test_every_interval_holds_the_truth_and_none_is_wider_than_the_one_before(
     estimated: tuple[tuple[Estimate, ...], Fit, Throw],
 ) -> None:
-    """Three 95 % intervals, with one seed: widened by a half, one in 300 would still miss."""
+    """Three 95 % intervals, with one seed: widened by a half: one in 300 misses."""
     widths = []
     for estimate in estimated[0]:
         low, high, value = estimate.chi.low, estimate.chi.high, estimate.chi.value

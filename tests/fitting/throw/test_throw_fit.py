@@ -36,7 +36,7 @@ def cube_throw(chi: float = 0.58, impacts: int = 3, seed: int = 2) -> tuple[Thro
 
 
 def chi_of(fit: Fit) -> tuple[float, float, float]:
-    """Value and interval of χ, none of them None."""
+    """Value and interval of χ, which must exist."""
     chi = fit.parameters["chi"]
     assert chi.value is not None
     assert chi.low is not None
@@ -286,7 +286,7 @@ def throw_with_contact_cluster() -> tuple[Throw, Track, Throw]:
 
 
 def test_the_three_kinds_of_interval_agree_where_noise_is_normal() -> None:
-    """A bootstrap of 200 draws places each end of an interval to a tenth of its width; a quarter is far."""
+    """A bootstrap of 200 draws places each end of an interval to a tenth of its width; a quarter is a wide margin."""
     _, track, measured = cube_throw(impacts=2)
     profile, covariance, bootstrap = (
         chi_of(fit_throw(track, measured, CUBE, intervals=kind)) for kind in ("profile", "covariance", "bootstrap")

@@ -1,4 +1,4 @@
-"""The report states what was determined and, for the rest, why not; it needs no network and escapes every text."""
+"""The report states every result or the reason why there is none; it needs no network and escapes every text."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A recording contains every frame, pose and bounce at its nanosecond, and nothing where none is known."""
+"""A recording contains every frame, pose and bounce at its nanosecond, and nothing without a pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of the check before tracking: it measures what a clip was made with, and names its faults."""
+"""Laws of the check before tracking: it measures the quality of a clip, and reports its faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A die falls with g; one that does not was given a wrong scale, clock or camera."""
+"""A die falls with g; another acceleration indicates a wrong scale, clock or camera."""
 
 from __future__ import annotations
 

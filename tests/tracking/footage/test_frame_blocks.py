@@ -1,4 +1,4 @@
-"""Laws of the frame blocks: every frame of every camera, once, in order, whichever way it is read."""
+"""Laws of the frame blocks: every frame of every camera is read once and in order, with every reader."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def clip_of(seed: int, count: int = COUNT, shape: tuple[int, int] = (12, 16)) ->
 
 
 class Counted(ArrayClip):
-    """A clip that counts the frames it hands out."""
+    """A clip that counts the frames that are read."""
 
     handed_out = 0
 

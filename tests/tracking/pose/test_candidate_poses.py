@@ -1,4 +1,4 @@
-"""Laws of initial poses: they are found without input, and not where no die is."""
+"""Laws of initial poses: they are found without user input, and only where a die is."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of manual initialisation: a rough pose or rough clicks become the pose of the picture, or an error that says why."""
+"""Laws of manual initialisation: a rough pose or rough clicks become the pose of the picture, or an error with the reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of the pose of one frame: it agrees with the pixels, and its covariance is honest."""
+"""Laws of the pose of one frame: it agrees with the pixels, and its covariance with the errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def errors_of(state: State, pose: Pose) -> Array:
 
 
 def nees_of(state: State, pose: Pose) -> float:
-    """Squared error in sigmas of the pose's own covariance: 6 on average where that is honest."""
+    """Squared error in sigmas of the pose's own covariance: 6 on average for a correct covariance."""
     assert pose.covariance is not None
     errors = errors_of(state, pose)
     return float(errors @ np.linalg.solve(pose.covariance, errors))
@@ -69,7 +69,7 @@ def test_a_displaced_pose_is_brought_back(shape: str, direction: str) -> None:
 
 @cache
 def noisy_nees(shape: str, count: int) -> tuple[Array, int]:
-    """NEES of seeded frames with noise, and how many frames left a direction open."""
+    """NEES of seeded frames with noise, and the number of frames with an undetermined direction."""
     room = replace(ROOM, noise_grey=3.0)
     values = []
     for seed in range(count):
@@ -98,7 +98,7 @@ CASES = 16
 
 
 def poses_under(room: Studio, shape: str, bar_grey: float | None = None) -> tuple[Array, Array]:
-    """NEES and turn off [rad] of seeded frames, a bar of 6 pixels before the die where `bar_grey` is given."""
+    """NEES and rotation errors [rad] of seeded frames, a bar of 6 pixels before the die where `bar_grey` is given."""
     nees, off = [], []
     for seed in range(CASES):
         rng = np.random.default_rng(seed)
@@ -116,8 +116,8 @@ def poses_under(room: Studio, shape: str, bar_grey: float | None = None) -> tupl
 
 @pytest.mark.parametrize("shape", ["cube", "octahedron"])
 def test_stretches_share_their_grey_only_on_faces_of_one_grey(shape: str) -> None:
-    """On faces of one grey the stretches of edge share it, and poses are surer, rightly. If the light changes by a few per
-    cent over the faces, each stretch is left to itself."""
+    """Sections of edge on a face of one grey share it, which reduces the errors. If the light varies by some per cent over
+    a face, every section has its own grey."""
     rng = np.random.default_rng(12)
     noisy = replace(ROOM, noise_grey=2.0)
     v, u = np.mgrid[0 : noisy.table.shape[0], 0 : noisy.table.shape[1]]

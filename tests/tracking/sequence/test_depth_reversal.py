@@ -1,4 +1,4 @@
-"""Laws of the depth-reversal ambiguity: what a reversal is, and that the motion distinguishes it from the die."""
+"""Laws of the depth-reversal ambiguity: its definition, and that motion resolves it."""
 
 from __future__ import annotations
 

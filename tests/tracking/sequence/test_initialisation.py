@@ -1,4 +1,4 @@
-"""Laws of initialisation: motion decides between poses that one picture leaves open, or none is called certain."""
+"""Laws of initialisation: motion resolves poses that are ambiguous in one picture; otherwise no pose is certain."""
 
 from __future__ import annotations
 

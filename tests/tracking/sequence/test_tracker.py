@@ -97,7 +97,7 @@ TIMES_FASTER = 6
 
 @pytest.fixture
 def few_are_plenty(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As if so few frames were as many as thousands: they take long to draw."""
+    """Lower the number of frames from which frames are skipped, because rendering thousands takes long."""
     monkeypatch.setattr("diethrow.tracking.pose.clip_poses.ENOUGH_FRAMES", FRAMES)
     monkeypatch.setattr("diethrow.tracking.throw.flight_segmentation.ENOUGH_FRAMES", FRAMES)
 
@@ -153,7 +153,7 @@ class Landing:
 
 @pytest.mark.usefixtures("few_are_plenty")
 def test_a_spinning_die_that_lands_on_such_a_film_keeps_its_labelling_on_every_frame() -> None:
-    """Most frames are refined along the flights that the marks of the others show. The last flight ends where the die
+    """Most frames are refined along the flights that the marks of other frames determine. The last flight ends where the die
     lies; continued, it would turn by a right angle in 20 ms, and so would the faces on frames refined along it."""
     fps, lands_s, fall_m_s = TIMES_FASTER * FPS, 0.014, np.array([0.05, 0.05, -0.5])
     height_m = CUBE.solid.inradius + 0.5 * lands_s + 0.5 * GRAVITY_M_S2 * lands_s**2

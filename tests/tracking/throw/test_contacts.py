@@ -1,4 +1,4 @@
-"""Laws of contacts: impacts are identified with their vertices, nothing else is taken for one, and a die at rest does not fly."""
+"""Laws of contacts: impacts are found with their vertices, without spurious ones, and a die at rest has no flight."""
 
 from __future__ import annotations
 
@@ -196,7 +196,7 @@ def fast_tetrahedron() -> tuple[Throw, Track]:
 
 
 def relabelled_cluster(relabel: int) -> tuple[Throw, Track]:
-    """Its track, resumed behind the contacts with another labelling."""
+    """The track of a throw, with another labelling after the contacts."""
     throw, track = fast_tetrahedron()
     turn = quat_from_matrix(symmetry_rotations(TETRA.solid)[relabel])
     late = track.time_s > throw.impacts[-1].time_s + 2.0 / FPS

@@ -1,4 +1,4 @@
-"""Laws of flights chain by impacts: derivatives are those of the motion, and the covariances of the fit are true."""
+"""Laws of a chain of flights: derivatives agree with the motion, and covariances of the fit with its errors."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def weighted_poses(track: Track) -> WeightedPoses:
 
 
 def with_unmodelled_errors(track: Track, rng: np.random.Generator) -> Track:
-    """The track with the unmodelled errors that the fit adds to each frame's own sigma, so that its sigmas are true."""
+    """The track with the unmodelled errors that the fit adds to each frame's own sigma, so that the stated errors are correct."""
     aside = UNMODELLED_POSITION_M * rng.normal(size=(len(track), 3))
     turns = quat_from_rotvec(UNMODELLED_ROTATION_RAD * rng.normal(size=(len(track), 3)))
     quaternion = quat_multiply(turns, track.quaternion)

@@ -34,7 +34,7 @@ def spaced(throw: Throw) -> bool:
 
 
 def separate_impacts(die: Die, seed: int, count: int) -> tuple[Throw, np.random.Generator]:
-    """A throw with separate impacts: the first such seed from here on."""
+    """A throw with separate impacts, of the first such seed from `seed` on."""
     while True:
         rng = np.random.default_rng(seed)
         throw = true_throw(die, random_release(die, rng), 0.6, impacts=count)
