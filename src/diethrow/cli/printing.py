@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from math import floor, log10
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,18 +24,16 @@ if TYPE_CHECKING:
 
 def print_analysis(result: Analysis) -> None:
     """The result of an analysis."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}")
-    table.add_row("bounces", f"{len(result.measured.impacts)}, of which the model explains {result.fit.bounces_fitted}")
-    table.add_row("restitution χ", _restitution(result.fit.parameters["chi"]))
-    if result.fit.residual_rms is not None:
-        table.add_row("residuals", f"{result.fit.residual_rms:.2f} sigma")
-    table.add_row("report", str(result.folder / "report.html"))
-    table.add_row("open it", f"diethrow replay {result.folder} --open")
-    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+    rms = result.fit.residual_rms
+    rows = [
+        ("frames tracked", f"{int(result.track.tracked.sum())} of {len(result.track)}"),
+        ("bounces", f"{len(result.measured.impacts)}, of which the model explains {result.fit.bounces_fitted}"),
+        ("restitution χ", _restitution(result.fit.parameters["chi"])),
+        *([] if rms is None else [("residuals", f"{rms:.2f} sigma")]),
+        ("report", str(result.folder / "report.html")),
+        ("open it", f"diethrow replay {result.folder} --open"),
+    ]
+    _print_table(rows)
     print_notices((*result.notices, *result.fit.messages))
 
 
@@ -48,15 +46,12 @@ def print_tracking(result: Tracking, out: Path) -> None:
 
 def print_joint_fit(result: FitOfMany) -> None:
     """Parameters that the throws share."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(show_header=False, box=None, pad_edge=False)
-    table.add_row("throws", f"{len(result.fit.throws)} fitted, {len(result.left_out)} left out")
-    for name, parameter in result.fit.parameters.items():
-        table.add_row(name, _with_interval(parameter))
-    table.add_row("see", str(result.folder / "fit.json"))
-    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+    rows = [
+        ("throws", f"{len(result.fit.throws)} fitted, {len(result.left_out)} left out"),
+        *((name, _with_interval(parameter)) for name, parameter in result.fit.parameters.items()),
+        ("see", str(result.folder / "fit.json")),
+    ]
+    _print_table(rows)
     print_notices((*result.fit.messages, *result.left_out))
 
 
@@ -120,6 +115,17 @@ def print_throws(found: Sequence[ThrowRecording]) -> None:
     Console(highlight=False, markup=False, soft_wrap=True).print(table)
 
 
+def _print_table(rows: Iterable[Sequence[str]], *headings: str) -> None:
+    """Rows in columns, without markup and line breaks."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(*headings, show_header=bool(headings), box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    Console(highlight=False, markup=False, soft_wrap=True).print(table)
+
+
 def _with_interval(parameter: Parameter) -> str:
     """The value with its interval, in four digits."""
     if parameter.low is None or parameter.high is None or parameter.level is None:
@@ -129,22 +135,16 @@ def _with_interval(parameter: Parameter) -> str:
 
 def print_trade(result: Trade) -> None:
     """One row per setting, an asterisk for those on the front, and the setting to use."""
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table(box=None, pad_edge=False)
-    for heading in ("", "setting", "per second", "χ", "±", "error", "coverage"):
-        table.add_column(heading)
+    rows = []
     for s in result.settings:
         chi = "" if s.chi is None else f"{s.chi:.5f}"
         width = "" if s.half_width is None else f"{s.half_width:.1e}"
         off = s.error if s.kind == "model" else s.chi_error
         covered = "" if s.coverage is None else f"{s.coverage:.0%}"
         wrong = "" if off is None else f"{off:.1e}"
-        table.add_row("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered)
-    console = Console(highlight=False, markup=False, soft_wrap=True)
-    console.print(table)
-    console.print(result.advice)
+        rows.append(("*" if s.on_front else "", s.name, f"{s.rate:.3g}", chi, width, wrong, covered))
+    _print_table(rows, "", "setting", "per second", "χ", "±", "error", "coverage")
+    typer.echo(result.advice)
 
 
 def print_check(result: Check) -> None:
