@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .app import app
-from .errors import FAILED, MISUSED, checked_options, finished_clips_kept, one_sentence_errors, stop_with_status
+from .errors import CLIPS_KEPT, FAILED, MISUSED, checked_options, one_sentence_errors, stop_with_status, stopped_with
 from .options import (
     AllowOutside,
     DieAndTable,
@@ -249,7 +249,7 @@ def batch(
     A finished clip is analysed again only if its files, the version or the quality changed. The exit status is 1 if a clip
     failed. After Ctrl-C or a kill, the same command continues with the unfinished clips.
     """
-    with one_sentence_errors(), finished_clips_kept():
+    with one_sentence_errors(), stopped_with(CLIPS_KEPT):
         from ..commands.clip.batch import run_batch
 
         quality_of_name(quality)

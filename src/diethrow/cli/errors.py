@@ -21,6 +21,8 @@ MISUSED = 2
 """Exit status of a mistake in a scene or on the command line."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C, as shells have it."""
+RESUMABLE = "no output was left behind; --resume continues from the work done"
+CLIPS_KEPT = "finished clips are kept; the same command continues with the others"
 
 
 @contextmanager
@@ -55,21 +57,12 @@ def checked_options() -> Iterator[None]:
 
 
 @contextmanager
-def resumable_work() -> Iterator[None]:
-    """Report after Ctrl-C that the work file of a long run is kept, and how to resume."""
+def stopped_with(sentence: str) -> Iterator[None]:
+    """Report after Ctrl-C what is kept of a long run, and how to continue it."""
     try:
         yield
     except KeyboardInterrupt:
-        stop_with_status("stopped; no output was left behind; --resume continues from the work done", INTERRUPTED)
-
-
-@contextmanager
-def finished_clips_kept() -> Iterator[None]:
-    """Report after Ctrl-C that a batch keeps its finished clips, and how to continue."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        stop_with_status("stopped; finished clips are kept; the same command continues with the others", INTERRUPTED)
+        stop_with_status(f"stopped; {sentence}", INTERRUPTED)
 
 
 def _stems_from_interrupt(error: BaseException) -> bool:

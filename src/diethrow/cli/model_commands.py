@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from .app import app
-from .errors import checked_options, one_sentence_errors, resumable_work
+from .errors import RESUMABLE, checked_options, one_sentence_errors, stopped_with
 from .options import (
     Amplitude,
     Edge,
@@ -163,7 +163,7 @@ def odds(
     force: Force = False,
 ) -> None:
     """Landing probability of every face, with intervals; throws that do not land are counted by how they end."""
-    with one_sentence_errors(), resumable_work():
+    with one_sentence_errors(), stopped_with(RESUMABLE):
         with checked_options():
             from ..commands.model.face_odds import OddsPlan
             from ..model.laws import Table
@@ -247,7 +247,7 @@ def basins(
     force: Force = False,
 ) -> None:
     """Basins of attraction: the landed face over a plane of initial conditions, as picture and data."""
-    with one_sentence_errors(), resumable_work():
+    with one_sentence_errors(), stopped_with(RESUMABLE):
         with checked_options():
             from ..commands.model.basin_maps import BasinsPlan, axes_of, fixed_from
             from ..model.laws import Table
