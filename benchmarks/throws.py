@@ -325,13 +325,12 @@ def changed(one: Counts, other: Counts) -> str:
 
 def ends(chi: float, starts: Array, precision: Precision) -> list[tuple[float, Array]]:
     """Time [s] and state (13,) of the last event of each throw of the cube."""
-    body, law = body_of(CUBE), engine.law_of(engine.SMOOTH, np.array([chi]))
-    fine = precision.packed
+    law = engine.law_of(engine.SMOOTH, np.array([chi]))
+    setup = engine.Setup(body_of(CUBE), law, engine.LEVEL, precision.packed)
+    limits = engine.Limits(inf, engine.NO_LIMIT, IMPACT_CAP, True)
     results = []
     for start in starts:
-        _, _, _, time_s, state, _, _ = engine.run_throw(
-            body, law, engine.LEVEL, fine, start, 0.0, inf, np.iinfo(np.int64).max, True, IMPACT_CAP, False
-        )
+        _, _, _, time_s, state, _, _ = engine.run_throw(setup, start, 0.0, limits, False)
         results.append((time_s, state))
     return results
 
@@ -361,10 +360,9 @@ def print_energy(sizes: Sizes) -> bool:
 def energy_error(die: Die, start: Array) -> float:
     """Relative change of kinetic and potential energy, zero at the height of the table."""
     law = engine.law_of(engine.SMOOTH, np.array([1.0]))
-    fine = engine.FINE
-    _, impacts, _, _, state, _, _ = engine.run_throw(
-        body_of(die), law, engine.LEVEL, fine, start, 0.0, inf, ENERGY_IMPACTS, False, IMPACT_CAP, False
-    )
+    setup = engine.Setup(body_of(die), law, engine.LEVEL, engine.FINE)
+    limits = engine.Limits(inf, ENERGY_IMPACTS, IMPACT_CAP, False)
+    _, impacts, _, _, state, _, _ = engine.run_throw(setup, start, 0.0, limits, False)
     assert impacts == ENERGY_IMPACTS
     before, after = energy_J(die, start), energy_J(die, state)
     return abs(after - before) / before

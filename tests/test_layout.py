@@ -7,8 +7,6 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).parents[1]
 FILES = [
     file for top in ("model", "tracking", "fitting", "replay", "src") for file in sorted((ROOT / top).rglob("*.py"))
@@ -44,10 +42,6 @@ def test_functions_take_few_arguments() -> None:
     assert [name for name, count, compiled in functions() if count > MAX_ARGUMENTS and not compiled] == []
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="42 kernels of the event loop and its derivatives take 9 to 18 arguments",
-)
 def test_kernels_take_few_arguments() -> None:
     assert [name for name, count, compiled in functions() if count > MAX_ARGUMENTS and compiled] == []
 

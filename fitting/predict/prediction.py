@@ -153,10 +153,10 @@ def _kernel_poses(
     begins = np.array([start.time_s for start in starts])
     law = engine.law_of(physics.law.code, physics.law.parameters)
     cap = BOUNCING_CAP if physics.values["chi"] >= 1.0 or physics.plane.moves else IMPACT_CAP
-    fixed = (kernel_body(physics.body), law, physics.plane.plane, precision)
+    setup = engine.Setup(kernel_body(physics.body), law, physics.plane.plane, precision)
 
     def part(low: int, high: int) -> None:
-        engine.poses_of_throws(*fixed, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
+        engine.poses_of_throws(setup, packed[low:high], begins[low:high], times, firsts[low : high + 1], cap, poses)
 
     if pool is None:
         part(0, len(starts))

@@ -316,17 +316,13 @@ class Physics:
             return None
         if not self.body.is_spherical_top:
             return self._run_asymmetric(start, end_s, impacts)
+        law = engine.law_of(self.law.code, self.law.parameters)
+        begin_s = float(start.time_s)
         _, _, face, _, _, log, _ = engine.run_throw(
-            kernel_body(self.body),
-            engine.law_of(self.law.code, self.law.parameters),
-            self.plane.plane,
-            precision,
+            engine.Setup(kernel_body(self.body), law, self.plane.plane, precision),
             packed,
-            float(start.time_s),
-            end_s - float(start.time_s),
-            np.iinfo(np.int64).max,
-            end_s == np.inf,
-            impacts,
+            begin_s,
+            engine.Limits(end_s - begin_s, engine.NO_LIMIT, impacts, end_s == np.inf),
             keep,
         )
         return Run(log[:, 1].astype(int), int(face) + 1 if face >= 0 else None)

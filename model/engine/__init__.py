@@ -12,6 +12,7 @@ from .air import Vacuum as Vacuum
 from .air import drag_trajectory as drag_trajectory
 from .event_loop import poses_of_throws as poses_of_throws
 from .event_loop import run_throw as run_throw
+from .flight import VertexHeights as VertexHeights
 from .flight import advance as advance
 from .flight import clearance as clearance
 from .flight import first_touch as first_touch
@@ -33,6 +34,7 @@ from .impact import impulse_gradient as impulse_gradient
 from .rest import TIMEOUT as TIMEOUT
 from .rest import decided_face as decided_face
 from .rest import lowest_face_row as lowest_face_row
+from .sliding_contact import FrictionalCorners as FrictionalCorners
 from .sliding_contact import friction_step as friction_step
 from .sliding_contact import inelastic_impulse as inelastic_impulse
 from .sliding_contact import move_freely as move_freely
@@ -59,9 +61,12 @@ from .types import TIMED_OUT as TIMED_OUT
 from .types import TRUE as TRUE
 from .types import AsymmetricBody as AsymmetricBody
 from .types import Body as Body
+from .types import Contact as Contact
 from .types import Law as Law
+from .types import Limits as Limits
 from .types import Plane as Plane
 from .types import Precision as Precision
 from .types import RoughLaw as RoughLaw
+from .types import Setup as Setup
 from .types import SmoothLaw as SmoothLaw
 from .types import law_of as law_of

@@ -12,7 +12,16 @@ from math import inf, nan, sqrt
 import numpy as np
 
 from ..compiled import compiled, inner
-from .flight import advance, first_touch, height_terms, lever_arm, spin_rate, table_velocity, vertex_velocity
+from .flight import (
+    VertexHeights,
+    advance,
+    first_touch,
+    height_terms,
+    lever_arm,
+    spin_rate,
+    table_velocity,
+    vertex_velocity,
+)
 from .held_contact import (
     carry_on_face,
     follow_held_contact,
@@ -26,7 +35,7 @@ from .held_contact import (
     touching_set,
 )
 from .impact import apply_impact
-from .log import bits_of, copy_to, state_after, with_room, write_event, write_knot
+from .log import bits_of, copy_to, state_after, with_knot, with_room, write_event
 from .rest import (
     MAX_ZERO_STEPS,
     chatter_speed,
@@ -56,11 +65,11 @@ from .types import (
     TRUE,
     ZERO,
     Array,
-    Body,
+    Contact,
     Indices,
-    Law,
-    Plane,
-    Precision,
+    Knots,
+    Limits,
+    Setup,
     has_friction,
 )
 
@@ -70,33 +79,24 @@ FIRST_ROWS = 64
 
 @compiled(nogil=True)
 def run_throw(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    duration: float,
-    impact_limit: int,
-    stop_when_decided: bool,
-    impact_cap: int,
-    keep: bool,
+    setup: Setup, start: Array, start_time: float, limits: Limits, keep: bool
 ) -> tuple[int, int, int, float, Array, Array, Array]:
     """Follow a throw from `start` (13,) at `start_time` [s] to its end. No argument is changed.
 
-    The limits are `duration` [s], `impact_limit`, and `impact_cap`, which is reported as an end of its own;
-    `stop_when_decided` ends the throw once its face is decided. Returns the code of the ending, the number of impacts, the
-    row of the decided face (-1: none), the time [s] of the end, the state (13,) after the last event, the log
-    (events, LOG_COLUMNS), and the knots of held contact (k, KNOT_COLUMNS). Log and knots stay empty unless `keep`.
+    Returns the code of the ending, the number of impacts, the row of the decided face (-1: none), the time [s] of the end, the
+    state (13,) after the last event, the log (events, LOG_COLUMNS), and the knots of held contact (k, KNOT_COLUMNS). Log and
+    knots stay empty unless `keep`.
     """
+    body, law, plane, precision = setup
+    duration, impact_limit, impact_cap, stop_when_decided = limits
     state, before, after, step_room = start.copy(), np.empty(13), np.empty(13), step_workspace()
     terms, room = np.empty((body.vertices.shape[0], 4)), np.empty((3, max(3, body.vertices.shape[0])))
     touching, rows = np.empty(body.vertices.shape[0], np.int64), FIRST_ROWS if keep else 1
-    log, knots = np.empty((rows, LOG_COLUMNS)), np.empty((rows, KNOT_COLUMNS))
+    log, knots = np.empty((rows, LOG_COLUMNS)), Knots(np.empty((rows, KNOT_COLUMNS)), ZERO, NONE, keep)
     slow = chatter_speed(law, plane, precision, body.radius)
     fixed, rough = plane.amplitude == 0.0, has_friction(law)
     active = np.zeros(body.vertices.shape[0], np.bool_)
-    time, end, impacts, events, known = start_time, start_time + duration, 0, 0, ZERO
+    time, end, impacts, events = start_time, start_time + duration, 0, 0
     i, j, zero_step_count = NONE, NONE, 0
     open_end = duration == inf
     timeout = timeout_s(law, plane, body.radius, open_end)
@@ -110,12 +110,11 @@ def run_throw(
         reorder = False  # whether what is held is to be found anew
         if i < 0:
             if face >= 0 and stop_when_decided and not keep:
-                return RESTED, impacts, face, time, state, log[:0], knots[:0]
+                return RESTED, impacts, face, time, state, log[:0], knots.rows[:0]
             spin = spin_rate(state)
             height_terms(body.vertices, state, spin, terms)
-            dt, hit, velocity, acceleration = first_touch(
-                terms, state[2], state[9], spin, body.radius, plane, time, precision.contact_tolerance, end - time
-            )
+            heights = VertexHeights(terms, state[2], state[9], spin, body.radius)
+            dt, hit, velocity, acceleration = first_touch(heights, plane, time, precision.contact_tolerance, end - time)
             if face >= 0 and stop_when_decided:
                 ending = RESTED
             elif hit < 0:
@@ -123,7 +122,7 @@ def run_throw(
             elif impacts >= impact_limit:
                 ending = IMPACTS_REACHED
             if ending != NOT_ENDED:
-                return ending, impacts, face, time + dt, state, log[: events if keep else 0], knots[:known]
+                return ending, impacts, face, time + dt, state, log[: events if keep else 0], knots.rows[: knots.used]
             advance(state, spin, dt, plane)
             time += dt
             reorder = velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)
@@ -132,29 +131,14 @@ def run_throw(
                 open_end and j == -2 and face_contact_duration(plane, time, inf) == inf
             ):
                 face = lowest_face_row(body.plumb_normals, state)
-                return RESTED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
+                return RESTED, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
+            knots = Knots(knots.rows, knots.used, events - 1, keep)
+            limit = min(end, last_energetic_time + timeout) - time
             if rough:
-                ending, dt, hit, knots, known = follow_sliding_contact(
-                    body,
-                    law,
-                    plane,
-                    precision,
-                    state,
-                    time,
-                    min(end, last_energetic_time + timeout) - time,
-                    active,
-                    open_end,
-                    stop_when_decided,
-                    events - 1,
-                    knots,
-                    known,
-                    keep,
-                    after,
+                ending, dt, hit, knots = follow_sliding_contact(
+                    setup, active, state, time, limit, open_end, stop_when_decided, knots
                 )
-                if keep:
-                    knots = with_room(knots, known)
-                    write_knot(knots[known], events - 1, time + dt, state)
-                    known += 1
+                knots = with_knot(knots, time + dt, state)
                 if ending == RESTED:
                     face = lowest_face_row(body.plumb_normals, state)
                 elif ending != NOT_ENDED and fixed:
@@ -165,28 +149,14 @@ def run_throw(
                 if time + dt >= end:
                     ending = TIME_REACHED
             else:
-                ending, dt, hit, knots, known = follow_held_contact(
-                    body,
-                    plane,
-                    precision,
-                    state,
-                    time,
-                    min(end, last_energetic_time + timeout) - time,
-                    i,
-                    j,
-                    open_end,
-                    events - 1,
-                    knots,
-                    known,
-                    keep,
-                    step_room,
-                    after,
+                ending, dt, hit, knots = follow_held_contact(
+                    Contact(body, plane, i, j), precision, state, time, limit, open_end, knots, step_room
                 )
             time += dt
             if ending == TIME_REACHED and time < end:
                 ending = TIMED_OUT
             if ending != NOT_ENDED:
-                return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
+                return ending, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
             # A face that the table has thrown off, and a die that has left its sliding contact, fly.
             reorder = hit >= 0 or not (rough or j == -2)
             if not reorder:
@@ -194,7 +164,15 @@ def run_throw(
             if hit >= 0:
                 reorder = vertex_velocity(body, plane, state, time, hit) >= -slow
                 if not reorder and impacts >= impact_limit:
-                    return IMPACTS_REACHED, impacts, face, time, state, log[: events if keep else 0], knots[:known]
+                    return (
+                        IMPACTS_REACHED,
+                        impacts,
+                        face,
+                        time,
+                        state,
+                        log[: events if keep else 0],
+                        knots.rows[: knots.used],
+                    )
         zero_step_count = zero_step_count + 1 if dt == 0.0 else 0
         if stop_when_decided and fixed and not rough and hit >= 0 and spins_forever(body, plane, state, hit):
             ending = SPINNING
@@ -205,7 +183,7 @@ def run_throw(
             else:
                 ending = TIMED_OUT
         if ending != NOT_ENDED:
-            return ending, impacts, face, time, state, log[: events if keep else 0], knots[:known]
+            return ending, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
         copy_to(before, state)
         if reorder:
             near, leaving = STANDING_HEIGHT * body.radius, slow
@@ -228,20 +206,21 @@ def run_throw(
             if j == -2:
                 lay_on_face(body, plane, state, time, i)
             elif i >= 0 and not rough:
-                remove_normal_velocity(body, plane, state, time, i, j)
-                project_on_contact(body, plane, state, time, i, j)
+                contact = Contact(body, plane, i, j)
+                remove_normal_velocity(contact, state, time)
+                project_on_contact(contact, state, time)
             if zero_step_count > MAX_ZERO_STEPS and j != -2 and not rough:
                 # Rounding leaves open whether the die still presses. A little later it does not.
                 nudge = nudge_s(zero_step_count, plane, body.radius)
                 if i < 0:
                     advance(state, spin_rate(state), nudge, plane)
                 else:
-                    held_step(body, plane, state, time, nudge, i, j, step_room, after)
+                    held_step(Contact(body, plane, i, j), state, time, nudge, step_room, after)
                     copy_to(state, after)
                 time += nudge
         elif hit >= 0:
             if impacts >= impact_cap:
-                return IMPACT_CAP, impacts, face, time, state, log[: events if keep else 0], knots[:known]
+                return IMPACT_CAP, impacts, face, time, state, log[: events if keep else 0], knots.rows[: knots.used]
             x, y, z = lever_arm(body.vertices[hit], state)
             arm = (x, y, z - body.corner_radius)
             apply_impact(law, body.mass, body.inertia, arm, table_velocity(plane, time), state)
@@ -260,25 +239,16 @@ def run_throw(
 
 @inner
 def poses_of_throw(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    times: Array,
-    impact_cap: int,
-    poses: Array,
+    setup: Setup, start: Array, start_time: float, times: Array, impact_cap: int, poses: Array
 ) -> tuple[int, int]:
     """Position and quaternion of a throw at `times` (n,) [s], ascending and none before the start, into `poses` (n, 7).
 
     Heights are those of the centre of mass. Poses after the impact that exceeds `impact_cap` are NaN. Returns the code of
     the ending and the number of impacts.
     """
-    last = times[times.shape[0] - 1]
-    ending, impacts, _, end, _, log, knots = run_throw(
-        body, law, plane, precision, start, start_time, last - start_time, NO_LIMIT, FALSE, impact_cap, TRUE
-    )
+    body, plane = setup.body, setup.plane
+    limits = Limits(times[times.shape[0] - 1] - start_time, NO_LIMIT, impact_cap, FALSE)
+    ending, impacts, _, end, _, log, knots = run_throw(setup, start, start_time, limits, TRUE)
     step_room, state, after = step_workspace(), np.empty(13), np.empty(13)
     event, knot = -1, 0
     for k in range(times.shape[0]):
@@ -312,7 +282,7 @@ def poses_of_throw(
         elif j == -2:
             carry_on_face(state, plane, begin, time - begin)
         elif time > begin:
-            held_step(body, plane, state, begin, time - begin, i, j, step_room, after)
+            held_step(Contact(body, plane, i, j), state, begin, time - begin, step_room, after)
             copy_to(state, after)
         for m in range(7):
             poses[k, m] = state[m]
@@ -322,10 +292,7 @@ def poses_of_throw(
 
 @compiled(nogil=True)
 def poses_of_throws(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
+    setup: Setup,
     starts: Array,
     start_times: Array,
     times: Array,
@@ -337,4 +304,4 @@ def poses_of_throws(
     for k in range(starts.shape[0]):
         rows = slice(firsts[k], firsts[k + 1])
         if firsts[k + 1] > firsts[k]:
-            poses_of_throw(body, law, plane, precision, starts[k], start_times[k], times[rows], impact_cap, poses[rows])
+            poses_of_throw(setup, starts[k], start_times[k], times[rows], impact_cap, poses[rows])

@@ -11,6 +11,7 @@ bounding parabola misses no touch.
 from __future__ import annotations
 
 from math import cos, inf, sin, sqrt
+from typing import NamedTuple
 
 from ..compiled import compiled, inner
 from .types import ROUNDING_BOUND, Array, Body, Plane
@@ -85,25 +86,33 @@ def height_terms(vertices: Array, state: Array, spin: float, terms: Array) -> No
         terms[i, 0], terms[i, 1], terms[i, 2], terms[i, 3] = a, b, along, sqrt(a * a + b * b)
 
 
+class VertexHeights(NamedTuple):
+    """The heights h(t) of vertices in a flight; they are those of its start for t = 0."""
+
+    terms: Array
+    """(n, 4) [m] of `height_terms`."""
+    height: float
+    """z [m] of the centre."""
+    velocity: float
+    """v [m/s] of the centre."""
+    spin: float
+    """ω [rad/s]."""
+    radius: float
+    """[m] of the vertex farthest from the centre."""
+
+
 @compiled
 def first_touch(
-    terms: Array,
-    height: float,
-    velocity: float,
-    spin: float,
-    radius: float,
-    plane: Plane,
-    clock: float,
-    tolerance: float,
-    limit: float,
+    heights: VertexHeights, plane: Plane, clock: float, tolerance: float, limit: float
 ) -> tuple[float, int, float, float]:
-    """The first instant at which a vertex of `terms` meets the table from above, no later than `limit` [s].
+    """The first instant at which a vertex meets the table from above, no later than `limit` [s].
 
-    `height` [m] and `velocity` [m/s] are those of the centre at the start of the flight, `clock` [s] the time there, for a
-    table that moves; a vertex no higher than `tolerance` [m] touches. Returns the time [s] from the start of the flight,
-    the row of the vertex (-1: the limit came first), and its vertical velocity (0 where it is only rounding) and
-    acceleration there, relative to the table. Of vertices that touch together the fastest is returned, the first of equals.
+    `clock` [s] is the time at the start of the flight, for a table that moves; a vertex no higher than `tolerance` [m]
+    touches. Returns the time [s] from the start of the flight, the row of the vertex (-1: the limit came first), and its
+    vertical velocity (0 where it is only rounding) and acceleration there, relative to the table. Of vertices that touch
+    together the fastest is returned, the first of equals.
     """
+    terms, height, velocity, spin, radius = heights
     t = 0.0
     g = plane.g
     moving = plane.amplitude != 0.0
@@ -168,42 +177,41 @@ def first_touch(
 
 
 @inner
-def touch_of_vertex(
-    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
-) -> tuple[float, bool, float, float]:
-    """The next touch of the one vertex in `terms` (1, 4), whatever the others do: time, found, velocity, acceleration.
+def touch_of_vertex(heights: VertexHeights, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
+    """The next touch of the only vertex in `heights`, whatever others do: time, found, velocity, acceleration.
 
     A vertex that is already below the table and sinking touched a little before the flight began, and its time is negative.
     So the time stays a smooth function of the state where two touches change their order. It may lie as far back as the die
     takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
     """
+    terms, height, velocity, spin, radius = heights
     below = BELOW_TABLE * radius
     h = height + terms[0, 0] + terms[0, 2] - table_height(plane, clock)
     v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
     if h < below and v < 0.0:
-        return _touch_before(terms, height, velocity, spin, radius, plane, clock)
-    t, _, v, acceleration = first_touch(terms, height, velocity, spin, radius, plane, clock, 0.0, inf)
-    return t, _height(terms, height, velocity, spin, plane, clock, t) >= below, v, acceleration
+        return _touch_before(heights, plane, clock)
+    t, _, v, acceleration = first_touch(heights, plane, clock, 0.0, inf)
+    return t, _height(heights, plane, clock, t) >= below, v, acceleration
 
 
 @inner
-def _height(terms: Array, height: float, velocity: float, spin: float, plane: Plane, clock: float, t: float) -> float:
-    """Height [m] of the one vertex of `terms` (1, 4) above the table."""
+def _height(heights: VertexHeights, plane: Plane, clock: float, t: float) -> float:
+    """Height [m] of the only vertex in `heights` above the table."""
+    terms, height, velocity, spin, _ = heights
     swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
     return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
 
 
 @inner
-def _touch_before(
-    terms: Array, height: float, velocity: float, spin: float, radius: float, plane: Plane, clock: float
-) -> tuple[float, bool, float, float]:
+def _touch_before(heights: VertexHeights, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
     """The instant before the flight at which a vertex that is below the table crossed it; as `touch_of_vertex`."""
+    terms, height, velocity, spin, radius = heights
     t, g = 0.0, plane.g
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     bound = max(spin * spin * terms[0, 3] + peak_table_acceleration - g, LEAST_BOUND * g)  # h'' is no larger
     while t > -sqrt(2.0 * radius / g):
         swung, swept = cos(spin * t), sin(spin * t)
-        h = _height(terms, height, velocity, spin, plane, clock, t)
+        h = _height(heights, plane, clock, t)
         v = velocity - g * t + spin * (terms[0, 1] * swung - terms[0, 0] * swept) - table_velocity(plane, clock + t)
         size = abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)
         if plane.amplitude != 0.0:

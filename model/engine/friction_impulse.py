@@ -39,11 +39,12 @@ other part as restitution.
 from __future__ import annotations
 
 from math import hypot, inf, nan, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from ..compiled import compiled, inner, int64
-from .types import FALSE, NEWTON, POISSON, STRONGE, Array, Matrix6
+from .types import FALSE, NEWTON, POISSON, STRONGE, Array, Matrix6, Vector
 
 TAYLOR_ORDER = 20
 """Of the series in τ: an accuracy of e^-35 costs e^(35/N) steps of N² operations each, least at N = 17."""
@@ -159,7 +160,9 @@ def friction_impulse(
     sx, sy, p, restituting, ended = 0.0, 0.0, 0.0, False, False
     course = _slip_regime(matrix, mu, vx, vy, abs(w))
     if course == TURNS:
-        sx, sy, p, vx, vy, w, restituting, goal, ended, course = _turning_slip(matrix, chi, mu, ending, vx, vy, w, goal)
+        sx, sy, p, vx, vy, w, restituting, goal, ended, course = _turning_slip(
+            ContactLaw(matrix, chi, mu, ending), vx, vy, w, goal
+        )
     if not ended and course == STRAIGHT:
         slip = hypot(vx, vy)
         ux, uy = vx / slip, vy / slip
@@ -244,14 +247,26 @@ def _straight_slip(
         restituting = not restituting
 
 
+class ContactLaw(NamedTuple):
+    """What governs the impact of one contact."""
+
+    matrix: Matrix6
+    """[1/kg], from `contact_matrix`."""
+    chi: float
+    mu: float
+    ending: int
+    """NEWTON, POISSON or STRONGE."""
+
+
 @inner
 def _turning_slip(
-    matrix: Matrix6, chi: float, mu: float, ending: int, vx: float, vy: float, w: float, goal: float
+    law: ContactLaw, vx: float, vy: float, w: float, goal: float
 ) -> tuple[float, float, float, float, float, float, bool, float, bool, int]:
     """Slide until the slip stops, no longer turns, or the impact ends.
 
     Returns the impulse (3), the contact velocity (3), the state of `_straight_slip`, and what `_slip_regime` says last.
     """
+    matrix, chi, mu, ending = law
     sx, sy, p, restituting = 0.0, 0.0, 0.0, FALSE
     largest, rate = max(matrix[0], matrix[3], matrix[5]), _rate(matrix, mu)
     series = np.empty((5, TAYLOR_ORDER + 1))
@@ -264,16 +279,14 @@ def _turning_slip(
         if not ends:
             found, dp = _expansion_to_stop(series, matrix, mu, vx, vy, size)
             if found:
-                stops, tx, ty, w_stop, left = _stop_before_event(
-                    series, matrix, mu, ending, chi, vx, vy, w, dp, restituting, goal
-                )
+                stops, tx, ty, w_stop, left = _stop_before_event(series, law, (vx, vy, w), dp, restituting, goal)
                 if stops:
                     return sx + tx, sy + ty, p + dp, 0.0, 0.0, w_stop, restituting, left, False, STOPPED
                 ends = restituting or ending == NEWTON
         # Towards a stop the slip must keep its direction as well, or the steps would be longer than it lasts.
         allowed = min(3.0 * NEGLIGIBLE_SLIP * size, 1e-5 * hypot(vx, vy))
         unit = largest / max(size, 1e-200) if ending == STRONGE else largest  # makes work, or impulse, a velocity
-        h = _taylor_series(series, matrix, mu, ending, rate, vx, vy, w, allowed, unit)
+        h = _taylor_series(series, law, (vx, vy, w), rate, allowed, unit)
         t, restituting, goal, ended = _follow_series(series, h, ending, chi, restituting, goal)
         sx -= mu * _integral(series, VX, t) / rate
         sy -= mu * _integral(series, VY, t) / rate
@@ -338,19 +351,11 @@ def _expansion_to_stop(
 
 @inner
 def _stop_before_event(
-    series: Array,
-    matrix: Matrix6,
-    mu: float,
-    ending: int,
-    chi: float,
-    vx: float,
-    vy: float,
-    w: float,
-    dp: float,
-    restituting: bool,
-    goal: float,
+    series: Array, law: ContactLaw, velocity: Vector, dp: float, restituting: bool, goal: float
 ) -> tuple[bool, float, float, float, float]:
     """The end of `_expansion_to_stop`: whether no event of w comes before, the tangential impulse, w and goal there."""
+    matrix, chi, mu, ending = law
+    vx, vy, w = velocity
     xx, xy, xz, yy, yz, zz = matrix
     det = xx * yy - xy * xy
     # 0 = v + b dp + T S at the stop.
@@ -395,22 +400,13 @@ def _stop_before_event(
 
 
 @inner
-def _taylor_series(
-    series: Array,
-    matrix: Matrix6,
-    mu: float,
-    ending: int,
-    rate: float,
-    vx: float,
-    vy: float,
-    w: float,
-    allowed: float,
-    unit: float,
-) -> float:
+def _taylor_series(series: Array, law: ContactLaw, velocity: Vector, rate: float, allowed: float, unit: float) -> float:
     """Fill the Taylor coefficients of v' = (|v| b - μTv)/rate and of what follows it; returns how far they hold.
 
     That is where the last terms of velocities reach `allowed` [m/s].
     """
+    matrix, _, mu, ending = law
+    vx, vy, w = velocity
     xx, xy, xz, yy, yz, zz = matrix
     a, b = series[VX], series[VY]
     n, normal, measured = series[SPEED], series[NORMAL], series[RESTITUTION]

@@ -27,7 +27,7 @@ from .flight import (
     table_velocity,
     vertex_velocity,
 )
-from .log import copy_to, with_room, write_knot
+from .log import copy_to, with_knot
 from .rest import lowest_face_row
 from .runge_kutta import NODES, STAGES, START, VALUES, stage_values
 from .types import (
@@ -42,7 +42,9 @@ from .types import (
     TIME_REACHED,
     Array,
     Body,
+    Contact,
     Indices,
+    Knots,
     Plane,
     Precision,
 )
@@ -116,13 +118,12 @@ def contact_forces(body: Body, state: Array, i: int, j: int, weight: float) -> t
 
 
 @compiled
-def held_step(
-    body: Body, plane: Plane, state: Array, time: float, dt: float, i: int, j: int, room: Array, after: Array
-) -> None:
+def held_step(contact: Contact, state: Array, time: float, dt: float, room: Array, after: Array) -> None:
     """Carry a state in held contact over dt [s] into `after`; `room` is a `step_workspace`.
 
     The horizontal velocity changes only by a tilt of the table.
     """
+    body, plane, i, j = contact
     for m in range(4):
         room[START, m] = state[3 + m]
     room[START, 4], room[START, 5] = state[10], state[11]
@@ -144,15 +145,16 @@ def held_step(
     after[0] = state[0] + (state[7] + 0.5 * plane.gx * dt) * dt
     after[1] = state[1] + (state[8] + 0.5 * plane.gy * dt) * dt
     after[7], after[8] = state[7] + plane.gx * dt, state[8] + plane.gy * dt
-    project_on_contact(body, plane, after, time + dt, i, j)
+    project_on_contact(contact, after, time + dt)
 
 
 @inner
-def project_on_contact(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
+def project_on_contact(contact: Contact, state: Array, time: float) -> None:
     """Put the state exactly on its contact, in place; this only removes rounding.
 
     The quaternion gets length 1, the held vertices stand on the table and at rest relative to it, an edge lies level.
     """
+    body, plane, i, j = contact
     norm = sqrt(state[3] * state[3] + state[4] * state[4] + state[5] * state[5] + state[6] * state[6])
     for m in range(3, 7):
         state[m] /= norm
@@ -269,11 +271,12 @@ def simultaneous_inelastic_impact(
 
 
 @inner
-def remove_normal_velocity(body: Body, plane: Plane, state: Array, time: float, i: int, j: int) -> None:
+def remove_normal_velocity(contact: Contact, state: Array, time: float) -> None:
     """Remove the vertical velocity of the held vertices, in place, by impulses on them.
 
     This is a projection in the metric of the kinetic energy, which therefore cannot rise.
     """
+    body, plane, i, j = contact
     k = body.inertia / body.mass
     v_table = table_velocity(plane, time)
     a = lever_arm(body.vertices[i], state)
@@ -351,69 +354,60 @@ def pressed_set(
 
 @inner
 def follow_held_contact(
-    body: Body,
-    plane: Plane,
+    contact: Contact,
     precision: Precision,
     state: Array,
     time: float,
     limit: float,
-    i: int,
-    j: int,
     check_balance: bool,
-    segment: int,
-    knots: Array,
-    known: int,
-    keep: bool,
+    knots: Knots,
     room: Array,
-    after: Array,
-) -> tuple[int, float, int, Array, int]:
+) -> tuple[int, float, int, Knots]:
     """Carry the state in place through held contact to its end, or to `limit` [s].
 
     Returns NOT_ENDED or another ending, the duration [s], the vertex that touches (-1: a held one is released, or the limit
-    came), and the knots with their number. `check_balance` asks whether the die stands balanced.
+    came), and the knots. `check_balance` asks whether the die stands balanced.
     """
-    begin = time
+    body, plane, i, j = contact
+    begin, after = time, np.empty(13)
     fixed = plane.amplitude == 0.0
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
-        if keep:
-            knots = with_room(knots, known)
-            write_knot(knots[known], segment, time, state)
-            known += 1
+        knots = with_knot(knots, time, state)
         pull = plane.g + table_acceleration(plane, time)
         if check_balance and fixed and is_balanced(body, state, i, j, pull):
-            return BALANCED, time - begin, -1, knots, known
+            return BALANCED, time - begin, -1, knots
         dt = precision.step_turn / (
             spin_rate(state)
             + sqrt((plane.g + peak_table_acceleration) * body.radius * body.mass / body.inertia)
             + (0.0 if fixed else plane.rate)
         )
         dt = min(dt, begin + limit - time)
-        held_step(body, plane, state, time, dt, i, j, room, after)
+        held_step(contact, state, time, dt, room, after)
         first, event = dt, NO_EVENT
         pull = plane.g + table_acceleration(plane, time + dt)
         n_i, n_j, _, _ = contact_forces(body, after, i, j, pull)
         if n_i <= 0.0:
-            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_I, first, event, room)
+            first, event = earlier_event(contact, state, time, dt, FORCE_I, first, event, room)
         if j >= 0 and n_j <= 0.0:
-            first, event = earlier_event(body, plane, state, time, dt, i, j, FORCE_J, first, event, room)
+            first, event = earlier_event(contact, state, time, dt, FORCE_J, first, event, room)
         z_table = table_height(plane, time + dt)
         for k in range(body.vertices.shape[0]):
             if k != i and k != j:
                 within = dt
                 if clearance(body.vertices[k], after, z_table) > 0.0:
-                    within = instant_below_table(body, plane, state, after, time, dt, i, j, k, room)
+                    within = instant_below_table(contact, state, after, time, dt, k, room)
                 if within > 0.0:
-                    first, event = earlier_event(body, plane, state, time, within, i, j, k, first, event, room)
+                    first, event = earlier_event(contact, state, time, within, k, first, event, room)
         if event != NO_EVENT:
             if first > 0.0:
-                held_step(body, plane, state, time, first, i, j, room, after)
+                held_step(contact, state, time, first, room, after)
                 copy_to(state, after)
-            return NOT_ENDED, time + first - begin, max(event, -1), knots, known
+            return NOT_ENDED, time + first - begin, max(event, -1), knots
         copy_to(state, after)
         time += dt
         if time >= begin + limit:
-            return TIME_REACHED, limit, -1, knots, known
+            return TIME_REACHED, limit, -1, knots
 
 
 @inner
@@ -433,51 +427,33 @@ def is_balanced(body: Body, state: Array, i: int, j: int, pull: float) -> bool:
 
 @inner
 def earlier_event(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    event: int,
-    first: float,
-    best: int,
-    room: Array,
+    contact: Contact, state: Array, time: float, dt: float, event: int, first: float, best: int, room: Array
 ) -> tuple[float, int]:
     """The earlier of an event within dt [s] and the first one known so far, with its time [s]."""
-    t = event_instant(body, plane, state, time, dt, i, j, event, room, np.empty(13))
+    t = event_instant(contact, state, time, dt, event, room, np.empty(13))
     return (t, event) if t < first or best == NO_EVENT else (first, best)
 
 
 @inner
 def event_instant(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    event: int,
-    room: Array,
-    after: Array,
+    contact: Contact, state: Array, time: float, dt: float, event: int, room: Array, after: Array
 ) -> float:
     """The instant [s] within dt after `state` at which an event function falls through zero.
 
     Regula falsi on steps of the integration (Illinois: an end of the bracket that stays twice weighs half). Of a force the
     first value not above zero counts, of a height the last above zero. `after` is overwritten.
     """
+    body, plane, _, _ = contact
     low, high = 0.0, dt
-    f_low = event_function(body, plane, state, time, i, j, event)
-    held_step(body, plane, state, time, dt, i, j, room, after)
-    f_high = event_function(body, plane, after, time + dt, i, j, event)
+    f_low = event_function(contact, state, time, event)
+    held_step(contact, state, time, dt, room, after)
+    f_high = event_function(contact, after, time + dt, event)
     if event >= 0 and f_low <= STANDING_HEIGHT * body.radius:
         # A vertex that has just been released rises first: step back to where it is up.
         t = 0.5 * dt
         while t > SHORTEST_RISE * dt:
-            held_step(body, plane, state, time, t, i, j, room, after)
-            f_low = event_function(body, plane, after, time + t, i, j, event)
+            held_step(contact, state, time, t, room, after)
+            f_low = event_function(contact, after, time + t, event)
             if f_low > 0.0:
                 low = t
                 break
@@ -493,8 +469,8 @@ def event_instant(
             break
         t = (low * f_high - high * f_low) / (f_high - f_low)
         t = min(max(t, low + BRACKET_GUARD * (high - low)), high - BRACKET_GUARD * (high - low))
-        held_step(body, plane, state, time, t, i, j, room, after)
-        f = event_function(body, plane, after, time + t, i, j, event)
+        held_step(contact, state, time, t, room, after)
+        f = event_function(contact, after, time + t, event)
         if f > 0.0:
             low, f_low = t, f
             if side == 1:
@@ -514,8 +490,9 @@ def event_instant(
 
 
 @inner
-def event_function(body: Body, plane: Plane, state: Array, time: float, i: int, j: int, event: int) -> float:
+def event_function(contact: Contact, state: Array, time: float, event: int) -> float:
     """The height [m] of vertex `event`, or for FORCE_I and FORCE_J the force per mass [m/s²] on vertex i or j."""
+    body, plane, i, j = contact
     if event >= 0:
         return clearance(body.vertices[event], state, table_height(plane, time))
     n_i, n_j, _, _ = contact_forces(body, state, i, j, plane.g + table_acceleration(plane, time))
@@ -524,21 +501,13 @@ def event_function(body: Body, plane: Plane, state: Array, time: float, i: int, 
 
 @inner
 def instant_below_table(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    after: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    k: int,
-    room: Array,
+    contact: Contact, state: Array, after: Array, time: float, dt: float, k: int, room: Array
 ) -> float:
     """An instant [s] within a step from `state` to `after` at which vertex k is below the table, or 0 where there is none.
 
     At the end of the step the vertex is above the table. Where it sinks and rises again, its lowest instant is looked for.
     """
+    body, plane, _, _ = contact
     h0, h1 = (
         clearance(body.vertices[k], state, table_height(plane, time)),
         clearance(body.vertices[k], after, table_height(plane, time + dt)),
@@ -550,7 +519,7 @@ def instant_below_table(
     if h0 <= STANDING_HEIGHT * body.radius:
         # It stands on the table and is not held. Its velocity is rounding, so that only its height decides.
         for part in RISES_TRIED:
-            held_step(body, plane, state, time, part * dt, i, j, room, trial)
+            held_step(contact, state, time, part * dt, room, trial)
             if (
                 clearance(body.vertices[k], trial, table_height(plane, time + part * dt))
                 < -ROUNDING_BOUND * body.radius
@@ -568,7 +537,7 @@ def instant_below_table(
                 return 0.0
             t = (low * v_high - high * v_low) / (v_high - v_low)
             t = min(max(t, low + DIP_GUARD * (high - low)), high - DIP_GUARD * (high - low))
-        held_step(body, plane, state, time, t, i, j, room, trial)
+        held_step(contact, state, time, t, room, trial)
         if clearance(body.vertices[k], trial, table_height(plane, time + t)) < 0.0:
             return t
         v = vertex_velocity(body, plane, trial, time + t, k)

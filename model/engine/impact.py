@@ -15,7 +15,7 @@ from numba.extending import overload
 
 from ..compiled import compiled, inner
 from .friction_impulse import coefficient_at_speed, friction_impulse, spherical_contact_matrix
-from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw
+from .types import COULOMB, COULOMB_BY_SPEED, COULOMB_FADING, SMOOTH_BY_SPEED, Array, Law, RoughLaw, Vector
 
 
 @compiled
@@ -78,9 +78,6 @@ def apply_impact(
     state[10] += (y * sz - z * sy) / inertia
     state[11] += (z * sx - x * sz) / inertia
     state[12] += (x * sy - y * sx) / inertia
-
-
-Vector = tuple[float, float, float]
 
 
 class ParameterDerivatives(NamedTuple):

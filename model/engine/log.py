@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import inner
-from .types import Array
+from .types import Array, Knots
 
 
 @inner
@@ -59,11 +59,16 @@ def state_after(row: Array, state: Array) -> None:
 
 
 @inner
-def write_knot(row: Array, event: int, time: float, state: Array) -> None:
-    """Write a state of the contact that `event` began into a row (KNOT_COLUMNS,)."""
-    row[0], row[1] = event, time
+def with_knot(knots: Knots, time: float, state: Array) -> Knots:
+    """The knots with one more, the state at `time` [s], if any are kept."""
+    if not knots.keep:
+        return knots
+    rows = with_room(knots.rows, knots.used)
+    row = rows[knots.used]
+    row[0], row[1] = knots.event, time
     for k in range(13):
         row[2 + k] = state[k]
+    return Knots(rows, knots.used + 1, knots.event, knots.keep)
 
 
 @inner

@@ -9,7 +9,7 @@ exact, and the impulses create no energy. The order is low, so that a step is FR
 from __future__ import annotations
 
 from math import hypot, inf, nan, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..compiled import compiled, inner
 from .flight import advance, clearance, lever_arm, spin_rate, table_height, table_velocity
 from .friction_impulse import slide_direction, spherical_contact_matrix
-from .log import copy_to, with_room, write_knot
+from .log import copy_to, with_knot
 from .rest import decided_face
 from .types import (
     BALANCED,
@@ -28,11 +28,12 @@ from .types import (
     TIME_REACHED,
     Array,
     Body,
-    Law,
+    Knots,
     Matrix6,
     Plane,
-    Precision,
     RoughLaw,
+    Setup,
+    has_friction,
 )
 
 MAX_SWEEPS = 1000
@@ -123,29 +124,59 @@ def _held_slide(matrix: Matrix6, mu: float, cx: float, cy: float, cz: float, p: 
     return sx, sy, cz + zz * p + xz * sx + yz * sy
 
 
+class FrictionalCorners(NamedTuple):
+    """The corners that touch the table in one step of contact with friction."""
+
+    arms: Array
+    """(n, 3) [m] from the centre of mass."""
+    impulses: Array
+    """(n, 3) [N s] of the table on each."""
+    mu: float
+    table_velocity: float
+    """[m/s], vertical."""
+
+
+class SlidingBody(NamedTuple):
+    """A die with corners that stick or slide on the table."""
+
+    body: Body
+    mu: float
+    plane: Plane
+    active: NDArray[np.bool_]
+    """(vertices,) which of them are in contact."""
+
+
+class SlidingRoom(NamedTuple):
+    """Room for the corners in one step; n of its rows are used."""
+
+    arms: Array
+    """(vertices, 3) [m]."""
+    guess: Array
+    """(vertices, 3) [N] first guess of the forces."""
+    impulses: Array
+    """(vertices, 3) [N s] that were found."""
+
+
 @compiled
 def friction_step(
     velocity: Array,
-    arms: Array,
+    corners: FrictionalCorners,
     mass: float,
     inertia: float,
-    mu: float,
     push: Array,
-    table_velocity: float,
-    impulses: Array,
     sweep_tolerance: float = 1e-12,
 ) -> int:
     """One time step of held contact: changes `velocity` (6,) [m/s, rad/s] of centre and spin in place.
 
-    Gravity acts first, as the change of velocity `push` (3,) [m/s], g times the step. Then the touching vertices at `arms`
-    (n, 3) [m] from the centre get the impulses with which each obeys `inelastic_impulse` in the presence of the others, for
-    the velocities at the end of the step. So energy is lost, never gained, and a corner that sticks has no velocity at all.
-    `impulses` (n, 3) [N s] are a first guess, zero or those of the step before, and the result afterwards. `table_velocity`
-    [m/s] is vertical; no vertex is slower than it at the end, but for rounding.
+    Gravity acts first, as the change of velocity `push` (3,) [m/s], g times the step. Then the corners get the impulses with
+    which each obeys `inelastic_impulse` in the presence of the others, for the velocities at the end of the step. So energy
+    is lost, never gained, and a corner that sticks has no velocity at all. The impulses of `corners` are a first guess, zero or
+    those of the step before, and the result afterwards. No corner is slower than the table at the end, but for rounding.
 
     Vertices are solved in turn (Gauss-Seidel) until no contact velocity changes by more than `sweep_tolerance`, a part of
     push and velocities. Returns the number of sweeps, MAX_SWEEPS where they were cut off.
     """
+    arms, impulses, mu, table_velocity = corners
     n = arms.shape[0]
     for k in range(3):
         velocity[k] += push[k]
@@ -172,7 +203,7 @@ def friction_step(
             _apply_impulse(velocity, arms[i], mass, inertia, sx - x, sy - y, sz - z)
             changed = max(changed, max(xx, yy, zz) * max(abs(sx - x), abs(sy - y), abs(sz - z)))
         sweeps += 1
-    if _sticks(velocity, arms, table_velocity, impulses, STICKING_SPEED * size):
+    if _sticks(velocity, corners, STICKING_SPEED * size):
         for k in range(6):
             velocity[k] = 0.0
         velocity[2] = table_velocity
@@ -201,8 +232,9 @@ def _apply_impulse(velocity: Array, arm: Array, mass: float, inertia: float, sx:
 
 
 @inner
-def _sticks(velocity: Array, arms: Array, table_velocity: float, impulses: Array, slow: float) -> bool:
+def _sticks(velocity: Array, corners: FrictionalCorners, slow: float) -> bool:
     """Whether three pressing corners that do not lie in a line are slower than `slow`: then the die moves as the table does."""
+    arms, impulses, _, table_velocity = corners
     first, second = -1, -1
     for i in range(arms.shape[0]):
         cx, cy, cz = _velocity_at(velocity, arms[i])
@@ -230,24 +262,14 @@ def move_freely(state: Array, dt: float) -> None:
 
 @inner
 def sliding_step(
-    body: Body,
-    mu: float,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    active: NDArray[np.bool_],
-    arms: Array,
-    guess: Array,
-    impulses: Array,
-    after: Array,
-    sweep_tolerance: float = 1e-12,
+    sliding: SlidingBody, state: Array, time: float, dt: float, room: SlidingRoom, after: Array, sweep_tolerance: float
 ) -> int:
     """Carry a state over dt [s] of contact with friction into `after`; returns how many of the active vertices press.
 
     The die goes half the way with the old velocities, gets the impulses there, and goes the other half with the new ones.
-    `arms` (n, 3) and `impulses` (n, 3) are room for the active vertices, `guess` (n, 3) [N] the first guess of the forces.
     """
+    body, mu, plane, active = sliding
+    arms, guess, impulses = room
     copy_to(after, state)
     move_freely(after, 0.5 * dt)
     n = 0
@@ -263,8 +285,8 @@ def sliding_step(
     for k in range(n):
         for m in range(3):
             impulses[k, m] = guess[k, m] * dt
-    v_table = table_velocity(plane, time + dt)
-    friction_step(velocity, arms[:n], body.mass, body.inertia, mu, push, v_table, impulses[:n], sweep_tolerance)
+    corners = FrictionalCorners(arms[:n], impulses[:n], mu, table_velocity(plane, time + dt))
+    friction_step(velocity, corners, body.mass, body.inertia, push, sweep_tolerance)
     for k in range(6):
         after[7 + k] = velocity[k]
     move_freely(after, 0.5 * dt)
@@ -282,21 +304,13 @@ def sliding_step(
 
 
 @inner
-def rides_forever(
-    body: Body,
-    mu: float,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    active: NDArray[np.bool_],
-    sweep_tolerance: float,
-) -> bool:
+def rides_forever(sliding: SlidingBody, state: Array, time: float, dt: float, sweep_tolerance: float) -> bool:
     """Whether a die that moves as its table does will always do so.
 
     The table presses it least where it accelerates downwards most. If the die neither slips nor tips there within a step of
     dt [s], it does so nowhere.
     """
+    body, mu, plane, active = sliding
     if state[9] != table_velocity(plane, time) or state[7:9].any() or state[10:13].any():
         return False
     least = plane.g - plane.amplitude * plane.rate * plane.rate
@@ -304,69 +318,53 @@ def rides_forever(
         return False
     resting, after, room = state.copy(), np.empty(13), np.zeros((3, body.vertices.shape[0], 3))
     resting[9] = 0.0
-    at_rest = Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0)
-    pressing = sliding_step(
-        body, mu, at_rest, resting, time, dt, active, room[0], room[1], room[2], after, sweep_tolerance
-    )
+    at_rest = SlidingBody(body, mu, Plane(plane.gx, plane.gy, least, 0.0, 0.0, 0.0), active)
+    pressing = sliding_step(at_rest, resting, time, dt, SlidingRoom(room[0], room[1], room[2]), after, sweep_tolerance)
     return pressing >= 3 and not after[7:13].any()
 
 
 @inner
 def follow_frictional_contact(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
+    setup: Setup,
+    active: NDArray[np.bool_],
     state: Array,
     time: float,
     limit: float,
-    active: NDArray[np.bool_],
     open_end: bool,
     stop_when_decided: bool,
-    segment: int,
-    knots: Array,
-    known: int,
-    keep: bool,
-    after: Array,
-) -> tuple[int, float, int, Array, int]:
+    knots: Knots,
+) -> tuple[int, float, int, Knots]:
     """`follow_sliding_contact` for a law with friction."""
-    begin, mu = time, law.parameters[1]
-    room = np.zeros((3, body.vertices.shape[0], 3))
+    body, law, plane, precision = setup
+    sliding, tolerance = SlidingBody(body, law.parameters[1], plane, active), precision.sweep_tolerance
+    begin, after, arms = time, np.empty(13), np.zeros((body.vertices.shape[0], 3))
+    impulses, guess = np.zeros(arms.shape), np.zeros(arms.shape)
+    room = SlidingRoom(arms, guess, impulses)
     fixed = plane.amplitude == 0.0
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     while True:
-        if keep:
-            knots = with_room(knots, known)
-            write_knot(knots[known], segment, time, state)
-            known += 1
+        knots = with_knot(knots, time, state)
         if stop_when_decided and fixed and decided_face(body, law, plane, state) >= 0:
-            return RESTED, time - begin, -1, knots, known
+            return RESTED, time - begin, -1, knots
         rate = (
             spin_rate(state) + sqrt((plane.g + peak_table_acceleration) / body.radius) + (0.0 if fixed else plane.rate)
         )
         dt = min(FRICTION_STEP_PART * precision.step_turn / rate, begin + limit - time)
-        pressing = sliding_step(
-            body, mu, plane, state, time, dt, active, room[0], room[2], room[1], after, precision.sweep_tolerance
-        )
+        pressing = sliding_step(sliding, state, time, dt, room, after, tolerance)
         if fixed and pressing > 0 and not after[7:13].any() and not state[7:13].any():
             # Nothing moves, and nothing will.
             if open_end:
-                return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots, known
-            return TIME_REACHED, limit, -1, knots, known
-        if (
-            open_end
-            and not fixed
-            and pressing >= 3
-            and rides_forever(body, mu, plane, after, time + dt, dt, active, precision.sweep_tolerance)
-        ):
+                return (RESTED if pressing >= 3 else BALANCED), time - begin, -1, knots
+            return TIME_REACHED, limit, -1, knots
+        if open_end and not fixed and pressing >= 3 and rides_forever(sliding, after, time + dt, dt, tolerance):
             copy_to(state, after)
-            return RESTED, time + dt - begin, -1, knots, known
+            return RESTED, time + dt - begin, -1, knots
         hit = deepest_free_vertex(body, plane, after, time + dt, active)
         if hit >= 0:
             # False position (Illinois) takes five steps where halving takes forty. Every third step halves the bracket, and so
             # does each one after another vertex has become the deepest, whose height before is unknown.
             low, high, stayed = 0.0, dt, 0
-            room[2] = room[1] / dt
+            guess[:] = impulses / dt
             h_low = clearance(body.vertices[hit], state, table_height(plane, time))
             h_high = clearance(body.vertices[hit], after, table_height(plane, time + dt))
             for k in range(MAX_TOUCH_STEPS):
@@ -376,21 +374,8 @@ def follow_frictional_contact(
                 if h_low > 0.0 and k % 3 < 2:
                     weigh_low, weigh_high = 0.5 if stayed > 1 else 1.0, 0.5 if stayed < -1 else 1.0
                     middle = low + (high - low) * weigh_low * h_low / (weigh_low * h_low - weigh_high * h_high)
-                sliding_step(
-                    body,
-                    mu,
-                    plane,
-                    state,
-                    time,
-                    middle,
-                    active,
-                    room[0],
-                    room[2],
-                    room[1],
-                    after,
-                    precision.sweep_tolerance,
-                )
-                room[2] = room[1] / middle
+                sliding_step(sliding, state, time, middle, room, after, tolerance)
+                guess[:] = impulses / middle
                 found = deepest_free_vertex(body, plane, after, time + middle, active)
                 if found >= 0:
                     h_low = h_low if found == hit else nan
@@ -399,115 +384,56 @@ def follow_frictional_contact(
                 else:
                     h_low = clearance(body.vertices[hit], after, table_height(plane, time + middle))
                     low, stayed = middle, min(stayed, 0) - 1
-            sliding_step(
-                body, mu, plane, state, time, high, active, room[0], room[2], room[1], after, precision.sweep_tolerance
-            )
+            sliding_step(sliding, state, time, high, room, after, tolerance)
             copy_to(state, after)
-            return NOT_ENDED, time + high - begin, hit, knots, known
+            return NOT_ENDED, time + high - begin, hit, knots
         copy_to(state, after)
         time += dt
         # The limit comes first: within no time nothing presses, and a die at rest would fly and touch without end.
         if time >= begin + limit:
-            return TIME_REACHED, limit, -1, knots, known
+            return TIME_REACHED, limit, -1, knots
         if pressing == 0:
-            return NOT_ENDED, time - begin, -1, knots, known
-        room[2] = room[1] / dt
+            return NOT_ENDED, time - begin, -1, knots
+        guess[:] = impulses / dt
         n, z_table = 0, table_height(plane, time)
         for k in range(active.shape[0]):
             if active[k]:
                 if (
-                    room[1, n, 2] <= 0.0
+                    impulses[n, 2] <= 0.0
                     and clearance(body.vertices[k], state, z_table) > FRICTION_STANDING_HEIGHT * body.radius
                 ):
                     active[k] = False
-                    room[2] = 0.0
+                    guess[:] = 0.0
                 n += 1
 
 
 def follow_sliding_contact(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
+    setup: Setup,
+    active: NDArray[np.bool_],
     state: Array,
     time: float,
     limit: float,
-    active: NDArray[np.bool_],
     open_end: bool,
     stop_when_decided: bool,
-    segment: int,
-    knots: Array,
-    known: int,
-    keep: bool,
-    after: Array,
-) -> tuple[int, float, int, Array, int]:
+    knots: Knots,
+) -> tuple[int, float, int, Knots]:
     """Carry the state in place through contact with friction of the `active` vertices, as `follow_held_contact` does without.
 
     Returns NOT_ENDED or another ending, the duration [s], the vertex that touches (-1: all are off the table, or the limit
-    came), and the knots with their number. `open_end` says that the throw has no limit of time.
+    came), and the knots. `open_end` says that the throw has no limit of time.
     """
-    assert isinstance(law, RoughLaw)
-    return follow_frictional_contact(
-        body,
-        law,
-        plane,
-        precision,
-        state,
-        time,
-        limit,
-        active,
-        open_end,
-        stop_when_decided,
-        segment,
-        knots,
-        known,
-        keep,
-        after,
-    )
+    assert has_friction(setup.law)
+    return follow_frictional_contact(setup, active, state, time, limit, open_end, stop_when_decided, knots)
 
 
 @overload(follow_sliding_contact, strict=False)
 def _follow_sliding_contact_of(
-    body: Any,
-    law: Any,
-    plane: Any,
-    precision: Any,
-    state: Any,
-    time: Any,
-    limit: Any,
-    active: Any,
-    open_end: Any,
-    stop_when_decided: Any,
-    segment: Any,
-    knots: Any,
-    known: Any,
-    keep: Any,
-    after: Any,
+    setup: Any, active: Any, state: Any, time: Any, limit: Any, open_end: Any, stop_when_decided: Any, knots: Any
 ) -> Any:
     """For a law without friction, which never gets here, a function that does nothing."""
-    if law.instance_class is RoughLaw:
+    if setup[1].instance_class is RoughLaw:
         return follow_frictional_contact.py_func
-
-    def never(  # type: ignore[no-untyped-def]
-        body,
-        law,
-        plane,
-        precision,
-        state,
-        time,
-        limit,
-        active,
-        open_end,
-        stop_when_decided,
-        segment,
-        knots,
-        known,
-        keep,
-        after,
-    ):
-        return NOT_ENDED, 0.0, -1, knots, known
-
-    return never
+    return lambda setup, active, state, time, limit, open_end, stop_when_decided, knots: (NOT_ENDED, 0.0, -1, knots)
 
 
 @inner

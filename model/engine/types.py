@@ -20,6 +20,7 @@ from ..world import GRAVITY_M_S2
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Vector = tuple[float, float, float]
 Matrix6 = tuple[float, float, float, float, float, float]
 """A symmetric 3 × 3 matrix: xx, xy, xz, yy, yz, zz."""
 
@@ -195,6 +196,54 @@ A face of an asymmetric body is held as (row of the face, -2), that of another a
 
 KNOT_COLUMNS = 15
 """Columns of a knot, the state at the beginning of a step in held contact: event that began the contact, time, state."""
+
+
+# --- A throw ---
+
+
+class Setup(NamedTuple):
+    """What the throws of one kind have in common."""
+
+    body: Any
+    """Body or AsymmetricBody."""
+    law: Law
+    plane: Plane
+    precision: Precision
+
+
+class Limits(NamedTuple):
+    """What ends a throw before the die rests."""
+
+    duration: float
+    """[s]."""
+    impacts: int
+    """Number of impacts."""
+    impact_cap: int
+    """The same, reported as an end of its own."""
+    stop_when_decided: bool
+    """Whether the throw ends once its face is decided."""
+
+
+class Contact(NamedTuple):
+    """A die and the table that it touches, by the contact (i, j)."""
+
+    body: Any
+    """Body or AsymmetricBody."""
+    plane: Plane
+    i: int
+    j: int
+
+
+class Knots(NamedTuple):
+    """The knots that are recorded of a throw; `log.with_knot` adds one."""
+
+    rows: Array
+    """(most, KNOT_COLUMNS), of which the first `used` count."""
+    used: int
+    event: int
+    """The event that began the present motion; -1: the release."""
+    keep: bool
+    """Whether any knot is recorded."""
 
 
 # --- Constants that kernels hand on; see `compiled` ---

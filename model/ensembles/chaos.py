@@ -60,7 +60,6 @@ MAX_LOG10_GROWTH = 300.0
 """Largest reported growth, as a power of ten: the range of double precision."""
 
 _UNIT = float(np.finfo(float).eps)
-_NO_LIMIT = np.iinfo(np.int64).max
 _UNFINISHED = (engine.IMPACT_CAP, engine.TIMED_OUT, engine.TIME_REACHED)
 """Endings that do not show where the die would land."""
 
@@ -131,22 +130,11 @@ def error_growth(setup: ThrowSetup, release: State, *, impacts: int | None = Non
 
     A throw that never ends is stopped after BOUNCING_CAP impacts. Raises ValueError as `throw_die` does.
     """
-    body, law, plane = body_of(setup.die), setup.packed_law, setup.table.plane
-    start, start_s = checked_release(setup.die, release, setup.table), float(release.time_s)
-    code, _, _, _, _, log, knots = engine.run_throw(
-        body,
-        law,
-        plane,
-        setup.precision.packed,
-        start,
-        start_s,
-        np.inf,
-        _NO_LIMIT if impacts is None else impacts,
-        impacts is None,
-        setup.impact_cap,
-        True,
-    )
-    maps, exponents = derivatives.run_growth(body, law, plane, start, start_s, log, knots)
+    packed, start, start_s = setup.packed, checked_release(setup.die, release, setup.table), float(release.time_s)
+    most = engine.NO_LIMIT if impacts is None else impacts
+    limits = engine.Limits(np.inf, most, setup.impact_cap, impacts is None)
+    code, _, _, _, _, log, knots = engine.run_throw(packed, start, start_s, limits, True)
+    maps, exponents = derivatives.run_growth(packed, start, start_s, log, knots)
     largest = np.linalg.norm(maps, ord=2, axis=(1, 2)) if len(log) else np.empty(0)
     log10_growth = np.log10(largest) + exponents
     return ErrorGrowth(log[:, 0].copy(), log[:, 1].astype(np.int64), log10_growth, setup.ending(code))
@@ -157,21 +145,15 @@ def decidable_in_double_precision(setup: ThrowSetup, release: State) -> Decidabi
 
     The release is taken as exact to the last bit. Raises ValueError as `throw_die` does.
     """
-    body, start = body_of(setup.die), checked_release(setup.die, release, setup.table)
+    packed, start = setup.packed, checked_release(setup.die, release, setup.table)
+    error_of_start = release_error(start[None], packed.body.radius)
     face, impacts, code, error, margin = derivatives.decide(
-        body,
-        setup.packed_law,
-        setup.table.plane,
-        setup.precision.packed,
-        start,
-        float(release.time_s),
-        release_error(start[None], body.radius),
-        setup.impact_cap,
+        packed, start, float(release.time_s), error_of_start, setup.impact_cap
     )
     grown = error_growth(setup, release).at_end
     decidable = bool(margin > 1.0) and (face >= 0 or code not in _UNFINISHED)
     sentence = _sentence(decidable, setup.ending(code), int(impacts), grown, float(margin))
-    return Decidability(decidable, grown, float(error) * body.radius, float(margin), sentence)
+    return Decidability(decidable, grown, float(error) * packed.body.radius, float(margin), sentence)
 
 
 def decidable_in_double_precision_many(
@@ -182,19 +164,10 @@ def decidable_in_double_precision_many(
     Returns (n, 3) row of the face or -1, number of impacts, code of the ending; (n,) whether the outcome is certain in double
     precision; (n,) margins as in `Decidability`. It runs without the interpreter's lock, so threads may share the work.
     """
-    body, starts = body_of(setup.die), np.ascontiguousarray(starts, float)
+    packed, starts = setup.packed, np.ascontiguousarray(starts, float)
     landed, figures = np.empty((len(starts), 3), np.int64), np.empty((len(starts), 2))
-    derivatives.decide_many(
-        body,
-        setup.packed_law,
-        setup.table.plane,
-        setup.precision.packed,
-        starts,
-        release_error(starts, body.radius),
-        setup.impact_cap,
-        landed,
-        figures,
-    )
+    errors = release_error(starts, packed.body.radius)
+    derivatives.decide_many(packed, starts, errors, setup.impact_cap, landed, figures)
     decidable = (figures[:, 1] > 1.0) & ((landed[:, 0] >= 0) | ~np.isin(landed[:, 2], _UNFINISHED))
     return landed, decidable, figures[:, 1]
 
@@ -288,15 +261,7 @@ def _orbit(
     """
     growth, clock = np.empty((impacts, 1)), np.empty(impacts)
     code, reached, _, _ = derivatives.run_exponents(
-        body_of(setup.die),
-        setup.packed_law,
-        setup.table.plane,
-        setup.precision.packed,
-        packed,
-        start_s,
-        _random_disturbance(setup, rng),
-        growth,
-        clock,
+        setup.packed, packed, start_s, _random_disturbance(setup, rng), growth, clock
     )
     if reached < impacts:
         raise ValueError(

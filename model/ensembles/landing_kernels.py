@@ -7,8 +7,10 @@ changes.
 from __future__ import annotations
 
 from math import inf
+from typing import Any
 
 import numpy as np
+from numba.extending import overload
 from numpy.typing import NDArray
 
 from .. import engine
@@ -24,65 +26,47 @@ BELOW_TABLE = -1
 
 
 @compiled(nogil=True)
-def land_releases(
-    body: engine.Body,
-    law: engine.Law,
-    plane: engine.Plane,
-    precision: engine.Precision,
-    starts: Array,
-    impact_cap: int,
-    landed: Indices,
-    lowest: Indices,
-) -> None:
-    """Throw a spherical top from every row of `starts` (n, 13) until its face is decided.
+def land_releases(setup: engine.Setup, starts: Array, impact_cap: int, landed: Indices, lowest: Indices) -> None:
+    """Throw a die from every row of `starts` (n, 13) until its face is decided.
 
-    Fills `landed` (n, 3) with the row of the face or -1, the number of impacts, and the code of the ending or BELOW_TABLE,
-    and `lowest` (n, 1 + after) with the rows of the lowest faces at release and at each impact.
+    The starts of an asymmetric die are of the centre of mass, in principal axes. Fills `landed` (n, 3) with the row of the
+    face or -1, the number of impacts, and the code of the ending or BELOW_TABLE, and `lowest` (n, 1 + after) with the rows of
+    the lowest faces at release and at each impact.
     """
-    z_table, after = engine.table_height(plane, 0.0), lowest.shape[1] - 1
+    body = setup.body
+    z_table, after = engine.table_height(setup.plane, 0.0), lowest.shape[1] - 1
     for k in range(starts.shape[0]):
         lowest[k, 0] = engine.lowest_face_row(body.normals, starts[k])
         if _lowest_clearance(body.vertices, starts[k], z_table) < -RELEASE_DEPTH_TOLERANCE * body.radius:
             landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, BELOW_TABLE
             continue
-        code, impacts, face, _, _, _, _ = engine.run_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.TRUE, impact_cap, engine.FALSE
-        )
+        limits = engine.Limits(inf, engine.NO_LIMIT, impact_cap, engine.TRUE)
+        code, impacts, face, _, _, _, _ = _run(setup, starts[k], 0.0, limits, engine.FALSE)
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
         if after > 0:
-            _, _, _, _, end, log, _ = engine.run_throw(
-                body, law, plane, precision, starts[k], 0.0, inf, after, engine.TRUE, impact_cap, engine.TRUE
-            )
+            limits = engine.Limits(inf, after, impact_cap, engine.TRUE)
+            _, _, _, _, end, log, _ = _run(setup, starts[k], 0.0, limits, engine.TRUE)
             _record_lowest_faces(body.normals, log, end, lowest[k, 1:])
 
 
-@compiled(nogil=True)
-def land_asymmetric_releases(
-    body: engine.AsymmetricBody,
-    law: engine.Law,
-    plane: engine.Plane,
-    precision: engine.Precision,
-    starts: Array,
-    impact_cap: int,
-    landed: Indices,
-    lowest: Indices,
-) -> None:
-    """As `land_releases`, for an asymmetric die; `starts` are of the centre of mass, in principal axes."""
-    z_table, after = engine.table_height(plane, 0.0), lowest.shape[1] - 1
-    for k in range(starts.shape[0]):
-        lowest[k, 0] = engine.lowest_face_row(body.normals, starts[k])
-        if _lowest_clearance(body.vertices, starts[k], z_table) < -RELEASE_DEPTH_TOLERANCE * body.radius:
-            landed[k, 0], landed[k, 1], landed[k, 2] = -1, 0, BELOW_TABLE
-            continue
-        code, impacts, face, _, _, _, _ = asymmetric.run_asymmetric_throw(
-            body, law, plane, precision, starts[k], 0.0, inf, engine.NO_LIMIT, engine.TRUE, impact_cap, engine.FALSE
-        )
-        landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, code
-        if after > 0:
-            _, _, _, _, end, log, _ = asymmetric.run_asymmetric_throw(
-                body, law, plane, precision, starts[k], 0.0, inf, after, engine.TRUE, impact_cap, engine.TRUE
-            )
-            _record_lowest_faces(body.normals, log, end, lowest[k, 1:])
+def _run(setup: engine.Setup, start: Array, start_time: float, limits: engine.Limits, keep: bool) -> Any:
+    """The event loop of the body."""
+    if isinstance(setup.body, engine.AsymmetricBody):
+        return asymmetric.run_asymmetric_throw(setup, start, start_time, limits, keep)
+    return engine.run_throw(setup, start, start_time, limits, keep)
+
+
+@overload(_run, strict=False, inline="always")
+def _run_of(setup: Any, start: Any, start_time: Any, limits: Any, keep: Any) -> Any:
+    """The branch of `_run` that the type of the body asks for, chosen when it is compiled."""
+
+    def run_asymmetric(setup, start, start_time, limits, keep):  # type: ignore[no-untyped-def]
+        return asymmetric.run_asymmetric_throw(setup, start, start_time, limits, keep)
+
+    def run(setup, start, start_time, limits, keep):  # type: ignore[no-untyped-def]
+        return engine.run_throw(setup, start, start_time, limits, keep)
+
+    return run_asymmetric if setup[0].instance_class is engine.AsymmetricBody else run
 
 
 @inner

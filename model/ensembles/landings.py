@@ -35,7 +35,7 @@ from ..throw import (
     is_endless,
     kernel_states,
 )
-from .landing_kernels import BELOW_TABLE, land_asymmetric_releases, land_releases
+from .landing_kernels import BELOW_TABLE, land_releases
 from .releases import Array
 
 Indices = NDArray[np.int64]
@@ -81,6 +81,11 @@ class ThrowSetup:
         return engine.law_of(self.law.code, self.law.parameters)
 
     @property
+    def packed(self) -> engine.Setup:
+        """The record that the kernels take, for a die with one moment of inertia."""
+        return engine.Setup(body_of(self.die), self.packed_law, self.table.plane, self.precision.packed)
+
+    @property
     def impact_cap(self) -> int:
         """Impacts after which a throw is stopped, as by `throw_die`."""
         return BOUNCING_CAP if is_endless(self.law, self.table) else IMPACT_CAP
@@ -96,24 +101,21 @@ class ThrowSetup:
         BOUNCING_CAP impacts. Raises ValueError for friction on a die with an anisotropic tensor.
         """
         landed, lowest = np.zeros((len(states), 3), np.int64), np.zeros((len(states), after + 1), np.int64)
-        law, cap = self.packed_law, self.impact_cap
         starts = kernel_states(self.die, self.table, states)
         # For a loaded die and the smooth impact the asymmetric kernels prove more: that it spins for ever.
         is_smooth = self.law.code == engine.SMOOTH
         if self.die.is_spherical_top or (not is_smooth and self.die.isotropic_inertia_kg_m2 is not None):
-            body = body_of(self.die)
-            land_releases(body, law, self.table.plane, self.precision.packed, starts, cap, landed, lowest)
+            packed = self.packed
         else:
             if not is_smooth:
                 raise ValueError(
                     f"{type(self.law).__name__} on a {self.die.solid.name} that is no spherical top: wanted SmoothImpact, "
                     "or a die with one moment of inertia"
                 )
-            asymmetric, body_from_principal = asymmetric_body_of(self.die)
+            body, body_from_principal = asymmetric_body_of(self.die)
             starts[:, 3:7] = quat_multiply(starts[:, 3:7], body_from_principal)
-            land_asymmetric_releases(
-                asymmetric, law, self.table.plane, self.precision.packed, starts, cap, landed, lowest
-            )
+            packed = engine.Setup(body, self.packed_law, self.table.plane, self.precision.packed)
+        land_releases(packed, starts, self.impact_cap, landed, lowest)
         endings = np.where(landed[:, 2] == BELOW_TABLE, -1, _INDEX_OF_CODE[landed[:, 2]])
         if is_endless(self.law, self.table):
             endings[landed[:, 2] == engine.IMPACT_CAP] = _BOUNCING

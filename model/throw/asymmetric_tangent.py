@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .. import engine
 from ..die import Die
-from ..engine import asymmetric
+from ..engine import asymmetric, derivatives
 from ..laws import Table
 from ..rotations import cross_matrix, matrix_from_quat, quat_conjugate, quat_multiply
 from ..world import GRAVITY_M_S2
@@ -51,7 +51,7 @@ _body = lru_cache(maxsize=CACHED_BODIES)(asymmetric_body_of)
 
 
 class TangentRun(NamedTuple):
-    """The arguments of the tangent kernels after the body, in their order."""
+    """Law and table, and the arguments of the tangent kernels after the setup, in their order."""
 
     law: engine.Law
     plane: engine.Plane
@@ -61,10 +61,7 @@ class TangentRun(NamedTuple):
     start_time_s: float
     times_s: Array
     """(n,) ascending."""
-    vertices: NDArray[np.int64]
-    """(k,) prescribed; not used if the first touch counts."""
-    takes_first_touch: bool
-    impact_cap: int
+    sequence: derivatives.ImpactSequence
     start_jacobian: Array
     """(12, 12 + m) derivatives of the packed start by the start in world axes and the parameters."""
     parameter_derivatives: engine.ParameterDerivatives
@@ -92,15 +89,11 @@ def run_asymmetric_tangent(
     start = packed_state(centre_of_mass_state(die, unpacked_state(run.start, run.start_time_s)))
     start[3:7] = quat_multiply(start[3:7], body_from_principal)
     code, poses, jacobian, log, impact_jacobian = asymmetric.run_asymmetric_tangent(
-        body,
-        run.law,
-        run.plane,
+        engine.Setup(body, run.law, run.plane, engine.FINE),
         start,
         run.start_time_s,
         run.times_s,
-        run.vertices,
-        run.takes_first_touch,
-        run.impact_cap,
+        run.sequence,
         _jacobian_of_centre(die, parameters, run),
         by_parameter._replace(vertices=by_parameter.vertices @ matrix_from_quat(body_from_principal)),
     )

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..die import Die
-from ..engine import FINE, LEVEL, SMOOTH, AsymmetricBody, Law, Plane, Precision
+from ..engine import FINE, LEVEL, NO_LIMIT, SMOOTH, AsymmetricBody, Law, Limits, Plane, Precision, Setup
 from ..engine.asymmetric import asymmetric_states_at, run_asymmetric_throw
 from ..rotations import matrix_from_quat, quat_conjugate, quat_multiply
 from .body import (
@@ -108,9 +108,9 @@ def throw_asymmetric_die(
     start[3:7] = quat_multiply(start[3:7], body_from_principal)
     lowest = start[2] + float((body.vertices @ matrix_from_quat(start[3:7])[2]).min())
     check_above_table(release, lowest, body.radius, plane)
-    max_impacts = np.iinfo(np.int64).max if impacts is None else impacts
+    limits = Limits(duration_s, NO_LIMIT if impacts is None else impacts, impact_cap, stop_when_decided)
     code, count, face, end, _, log, knots = run_asymmetric_throw(
-        body, law, plane, precision, start, release.time_s, duration_s, max_impacts, stop_when_decided, impact_cap, True
+        Setup(body, law, plane, precision), start, release.time_s, limits, True
     )
     for rows in (log, knots):
         rows[:, 4] += die.corner_radius_m

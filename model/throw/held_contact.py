@@ -86,8 +86,8 @@ class HeldContact(SampledFlight):
             engine.carry_on_face(state, self.plane, knots[k, 0], dt)
             return state
         after = np.empty(13)
-        i, j = (*self.vertices, -1)[:2]
-        engine.held_step(self.body, self.plane, state, knots[k, 0], dt, i, j, engine.step_workspace(), after)
+        contact = engine.Contact(self.body, self.plane, *(*self.vertices, -1)[:2])
+        engine.held_step(contact, state, knots[k, 0], dt, engine.step_workspace(), after)
         return after
 
     def _world(self, packed: Array, time_s: float) -> State:

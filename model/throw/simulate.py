@@ -175,18 +175,10 @@ def throw_die(
         packed_state(release)  # raises for an invalid state while it is still in the axes of the caller
         return _throw_asymmetric(die, release, law, until, duration, table, precision, cap)
     start = checked_release(die, release, table)
+    setup = engine.Setup(body_of(die), engine.law_of(law.code, law.parameters), table.plane, precision.packed)
+    impacts = engine.NO_LIMIT if until.impacts is None else until.impacts
     code, _, face, end, _, log, knots = engine.run_throw(
-        body_of(die),
-        engine.law_of(law.code, law.parameters),
-        table.plane,
-        precision.packed,
-        start,
-        float(release.time_s),
-        duration,
-        np.iinfo(np.int64).max if until.impacts is None else until.impacts,
-        until == Until(),
-        cap,
-        True,
+        setup, start, float(release.time_s), engine.Limits(duration, impacts, cap, until == Until()), True
     )
     ending = Ending.BOUNCING if endless and code == engine.IMPACT_CAP else ENDINGS[code]
     throw = throw_from_log(die, start, float(release.time_s), log, end, knots, table)

@@ -202,15 +202,15 @@ def propagate(
         packed,
         float(start.time_s),
         times[order],
-        _checked_vertices(die, vertices),
-        vertices is None,
-        IMPACT_CAP,
+        derivatives.ImpactSequence(_checked_vertices(die, vertices), vertices is None, IMPACT_CAP),
         _start_jacobian(die, packed, table, parameters),
         _parameter_derivatives(die, law, table, parameters),
     )
     is_asymmetric = not die.is_spherical_top or any(name in CENTRE_OF_MASS_AXES for name in parameters)
     code, poses, jacobian, log, impact_jacobian = (
-        run_asymmetric_tangent(die, parameters, run) if is_asymmetric else derivatives.run_tangent(_body(die), *run)
+        run_asymmetric_tangent(die, parameters, run)
+        if is_asymmetric
+        else derivatives.run_tangent(engine.Setup(_body(die), run.law, run.plane, engine.FINE), *run[2:])
     )
     _check_end(code, times, log, start.time_s)
     end_s = float(max([start.time_s, *times[-1:], *log[-1:, 0]]))

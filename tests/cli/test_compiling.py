@@ -103,10 +103,11 @@ def test_on_one_core_no_second_process_compiles(
 def test_the_model_is_compiled_in_every_way_that_a_fit_needs() -> None:
     """The laws that fits use: smooth impacts, friction, and air drag."""
     compile_model()
-    kinds = {(each[1].instance_class, each[3].instance_class) for each in derivatives.run_tangent.signatures}
+    law = engine.Setup._fields.index("law")
+    kinds = {(each[0][law].instance_class, each[1].instance_class) for each in derivatives.run_tangent.signatures}
     smooth, rough = engine.SmoothLaw, engine.RoughLaw
     assert kinds >= {(smooth, engine.Vacuum), (rough, engine.Vacuum), (smooth, engine.Air)}
-    assert any(each[1].instance_class is smooth for each in engine.run_throw.signatures)
+    assert any(each[0][law].instance_class is smooth for each in engine.run_throw.signatures)
 
 
 def test_an_empty_cache_is_detected(tmp_path: Path) -> None:

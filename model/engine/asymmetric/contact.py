@@ -11,7 +11,7 @@ from ...compiled import inner
 from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_height, table_velocity
 from ..rest import lowest_face_row
-from ..types import ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Indices, Plane
+from ..types import ROUNDING_BOUND, STANDING_HEIGHT, Array, AsymmetricBody, Contact, Indices, Plane
 from .motion import clearance, free_acceleration, response, rotational_energy, unit_torque, vertex_velocity
 
 REST_PART = 0.1
@@ -54,8 +54,9 @@ def _rotate_by(y: Array, a: float, b: float, c: float) -> None:
 
 
 @inner
-def project_on_contact(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int) -> None:
+def project_on_contact(contact: Contact, y: Array, time: float) -> None:
     """Put vertices i and j (-1: i alone) at rest on the table, in place, by the least change in the metric of mass."""
+    body, plane, i, j = contact
     for _ in range(2):
         h = clearance(body, plane, y, time, i)
         if j < 0:

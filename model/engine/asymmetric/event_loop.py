@@ -12,7 +12,7 @@ import numpy as np
 
 from ...compiled import compiled, inner
 from ..attitude import to_angular_momentum, to_angular_velocity
-from ..log import with_room, write_event, write_knot
+from ..log import with_knot, with_room, write_event
 from ..rest import MAX_ZERO_STEPS, chatter_speed, nudge_s
 from ..types import (
     BALANCED,
@@ -20,16 +20,21 @@ from ..types import (
     IMPACTS_REACHED,
     KNOT_COLUMNS,
     LOG_COLUMNS,
+    NONE,
     NOT_ENDED,
     RESTED,
     ROUNDING_BOUND,
     SPINNING,
     TIME_REACHED,
+    ZERO,
     Array,
     AsymmetricBody,
-    Law,
+    Contact,
+    Knots,
+    Limits,
     Plane,
     Precision,
+    Setup,
 )
 from .contact import (
     apply_vertical_impulse,
@@ -87,22 +92,14 @@ _FLIGHT_STEP, _RELEASED = -1, -2
 
 @inner
 def next_event(
-    body: AsymmetricBody,
-    plane: Plane,
-    precision: Precision,
-    y: Array,
-    time: float,
-    limit: float,
-    i: int,
-    j: int,
-    stages: Array,
-    now: Array,
+    contact: Contact, precision: Precision, y: Array, time: float, limit: float, stages: Array, now: Array
 ) -> tuple[float, int, float, float]:
     """One step of the motion, or less where something ends it first; `now` (13,) becomes the state there.
 
     Returns the time [s] from `y`, the vertex that touches (or _FLIGHT_STEP, _RELEASED), its velocity and acceleration
     relative to the table (0 for a velocity that is only rounding).
     """
+    body, plane, i, j = contact
     g, mass, radius = plane.g, body.mass, body.radius
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
@@ -138,21 +135,21 @@ def next_event(
     t = min(safe, longest)
     while True:
         if t > 0.0:
-            state_after_step(body, plane, y, time, t, i, j, stages, now)
+            state_after_step(contact, y, time, t, stages, now)
         if i >= 0:
-            n, o = contact_forces(body, plane, now, time + t, i, j)
+            n, o = contact_forces(contact, now, time + t)
             if min(n, o) < weightless:
                 for _ in range(RELEASE_BISECTIONS):
                     middle = 0.5 * (last + t)
                     if middle in (last, t):
                         break
-                    state_after_step(body, plane, y, time, middle, i, j, stages, now)
-                    n, o = contact_forces(body, plane, now, time + middle, i, j)
+                    state_after_step(contact, y, time, middle, stages, now)
+                    n, o = contact_forces(contact, now, time + middle)
                     if min(n, o) < weightless:
                         t = middle
                     else:
                         last = middle
-                state_after_step(body, plane, y, time, t, i, j, stages, now)
+                state_after_step(contact, y, time, t, stages, now)
                 return t, _RELEASED, 0.0, 0.0
         turned = 1.0 + spin * t
         phase = 1.0 + abs(plane.rate * (time + t)) + abs(plane.phase)
@@ -175,7 +172,7 @@ def next_event(
                     continue
             acceleration = free_acceleration(body, plane, now, time + t, k)
             if i >= 0:
-                n, o = contact_forces(body, plane, now, time + t, i, j)
+                n, o = contact_forces(contact, now, time + t)
                 acceleration += response(body, now, k, i) * n
                 if j >= 0:
                     acceleration += response(body, now, k, j) * o
@@ -203,41 +200,32 @@ def next_event(
 
 @compiled
 def run_asymmetric_throw(
-    body: AsymmetricBody,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    duration: float,
-    impact_limit: int,
-    stop_when_decided: bool,
-    impact_cap: int,
-    keep: bool,
+    setup: Setup, start: Array, start_time: float, limits: Limits, keep: bool
 ) -> tuple[int, int, int, float, Array, Array, Array]:
     """As `engine.run_throw`, for smooth impacts. No argument is changed.
 
     `start` (13,) and all states have the position of the centre of mass, the quaternion of the principal axes, and ω. There
     is a knot at the beginning of each step, in flight as well; the event that began the motion is -1 for the release.
     """
+    body, law, plane, precision = setup
+    duration, impact_limit, impact_cap, stop_when_decided = limits
     y = to_angular_momentum(body, start)
     now, before, shown, stages = np.empty(13), np.empty(13), np.empty(13), np.empty((14, 8))
     chosen, room = np.empty(body.vertices.shape[0], np.int64), np.empty((2, body.vertices.shape[0]))
     rows = FIRST_ROWS if keep else 1
-    log, knots = np.empty((rows, LOG_COLUMNS)), np.empty((rows, KNOT_COLUMNS))
+    log, knots = np.empty((rows, LOG_COLUMNS)), Knots(np.empty((rows, KNOT_COLUMNS)), ZERO, NONE, keep)
     chi, slow = law.parameters[0], chatter_speed(law, plane, precision, body.radius)
     at_rest = plane.amplitude == 0.0
-    time, end, impacts, events, known, steps, zero_step_count = start_time, start_time + duration, 0, 0, 0, 0, 0
+    time, end, impacts, events, steps, zero_step_count = start_time, start_time + duration, 0, 0, 0, 0
     i, j, face, ending = -1, -1, -1, NOT_ENDED
     begins = True  # whether an event has just happened: only then can the face become decided
     while True:
         if begins and at_rest:
             face = decided_face(body, plane, y)
         if keep:
-            knots = with_room(knots, known)
             to_angular_velocity(body, y, shown)
-            write_knot(knots[known], events - 1, time, shown)
-            known += 1
+            knots = with_knot(Knots(knots.rows, knots.used, events - 1, keep), time, shown)
+        contact = Contact(body, plane, i, j)
         dt, hit, velocity, acceleration = 0.0, _FLIGHT_STEP, 0.0, 0.0
         if j == -2:
             dt = face_contact_duration(body, plane, y, time, i)
@@ -248,13 +236,13 @@ def run_asymmetric_throw(
                 dt = 0.0
             elif dt >= end - time:
                 ending, dt = TIME_REACHED, end - time
-            state_after_step(body, plane, y, time, dt, i, j, stages, now)
+            state_after_step(contact, y, time, dt, stages, now)
             hit = _RELEASED
         elif face >= 0 and stop_when_decided and (i >= 0 or not keep):
             ending = RESTED
             now[:] = y
         else:
-            dt, hit, velocity, acceleration = next_event(body, plane, precision, y, time, end - time, i, j, stages, now)
+            dt, hit, velocity, acceleration = next_event(contact, precision, y, time, end - time, stages, now)
             if hit == _FLIGHT_STEP and time + dt >= end:
                 ending = TIME_REACHED
             elif hit >= 0 and face >= 0 and stop_when_decided:
@@ -279,9 +267,9 @@ def run_asymmetric_throw(
             )
         if ending != NOT_ENDED:
             to_angular_velocity(body, y, shown)
-            return ending, impacts, face, time, shown, log[: events if keep else 0], knots[: known if keep else 0]
+            return ending, impacts, face, time, shown, log[: events if keep else 0], knots.rows[: knots.used]
         if i >= 0 and j != -2:
-            project_on_contact(body, plane, y, time, i, j)
+            project_on_contact(contact, y, time)
         begins = hit != _FLIGHT_STEP
         if not begins:
             continue
@@ -289,14 +277,15 @@ def run_asymmetric_throw(
         if reorder:
             hit = -1
             i, j = resolve_contacts(body, plane, y, time, slow, chosen, room)
+            contact = Contact(body, plane, i, j)
             if j == -2:
                 lay_on_face(body, plane, y, time, i)
             elif i >= 0:
-                project_on_contact(body, plane, y, time, i, j)
+                project_on_contact(contact, y, time)
             if zero_step_count > MAX_ZERO_STEPS:
                 # Rounding leaves open whether the die still presses. A little later it does not.
                 nudge = nudge_s(zero_step_count, plane, body.radius)
-                state_after_step(body, plane, y, time, nudge, i, j, stages, now)
+                state_after_step(contact, y, time, nudge, stages, now)
                 y[:] = now
                 time += nudge
         else:
@@ -322,8 +311,7 @@ def asymmetric_states_at(body: AsymmetricBody, plane: Plane, held: Array, knots:
         k = max(0, np.searchsorted(knots[:, 1], times[n], side="right") - 1)
         event = int(knots[k, 0])
         i, j = (int(held[event, 0]), int(held[event, 1])) if event >= 0 else (-1, -1)
-        state_after_step(
-            body, plane, to_angular_momentum(body, knots[k, 2:]), knots[k, 1], times[n] - knots[k, 1], i, j, stages, now
-        )
+        y = to_angular_momentum(body, knots[k, 2:])
+        state_after_step(Contact(body, plane, i, j), y, knots[k, 1], times[n] - knots[k, 1], stages, now)
         to_angular_velocity(body, now, out[n])
     return out

@@ -12,7 +12,7 @@ from ...compiled import inner
 from ..attitude import body_angular_velocity, to_table_axes, vertical_in_body
 from ..flight import table_acceleration, table_height, table_velocity
 from ..runge_kutta import NODES, STAGES, START, VALUES, stage_values
-from ..types import Array, AsymmetricBody, Plane
+from ..types import Array, AsymmetricBody, Contact, Plane
 
 MAX_TURN_RAD = 0.2
 """Largest turn in one step: the energy of a flight then stays within 1e-13 of itself, as the tests measure."""
@@ -74,8 +74,9 @@ def free_acceleration(body: AsymmetricBody, plane: Plane, y: Array, time: float,
 
 
 @inner
-def contact_forces(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int) -> tuple[float, float]:
+def contact_forces(contact: Contact, y: Array, time: float) -> tuple[float, float]:
     """The vertical forces [N] that keep vertices i and j (-1: i alone) on the table."""
+    body, plane, i, j = contact
     if i < 0:
         return 0.0, 0.0
     b = free_acceleration(body, plane, y, time, i)
@@ -89,8 +90,9 @@ def contact_forces(body: AsymmetricBody, plane: Plane, y: Array, time: float, i:
 
 
 @inner
-def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
+def _state_rates(contact: Contact, y: Array, time: float, out: Array) -> None:
     """Fill `out` (8,) with q' and, in held contact, z', v_z', L_x', L_y'."""
+    body, plane, i, j = contact
     p, q, r = body_angular_velocity(body, y)
     w, a, b, c = y[3], y[4], y[5], y[6]
     out[0] = 0.5 * (-a * p - b * q - c * r)
@@ -99,7 +101,7 @@ def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: i
     out[3] = 0.5 * (w * r + a * q - b * p)
     if i < 0:
         return
-    n, o = contact_forces(body, plane, y, time, i, j)
+    n, o = contact_forces(contact, y, time)
     out[4] = y[9]
     out[5] = -plane.g + (n + o) / body.mass
     d, e, f = unit_torque(body, y, i)
@@ -119,13 +121,12 @@ def _write_values(y: Array, values: Array) -> None:
 
 
 @inner
-def state_after_step(
-    body: AsymmetricBody, plane: Plane, y: Array, time: float, dt: float, i: int, j: int, stages: Array, out: Array
-) -> None:
+def state_after_step(contact: Contact, y: Array, time: float, dt: float, stages: Array, out: Array) -> None:
     """The state `dt` [s] after `y`, in flight or in contact, into `out`: one step of the method, whatever `dt`.
 
     `stages` (14, 8) is room to work in.
     """
+    body, plane, i, j = contact
     out[:] = y
     out[0] = y[0] + (y[7] + 0.5 * plane.gx * dt) * dt
     out[1] = y[1] + (y[8] + 0.5 * plane.gy * dt) * dt
@@ -143,7 +144,7 @@ def state_after_step(
         stage_values(stages, stage, dt, size)
         _write_values(out, values)
         if stage < STAGES:
-            _state_rates(body, plane, out, time + NODES[stage] * dt, i, j, stages[stage])
+            _state_rates(contact, out, time + NODES[stage] * dt, stages[stage])
     values[:4] /= sqrt(values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3])
     _write_values(out, values)
     if i < 0:

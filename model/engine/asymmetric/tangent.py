@@ -13,7 +13,15 @@ import numpy as np
 
 from ...compiled import compiled, inner
 from ..attitude import angular_velocity_of, body_angular_velocity, to_angular_momentum, to_angular_velocity
-from ..derivatives import SHIFTS, Impact, ImpactKinematics, saltation, shifts_at_impact
+from ..derivatives import (
+    SHIFTS,
+    Impact,
+    ImpactDerivatives,
+    ImpactKinematics,
+    ImpactSequence,
+    saltation,
+    shifts_at_impact,
+)
 from ..flight import BELOW_TABLE, LEAST_BOUND, lever_arm, table_acceleration, table_velocity
 from ..impact import CHI, INERTIA, ParameterDerivatives
 from ..log import with_room, write_event
@@ -22,18 +30,19 @@ from ..runge_kutta import STAGES, START, VALUES, stage_values
 from ..types import (
     CHATTER,
     FALSE,
-    FINE,
     IMPACT_CAP,
     LEVEL,
     LOG_COLUMNS,
     NO_TOUCH,
+    NONE,
     ROUNDING_BOUND,
     TIME_REACHED,
+    TRUE,
     Array,
     AsymmetricBody,
-    Indices,
-    Law,
+    Contact,
     Plane,
+    Setup,
 )
 from .contact import spin_growth_bound
 from .event_loop import next_event
@@ -134,21 +143,14 @@ def _fly(
 
 @inner
 def _impact_with_tangent(
-    body: AsymmetricBody,
-    plane: Plane,
-    chi: float,
-    y: Array,
-    time: float,
-    i: int,
-    shifts: Array,
-    gradient: Array,
-    tangent: Array,
-    dtime: Array,
+    setup: Setup, y: Array, time: float, i: int, derivatives: ImpactDerivatives, tangent: Array, dtime: Array
 ) -> None:
-    """Carry state and derivatives through the smooth impact of vertex i, in place.
+    """Carry state and derivatives through the smooth impact of vertex i, in place; fills the gradient of `derivatives`.
 
-    `gradient` (3, _INPUTS) is room. `dtime` (12 + m,) receives the derivative of the instant.
+    `dtime` (12 + m,) receives the derivative of the instant.
     """
+    body, law, plane, _ = setup
+    chi, gradient = law.parameters[0], derivatives.gradient
     x, r, z = lever_arm(body.vertices[i], y)
     ox, oy, oz = angular_velocity_of(body, y, y[10], y[11], y[12])
     v_table = table_velocity(plane, time)
@@ -170,20 +172,19 @@ def _impact_with_tangent(
     kinematics = ImpactKinematics(
         v_table, table_acceleration(plane, time), plane.gx, plane.gy, -plane.g, 0.0, 0.0, 0.0, 0.0, 0.0
     )
-    saltation(body, y, impact, kinematics, gradient, FALSE, shifts, inf, tangent, tangent.shape[1], dtime)
+    saltation(body, y, impact, kinematics, derivatives, tangent, tangent.shape[1], dtime)
     y[9] += s / body.mass
     y[10] += s * r
     y[11] -= s * x
 
 
 @inner
-def _earlier_crossing(
-    body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, stages: Array, now: Array
-) -> float:
+def _earlier_crossing(flight: Contact, y: Array, time: float, i: int, stages: Array, now: Array) -> float:
     """How long ago [s, negative] vertex i, which is below the table and sinks, crossed it, as `flight.touch_of_vertex`.
 
     NaN for longer than the die takes to fall its own radius.
     """
+    body, plane, _, _ = flight
     spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     bound = spin * spin * (1.0 + spin_growth_bound(body) / sqrt(3.0)) * body.radius + peak_table_acceleration - plane.g
@@ -201,7 +202,7 @@ def _earlier_crossing(
         step = 2.0 * h / (v - root) if v < 0.0 else (v + root) / bound
         if spin > 0.0:
             step = min(step, MAX_TURN_RAD / spin)
-        state_after_step(body, plane, back, time + t, -step, -1, -1, stages, now)
+        state_after_step(flight, back, time + t, -step, stages, now)
         back[:] = now
         t -= step
     return nan
@@ -226,15 +227,11 @@ def _with_one_vertex(body: AsymmetricBody, i: int) -> AsymmetricBody:
 
 @compiled
 def run_asymmetric_tangent(
-    body: AsymmetricBody,
-    law: Law,
-    plane: Plane,
+    setup: Setup,
     start: Array,
     start_time: float,
     times: Array,
-    sequence: Indices,
-    free: bool,
-    impact_cap: int,
+    sequence: ImpactSequence,
     seed: Array,
     sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
@@ -243,6 +240,8 @@ def run_asymmetric_tangent(
     `start` (13,) as for `run_asymmetric_throw`. `seed` (12, 12 + m) and all derivatives are of the centre of mass, and of L
     where those of a spherical body are of ω.
     """
+    body, law, plane, precision = setup
+    flight = Contact(body, plane, NONE, NONE)
     y = to_angular_momentum(body, start)
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
@@ -251,36 +250,33 @@ def run_asymmetric_tangent(
     now, before, shown = np.empty(13), np.empty(13), np.empty(13)
     stages, room, stiffer = np.empty((14, 8)), np.empty((14, 22)), np.zeros(columns)
     stiffer[12:] = sources.inertia
-    chi = law.parameters[0]
-    slow = chatter_speed(law, plane, FINE, body.radius)
-    shifts, gradient = np.empty((columns - 12, SHIFTS)), np.empty((3, _INPUTS))
+    slow = chatter_speed(law, plane, precision, body.radius)
+    shifts = np.empty((columns - 12, SHIFTS))
+    derivatives = ImpactDerivatives(np.empty((3, _INPUTS)), (TRUE, FALSE), FALSE, shifts, inf)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending, fresh = start_time, 0, 0, TIME_REACHED, True
     while True:
         hit, dt, ends = -1, inf, False
-        if not free and impacts == sequence.shape[0]:
+        if not sequence.free and impacts == sequence.vertices.shape[0]:
             ends = True
-        elif free:
+        elif sequence.free:
             ends = time >= last
             if not ends:
-                dt, hit, velocity, acceleration = next_event(
-                    body, plane, FINE, y, time, last - time, -1, -1, stages, now
-                )
+                dt, hit, velocity, acceleration = next_event(flight, precision, y, time, last - time, stages, now)
                 if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):
                     ends, ending = True, CHATTER
-                elif hit >= 0 and impacts >= impact_cap:
+                elif hit >= 0 and impacts >= sequence.cap:
                     ends, ending = True, IMPACT_CAP
         else:
-            vertex = sequence[impacts]
+            vertex = sequence.vertices[impacts]
             below = BELOW_TABLE * body.radius
             sunk = clearance(body, plane, y, time, vertex) < below
             if fresh and sunk and vertex_velocity(body, plane, y, time, vertex) < 0.0:
-                dt, hit = _earlier_crossing(body, plane, y, time, vertex, stages, now), vertex
+                dt, hit = _earlier_crossing(flight, y, time, vertex, stages, now), vertex
                 ends = not dt <= 0.0
             else:
-                dt, hit, velocity, _ = next_event(
-                    _with_one_vertex(body, vertex), plane, FINE, y, time, inf, -1, -1, stages, now
-                )
+                alone = Contact(_with_one_vertex(body, vertex), plane, NONE, NONE)
+                dt, hit, velocity, _ = next_event(alone, precision, y, time, inf, stages, now)
                 if hit >= 0:
                     hit = vertex
                     ends = velocity >= 0.0 or clearance(body, plane, now, time + dt, vertex) < below
@@ -302,7 +298,7 @@ def run_asymmetric_tangent(
         log, dtimes = with_room(log, impacts), with_room(dtimes, impacts)
         to_angular_velocity(body, y, before)
         shifts_at_impact(sources, plane, time, hit, y, shifts)
-        _impact_with_tangent(body, plane, chi, y, time, hit, shifts, gradient, tangent, dtimes[impacts])
+        _impact_with_tangent(setup, y, time, hit, derivatives, tangent, dtimes[impacts])
         to_angular_velocity(body, y, shown)
         write_event(log[impacts], time, hit, before, shown, -1, -1)
         impacts += 1
@@ -314,14 +310,14 @@ def attitudes_in_flight(body: AsymmetricBody, start: Array, delays: Array) -> Ar
 
     `start` (13,) is a state as for `run_asymmetric_throw`.
     """
-    y, plane, time = np.empty(13), LEVEL, 0.0
+    y, flight, time = np.empty(13), Contact(body, LEVEL, NONE, NONE), 0.0
     out, stages, now = np.empty((delays.shape[0], 4)), np.empty((14, 8)), np.empty(13)
     for n in range(delays.shape[0]):
         y[:] = to_angular_momentum(body, start)
         spin = sqrt(2.0 * rotational_energy(body, y) / body.moments[0])
         steps = max(1, ceil(abs(delays[n]) * spin / MAX_TURN_RAD))
         for _ in range(steps):
-            state_after_step(body, plane, y, time, delays[n] / steps, -1, -1, stages, now)
+            state_after_step(flight, y, time, delays[n] / steps, stages, now)
             y[:] = now
         out[n] = y[3:7]
     return out

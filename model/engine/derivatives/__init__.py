@@ -13,7 +13,9 @@ from .growth import run_growth as run_growth
 from .growth import scales_of as scales_of
 from .linearised_motion import SHIFTS as SHIFTS
 from .linearised_motion import Impact as Impact
+from .linearised_motion import ImpactDerivatives as ImpactDerivatives
 from .linearised_motion import ImpactKinematics as ImpactKinematics
 from .linearised_motion import saltation as saltation
 from .linearised_motion import shifts_at_impact as shifts_at_impact
+from .throw_tangent import ImpactSequence as ImpactSequence
 from .throw_tangent import run_tangent as run_tangent

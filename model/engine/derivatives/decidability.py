@@ -9,6 +9,7 @@ own. The rules that make a throw undecidable: `ensembles.chaos`.
 from __future__ import annotations
 
 from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from ...compiled import compiled, inner
 from ..event_loop import run_throw
 from ..flight import (
+    VertexHeights,
     advance,
     centripetal_acceleration,
     clearance,
@@ -42,18 +44,25 @@ from ..types import (
     ZERO,
     Array,
     Body,
+    Contact,
     Law,
+    Limits,
     Plane,
     Precision,
+    Setup,
     has_friction,
 )
 from .growth import (
+    Disturbances,
+    Stretch,
+    TouchInContact,
     carry_to_event,
     compressed,
     contact_onset_tangent,
     disturbed_impact,
     impact_at_vertex,
     is_held,
+    knots_between,
     scaled_length,
     scales_of,
     tangent_between,
@@ -85,6 +94,19 @@ GRAZE_BISECTIONS = 60
 """Halvings of the search for the instant at which a vertex passed the table closest: to the last bit."""
 
 UNIT_ROUNDING = 2.220446049250313e-16
+
+
+class Branches(NamedTuple):
+    """Throws that the errors leave possible, by the order of their touches; the first is the throw itself."""
+
+    states: Array
+    """(MAX_BRANCHES + 1, 13) in which each begins."""
+    times: Array
+    """(MAX_BRANCHES + 1,) [s] at which it begins."""
+    seeds: Array
+    """(MAX_BRANCHES + 1, 12, 12) its errors there."""
+    gaps: Array
+    """(MAX_BRANCHES + 1,) height of the vertex that touches in the other order, as a part of what the errors allow."""
 
 
 @inner
@@ -130,10 +152,9 @@ def error_size(law: Law, errors: Array, columns: int, scale: Array) -> float:
 
 
 @inner
-def impacts_in_order(
-    body: Body, law: Law, plane: Plane, state: Array, time: float, first: int, other: int, out: Array
-) -> None:
+def impacts_in_order(setup: Setup, state: Array, time: float, first: int, other: int, out: Array) -> None:
     """The state after the impacts of two vertices that touch together, `first` first, by turns as long as they sink."""
+    body, law, plane, _ = setup
     copy_to(out, state)
     vertex = first
     for _ in range(MAX_ALTERNATING_IMPACTS):
@@ -156,31 +177,23 @@ def touch_height_error(body: Body, plane: Plane, precision: Precision, state: Ar
 
 @inner
 def other_touch_orders(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    state: Array,
-    time: float,
-    hit: int,
-    i: int,
-    j: int,
+    setup: Setup,
+    touch: TouchInContact,
     floor: float,
     size: float,
-    scale: Array,
-    errors: Array,
-    columns: int,
-    states: Array,
-    times: Array,
-    seeds: Array,
-    gaps: Array,
+    disturbances: Disturbances,
+    branches: Branches,
     known: int,
 ) -> tuple[int, int]:
-    """Find the vertices that may touch before `hit` does, within the errors; (i, j) is the contact.
+    """Find the vertices that may touch before that of `touch`, within the errors `disturbances`.
 
-    A difference below NEGLIGIBLE_DIFFERENCE, or below the `size` that the errors have already, joins the errors. A larger one
-    becomes a branch. Returns the number of columns and the number of branches, more than MAX_BRANCHES where there was no
-    room.
+    `floor` [m] is the error of the height at which a touch is found. A difference below NEGLIGIBLE_DIFFERENCE, or below the
+    `size` that the errors have already, joins the errors. A larger one becomes a branch; `known` are known so far. Returns the
+    number of columns and the number of branches, more than MAX_BRANCHES where there was no room.
     """
+    body, law, plane, _ = setup
+    state, time, hit, i, j = touch
+    errors, columns, scale = disturbances
     arm = lever_arm(body.vertices[hit], state)
     u = vertex_velocity(body, plane, state, time, hit)
     reach = 2.0 / plane.g
@@ -211,8 +224,8 @@ def other_touch_orders(
         limit = SAFETY_FACTOR * sqrt(square) + floor
         if h > limit:
             continue
-        impacts_in_order(body, law, plane, state, time, hit, k, first)
-        impacts_in_order(body, law, plane, state, time, k, hit, last)
+        impacts_in_order(setup, state, time, hit, k, first)
+        impacts_in_order(setup, state, time, k, hit, last)
         if fresh == errors.shape[1]:
             return fresh, MAX_BRANCHES + 1
         tangent_between(last, first, 1.0, errors, fresh)
@@ -222,35 +235,28 @@ def other_touch_orders(
         if known >= MAX_BRANCHES:
             return fresh, MAX_BRANCHES + 1
         copy_columns(room, errors, columns)
-        disturbed_impact(body, law, plane, time, k, state, i, j, TRUE, room, columns, dtime)
-        seeds[known] = 0.0
+        disturbed_impact(setup, TouchInContact(state, time, k, i, j), TRUE, room, columns, dtime)
+        branches.seeds[known] = 0.0
         used = compressed(room, columns, np.empty((12, MAX_COLUMNS)))
-        copy_columns(seeds[known], room, used)
-        states[known] = state
-        impact_at_vertex(body, law, plane, time, k, states[known])
-        times[known], gaps[known] = time, h / limit if limit > 0.0 else 0.0
+        copy_columns(branches.seeds[known], room, used)
+        branches.states[known] = state
+        impact_at_vertex(body, law, plane, time, k, branches.states[known])
+        branches.times[known], branches.gaps[known] = time, h / limit if limit > 0.0 else 0.0
         known += 1
     return fresh, known
 
 
 @inner
 def add_grazing_touch(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    hit: int,
-    floor: float,
-    errors: Array,
-    columns: int,
+    setup: Setup, state: Array, time: float, dt: float, hit: int, floor: float, errors: Array, columns: int
 ) -> int:
     """Look for a vertex that passed the table within its error during a flight of dt [s] from `state`, and rose again.
 
-    `errors` are those at the end of the flight. Had the vertex touched, it would have done so no faster than it falls through
-    its error. The effect of that impulse on the velocities joins the errors as a column. Returns the number of columns.
+    `errors` are those at the end of the flight, where vertex `hit` touches; it is left out. Had the other vertex touched, it
+    would have done so no faster than it falls through its error. The effect of that impulse on the velocities joins the errors
+    as a column. Returns the number of columns.
     """
+    body, law, plane, _ = setup
     heights, tilts = 0.0, 0.0
     for c in range(columns):
         heights += errors[2, c] * errors[2, c]
@@ -258,7 +264,8 @@ def add_grazing_touch(
     band = SAFETY_FACTOR * (sqrt(heights) + body.radius * sqrt(tilts)) + floor
     spin, terms = spin_rate(state), np.empty((body.vertices.shape[0], 4))
     height_terms(body.vertices, state, spin, terms)
-    low, k, _, _ = first_touch(terms, state[2], state[9], spin, body.radius, plane, time, band, dt)
+    heights_in_flight = VertexHeights(terms, state[2], state[9], spin, body.radius)
+    low, k, _, _ = first_touch(heights_in_flight, plane, time, band, dt)
     there = state.copy()
     advance(there, spin, dt, plane)
     if k < 0 or k == hit or vertex_velocity(body, plane, there, time + dt, k) < 0.0:
@@ -297,64 +304,34 @@ def add_grazing_touch(
 
 @inner
 def follow_errors(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    log: Array,
-    knots: Array,
-    end: Array,
-    face: int,
-    states: Array,
-    times: Array,
-    seeds: Array,
-    gaps: Array,
-    branch: int,
-    known: int,
+    setup: Setup, branches: Branches, branch: int, known: int, log: Array, knots: Array, end: Array, face: int
 ) -> tuple[float, float, int]:
-    """Carry the errors of a logged throw to its end.
+    """Carry the errors of one of the `known` branches, with its log and knots, to its end.
 
-    `states`, `times`, `seeds` and `gaps` hold the branches, of which this is number `branch`; new ones are added. Returns the
+    `end` (13,) is its last state, `face` the row of the face on which it lands, or -1. New branches are added. Returns the
     error at the end in units of `scales_of`, the margin (how many times larger the errors might be), and the number of
     branches. A margin of 1 or less ends the search at once.
     """
+    body, law, plane, precision = setup
     scale = scales_of(body, plane)
     errors, moved = np.empty((12, MAX_COLUMNS)), np.empty((12, MAX_COLUMNS))
     dtime, step_room = np.empty(MAX_COLUMNS), step_workspace()
-    copy_columns(errors, seeds[branch], TANGENT_ROWS)
+    copy_columns(errors, branches.seeds[branch], TANGENT_ROWS)
     columns = compressed(errors, TANGENT_ROWS, moved)
-    state, time, i, j, knot, margin, size = start.copy(), start_time, NONE, NONE, ZERO, inf, 0.0
-    while knot < knots.shape[0] and knots[knot, 0] < 0.0:
-        knot += 1
+    state, time, i, j, last = branches.states[branch].copy(), branches.times[branch], NONE, NONE, ZERO
+    margin, size = inf, 0.0
     for k in range(log.shape[0]):
         row = log[k]
-        errors, moved, columns, knot = carry_to_event(
-            body,
-            law,
-            plane,
-            state,
-            time,
-            row[0],
-            i,
-            j,
-            knots,
-            knot,
-            k - 1,
-            TRUE,
-            scale,
-            errors,
-            moved,
-            columns,
-            step_room,
-        )
+        first, last = knots_between(knots, last, k - 1)
+        stretch = Stretch(state, time, row[0], i, j, knots[first:last])
+        carried, moved = carry_to_event(setup, stretch, TRUE, Disturbances(errors, columns, scale), moved, step_room)
+        errors, columns, _ = carried
         floor = touch_height_error(body, plane, precision, state, time, row[0] - time if i < 0 else 0.0)
         if columns + 3 + body.vertices.shape[0] > MAX_COLUMNS:
             columns = compressed(errors, columns, moved)
         hit = int(row[1])
         if i < 0 and row[0] > time:
-            columns = add_grazing_touch(body, law, plane, state, time, row[0] - time, hit, floor, errors, columns)
+            columns = add_grazing_touch(setup, state, time, row[0] - time, hit, floor, errors, columns)
         copy_to(state, row[2:15])
         time = row[0]
         if hit >= 0:
@@ -366,36 +343,20 @@ def follow_errors(
             )
             touch_column = columns
             columns = add_rounding(body, plane, state, time, -missed, k, errors, columns)
+            touch = TouchInContact(state, time, hit, i, j)
             columns, known = other_touch_orders(
-                body,
-                law,
-                plane,
-                state,
-                time,
-                hit,
-                i,
-                j,
-                floor,
-                size,
-                scale,
-                errors,
-                columns,
-                states,
-                times,
-                seeds,
-                gaps,
-                known,
+                setup, touch, floor, size, Disturbances(errors, columns, scale), branches, known
             )
             if known > MAX_BRANCHES:
                 return size, 0.0, known
-            disturbed_impact(body, law, plane, time, hit, state, i, j, TRUE, errors, columns, dtime)
+            disturbed_impact(setup, touch, TRUE, errors, columns, dtime)
             errors[2, touch_column] += missed  # it is the table that stands too high by this, not the die
             i, j = NONE, NONE
         else:
             i, j = int(row[21]), int(row[22])
             columns = add_rounding(body, plane, state, time, 0.0, k, errors, columns)
             if i >= 0 and j != -3:
-                contact_onset_tangent(body, plane, state, time, i, j, scale, errors, columns)
+                contact_onset_tangent(Contact(body, plane, i, j), state, time, Disturbances(errors, columns, scale))
         for m in range(6):
             state[7 + m] = row[15 + m]
         size = error_size(law, errors, columns, scale)
@@ -420,41 +381,31 @@ def follow_errors(
 
 @compiled(nogil=True)
 def decide(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    start_error: Array,
-    impact_cap: int,
+    setup: Setup, start: Array, start_time: float, start_error: Array, impact_cap: int
 ) -> tuple[int, int, int, float, float]:
     """Follow a throw to its decision, with its errors; `start_error` (12,) are those of the start.
 
     Returns the row of the face (-1: none), impacts, code of the ending, the error at the end, and the margin (above 1:
     decidable).
     """
-    states, times, gaps = np.empty((MAX_BRANCHES + 1, 13)), np.empty(MAX_BRANCHES + 1), np.empty(MAX_BRANCHES + 1)
-    seeds = np.zeros((MAX_BRANCHES + 1, 12, 12))
+    most = MAX_BRANCHES + 1
+    branches = Branches(np.empty((most, 13)), np.empty(most), np.zeros((most, 12, 12)), np.empty(most))
     for k in range(12):
-        seeds[0, k, k] = start_error[k]
-    states[0], times[0] = start, start_time
+        branches.seeds[0, k, k] = start_error[k]
+    branches.states[0], branches.times[0] = start, start_time
     face, impacts, ending, error, margin = -1, 0, -1, 0.0, inf
     branch, known = ZERO, ONE
     while branch < known:
         code, count, landed, _, end, log, knots = run_throw(
-            body, law, plane, precision, states[branch], times[branch], inf, NO_LIMIT, TRUE, impact_cap, TRUE
+            setup, branches.states[branch], branches.times[branch], Limits(inf, NO_LIMIT, impact_cap, TRUE), TRUE
         )
         if branch == 0:
             face, impacts, ending = landed, count, code
         elif landed != face or (face < 0 and code != ending):
-            return face, impacts, ending, error, min(margin, gaps[branch])
+            return face, impacts, ending, error, min(margin, branches.gaps[branch])
         if code == BALANCED:
             return face, impacts, ending, inf, 0.0
-        size, spare, known = follow_errors(
-            body, law, plane, precision, states[branch], times[branch], log, knots, end, landed,
-            states, times, seeds, gaps, branch, known,
-        )  # fmt: skip
+        size, spare, known = follow_errors(setup, branches, branch, known, log, knots, end, landed)
         if branch == 0:
             error = size
         margin = min(margin, spare)
@@ -466,23 +417,13 @@ def decide(
 
 @compiled(nogil=True)
 def decide_many(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    starts: Array,
-    start_error: Array,
-    impact_cap: int,
-    landed: NDArray[np.int64],
-    figures: Array,
+    setup: Setup, starts: Array, start_error: Array, impact_cap: int, landed: NDArray[np.int64], figures: Array
 ) -> None:
     """`decide` from every row of `starts` (n, 13).
 
     Fills `landed` (n, 3): row of the face or -1, impacts, code of the ending; and `figures` (n, 2): error at the end, margin.
     """
     for k in range(starts.shape[0]):
-        face, impacts, ending, error, margin = decide(
-            body, law, plane, precision, starts[k], 0.0, start_error, impact_cap
-        )
+        face, impacts, ending, error, margin = decide(setup, starts[k], 0.0, start_error, impact_cap)
         landed[k, 0], landed[k, 1], landed[k, 2] = face, impacts, ending
         figures[k, 0], figures[k, 1] = error, margin

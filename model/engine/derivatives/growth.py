@@ -8,7 +8,7 @@ disturbed vertices on the table. Equations of the exponents: `ensembles.chaos`.
 from __future__ import annotations
 
 from math import inf, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -26,9 +26,9 @@ from ..flight import (
     table_velocity,
 )
 from ..held_contact import contact_forces, held_step, project_on_contact, remove_normal_velocity, step_workspace
-from ..impact import INPUTS, apply_impact, wanted_columns
+from ..impact import apply_impact
 from ..log import copy_columns, copy_to, state_after
-from ..sliding_contact import FRICTION_STANDING_HEIGHT, sliding_step
+from ..sliding_contact import FRICTION_STANDING_HEIGHT, SlidingBody, SlidingRoom, sliding_step
 from ..types import (
     FALSE,
     FINE,
@@ -40,12 +40,15 @@ from ..types import (
     ZERO,
     Array,
     Body,
+    Contact,
     Law,
+    Limits,
     Plane,
-    Precision,
     RoughLaw,
+    Setup,
+    has_friction,
 )
-from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_tangent
+from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_derivatives, impact_tangent
 
 NEGLIGIBLE_ROW = 1e-26
 """Square of what is left of a row, as a part of its square, below which it is rounding."""
@@ -138,25 +141,53 @@ def impact_kinematics(body: Body, plane: Plane, state: Array, time: float, i: in
     return ImpactKinematics(v_table, a_table, plane.gx, plane.gy, before, turn_x, turn_y, 0.0, 0.0, before + plane.g)
 
 
+class TouchInContact(NamedTuple):
+    """A vertex that touches the table, perhaps while others are held."""
+
+    state: Array
+    """(13,) before the impact."""
+    time: float
+    """[s]."""
+    vertex: int
+    i: int
+    j: int
+    """The contact until then."""
+
+
+class Stretch(NamedTuple):
+    """The motion between two events: a flight, or held contact."""
+
+    state: Array
+    """(13,) after the first event."""
+    time: float
+    """[s] of the first event."""
+    until: float
+    """[s] of the second."""
+    i: int
+    j: int
+    """The contact."""
+    knots: Array
+    """(k, KNOT_COLUMNS) those of held contact."""
+
+
+class Disturbances(NamedTuple):
+    """Disturbances of a state, in the first columns of an array."""
+
+    tangent: Array
+    """(12, room)."""
+    columns: int
+    """How many there are."""
+    scale: Array
+    """(12,) their units."""
+
+
 @inner
 def disturbed_impact(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    time: float,
-    vertex: int,
-    state: Array,
-    i: int,
-    j: int,
-    capped: bool,
-    tangent: Array,
-    columns: int,
-    dtime: Array,
+    setup: Setup, touch: TouchInContact, capped: bool, tangent: Array, columns: int, dtime: Array
 ) -> None:
-    """Carry disturbances (12, columns) through the impact of a vertex, in place; (i, j) was the contact until then.
-
-    `capped` bounds the delays, see `touch_delay`.
-    """
+    """Carry disturbances (12, columns) through an impact, in place; `capped` bounds the delays, see `touch_delay`."""
+    body, _, plane, _ = setup
+    state, time, vertex, i, j = touch
     kinematics = impact_kinematics(body, plane, state, time, i, j)
     reach = inf
     if capped:
@@ -168,18 +199,17 @@ def disturbed_impact(
             + centripetal_acceleration(state, arm)
         )
         reach = 2.0 / max(abs(falling - kinematics.table_acceleration), plane.g)
-    wanted, gradient, shifts = wanted_columns(law, FALSE, FALSE), np.empty((3, INPUTS)), np.empty((0, SHIFTS))
-    impact_tangent(body, law, vertex, state, kinematics, wanted, gradient, shifts, reach, tangent, columns, dtime)
+    derivatives = impact_derivatives(setup.law, FALSE, FALSE, np.empty((0, SHIFTS)), reach)
+    impact_tangent(setup, vertex, state, kinematics, derivatives, tangent, columns, dtime)
 
 
 @inner
-def contact_onset_tangent(
-    body: Body, plane: Plane, state: Array, time: float, i: int, j: int, scale: Array, tangent: Array, columns: int
-) -> None:
-    """Carry disturbances into the contact (i, j), in place: what would lift or move the held vertices is lost."""
+def contact_onset_tangent(contact: Contact, state: Array, time: float, disturbances: Disturbances) -> None:
+    """Carry disturbances into a contact, in place: what would lift or move the held vertices is lost."""
+    tangent, columns, scale = disturbances
     ahead, behind = np.empty(13), np.empty(13)
     for c in range(columns):
-        if j == -2:
+        if contact.j == -2:
             for k in (2, 3, 4, 8, 9, 10):
                 tangent[k, c] = 0.0
             continue
@@ -189,70 +219,54 @@ def contact_onset_tangent(
             displaced(state, tangent, c, step, ahead)
             displaced(state, tangent, c, -step, behind)
             for other in (ahead, behind):
-                remove_normal_velocity(body, plane, other, time, i, j)
-                project_on_contact(body, plane, other, time, i, j)
+                remove_normal_velocity(contact, other, time)
+                project_on_contact(contact, other, time)
             tangent_between(ahead, behind, 0.5 / step, tangent, c)
 
 
 @inner
 def held_tangent(
-    body: Body,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    i: int,
-    j: int,
-    scale: Array,
-    tangent: Array,
-    columns: int,
-    step_room: Array,
+    contact: Contact, state: Array, time: float, dt: float, disturbances: Disturbances, step_room: Array
 ) -> None:
     """Carry disturbances through dt [s] of held contact, in place, by differences of the integration."""
+    tangent, columns, scale = disturbances
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
     for c in range(columns):
         size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            held_step(body, plane, there, time, dt, i, j, step_room, ahead)
+            held_step(contact, there, time, dt, step_room, ahead)
             displaced(state, tangent, c, -step, there)
-            held_step(body, plane, there, time, dt, i, j, step_room, behind)
+            held_step(contact, there, time, dt, step_room, behind)
             tangent_between(ahead, behind, 0.5 / step, tangent, c)
 
 
 @inner
 def frictional_tangent(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    active: NDArray[np.bool_],
-    scale: Array,
-    tangent: Array,
-    columns: int,
+    setup: Setup, active: NDArray[np.bool_], state: Array, time: float, dt: float, disturbances: Disturbances
 ) -> None:
     """`sliding_tangent` of a law with friction."""
-    n, mu = body.vertices.shape[0], law.parameters[1]
+    body, law, plane, _ = setup
+    tangent, columns, scale = disturbances
+    n, sliding = body.vertices.shape[0], SlidingBody(body, law.parameters[1], plane, active)
     there, ahead, behind = np.empty(13), np.empty(13), np.empty(13)
-    arms, guess, impulses = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+    room = SlidingRoom(np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)))
     for c in range(columns):
         size = scaled_length(tangent, c, scale)
         if size > 0.0:
             step = _SMALL / size
             displaced(state, tangent, c, step, there)
-            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, ahead, FINE.sweep_tolerance)
+            sliding_step(sliding, there, time, dt, room, ahead, FINE.sweep_tolerance)
             displaced(state, tangent, c, -step, there)
-            sliding_step(body, mu, plane, there, time, dt, active, arms, guess, impulses, behind, FINE.sweep_tolerance)
+            sliding_step(sliding, there, time, dt, room, behind, FINE.sweep_tolerance)
             tangent_between(ahead, behind, 0.5 / step, tangent, c)
-    sliding_step(body, mu, plane, state, time, dt, active, arms, guess, impulses, ahead, FINE.sweep_tolerance)
+    sliding_step(sliding, state, time, dt, room, ahead, FINE.sweep_tolerance)
     place, z_table = 0, table_height(plane, time + dt)
     for k in range(n):
         if active[k]:
             if (
-                impulses[place, 2] <= 0.0
+                room.impulses[place, 2] <= 0.0
                 and clearance(body.vertices[k], ahead, z_table) > FRICTION_STANDING_HEIGHT * body.radius
             ):
                 active[k] = False
@@ -260,86 +274,70 @@ def frictional_tangent(
 
 
 def sliding_tangent(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    state: Array,
-    time: float,
-    dt: float,
-    active: NDArray[np.bool_],
-    scale: Array,
-    tangent: Array,
-    columns: int,
+    setup: Setup, active: NDArray[np.bool_], state: Array, time: float, dt: float, disturbances: Disturbances
 ) -> None:
     """As `held_tangent`, for sliding contact. Vertices that no longer press leave `active`."""
-    assert isinstance(law, RoughLaw)
-    return frictional_tangent(body, law, plane, state, time, dt, active, scale, tangent, columns)
+    assert has_friction(setup.law)
+    return frictional_tangent(setup, active, state, time, dt, disturbances)
 
 
 @overload(sliding_tangent, strict=False)
-def _sliding_tangent_of(
-    body: Any, law: Any, plane: Any, state: Any, time: Any, dt: Any, active: Any, scale: Any, tangent: Any, columns: Any
-) -> Any:
+def _sliding_tangent_of(setup: Any, active: Any, state: Any, time: Any, dt: Any, disturbances: Any) -> Any:
     """For a law without friction, which never gets here, a function that does nothing."""
-    if law.instance_class is RoughLaw:
+    if setup[1].instance_class is RoughLaw:
         return frictional_tangent.py_func
-    return lambda body, law, plane, state, time, dt, active, scale, tangent, columns: None
+    return lambda setup, active, state, time, dt, disturbances: None
+
+
+@inner
+def knots_between(knots: Array, first: int, event: int) -> tuple[int, int]:
+    """The rows of the knots of the motion that `event` began, from and to, of which none is before row `first`."""
+    while first < knots.shape[0] and knots[first, 0] < event:
+        first += 1
+    last = first
+    while last < knots.shape[0] and knots[last, 0] == event:
+        last += 1
+    return first, last
 
 
 @inner
 def carry_to_event(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    state: Array,
-    time: float,
-    until: float,
-    i: int,
-    j: int,
-    knots: Array,
-    knot: int,
-    segment: int,
-    add_error: bool,
-    scale: Array,
-    tangent: Array,
-    moved: Array,
-    columns: int,
-    step_room: Array,
-) -> tuple[Array, Array, int, int]:
-    """Carry disturbances from an event to the next at `until` [s], through flight or through the contact (i, j).
+    setup: Setup, stretch: Stretch, add_error: bool, disturbances: Disturbances, moved: Array, step_room: Array
+) -> tuple[Disturbances, Array]:
+    """Carry disturbances from an event to the next, through flight or through contact.
 
-    `knot` is the first of `knots` not passed yet, `segment` the event that began this stretch. With `add_error` the error of
-    the integration joins as a column; not with friction, where it is set by `Precision.step_turn`. Returns the disturbances,
-    the spare room, the number of columns, and the knot.
+    With `add_error` the error of the integration joins as a column; not with friction, where it is set by
+    `Precision.step_turn`. Returns the disturbances and the spare room.
     """
+    state, time, until, i, j, knots = stretch
+    tangent, columns, scale = disturbances
     if i < 0 or j == -2:
         if until > time:
             flight_tangent(tangent, columns, state, spin_rate(state), until - time, moved)
-            tangent, moved = moved, tangent
-        return tangent, moved, columns, knot
+            return Disturbances(moved, columns, scale), tangent
+        return disturbances, moved
     whole, half, halves = np.empty(13), np.empty(13), np.empty(13)
-    active = np.zeros(body.vertices.shape[0], np.bool_)
-    for k in range(body.vertices.shape[0]):
+    contact = Contact(setup.body, setup.plane, i, j)
+    active = np.zeros(setup.body.vertices.shape[0], np.bool_)
+    for k in range(active.shape[0]):
         active[k] = is_held(k, i, j)
-    while knot < knots.shape[0] and knots[knot, 0] <= segment:
-        if knots[knot, 0] == segment:
-            more = knot + 1 < knots.shape[0] and knots[knot + 1, 0] == segment
-            begin, end = knots[knot, 1], knots[knot + 1, 1] if more else until
-            here, dt = knots[knot, 2:15].copy(), end - begin
-            if add_error and columns == tangent.shape[1]:
-                columns = compressed(tangent, columns, moved)
-            if dt > 0.0 and j == -3:
-                sliding_tangent(body, law, plane, here, begin, dt, active, scale, tangent, columns)
-            elif dt > 0.0:
-                held_tangent(body, plane, here, begin, dt, i, j, scale, tangent, columns, step_room)
-                if add_error:
-                    held_step(body, plane, here, begin, dt, i, j, step_room, whole)
-                    held_step(body, plane, here, begin, 0.5 * dt, i, j, step_room, half)
-                    held_step(body, plane, half, begin + 0.5 * dt, 0.5 * dt, i, j, step_room, halves)
-                    tangent_between(whole, halves, 1.0, tangent, columns)
-                    columns += 1
-        knot += 1
-    return tangent, moved, columns, knot
+    for knot in range(knots.shape[0]):
+        begin, end = knots[knot, 1], knots[knot + 1, 1] if knot + 1 < knots.shape[0] else until
+        here, dt = knots[knot, 2:15].copy(), end - begin
+        if add_error and columns == tangent.shape[1]:
+            columns = compressed(tangent, columns, moved)
+        disturbances = Disturbances(tangent, columns, scale)
+        if dt > 0.0 and j == -3:
+            sliding_tangent(setup, active, here, begin, dt, disturbances)
+        elif dt > 0.0:
+            held_tangent(contact, here, begin, dt, disturbances, step_room)
+            if add_error:
+                held_step(contact, here, begin, dt, step_room, whole)
+                held_step(contact, here, begin, 0.5 * dt, step_room, half)
+                held_step(contact, half, begin + 0.5 * dt, 0.5 * dt, step_room, halves)
+                tangent_between(whole, halves, 1.0, tangent, columns)
+                columns += 1
+    return Disturbances(tangent, columns, scale), moved
 
 
 @inner
@@ -373,64 +371,41 @@ def compressed(errors: Array, columns: int, room: Array) -> int:
 
 @inner
 def event_tangent(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    row: Array,
-    i: int,
-    j: int,
-    scale: Array,
-    tangent: Array,
-    columns: int,
-    dtime: Array,
+    setup: Setup, row: Array, i: int, j: int, disturbances: Disturbances, dtime: Array
 ) -> tuple[int, int]:
     """Carry disturbances through a logged event, in place; (i, j) was the contact until then. Returns the contact after."""
     state, time, hit = row[2:15].copy(), row[0], int(row[1])
+    next_i, next_j = int(row[21]), int(row[22])
     if hit >= 0:
-        disturbed_impact(body, law, plane, time, hit, state, i, j, FALSE, tangent, columns, dtime)
-    elif row[21] >= 0 and row[22] != -3:
-        contact_onset_tangent(body, plane, state, time, int(row[21]), int(row[22]), scale, tangent, columns)
-    return int(row[21]), int(row[22])
+        touch = TouchInContact(state, time, hit, i, j)
+        disturbed_impact(setup, touch, FALSE, disturbances.tangent, disturbances.columns, dtime)
+    elif next_i >= 0 and next_j != -3:
+        contact_onset_tangent(Contact(setup.body, setup.plane, next_i, next_j), state, time, disturbances)
+    return next_i, next_j
 
 
 @compiled(nogil=True)
-def run_growth(
-    body: Body, law: Law, plane: Plane, start: Array, start_time: float, log: Array, knots: Array
-) -> tuple[Array, Array]:
+def run_growth(setup: Setup, start: Array, start_time: float, log: Array, knots: Array) -> tuple[Array, Array]:
     """Derivatives of a logged throw after each of its events, by its start, in units of `scales_of`.
 
     Returns them (events, 12, 12), divided by 10^k, and the exponents k (events,) that keep them within range.
     """
-    scale = scales_of(body, plane)
-    tangent, moved, dtime, step_room = np.zeros((12, 12)), np.empty((12, 12)), np.empty(12), step_workspace()
+    scale = scales_of(setup.body, setup.plane)
+    moved, dtime, step_room = np.empty((12, 12)), np.empty(12), step_workspace()
+    disturbances = Disturbances(np.zeros((12, 12)), TANGENT_ROWS, scale)
     for k in range(12):
-        tangent[k, k] = scale[k]
+        disturbances.tangent[k, k] = scale[k]
     maps, exponents = np.empty((log.shape[0], 12, 12)), np.zeros(log.shape[0])
-    state, time, i, j, knot, exponent = start.copy(), start_time, NONE, NONE, ZERO, 0.0
+    state, time, i, j, last, exponent = start.copy(), start_time, NONE, NONE, ZERO, 0.0
     for k in range(log.shape[0]):
         row = log[k]
-        tangent, moved, _, knot = carry_to_event(
-            body,
-            law,
-            plane,
-            state,
-            time,
-            row[0],
-            i,
-            j,
-            knots,
-            knot,
-            k - 1,
-            FALSE,
-            scale,
-            tangent,
-            moved,
-            TANGENT_ROWS,
-            step_room,
-        )
-        i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, TANGENT_ROWS, dtime)
+        first, last = knots_between(knots, last, k - 1)
+        stretch = Stretch(state, time, row[0], i, j, knots[first:last])
+        disturbances, moved = carry_to_event(setup, stretch, FALSE, disturbances, moved, step_room)
+        i, j = event_tangent(setup, row, i, j, disturbances, dtime)
         time = row[0]
         state_after(row, state)
+        tangent = disturbances.tangent
         if np.max(np.abs(tangent)) > 10.0**RANGE_EXPONENT:
             tangent *= 10.0**-RANGE_EXPONENT
             exponent += RANGE_EXPONENT
@@ -461,64 +436,39 @@ def orthonormalised(tangent: Array, scale: Array, logs: Array) -> None:
 
 @compiled(nogil=True)
 def run_exponents(
-    body: Body,
-    law: Law,
-    plane: Plane,
-    precision: Precision,
-    start: Array,
-    start_time: float,
-    tangent: Array,
-    logs: Array,
-    clock: Array,
+    setup: Setup, start: Array, start_time: float, tangent: Array, logs: Array, clock: Array
 ) -> tuple[int, int, float, Array]:
     """Follow a throw and m disturbances, `tangent` (12, m), which are made orthonormal at every impact (Benettin et al.).
 
     Fills `logs` (impacts, m) with the logarithms of their growth since the impact before, `clock` (impacts,) with the
     instants [s]. Returns the code of the ending, the number of impacts, and the time and state after the last.
     """
-    scale, columns = scales_of(body, plane), tangent.shape[1]
+    scale, columns = scales_of(setup.body, setup.plane), tangent.shape[1]
     moved, dtime, step_room = np.empty(tangent.shape), np.empty(columns), step_workspace()
+    disturbances = Disturbances(tangent, columns, scale)
     state, time, i, j, done, code = start.copy(), start_time, NONE, NONE, 0, IMPACTS_REACHED
     wanted = logs.shape[0]
     while done < wanted and code == IMPACTS_REACHED:
-        code, _, _, until, end, log, knots = run_throw(
-            body, law, plane, precision, state, time, inf, min(ORBIT_BLOCK, wanted - done), FALSE, NO_LIMIT, TRUE
-        )
-        knot = 0
+        limits = Limits(inf, min(ORBIT_BLOCK, wanted - done), NO_LIMIT, FALSE)
+        code, _, _, until, end, log, knots = run_throw(setup, state, time, limits, TRUE)
+        last = ZERO
         for k in range(log.shape[0]):
             row = log[k]
-            tangent, moved, _, knot = carry_to_event(
-                body,
-                law,
-                plane,
-                state,
-                time,
-                row[0],
-                i,
-                j,
-                knots,
-                knot,
-                k - 1,
-                False,
-                scale,
-                tangent,
-                moved,
-                columns,
-                step_room,
-            )
-            i, j = event_tangent(body, law, plane, row, i, j, scale, tangent, columns, dtime)
+            first, last = knots_between(knots, last, k - 1)
+            stretch = Stretch(state, time, row[0], i, j, knots[first:last])
+            disturbances, moved = carry_to_event(setup, stretch, FALSE, disturbances, moved, step_room)
+            i, j = event_tangent(setup, row, i, j, disturbances, dtime)
             time = row[0]
             state_after(row, state)
             if row[1] >= 0.0:
-                orthonormalised(tangent, scale, logs[done])
+                orthonormalised(disturbances.tangent, scale, logs[done])
                 clock[done] = time
                 done += 1
         if i >= 0 and code == IMPACTS_REACHED:
             # The block ends within held contact, where the next vertex strikes.
-            tangent, moved, _, knot = carry_to_event(
-                body, law, plane, state, time, until, i, j, knots, knot, log.shape[0] - 1, FALSE, scale, tangent, moved,
-                columns, step_room,
-            )  # fmt: skip
+            first, last = knots_between(knots, last, log.shape[0] - 1)
+            stretch = Stretch(state, time, until, i, j, knots[first:last])
+            disturbances, moved = carry_to_event(setup, stretch, FALSE, disturbances, moved, step_room)
             time = until
             copy_to(state, end)
     return code, done, time, state

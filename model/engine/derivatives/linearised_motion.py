@@ -25,13 +25,14 @@ from __future__ import annotations
 from math import cos, inf, sin, sqrt
 from typing import Any, NamedTuple
 
+import numpy as np
 from numba.extending import overload
 
 from ...compiled import inner
 from ..attitude import angular_velocity_of
 from ..flight import lever_arm, spin_axis
-from ..impact import CHI, INPUTS, ParameterDerivatives, impulse_gradient
-from ..types import Array, AsymmetricBody, Body, Law, Plane, has_friction
+from ..impact import CHI, INPUTS, ParameterDerivatives, impulse_gradient, wanted_columns
+from ..types import Array, AsymmetricBody, Body, Law, Plane, Setup, has_friction
 
 RAISED, LIFTED, ROUNDER, BY_CHI, BY_MU, BY_INERTIA, BY_SPEED_SCALE, SHIFTS = 3, 4, 5, 6, 7, 8, 9, 10
 """What a parameter changes at an impact: the vertex (3) in table axes, height and velocity of the table, corner radius, and χ,
@@ -119,6 +120,27 @@ class Impact(NamedTuple):
     """1 where a change of inertia changes the column of the angular velocity, 0 where it has δL."""
 
 
+class ImpactDerivatives(NamedTuple):
+    """Derivatives of the impulse, of what parameters change, and the bound of those of the instant."""
+
+    gradient: Array
+    """(3, 10 or 13) of the impulse; only the last row is used unless `rough`."""
+    wanted: tuple[bool, bool]
+    """Columns that are used; see `impact.wanted_columns`."""
+    rough: bool
+    """Whether the law has friction."""
+    shifts: Array
+    """(m, SHIFTS) what the parameters in the columns from 12 on change."""
+    reach: float
+    """See `touch_delay`."""
+
+
+@inner
+def impact_derivatives(law: Law, chi: bool, mu: bool, shifts: Array, reach: float) -> ImpactDerivatives:
+    """Room for the derivatives of impacts of a die with one moment of inertia; `chi` and `mu` as in `wanted_columns`."""
+    return ImpactDerivatives(np.empty((3, INPUTS)), wanted_columns(law, chi, mu), has_friction(law), shifts, reach)
+
+
 @inner
 def touch_delay(
     tangent: Array, j: int, x: float, y: float, normal_velocity: float, reach: float, shift: float
@@ -188,20 +210,16 @@ def saltation(
     state: Array,
     impact: Impact,
     kinematics: ImpactKinematics,
-    gradient: Array,
-    rough: bool,
-    shifts: Array,
-    reach: float,
+    derivatives: ImpactDerivatives,
     tangent: Array,
     columns: int,
     dtime: Array,
 ) -> None:
     """Carry disturbances (12, columns) at the instant of an impact through it, in place.
 
-    `state` is the state before, `gradient` (3, 10 or 13) that of the impulse, of which only the last row is used unless
-    `rough`. `shifts` (m, SHIFTS) are what the parameters in the columns from 12 on change. `dtime` (columns,) receives the
-    derivative of the instant; for `reach` see `touch_delay`.
+    `state` is the state before. `dtime` (columns,) receives the derivative of the instant.
     """
+    gradient, shifts, rough, reach = derivatives.gradient, derivatives.shifts, derivatives.rough, derivatives.reach
     x, y, z, level = impact.x, impact.y, impact.z, impact.level
     wx, wy, wz = impact.wx, impact.wy, impact.wz
     sx, sy, sz = impact.sx, impact.sy, impact.sz
@@ -267,20 +285,17 @@ def _impulse_change(
 
 @inner
 def impact_tangent(
-    body: Body,
-    law: Law,
+    setup: Setup,
     vertex: int,
     state: Array,
     kinematics: ImpactKinematics,
-    wanted: tuple[bool, bool],
-    gradient: Array,
-    shifts: Array,
-    reach: float,
+    derivatives: ImpactDerivatives,
     tangent: Array,
     columns: int,
     dtime: Array,
 ) -> None:
-    """`saltation` of a die with one moment of inertia at the impact of a vertex; `gradient` (3, INPUTS) is room."""
+    """`saltation` of a die with one moment of inertia at the impact of a vertex; fills the gradient of `derivatives`."""
+    body = setup.body
     x, y, level = lever_arm(body.vertices[vertex], state)
     z = level - body.corner_radius
     wx, wy, wz = state[10], state[11], state[12]
@@ -290,10 +305,10 @@ def impact_tangent(
         state[9] + wx * y - wy * x - kinematics.table_velocity,
     )
     inertia = body.inertia
-    sx, sy, sz = impulse_gradient(law, body.mass, inertia, (x, y, z), c, wanted, gradient)
+    sx, sy, sz = impulse_gradient(setup.law, body.mass, inertia, (x, y, z), c, derivatives.wanted, derivatives.gradient)
     kx, ky, kz = (y * sz - z * sy) / inertia, (z * sx - x * sz) / inertia, (x * sy - y * sx) / inertia
     impact = Impact(x, y, z, level, c[2], sx, sy, sz, wx, wy, wz, kx, ky, kz, body.mass, inertia, 1.0)
-    saltation(body, state, impact, kinematics, gradient, has_friction(law), shifts, reach, tangent, columns, dtime)
+    saltation(body, state, impact, kinematics, derivatives, tangent, columns, dtime)
 
 
 @inner

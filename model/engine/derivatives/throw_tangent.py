@@ -7,7 +7,7 @@ comes down, and the poses are a smooth function of the start. Held contact is no
 from __future__ import annotations
 
 from math import cos, inf, sin, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
@@ -18,6 +18,7 @@ from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, drag_acceleration, integra
 from ..flight import (
     BELOW_TABLE,
     LEAST_BOUND,
+    VertexHeights,
     advance,
     first_touch,
     height_terms,
@@ -27,12 +28,11 @@ from ..flight import (
     table_velocity,
     touch_of_vertex,
 )
-from ..impact import INPUTS, ParameterDerivatives, wanted_columns
+from ..impact import ParameterDerivatives
 from ..log import copy_to, with_room, write_event
 from ..rest import chatter_speed
 from ..types import (
     CHATTER,
-    FINE,
     IMPACT_CAP,
     LOG_COLUMNS,
     NO_TOUCH,
@@ -40,34 +40,60 @@ from ..types import (
     ROUNDING_BOUND,
     TIME_REACHED,
     Array,
-    Body,
-    Law,
     Plane,
+    Setup,
 )
 from .growth import impact_at_vertex
-from .linearised_motion import SHIFTS, ImpactKinematics, flight_tangent, impact_tangent, shifts_at_impact
+from .linearised_motion import (
+    SHIFTS,
+    ImpactKinematics,
+    flight_tangent,
+    impact_derivatives,
+    impact_tangent,
+    shifts_at_impact,
+)
 
 FIRST_ROWS = 16
 """Rows of the log that are allocated first; doubled where they are used up."""
+
+
+class ImpactSequence(NamedTuple):
+    """Which vertices strike."""
+
+    vertices: NDArray[np.int64]
+    """(k,) in their order, if they are prescribed."""
+    free: bool
+    """Whether the first touch counts instead."""
+    cap: int
+    """Impacts after which such a throw is stopped."""
+
+
+class FlightStart(NamedTuple):
+    """The state in which a flight begins."""
+
+    state: Array
+    """(13,)."""
+    spin: float
+    """|ω| [rad/s]."""
+    flow: Array
+    """(FLOW_SIZE,) of `air`, as far as it has been integrated; not used in vacuum."""
 
 
 @inner
 def fly_in_vacuum(
     air: Vacuum,
     plane: Plane,
-    state: Array,
-    spin: float,
+    start: FlightStart,
     dt: float,
     tangent: Array,
     sources: ParameterDerivatives,
-    flow: Array,
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` without drag; `flow` is not used."""
-    copy_to(pose, state)
-    advance(pose, spin, dt, plane)
-    flight_tangent(tangent, tangent.shape[1], state, spin, dt, moved)
+    """`fly` without drag."""
+    copy_to(pose, start.state)
+    advance(pose, start.spin, dt, plane)
+    flight_tangent(tangent, tangent.shape[1], start.state, start.spin, dt, moved)
     for p in range(sources.gravity.shape[0]):
         for k in range(3):
             moved[k, 12 + p] += 0.5 * sources.gravity[p, k] * dt * dt
@@ -78,16 +104,15 @@ def fly_in_vacuum(
 def fly_in_air(
     air: Air,
     plane: Plane,
-    state: Array,
-    spin: float,
+    start: FlightStart,
     dt: float,
     tangent: Array,
     sources: ParameterDerivatives,
-    flow: Array,
     pose: Array,
     moved: Array,
 ) -> None:
-    """`fly` against drag; `flow` goes on from where the last call has left it."""
+    """`fly` against drag; the flow goes on from where the last call has left it."""
+    state, spin, flow = start
     integrate_flow(air.drag, plane, flow, dt - flow[48])
     copy_to(pose, state)
     advance(pose, spin, dt, plane)  # for its attitude
@@ -113,26 +138,22 @@ def fly_in_air(
 def fly(
     air: Vacuum | Air,
     plane: Plane,
-    state: Array,
-    spin: float,
+    start: FlightStart,
     dt: float,
     tangent: Array,
     sources: ParameterDerivatives,
-    flow: Array,
     pose: Array,
     moved: Array,
 ) -> None:
     """State and derivatives `dt` [s] after the start of a flight, into `pose` (13,) and `moved` (12, 12 + m)."""
     if isinstance(air, Air):
-        fly_in_air(air, plane, state, spin, dt, tangent, sources, flow, pose, moved)
+        fly_in_air(air, plane, start, dt, tangent, sources, pose, moved)
     else:
-        fly_in_vacuum(air, plane, state, spin, dt, tangent, sources, flow, pose, moved)
+        fly_in_vacuum(air, plane, start, dt, tangent, sources, pose, moved)
 
 
 @overload(fly, strict=False)
-def _fly_of(
-    air: Any, plane: Any, state: Any, spin: Any, dt: Any, tangent: Any, sources: Any, flow: Any, pose: Any, moved: Any
-) -> Any:
+def _fly_of(air: Any, plane: Any, start: Any, dt: Any, tangent: Any, sources: Any, pose: Any, moved: Any) -> Any:
     """The branch of `fly` that the type of the air asks for, chosen when it is compiled."""
     chosen = fly_in_air if air.instance_class is Air else fly_in_vacuum
     return chosen.py_func
@@ -140,25 +161,26 @@ def _fly_of(
 
 @inner
 def touch_in_vacuum(
-    air: Vacuum, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
+    air: Vacuum, plane: Plane, start: FlightStart, terms: Array, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
     """`touch_ahead` without drag."""
+    heights = VertexHeights(terms, start.state[2], start.state[9], start.spin, radius)
     if limit < inf:
-        return first_touch(terms, state[2], state[9], spin, radius, plane, clock, 0.0, limit)
-    dt, found, velocity, acceleration = touch_of_vertex(terms, state[2], state[9], spin, radius, plane, clock)
+        return first_touch(heights, plane, clock, 0.0, limit)
+    dt, found, velocity, acceleration = touch_of_vertex(heights, plane, clock)
     return dt, 0 if found else -1, velocity, acceleration
 
 
 @inner
 def touch_in_air(
-    air: Air, plane: Plane, state: Array, terms: Array, spin: float, radius: float, clock: float, limit: float
+    air: Air, plane: Plane, start: FlightStart, terms: Array, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
     """`touch_ahead` against drag, by steps of the integration.
 
     No step is longer than the parabola allows that bounds the height of each vertex from below or, backwards, from above.
     """
-    flow, g = np.empty(FLOW_SIZE), plane.g
-    start_flow(state, flow)
+    flow, spin, g = np.empty(FLOW_SIZE), start.spin, plane.g
+    start_flow(start.state, flow)
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     t, alone, back = 0.0, limit == inf, False
     below = BELOW_TABLE * radius
@@ -208,26 +230,17 @@ def touch_in_air(
 
 
 def touch_ahead(
-    air: Vacuum | Air,
-    plane: Plane,
-    state: Array,
-    terms: Array,
-    spin: float,
-    radius: float,
-    clock: float,
-    limit: float,
+    air: Vacuum | Air, plane: Plane, start: FlightStart, terms: Array, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
     """The first touch of the vertices of `terms` up to `limit` [s], as `first_touch`; for an infinite limit the touch of the
     one vertex in `terms`, as `touch_of_vertex`. Returns time, row (-1: none), velocity and acceleration."""
     if isinstance(air, Air):
-        return touch_in_air(air, plane, state, terms, spin, radius, clock, limit)
-    return touch_in_vacuum(air, plane, state, terms, spin, radius, clock, limit)
+        return touch_in_air(air, plane, start, terms, radius, clock, limit)
+    return touch_in_vacuum(air, plane, start, terms, radius, clock, limit)
 
 
 @overload(touch_ahead, strict=False)
-def _touch_ahead_of(
-    air: Any, plane: Any, state: Any, terms: Any, spin: Any, radius: Any, clock: Any, limit: Any
-) -> Any:
+def _touch_ahead_of(air: Any, plane: Any, start: Any, terms: Any, radius: Any, clock: Any, limit: Any) -> Any:
     """The branch of `touch_ahead` that the type of the air asks for, chosen when it is compiled."""
     chosen = touch_in_air if air.instance_class is Air else touch_in_vacuum
     return chosen.py_func
@@ -235,56 +248,52 @@ def _touch_ahead_of(
 
 @compiled
 def run_tangent(
-    body: Body,
-    law: Law,
-    plane: Plane,
+    setup: Setup,
     air: Vacuum | Air,
     start: Array,
     start_time: float,
     times: Array,
-    sequence: NDArray[np.int64],
-    free: bool,
-    impact_cap: int,
+    sequence: ImpactSequence,
     seed: Array,
     sources: ParameterDerivatives,
 ) -> tuple[int, Array, Array, Array, Array]:
     """Poses at `times` (n,) [s], ascending, of a throw with its derivatives by 12 + m parameters.
 
-    The vertices of `sequence` strike, unless `free`. `seed` (12, 12 + m) are the derivatives of the start, `sources` those of
+    `seed` (12, 12 + m) are the derivatives of the start, `sources` those of
     what else the m parameters change. Returns an ending (TIME_REACHED, CHATTER, IMPACT_CAP or NO_TOUCH), poses (n, 7), their
     derivatives (n, 6, 12 + m), the log (k, LOG_COLUMNS), and the derivatives (k, 12 + m) of the instants of the impacts.
     """
+    body, law, plane, precision = setup
     n, columns = times.shape[0], seed.shape[1]
     poses, jacobian = np.empty((n, 7)), np.empty((n, 6, columns))
     log, dtimes = np.empty((FIRST_ROWS, LOG_COLUMNS)), np.empty((FIRST_ROWS, columns))
     state, before, pose = start.copy(), np.empty(13), np.empty(13)
-    tangent, moved, gradient = seed.copy(), np.empty((12, columns)), np.empty((3, INPUTS))
-    flow = np.empty(FLOW_SIZE)
-    wanted, shifts = wanted_columns(law, np.any(sources.chi), np.any(sources.mu)), np.empty((columns - 12, SHIFTS))
+    tangent, moved, flow = seed.copy(), np.empty((12, columns)), np.empty(FLOW_SIZE)
+    shifts = np.empty((columns - 12, SHIFTS))
+    derivatives = impact_derivatives(law, np.any(sources.chi), np.any(sources.mu), shifts, inf)
     terms = np.empty((body.vertices.shape[0], 4))
-    slow = chatter_speed(law, plane, FINE, body.radius)
+    slow = chatter_speed(law, plane, precision, body.radius)
     last = times[n - 1] if n > 0 else start_time
     time, done, impacts, ending = start_time, 0, 0, TIME_REACHED
     while True:
         spin = spin_rate(state)
         height_terms(body.vertices, state, spin, terms)
         start_flow(state, flow)
+        flight = FlightStart(state, spin, flow)
         hit, dt = NONE, 0.0
-        if free:
-            dt, hit, velocity, acceleration = touch_ahead(
-                air, plane, state, terms, spin, body.radius, time, last - time
-            )
+        if sequence.free:
+            dt, hit, velocity, acceleration = touch_ahead(air, plane, flight, terms, body.radius, time, last - time)
             if hit >= 0 and (velocity == 0.0 or (-velocity <= slow and acceleration < 0.0)):
                 hit, ending = -1, CHATTER
-            elif hit >= 0 and impacts >= impact_cap:
+            elif hit >= 0 and impacts >= sequence.cap:
                 hit, ending = -1, IMPACT_CAP
-        elif impacts < sequence.shape[0]:
-            hit = sequence[impacts]
-            dt, found, velocity, _ = touch_ahead(air, plane, state, terms[hit : hit + 1], spin, body.radius, time, inf)
+        elif impacts < sequence.vertices.shape[0]:
+            hit = sequence.vertices[impacts]
+            dt, found, velocity, _ = touch_ahead(air, plane, flight, terms[hit : hit + 1], body.radius, time, inf)
             if found < 0 or velocity >= 0.0:
                 hit, ending = -1, NO_TOUCH
         while done < n and (hit < 0 or times[done] < time + dt):
-            fly(air, plane, state, spin, times[done] - time, tangent, sources, flow, pose, moved)
+            fly(air, plane, flight, times[done] - time, tangent, sources, pose, moved)
             for k in range(7):
                 poses[done, k] = pose[k]
             for k in range(6):
@@ -294,16 +303,14 @@ def run_tangent(
         if hit < 0:
             return ending, poses, jacobian, log[:impacts], dtimes[:impacts]
         log, dtimes = with_room(log, impacts), with_room(dtimes, impacts)
-        fly(air, plane, state, spin, dt, tangent, sources, flow, before, moved)
+        fly(air, plane, flight, dt, tangent, sources, before, moved)
         tangent, moved = moved, tangent
         time += dt
         copy_to(state, before)
         impact_at_vertex(body, law, plane, time, hit, state)
         kinematics = _flight_kinematics(plane, time, air.drag, before, state)
         shifts_at_impact(sources, plane, time, hit, before, shifts)
-        impact_tangent(
-            body, law, hit, before, kinematics, wanted, gradient, shifts, inf, tangent, columns, dtimes[impacts]
-        )
+        impact_tangent(setup, hit, before, kinematics, derivatives, tangent, columns, dtimes[impacts])
         write_event(log[impacts], time, hit, before, state, -1.0, NONE)
         impacts += 1
 

@@ -363,16 +363,8 @@ def slide(velocity, mu: float, gravity, steps: int, h: float = 1e-4, table_veloc
     """Velocities (steps, 6) of a cube on its bottom corners."""
     velocity, impulses, rows = np.array(velocity, float), np.zeros((len(corners), 3)), []
     for _ in range(steps):
-        engine.friction_step(
-            velocity,
-            corners,
-            CUBE.mass_kg,
-            CUBE.inertia_kg_m2,
-            mu,
-            h * np.array(gravity),
-            table_velocity,
-            impulses,
-        )
+        contact = engine.FrictionalCorners(corners, impulses, mu, table_velocity)
+        engine.friction_step(velocity, contact, CUBE.mass_kg, CUBE.inertia_kg_m2, h * np.array(gravity))
         rows.append(velocity.copy())
     return np.array(rows)
 
@@ -428,7 +420,9 @@ def test_held_contact_never_gains_energy_and_never_sinks(touching):
         before = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 10.0 ** rng.uniform(-4, 0)
         push, mu, velocity = 1e-3 * rng.normal(size=3), rng.uniform(0.0, 0.8), before.copy()
         impulses = np.zeros((touching, 3))
-        sweeps = engine.friction_step(velocity, BOTTOM[:touching], mass, inertia, mu, push, 0.0, impulses)
+        sweeps = engine.friction_step(
+            velocity, engine.FrictionalCorners(BOTTOM[:touching], impulses, mu, 0.0), mass, inertia, push
+        )
         weights = np.array([mass] * 3 + [inertia] * 3)
         gained = 0.5 * weights @ (velocity**2 - before**2) - mass * push @ velocity[:3]
         assert gained <= 1e-13 * (weights @ before**2 + mass * push @ push)
@@ -465,8 +459,10 @@ def test_a_die_in_millimetres_slides_as_in_metres():
         velocity = np.concatenate([rng.normal(size=3), rng.normal(size=3) * 30.0]) * 1e-2
         small, push = velocity * [1, 1, 1, 1e3, 1e3, 1e3] * 1e-3, 1e-4 * rng.normal(size=3)
         a, b = np.zeros((4, 3)), np.zeros((4, 3))
-        engine.friction_step(velocity, BOTTOM, 0.016, CUBE.inertia_kg_m2, 0.3, push, 0.0, a)
-        engine.friction_step(small, 1e-3 * BOTTOM, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 0.3, 1e-3 * push, 0.0, b)
+        corners = engine.FrictionalCorners(BOTTOM, a, 0.3, 0.0)
+        engine.friction_step(velocity, corners, 0.016, CUBE.inertia_kg_m2, push)
+        corners = engine.FrictionalCorners(1e-3 * BOTTOM, b, 0.3, 0.0)
+        engine.friction_step(small, corners, 1.6e-5, 1e-9 * CUBE.inertia_kg_m2, 1e-3 * push)
         np.testing.assert_allclose(small * [1e3, 1e3, 1e3, 1, 1, 1], velocity, atol=1e-10 * np.abs(velocity).max())
 
 
@@ -476,8 +472,7 @@ def test_a_die_at_rest_stays_where_it_is_in_a_throw_of_zero_duration():
     lying = np.zeros((1, 13))
     lying[0, 2], lying[0, 3] = 0.5 * DICE["cube"].solid.edge_m, 1.0
     law = CoulombImpact(chi=0.3, mu=0.2)
-    engine.poses_of_throws(
-        body_of(DICE["cube"]), engine.law_of(law.code, law.parameters), LEVEL.plane, engine.Precision(0.0, 1e-4, 1.0, 1e-4),
-        lying, np.zeros(1), np.zeros(1), np.array([0, 1]), 10**7, poses,
-    )  # fmt: skip
+    coarse = engine.Precision(0.0, 1e-4, 1.0, 1e-4)
+    setup = engine.Setup(body_of(DICE["cube"]), engine.law_of(law.code, law.parameters), LEVEL.plane, coarse)
+    engine.poses_of_throws(setup, lying, np.zeros(1), np.zeros(1), np.array([0, 1]), 10**7, poses)
     np.testing.assert_array_equal(poses, lying[:, :7])

@@ -44,20 +44,10 @@ def units(die, table=LEVEL) -> np.ndarray:
 def logged(die, start: State, law, table: Table, impacts: int | None):
     """Log and knots of a throw, as the kernels write them, and its derivatives after each event."""
     packed, of_law = checked_release(die, start, table), engine.law_of(law.code, law.parameters)
-    _, _, _, _, _, log, knots = engine.run_throw(
-        body_of(die),
-        of_law,
-        table.plane,
-        engine.FINE,
-        packed,
-        start.time_s,
-        np.inf,
-        2**62 if impacts is None else impacts,
-        impacts is None,
-        10**7,
-        True,
-    )
-    maps, exponents = derivatives.run_growth(body_of(die), of_law, table.plane, packed, start.time_s, log, knots)
+    setup = engine.Setup(body_of(die), of_law, table.plane, engine.FINE)
+    limits = engine.Limits(np.inf, engine.NO_LIMIT if impacts is None else impacts, 10**7, impacts is None)
+    _, _, _, _, _, log, knots = engine.run_throw(setup, packed, start.time_s, limits, True)
+    maps, exponents = derivatives.run_growth(setup, packed, start.time_s, log, knots)
     assert not exponents.any()
     return log, maps
 
@@ -154,17 +144,8 @@ def spectrum(die, law, table: Table, impacts: int) -> tuple[np.ndarray, np.ndarr
     """Logarithms of the growth (impacts, 12) and the instants (impacts,)."""
     logs, clock = np.empty((impacts, 12)), np.empty(impacts)
     tangent = np.random.default_rng(1).normal(size=(12, 12)) * units(die, table)[:, None]
-    derivatives.run_exponents(
-        body_of(die),
-        engine.law_of(law.code, law.parameters),
-        table.plane,
-        engine.FINE,
-        checked_release(die, paper_start(), table),
-        0.0,
-        tangent,
-        logs,
-        clock,
-    )
+    setup = engine.Setup(body_of(die), engine.law_of(law.code, law.parameters), table.plane, engine.FINE)
+    derivatives.run_exponents(setup, checked_release(die, paper_start(), table), 0.0, tangent, logs, clock)
     return logs, clock
 
 
@@ -222,7 +203,7 @@ def test_a_bouncing_point_mass_has_no_positive_exponent():
     logs, clock = np.empty((4000, 1)), np.empty(4000)
     tangent = np.random.default_rng(2).normal(size=(12, 1)) * derivatives.scales_of(body, engine.LEVEL)[:, None]
     law = engine.law_of(engine.SMOOTH, np.array([1.0]))
-    derivatives.run_exponents(body, law, engine.LEVEL, engine.FINE, start, 0.0, tangent, logs, clock)
+    derivatives.run_exponents(engine.Setup(body, law, engine.LEVEL, engine.FINE), start, 0.0, tangent, logs, clock)
     # A difference in energy shifts the bounces in proportion to time: ln(4000)/4000.
     assert abs(logs[10:].sum()) / 4000 < 2 * np.log(4000) / 4000
 
