@@ -46,6 +46,18 @@ MISTAKES = {
     "fps not finite": ("fps = 1500.0", "fps = inf", ["clip.fps", "above 0"]),
     "exclude that falls": ("fps = 1500.0", "fps = 1500.0\nexclude = [[9, 3]]", ["clip.exclude", "[first, stop]"]),
     "exclude of text": ("fps = 1500.0", 'fps = 1500.0\nexclude = ["9"]', ["clip.exclude", "frame numbers"]),
+    "response without a meaning": (
+        "fps = 1500.0",
+        'fps = 1500.0\nresponse = "gamma"',
+        ["clip.response", '"gamma"', '"linear", "srgb"', "light ** exponent"],
+    ),
+    "response the wrong way round": (
+        "fps = 1500.0",
+        "fps = 1500.0\nresponse = 2.2",
+        ["clip.response = 2.2", "0.2 to 1.5"],
+    ),
+    "response of zero": ("fps = 1500.0", "fps = 1500.0\nresponse = 0", ["clip.response = 0", "0.2 to 1.5"]),
+    "response that is true": ("fps = 1500.0", "fps = 1500.0\nresponse = true", ["clip.response", "true"]),
     "start without a frame": ("[table]", "[start]\nposition_m = [0, 0, 0.1]\n[table]", ["start.frame is missing"]),
     "start with half a pose": (
         "[table]",

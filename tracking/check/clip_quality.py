@@ -163,8 +163,8 @@ def measure_clip_quality(
     empty = estimate_background(clip) if background is None else background
     rows = np.unique(np.linspace(0, len(clip) - 1, min(SAMPLED_FRAMES, len(clip))).astype(int))
     sample = [_grey(clip.frame(int(k))) for k in rows]
-    noise = pixel_noise(sample, empty)
-    background_match = _background_match(sample, empty, estimated, clip.bit_depth)
+    noise = pixel_noise(sample, empty, facts.level_grey)
+    background_match = _background_match(sample, empty, estimated, clip.bit_depth, facts.level_grey)
     tracked_part, failure, notices = None, "", clip.notices
     view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX)
     first = _first_frame_with_die(clip, view, facts.start)
@@ -175,7 +175,8 @@ def measure_clip_quality(
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
             followed = track_clip(part, camera, die, background=empty, facts=facts, quality=FAST)
-            view = make_view(camera, followed.die, empty, PixelNoise(noise.noise_grey), facts.exposure_s, START_BLUR_PX)
+            still = PixelNoise(noise.noise_grey, level_grey=noise.level_grey)
+            view = make_view(camera, followed.die, empty, still, facts.exposure_s, START_BLUR_PX)
             tracked_part = _tracked_part(part, followed.track, view, followed.corners)
         except NoDieError as error:
             failure = str(error)
@@ -204,19 +205,20 @@ def frame_timing(clip: Clip, notices: tuple[str, ...]) -> FrameTiming:
     )
 
 
-def _background_match(sample: list[Image], background: Image, estimated: bool, bit_depth: int) -> BackgroundMatch:
+def _background_match(
+    sample: list[Image], background: Image, estimated: bool, bit_depth: int, level_grey: float
+) -> BackgroundMatch:
     offsets = [float(np.median(image - background)) for image in sample]
     # Another level of light than the background's is not noise.
     still = [image - off for image, off in zip(sample, offsets, strict=True)]
-    noise = background_noise(still, background, level_step(sample))
+    noise = background_noise(still, background, level_grey if level_grey != 1.0 else level_step(sample))
     brightest = max(float(np.percentile(image[::2, ::2], BRIGHTEST_PERCENTILE)) for image in sample)
     worst = max(offsets, key=abs)
-    return BackgroundMatch(
-        estimated, noise, worst, _always_differing_share(sample, background, noise), brightest / (2**bit_depth - 1)
-    )
+    differing = _always_differing_share(sample, background, noise, level_grey)
+    return BackgroundMatch(estimated, noise / level_grey, worst / level_grey, differing, brightest / (2**bit_depth - 1))
 
 
-def _always_differing_share(sample: list[Image], background: Image, noise: float) -> float:
+def _always_differing_share(sample: list[Image], background: Image, noise: float, level_grey: float) -> float:
     """Share of the pixels that differ from the background on nearly every frame on which the die is elsewhere.
 
     The die is taken to be the largest region that differs. Pixels that are only darker do not count: a slow shadow stays long in
@@ -224,7 +226,7 @@ def _always_differing_share(sample: list[Image], background: Image, noise: float
     """
     counted, differed = np.zeros(background.shape, int), np.zeros(background.shape, int)
     for image in sample:
-        mask = differs_from_background(image, background, noise)
+        mask = differs_from_background(image, background, noise, level_grey)
         elsewhere = np.ones(mask.shape, bool)
         blob = largest_blob(mask)
         if blob is not None:

@@ -138,7 +138,7 @@ def _view_of_one(view: View, c: int) -> View:
     camera = view.cameras[c]
     background = view.backgrounds[c, : camera.height_px, : camera.width_px]
     mirror = bool((view.rig.partner >= 0).any())
-    noise = PixelNoise(view.noise_grey, view.rounding_grey)
+    noise = PixelNoise(view.noise_grey, view.rounding_grey, view.level_grey)
     alone = make_view(
         camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality
     )

@@ -2,7 +2,8 @@
 
 One reader a format: video containers, numbered pictures and TIFF, Photron and Phantom. `open_clip` chooses the reader by the
 content of the file. `FrameSource` hands out blocks of frames of synchronised cameras, read ahead; `Decimation` leaves out
-frames or makes the pictures smaller; the background is read or estimated. All other folders read pictures through this one.
+frames or makes the pictures smaller; `clip_in_light` undoes a display curve; the background is read or estimated. All
+other folders read pictures through this one.
 """
 
 from .background import estimate_background as estimate_background
@@ -22,3 +23,9 @@ from .photron import is_photron as is_photron
 from .reader import MAX_PIXELS as MAX_PIXELS
 from .reader import REPEATED as REPEATED
 from .reader import Frame as Frame
+from .response import EXPONENTS as EXPONENTS
+from .response import NAMED_RESPONSES as NAMED_RESPONSES
+from .response import Response as Response
+from .response import clip_in_light as clip_in_light
+from .response import level_grey as level_grey
+from .response import picture_in_light as picture_in_light

@@ -93,11 +93,15 @@ class PixelNoise:
     """Standard deviation between frames."""
     rounding_grey: float = 0.0
     """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
+    level_grey: float = 1.0
+    """Unit of thresholds in grey levels, for pictures mapped to light: the step of the file's levels, on average."""
 
 
-def pixel_noise(images: list[Image], background: Image) -> PixelNoise:
+def pixel_noise(images: list[Image], background: Image, level_grey: float = 1.0) -> PixelNoise:
     """`background_noise` for the levels that the frames use, and the step between these if rounding errors are
-    correlated."""
+    correlated. In pictures mapped to light the steps differ, and the average one, `level_grey`, counts."""
+    if level_grey != 1.0:
+        return PixelNoise(background_noise(images, background, level_grey), 0.0, level_grey)
     step_grey = level_step(images)
     noise_grey = background_noise(images, background, step_grey)
     return PixelNoise(noise_grey, step_grey if rounding_is_correlated(step_grey, noise_grey) else 0.0)
@@ -115,11 +119,11 @@ def background_noise(images: list[Image], background: Image, step_grey: float = 
     return max(min(spreads), ROUNDING_SHARE * step_grey)
 
 
-def differs_from_background(image: Image, background: Image, noise_grey: float) -> Mask:
+def differs_from_background(image: Image, background: Image, noise_grey: float, level_grey: float = 1.0) -> Mask:
     """Mask of the pixels whose 3 × 3 mean differs from the background by more than DIFFERENT_SIGMAS and
-    DIFFERENT_GREY."""
+    DIFFERENT_GREY levels of `level_grey`."""
     mean = cv2.blur(image - background, (MEAN_PX, MEAN_PX))
-    return np.asarray(np.abs(mean) > max(DIFFERENT_SIGMAS * noise_grey / MEAN_PX, DIFFERENT_GREY))
+    return np.asarray(np.abs(mean) > max(DIFFERENT_SIGMAS * noise_grey / MEAN_PX, DIFFERENT_GREY * level_grey))
 
 
 def without_shadow(image: Image, background: Image, noise_grey: float, mask: Mask) -> Mask:

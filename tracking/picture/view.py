@@ -78,6 +78,8 @@ class View:
     """(views, LIGHT_TERMS + 2) brightness by surface normal, see `RefinementSettings`; zero if it is not known."""
     rounding_grey: float = 0.0
     """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
+    level_grey: float = 1.0
+    """Unit of thresholds in grey levels, see `PixelNoise`."""
 
     @property
     def camera(self) -> Camera:
@@ -108,7 +110,8 @@ class View:
     def settings(self) -> RefinementSettings:
         """Settings of the refinement of a pose."""
         reach, quality = self.reach_m, self.quality
-        noise_floor = max(LEAST_NOISE_GREY, NOISE_FLOOR_SHARE * self.noise_grey, self.rounding_grey / sqrt(12.0))
+        least = max(LEAST_NOISE_GREY * self.level_grey, self.rounding_grey / sqrt(12.0))
+        noise_floor = max(least, NOISE_FLOOR_SHARE * self.noise_grey)
         return RefinementSettings(
             exposure_s=self.exposure_s,
             blur_px=self.blur_px,
@@ -176,7 +179,7 @@ def make_view(
     mirror: bool = False,
     quality: Quality = STANDARD,
 ) -> View:
-    """Prepare the geometry that all frames share; the arguments are the fields of `View`, and `noise` is two of them.
+    """Prepare the geometry that all frames share; the arguments are the fields of `View`, and `noise` is three of them.
 
     `mirror` says that the table reflects the die. The reflection then hides what is behind it, and counts as a view of
     its own after `with_reflections`.
@@ -187,7 +190,7 @@ def make_view(
     return View(
         cameras, stack_pictures(pictures), die, noise.noise_grey, exposure_s or 0.0, blur_px, quality,
         symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)),
-        noise.rounding_grey,
+        noise.rounding_grey, noise.level_grey,
     )  # fmt: skip
 
 

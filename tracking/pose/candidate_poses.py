@@ -144,8 +144,9 @@ def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple
         for pictures in (view.backgrounds, images)
     )
     small = make_view(
-        [less.camera(camera) for camera in view.cameras], view.die, backgrounds, PixelNoise(view.noise_grey / shrink),
-        view.exposure_s, max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror, quality=view.quality,
+        [less.camera(camera) for camera in view.cameras], view.die, backgrounds,
+        PixelNoise(view.noise_grey / shrink, level_grey=view.level_grey), view.exposure_s,
+        max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror, quality=view.quality,
     )  # fmt: skip
     found = pose_candidates(small, stack_pictures(smaller))
     return [(cost, refine_pose(view, images, pose_state(pose.position_m, pose.rotation))) for cost, pose in found]
@@ -180,7 +181,7 @@ def _die_regions(view: View, image: Image) -> Iterator[list[Blob]]:
 def _masks(view: View, image: Image) -> tuple[Mask, Mask]:
     """What differs from the background, and what of it does not look like a shadow. A mirror shows no shadow: dark
     parts there are dark faces, or the reflection."""
-    mask = differs_from_background(image, view.background, view.noise_grey)
+    mask = differs_from_background(image, view.background, view.noise_grey, view.level_grey)
     return mask, mask if view.mirror else without_shadow(image, view.background, view.noise_grey, mask)
 
 

@@ -66,6 +66,8 @@ class ClipFacts:
     """Ranges (first, stop) of frame numbers whose pictures are not used: they are lost."""
     rounding: CornerRounding = CornerRounding.GIVEN
     """Whether the radius of the die's corners is given."""
+    level_grey: float = 1.0
+    """Grey values per level of the file: above 1 for a clip mapped to light."""
 
 
 NO_FACTS = ClipFacts()
@@ -146,9 +148,13 @@ def _view_of(
         _check_sizes(one, camera, picture)
         picture = np.asarray(estimate_background(one) if picture is None else picture, np.float32)
         chosen = np.unique(np.linspace(0, len(one) - 1, NOISE_FRAMES).astype(int))
-        noises.append(pixel_noise([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture))
+        noises.append(
+            pixel_noise([np.asarray(one.frame(int(k)), np.float32) for k in chosen], picture, facts.level_grey)
+        )
         pictures.append(picture)
-    noise = PixelNoise(max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises))
+    noise = PixelNoise(
+        max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises), facts.level_grey
+    )
     return make_view(
         cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality
     )

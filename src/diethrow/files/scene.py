@@ -19,7 +19,7 @@ from ..model.die import MAX_CORNER_RADIUS_FRACTION, SHAPES, Die, make_die
 from ..model.laws import Table as ModelTable
 from ..tracking.camera import Camera
 from ..tracking.clip_parameters import CornerRounding
-from ..tracking.footage import MAX_PIXELS
+from ..tracking.footage import EXPONENTS, MAX_PIXELS, NAMED_RESPONSES, Response
 from ..tracking.pose import FEWEST_CLICKS, Click, ManualInitialisation
 from .settings import Matrix3, SceneError, TomlTable, Vector2i, Vector3, Vector4, Vector5, read_toml, refuse, validate
 
@@ -60,6 +60,8 @@ class ClipSource:
     """First frame, and the one after the last; None for the whole clip."""
     excluded: tuple[tuple[int, int], ...] = ()
     """Frames that are not used: ranges of a first frame and the one after the last."""
+    response: Response = None
+    """How grey levels follow light."""
 
 
 @dataclass(frozen=True)
@@ -201,6 +203,14 @@ def _radius_or_estimate(value: float | str) -> float | str:
     return _not_negative(value)
 
 
+def _known_response(value: float | str) -> float | str:
+    if isinstance(value, str) and value not in NAMED_RESPONSES:
+        raise ValueError("no such word")
+    if not isinstance(value, str) and not EXPONENTS[0] <= value <= EXPONENTS[1]:
+        raise ValueError("out of range")
+    return value
+
+
 def _known_marks(value: str) -> str:
     if value not in ("pips", "numbers"):
         raise ValueError("unknown marks")
@@ -234,6 +244,7 @@ def _not_empty(value: str) -> str:
 Positive = Annotated[float, AfterValidator(_positive)]
 NotNegative = Annotated[float, AfterValidator(_not_negative)]
 Radius = Annotated[float | str, AfterValidator(_radius_or_estimate)]
+ResponseOrName = Annotated[float | str, AfterValidator(_known_response)]
 PositiveInt = Annotated[int, AfterValidator(_positive)]
 NotNegativeInt = Annotated[int, AfterValidator(_not_negative)]
 UnitQuaternion = Annotated[Vector4, AfterValidator(_unit_length)]
@@ -254,6 +265,10 @@ class _ClipTable(TomlTable):
         [],
         description="a list of frame numbers and of ranges [first, stop] with 0 <= first < stop, as in [[120, 131], 200]; "
         "their pictures are not used",
+    )
+    response: ResponseOrName | None = Field(
+        None,
+        description=f'"linear", "srgb", or the exponent of grey = light ** exponent, {EXPONENTS[0]} to {EXPONENTS[1]}',
     )
 
 
@@ -336,6 +351,7 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
         files.existing(table.background, "clip.background", _BACKGROUND_WANTED),
         (table.frames[0], table.frames[1]) if table.frames else None,
         tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
+        table.response,
     )
 
 

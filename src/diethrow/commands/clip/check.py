@@ -12,7 +12,7 @@ from ...files.scene import Scene, View
 from ...files.settings import SceneError
 from ...replay.pages import check_page
 from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge, measure_clip_quality
-from ...tracking.footage import Clip, open_clip
+from ...tracking.footage import Clip, clip_in_light, level_grey, open_clip
 from ...tracking.pose import ManualInitialisation
 from ...tracking.sequence import ClipFacts
 from .track import check_scene, input_paths, open_background, open_footage
@@ -72,16 +72,24 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
 
 def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> ClipQuality:
     """Measurements on the clip of one camera."""
-    background = open_background(scene, view, clip)
+    background, response = open_background(scene, view, clip), scene.clip.response
 
     def open_part(first: int, stop: int) -> Clip:
         assert view.path is not None, "views() demands paths"
-        return open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
+        part = open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
+        return clip_in_light(part, response)
 
     try:
         exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")
-        facts = ClipFacts(exposure_s, start=start, excluded=scene.clip.excluded, rounding=scene.rounding)
-        return measure_clip_quality(clip, view.camera, scene.die, open_part, background=background, facts=facts)
+        facts = ClipFacts(
+            exposure_s,
+            start=start,
+            excluded=scene.clip.excluded,
+            rounding=scene.rounding,
+            level_grey=level_grey(clip, response),
+        )
+        light = clip_in_light(clip, response)
+        return measure_clip_quality(light, view.camera, scene.die, open_part, background=background, facts=facts)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error
 

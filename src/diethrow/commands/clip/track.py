@@ -21,7 +21,17 @@ from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
 from ...tracking.clip_parameters import CornerRadius
-from ...tracking.footage import WHOLE_CLIP, Clip, Decimation, clip_files, load_background, open_clip
+from ...tracking.footage import (
+    WHOLE_CLIP,
+    Clip,
+    Decimation,
+    clip_files,
+    clip_in_light,
+    level_grey,
+    load_background,
+    open_clip,
+    picture_in_light,
+)
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import ClipFacts, TrackedClip, track_clip
 from ...tracking.surface_marks import read_faces, with_numbers
@@ -86,13 +96,17 @@ def track_scene(
     with watch.stage("open"):
         clips = [open_footage(scene, view) for view in views] if clips is None else clips
         backgrounds = [open_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+    light = [clip_in_light(clip, scene.clip.response) for clip in clips]
+    # One unit for all: the noise is that of the noisiest camera.
+    unit_grey = max(level_grey(clip, scene.clip.response) for clip in clips)
     cameras = tuple(view.camera for view in views)
     if not decimation.is_whole:
-        scene, clips, backgrounds, cameras = _decimated(scene, clips, backgrounds, decimation)
+        scene, light, backgrounds, cameras = _decimated(scene, light, backgrounds, decimation)
+        clips = [decimation.clip(clip) for clip in clips]
     try:
         with watch.stage("track"):
             progress("Tracking the die", 0, len(clips[0]))
-            followed = _follow(scene, clips, cameras, backgrounds, quality, progress)
+            followed = _follow(scene, light, unit_grey, cameras, backgrounds, quality, progress)
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
@@ -139,11 +153,13 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
 
 
 def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
-    """The background picture of a view; None without one. Raises SceneError where it cannot be read, or does not fit."""
+    """The background picture of a view, in light where the scene gives a response; None without one.
+
+    Raises SceneError where it cannot be read, or does not fit."""
     if view.background_path is None:
         return None
     try:
-        return load_background(view.background_path, clip)
+        return picture_in_light(load_background(view.background_path, clip), clip, scene.clip.response)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
@@ -172,13 +188,15 @@ def _decimated(
 def _follow(
     scene: Scene,
     clips: Sequence[Clip],
+    unit_grey: float,
     cameras: Sequence[Camera],
     backgrounds: Sequence[NDArray[np.float32] | None],
     quality: Quality,
     progress: Progress,
 ) -> TrackedClip:
+    mirror = scene.table.surface == "mirror"
     facts = ClipFacts(
-        scene.clip.exposure_s, scene.table.surface == "mirror", scene.start, scene.clip.excluded, scene.rounding
+        scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=unit_grey
     )
     try:
         return track_clip(

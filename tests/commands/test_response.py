@@ -1,0 +1,94 @@
+"""The response that a scene gives reaches tracking and check; the clip stays as filmed."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from footage_files import write_tiff
+from numpy.typing import NDArray
+
+from diethrow.analysis import Tracking
+from diethrow.commands.clip.check import check_clip
+from diethrow.commands.clip.track import open_footage, track_scene
+from diethrow.files.scene import Scene, read_scene
+from diethrow.tracking.footage import Decimation
+from diethrow.tracking.quality import FAST
+
+ROOT = Path(__file__).parents[2]
+SAMPLE = ROOT / "data_samples" / "cube_wood" / "scene.toml"
+FRAMES = 130
+RESPONSE = 0.45
+
+
+def curved(levels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    return np.asarray(np.rint(255.0 * (levels / 255.0) ** RESPONSE), np.uint8)
+
+
+@cache
+def linear_scene() -> Scene:
+    """The first frames of a linear clip."""
+    scene = read_scene(SAMPLE)
+    return replace(scene, clip=replace(scene.clip, frame_range=(0, FRAMES)))
+
+
+@pytest.fixture(scope="module")
+def curved_scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """The same as a camera for display would have stored them."""
+    folder, linear = tmp_path_factory.mktemp("curved"), linear_scene()
+    (view,) = linear.views()
+    write_tiff(folder / "clip.tif", curved(np.stack(list(open_footage(linear, view).frames()))))
+    background = cv2.imread(str(view.background_path), cv2.IMREAD_UNCHANGED)
+    assert background is not None
+    cv2.imwrite(str(folder / "background.png"), curved(np.asarray(background, np.uint8)))
+    text = linear.text.replace("clip.mp4", "clip.tif").replace("fps =", f"response = {RESPONSE}\nfps =")
+    (folder / "scene.toml").write_text(text)
+    return read_scene(folder / "scene.toml")
+
+
+def median_depth_m(scene: Scene, tracking: Tracking) -> float:
+    """Error along the line of sight."""
+    with (ROOT / "tests" / "data" / "cube_wood" / "truth.csv").open(newline="") as file:
+        true_m = np.array([[float(row[name]) for name in "xyz"] for row in csv.DictReader(file)])
+    track = tracking.unbiased
+    rows = np.flatnonzero(track.tracked)
+    assert len(rows) > 0.8 * FRAMES
+    moved = track.position_m[rows] - true_m[track.frame[rows]]
+    return float(np.median(np.abs(moved @ scene.views()[0].camera.rotation[2])))
+
+
+@pytest.mark.parametrize("shrink", [1, 2])
+def test_a_clip_with_a_display_curve_is_as_accurate_as_the_linear_one_and_kept_as_filmed(
+    curved_scene: Scene, shrink: int
+) -> None:
+    decimation = Decimation(shrink=shrink)
+    linear = track_scene(linear_scene(), quality=FAST, decimation=decimation)
+    tracking = track_scene(curved_scene, quality=FAST, decimation=decimation)
+    assert median_depth_m(curved_scene, tracking) < 1.5 * median_depth_m(linear_scene(), linear)
+    (clip,), (before,) = tracking.clips, linear.clips
+    assert clip.bit_depth == 8
+    if shrink == 1:
+        np.testing.assert_array_equal(clip.frame(0), curved(before.frame(0).astype(np.uint8)))
+
+
+def test_a_linear_response_changes_nothing() -> None:
+    scene = linear_scene()
+    stated = replace(scene, clip=replace(scene.clip, response="linear", frame_range=(0, 60)))
+    unstated = replace(scene, clip=replace(scene.clip, frame_range=(0, 60)))
+    a, b = (track_scene(each, quality=FAST).unbiased for each in (stated, unstated))
+    np.testing.assert_array_equal(a.position_m, b.position_m)
+    np.testing.assert_array_equal(a.covariance, b.covariance)
+
+
+def test_a_clip_with_a_display_curve_is_checked_in_light(curved_scene: Scene) -> None:
+    (found,), (linear,) = check_clip(curved_scene).measured, check_clip(linear_scene()).measured
+    assert found.tracked_part is not None
+    assert linear.tracked_part is not None
+    # In levels of the file, on average over the curve, not in the finer ones of the mapped clip.
+    assert found.background_match.noise_grey == pytest.approx(linear.background_match.noise_grey, rel=0.3)
+    assert found.tracked_part.lens_blur_px == pytest.approx(linear.tracked_part.lens_blur_px, abs=0.05)
