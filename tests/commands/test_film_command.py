@@ -13,11 +13,12 @@ import pytest
 from command_line import CUBE, LAW, RELEASE, SMALL_CAMERA, invoke, text_file
 
 from diethrow.commands.clip.track import open_footage
-from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, film_job
+from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, film_job, recorded, scene_text
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
 from diethrow.files.truth import visibility
 from diethrow.tracking.footage.background import load_background
+from diethrow.tracking.footage.response import light_table
 
 with_mitsuba = pytest.mark.skipif(
     importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"
@@ -89,6 +90,22 @@ def test_a_camera_without_a_scene_keeps_the_throw_in_view(plan: Path) -> None:
     assert job.die.solid.edge_m * camera.matrix[0, 0] / camera.translation_m[2] > camera.width_px / 20
 
 
+@pytest.mark.parametrize("response", ["srgb", 0.45])
+def test_a_film_with_a_response_names_it_and_is_undone_by_it(plan: Path, scene: Path, response: str | float) -> None:
+    job = film_job(read_plan(plan), None, FilmSettings(response=response, bit_depth=12), "film")
+    stated = json.dumps(response)
+    assert f"response = {stated}\n" in scene_text(job, "clip.avi")
+    levels = np.linspace(-20.0, 4200.0, 500).reshape(2, 250)
+    seen = light_table(12, response)[recorded(job, levels)] / (2.0**16 - 1.0)
+    # Half a grey level where the curves are steepest: an eighth per cent.
+    np.testing.assert_allclose(seen, np.clip(levels / 4095.0, 0.0, 1.0), atol=4e-4)
+    # The response of a scene is that of its camera; without one a film is linear and its scene does not mention it.
+    scene.write_text(scene.read_text().replace("fps =", f"response = {stated}\nfps ="))
+    assert film_job(read_plan(plan), read_scene(scene), FilmSettings(), "film").response == response
+    linear = film_job(read_plan(plan), None, FilmSettings(), "film")
+    assert "response" not in scene_text(linear, "clip.avi")
+
+
 def test_a_later_start_gives_the_same_throw_with_time_zero_there(plan: Path) -> None:
     whole, late = (film_job(read_plan(plan), None, FilmSettings(start_s=s), "film").throw for s in (0.0, 0.01))
     for t in (0.0, 0.02, 0.05):
@@ -114,6 +131,8 @@ def test_a_film_until_rest_shows_the_die_at_rest(plan: Path) -> None:
         (("--size", 5), "size_px = 5: wanted 16 to 8192"),
         (("--start", 0.5), "start_s = 0.5: wanted a time before the first impact at"),
         (("--fps", 0), "fps = 0.0: wanted a finite number above 0"),
+        (("--response", 2.2), "response = 2.2: wanted one of linear, srgb, or an exponent from 0.2 to 1.5"),
+        (("--response", "gamma"), "response = 'gamma': wanted one of linear, srgb"),
         (("--exposure", 1), "exposure_s = 1.0: wanted at most the 0.0006667 s between two frames"),
     ],
 )

@@ -27,5 +27,7 @@ from .response import EXPONENTS as EXPONENTS
 from .response import NAMED_RESPONSES as NAMED_RESPONSES
 from .response import Response as Response
 from .response import clip_in_light as clip_in_light
+from .response import grey_of as grey_of
+from .response import is_linear as is_linear
 from .response import level_grey as level_grey
 from .response import picture_in_light as picture_in_light

@@ -42,12 +42,25 @@ def light_of(grey: NDArray[np.float64], response: Response) -> NDArray[np.float6
         return np.asarray(grey, float)
     if response == SRGB:
         return np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)  # IEC 61966-2-1
+    return np.asarray(grey ** (1.0 / _exponent(response)))
+
+
+def grey_of(light: NDArray[np.float64], response: Response) -> NDArray[np.float64]:
+    """Grey levels for light, both as shares of full scale: the inverse of `light_of`. Raises ValueError as that does."""
+    if is_linear(response):
+        return np.asarray(light, float)
+    if response == SRGB:
+        return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
+    return np.asarray(light ** _exponent(response))
+
+
+def _exponent(response: Response) -> float:
     if isinstance(response, str) or response is None or not EXPONENTS[0] <= response <= EXPONENTS[1]:
         raise ValueError(
             f"response = {response!r}: wanted one of {', '.join(NAMED_RESPONSES)}, or an exponent from {EXPONENTS[0]} to "
             f"{EXPONENTS[1]} (grey = light ** exponent)"
         )
-    return np.asarray(grey ** (1.0 / response))
+    return float(response)
 
 
 def light_table(bit_depth: int, response: Response) -> NDArray[np.uint16]:

@@ -70,7 +70,8 @@ def film(
         typer.Option(
             "--scene",
             metavar="SCENE",
-            help="Take camera, rate, exposure, surface and marks from this scene. [default: a camera that sees the whole throw]",
+            help="Take camera, rate, exposure, response, surface and marks from this scene. "
+            "[default: a camera that sees the whole throw]",
         ),
     ] = None,
     frames: Annotated[int | None, typer.Option("--frames", help="Number of frames. [default: the whole throw]")] = None,
@@ -82,6 +83,14 @@ def film(
     exposure: Annotated[
         float | None,
         typer.Option("--exposure", metavar="S", help="Exposure of a frame [s]. [default: the scene's, or 0.0002]"),
+    ] = None,
+    response: Annotated[
+        str | None,
+        typer.Option(
+            "--response",
+            metavar="CURVE",
+            help="linear, srgb, or the exponent of grey = light ** exponent. [default: the scene's, or linear]",
+        ),
     ] = None,
     bits: Annotated[int, typer.Option("--bits", help="Bits per pixel: 8, 10, 12 or 16.")] = 8,
     noise: Annotated[float, typer.Option("--noise", help="Factor on the sensor's noise; 0: none.")] = 1.0,
@@ -102,7 +111,7 @@ def film(
 
         checked = read_plan(plan)
         seen = read_scene(scene, allow_outside=True) if scene else None  # no footage is opened
-        from ..commands.model.filmed_throw import FilmSettings
+        from ..commands.model.filmed_throw import FilmSettings, response_named
         from ..commands.model.filmed_throw import film as shoot
 
         with checked_options():
@@ -112,6 +121,7 @@ def film(
                 size_px=size,
                 fps=fps,
                 exposure_s=exposure,
+                response=response_named(response),
                 bit_depth=bits,
                 noise=noise,
                 blur_px=blur,

@@ -14,6 +14,7 @@ from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.footage.response import (
     Response,
     clip_in_light,
+    grey_of,
     is_linear,
     level_grey,
     light_of,
@@ -38,9 +39,11 @@ def test_the_table_is_monotone_and_exact_at_both_ends(response: Response, bit_de
 
 def test_light_undoes_the_curves() -> None:
     light = np.linspace(0.0, 1.0, 101)
-    np.testing.assert_allclose(light_of(light**0.45, 0.45), light, atol=1e-12)
-    srgb = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
-    np.testing.assert_allclose(light_of(srgb, "srgb"), light, atol=1e-7)
+    for response in (*CURVES, "linear", None):
+        np.testing.assert_allclose(light_of(grey_of(light, response), response), light, atol=1e-7)
+    np.testing.assert_allclose(grey_of(light, 0.45), light**0.45)
+    # Middle grey of 18 % is level 118 of 255 in sRGB.
+    assert 255.0 * grey_of(np.array([0.18]), "srgb")[0] == pytest.approx(117.7, abs=0.1)
 
 
 @pytest.mark.parametrize("response", [None, "linear", 1.0, 1])

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from replay_records import ArrayClip
 
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
-from diethrow.tracking.footage.response import Response, clip_in_light, level_grey, picture_in_light
+from diethrow.tracking.footage.response import Response, clip_in_light, grey_of, level_grey, picture_in_light
 from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 
 Array = NDArray[np.float64]
@@ -27,12 +27,7 @@ ROOM = replace(studio(), noise_grey=1.0)
 
 def encoded(light: Array, response: Response) -> Array:
     """Grey levels of 8 bits, not rounded."""
-    share = np.asarray(light, float) / LARGEST
-    if response == "srgb":
-        share = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1.0 / 2.4) - 0.055)
-    elif isinstance(response, float):
-        share = share**response
-    return 255.0 * share
+    return 255.0 * grey_of(np.asarray(light, float) / LARGEST, response)
 
 
 @cache

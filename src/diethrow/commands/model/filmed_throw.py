@@ -6,6 +6,7 @@ DIR/scene.toml` analyses it, and `benchmarks/tracker.py` compares the analysis w
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
@@ -38,6 +39,7 @@ from ...replay.render import (
     rounded,
 )
 from ...tracking.camera import Camera
+from ...tracking.footage import Response, grey_of, is_linear
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -79,6 +81,8 @@ class FilmSettings:
     """Recording rate; None for that of the scene or the throw file."""
     exposure_s: float | None = None
     """None for the exposure of the scene, or EXPOSURE_S."""
+    response: Response = None
+    """How grey levels follow light; None for the response of the scene, or linear."""
     bit_depth: int = 8
     noise: float = 1.0
     """Factor on the sensor's read noise, fixed-pattern noise and shot noise; 0 for none."""
@@ -97,6 +101,7 @@ class FilmSettings:
             raise ValueError(f"bit_depth = {self.bit_depth}: wanted one of {', '.join(map(str, PIXEL_FORMATS))}")
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise ValueError(f"noise = {self.noise}: wanted a factor, 0 or more")
+        grey_of(np.zeros(1), self.response)  # refuses an unknown one
         if self.frames is not None and not 1 <= self.frames <= MAX_FRAMES:
             raise ValueError(f"frames = {self.frames}: wanted 1 to {MAX_FRAMES}")
         if not MIN_SIZE_PX <= self.size_px <= MAX_SIZE_PX:
@@ -131,6 +136,14 @@ class FilmSettings:
         )
 
 
+def response_named(text: str | None) -> Response:
+    """The response that a word on the command line names: a number is an exponent. `FilmSettings` refuses unknown ones."""
+    try:
+        return text if text is None else float(text)
+    except ValueError:
+        return text
+
+
 @dataclass(frozen=True, eq=False)
 class _Understood:
     """The settings of a film in its provenance."""
@@ -155,6 +168,7 @@ class FilmJob:
     frames: int
     appearance: Appearance
     sensor: Sensor
+    response: Response = None
     blur_px: float = 0.6
     rendering: RenderSettings = field(default_factory=RenderSettings)
     seed: int = 1
@@ -173,7 +187,7 @@ def film(
 ) -> FilmJob:
     """Simulate the throw of a plan and write its film to the folder `out`.
 
-    The scene gives the camera, its rate and exposure, the table's surface and the marks of the die. Without a scene the
+    The scene gives the camera, its rate, exposure and response, the table's surface and the marks of the die. Without a scene the
     camera is placed so that the throw stays in view. Raises SceneError for a scene without a camera or with another die,
     NoRendererError without Mitsuba, OutputExistsError if the folder exists (unless `force`). After an error no folder
     remains.
@@ -220,6 +234,7 @@ def film_job(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str)
         frames=frames,
         appearance=appearance,
         sensor=settings.sensor,
+        response=settings.response if settings.response is not None or scene is None else scene.clip.response,
         blur_px=settings.blur_px,
         rendering=settings.rendering,
         seed=settings.seed,
@@ -324,14 +339,22 @@ def _frames(renderer: FilmRenderer, job: FilmJob, pattern: FixedPattern, progres
     times = np.arange(job.frames) / job.fps
     for k, light in enumerate(frame_light(renderer, job.throw, times, job.exposure_s)):
         progress("Filming", k + 1, job.frames)
-        yield rounded(job.sensor, expose(job.sensor, pattern, light, rng))
+        yield recorded(job, expose(job.sensor, pattern, light, rng))
 
 
 def _background(job: FilmJob, pattern: FixedPattern, light: Array) -> NDArray:
     """The mean of BACKGROUND_EXPOSURES exposures of the empty table."""
     rng = np.random.default_rng([job.seed, 2])
     exposures = [expose(job.sensor, pattern, light, rng) for _ in range(BACKGROUND_EXPOSURES)]
-    return rounded(job.sensor, np.mean(exposures, 0))
+    return recorded(job, np.mean(exposures, 0))
+
+
+def recorded(job: FilmJob, levels: Array) -> NDArray:
+    """Whole grey levels (height, width) from those of the linear sensor, after the camera's response."""
+    if not is_linear(job.response):
+        top = job.sensor.top
+        levels = top * grey_of(np.clip(levels / top, 0.0, 1.0), job.response)
+    return rounded(job.sensor, levels)
 
 
 def write_ffv1(path: Path, frames: Iterator[NDArray], job: FilmJob) -> None:
@@ -355,6 +378,7 @@ def scene_text(job: FilmJob, clip: str) -> str:
     camera, die = job.camera, job.die
     radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
     marks = f'marks = "{die.marks}"\n' if die.marks else ""
+    response = "" if is_linear(job.response) else f"response = {json.dumps(job.response)}\n"
     return f"""# {job.name}: a simulated throw, rendered as filmed at {job.fps:g} frames per second.
 
 [clip]
@@ -362,7 +386,7 @@ path = "{clip}"
 fps = {float(job.fps)!r}
 exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
-
+{response}
 [camera]
 width = {camera.width_px}
 height = {camera.height_px}
