@@ -38,6 +38,17 @@ MISTAKES = {
     "millimetres": ("edge_m = 0.016", "edge_m = 16", ["die.edge_m = 16", "metres", "did you mean 0.016?"]),
     "grams": ("mass_kg = 0.0048", "mass_kg = 4.8", ["die.mass_kg = 4.8", "kilograms", "did you mean 0.0048?"]),
     "milliseconds": ("0.0002", "0.2", ["clip.exposure_s = 0.2", "seconds", "did you mean 0.0002?"]),
+    "readout in milliseconds": (
+        "fps = 1500.0",
+        "fps = 1500.0\nreadout_s = 0.5",
+        ["clip.readout_s = 0.5", "seconds", "0.0006667", "did you mean 0.0005?"],
+    ),
+    "readout below zero": (
+        "fps = 1500.0",
+        "fps = 1500.0\nreadout_s = -1e-4",
+        ["clip.readout_s", "-0.0001", "0 or more"],
+    ),
+    "readout of text": ("fps = 1500.0", 'fps = 1500.0\nreadout_s = "slow"', ["clip.readout_s", '"slow"', "0 or more"]),
     "camera in millimetres": ("[0.0, 0.02, 0.6]", "[0, 20, 600]", ["translation_m", "metres", "[0, 0.02, 0.6]?"]),
     "text for a number": ("fps = 1500.0", 'fps = "1500"', ["clip.fps", '"1500"', "frames per second"]),
     "truth value for a number": ("fps = 1500.0", "fps = true", ["clip.fps", "true", "frames per second"]),

@@ -1,7 +1,7 @@
 """Footage whose truth is known: sharp convex dice drawn through a camera over a textured table.
 
 The picture meets the assumptions of the tracker: each face has one grey level, edges are blurred by a Gaussian of known
-width, and noise is white. Shadows, motion blur and occluders are optional.
+width, and noise is white. Shadows, motion blur, occluders and a rolling shutter are optional.
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ FINER = 4
 """Supersampling factor, also of the coverage: edges are accurate to 0.005 px."""
 MOMENTS = 9
 """Instants averaged over an exposure: two pixels of motion give steps of a quarter pixel, less than the blur."""
+BANDS = 12
+"""Parts of a picture between which a rolling shutter is interpolated: a die moves by a tenth of a pixel in one."""
 LIGHT = np.array([0.35, -0.55, 0.76])
 """Direction to the lamp."""
 REACH_M = 0.011
@@ -95,11 +97,15 @@ class Studio:
     shadow: float = 0.0
     """Share of the light that the shadow of the die removes from the table."""
     exposure_s: float = 0.0
+    readout_s: float = 0.0
+    """Time from the exposure of the first row to that of the last."""
 
     def view(self, die: Die) -> View:
         """The view of the tracker, with the true values."""
         noise = max(self.noise_grey, 0.5)
-        return make_view(self.camera, die, self.table, PixelNoise(noise), self.exposure_s, self.blur_px)
+        return make_view(
+            self.camera, die, self.table, PixelNoise(noise), self.exposure_s, self.blur_px, readout_s=self.readout_s
+        )
 
 
 def studio(width_px: int = 200, height_px: int = 200, focal_px: float = 1500.0, distance_m: float = 0.4) -> Studio:
@@ -147,6 +153,20 @@ def photograph(
     return np.asarray(picture, np.float32)
 
 
+def photograph_by_rows(room: Studio, die: Die, throw: Moving, time_s: float) -> Array:
+    """One frame (height, width) of a rolling shutter, without noise: each row is exposed at an instant of its own, the middle
+    row at `time_s`."""
+    height = room.camera.height_px
+    place = (np.arange(height) / (height - 1)) * BANDS
+    delays = (np.arange(BANDS + 1) / BANDS - 0.5) * room.readout_s
+    pictures = [photograph(room, die, throw.at(max(time_s + float(delay), 0.0))).astype(float) for delay in delays]
+    first = np.minimum(place.astype(int), BANDS - 1)
+    share = (place - first)[:, None]
+    rows = np.arange(height)
+    stack = np.array(pictures)
+    return np.asarray((1.0 - share) * stack[first, rows] + share * stack[first + 1, rows])
+
+
 class Moving(Protocol):
     """A motion with a state at every instant."""
 
@@ -162,10 +182,18 @@ def film(
     times = np.arange(frames) / fps
     scale, dtype = 2.0 ** (bit_depth - 8), np.uint8 if bit_depth <= 8 else np.uint16
     stack = [
-        np.clip(np.rint(scale * photograph(room, die, throw.at(float(t)), rng, spots)), 0, 2**bit_depth - 1)
-        for t in times
+        np.clip(np.rint(scale * _frame(room, die, throw, float(t), rng, spots)), 0, 2**bit_depth - 1) for t in times
     ]
     return ArrayClip(np.array(stack).astype(dtype), times, bit_depth)
+
+
+def _frame(
+    room: Studio, die: Die, throw: Moving, time_s: float, rng: np.random.Generator, spots: tuple[Spot, ...]
+) -> Array:
+    if room.readout_s == 0.0:
+        return np.asarray(photograph(room, die, throw.at(time_s), rng, spots))
+    picture = photograph_by_rows(room, die, throw, time_s)
+    return np.asarray(picture + rng.normal(scale=room.noise_grey, size=picture.shape))
 
 
 def greys(die: Die, rotation: Array) -> Array:

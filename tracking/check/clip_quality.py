@@ -166,7 +166,7 @@ def measure_clip_quality(
     noise = pixel_noise(sample, empty, facts.level_grey)
     background_match = _background_match(sample, empty, estimated, clip.bit_depth, facts.level_grey)
     tracked_part, failure, notices = None, "", clip.notices
-    view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX)
+    view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s)
     first = _first_frame_with_die(clip, view, facts.start)
     if first is None:
         failure = "no frame that was searched shows the whole of anything that could be a die"
@@ -176,7 +176,9 @@ def measure_clip_quality(
         try:
             followed = track_clip(part, camera, die, background=empty, facts=facts, quality=FAST)
             still = PixelNoise(noise.noise_grey, level_grey=noise.level_grey)
-            view = make_view(camera, followed.die, empty, still, facts.exposure_s, START_BLUR_PX)
+            view = make_view(
+                camera, followed.die, empty, still, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s
+            )
             tracked_part = _tracked_part(part, followed.track, view, followed.corners)
         except NoDieError as error:
             failure = str(error)

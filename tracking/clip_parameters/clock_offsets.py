@@ -140,8 +140,9 @@ def _view_of_one(view: View, c: int) -> View:
     mirror = bool((view.rig.partner >= 0).any())
     noise = PixelNoise(view.noise_grey, view.rounding_grey, view.level_grey)
     alone = make_view(
-        camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality
-    )
+        camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality,
+        readout_s=view.readout_s,
+    )  # fmt: skip
     return replace(alone, light=view.light[view.rig.camera == c])
 
 

@@ -47,11 +47,14 @@ from .pose_costs import mirror_region_costs as mirror_region_costs
 from .pose_costs import region_costs as region_costs
 from .projection import LEAST_DEPTH_M as LEAST_DEPTH_M
 from .projection import NARROW_WINDOW_PX as NARROW_WINDOW_PX
+from .projection import ROW_ITERATIONS as ROW_ITERATIONS
 from .projection import WINDOW_PX as WINDOW_PX
 from .projection import crop_windows as crop_windows
+from .projection import exposure_delay as exposure_delay
 from .projection import pixel_of_ray as pixel_of_ray
 from .projection import reach_of_die as reach_of_die
 from .projection import scale_px as scale_px
+from .projection import turned_within as turned_within
 from .region_cost import SUPPORT_COST as SUPPORT_COST
 from .region_cost import UNEXPLAINED_COST as UNEXPLAINED_COST
 from .region_cost import pose_cost as pose_cost

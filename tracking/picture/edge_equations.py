@@ -25,6 +25,10 @@ Several views add up their equations: cameras, and for a table that reflects, ea
 times diag(1, 1, -1): the die's reflection is what the mirrored camera sees). Lines where the die and its reflection
 hide each other, or where one is the background of the other, are left out, and so are lines that touch an occluder
 (`occluders`).
+
+With a rolling shutter every pixel row shows the die at its own instant (`projection`). On a pixel line that is a row
+the edge is that of the moved die. On a column the edge also moves from pixel to pixel: with the rate ḋ of the signed
+distance, d changes by ∂d/∂v + ḋ τ per pixel, τ being the time from row to row.
 """
 
 from __future__ import annotations
@@ -49,7 +53,18 @@ from .kernel_types import (
     PoseState,
     Workspace,
 )
-from .projection import neighbour_edges, outline_hull, place_die, project_point, reach_of_die, room_beside, within_hull
+from .projection import (
+    camera_point,
+    exposure_delay,
+    neighbour_edges,
+    outline_hull,
+    place_die,
+    project_point,
+    reach_of_die,
+    room_beside,
+    turned_within,
+    within_hull,
+)
 from .rounded_edge import fill_rounded_basis, fill_sharp_basis, fill_strip_lines, fill_strip_steps, strip_turn
 
 STRETCH_PX = 24.0
@@ -83,13 +98,14 @@ def add_edge_equations(
 ) -> None:  # fmt: skip
     """Add the edges of one view to the normal equations, H (lower half) and g, and to the statistics."""
     rig, shape, settings = model.rig, model.shape, model.settings
-    pos, R, vel, omega, exposure = pose.position, pose.rotation, pose.velocity, pose.omega, settings.exposure_s
+    vel, omega, exposure = pose.velocity, pose.omega, settings.exposure_s
+    row_s, middle_row, late = rig.row_s[view], rig.middle_row[view], exposure_delay(rig, pose.position)
     H, g, stride = equations.H, equations.g, settings.line_stride
     sigma, band, with_blur = sampling.blur_px, sampling.band_px, sampling.with_blur
     hidden_by = 0
-    if rig.partner[view] >= 0 and place_die(shape, rig, rig.partner[view], pos, R, work):
+    if rig.partner[view] >= 0 and place_die(shape, rig, rig.partner[view], pose, work):
         hidden_by = outline_hull(shape, work)
-    if not place_die(shape, rig, view, pos, R, work):
+    if not place_die(shape, rig, view, pose, work):
         return
     camera = rig.camera[view]
     image, background = windows.pixels[camera], model.backgrounds[camera]
@@ -183,9 +199,25 @@ def add_edge_equations(
             # The point of the edge on this pixel line, at a share `s` of the edge in space.
             lam = (line - ay) / (by - ay) if steep else (line - ax) / (bx - ax)
             s = lam * Az / ((1.0 - lam) * Bz + lam * Az)
-            u, v = project_point(K, dist, Ax + s * Dx, Ay + s * Dy, Az + s * Dz, J)
-            tx = J[0, 0] * Dx + J[0, 1] * Dy + J[0, 2] * Dz
-            ty = J[1, 0] * Dx + J[1, 1] * Dy + J[1, 2] * Dz
+            rx, ry, rz = Px + s * Qx, Py + s * Qy, Pz + s * Qz
+            # Point and direction of the edge when the row is exposed: rotated by ω dt from those at the pose.
+            arm_then, edge_then, dt, row = (rx, ry, rz), (Qx, Qy, Qz), 0.0, 0.0
+            gx, gy, gz = Dx, Dy, Dz
+            if row_s == 0.0:
+                u, v = project_point(K, dist, Ax + s * Dx, Ay + s * Dy, Az + s * Dz, J)
+            else:
+                row = float(line) if steep else ay + lam * (by - ay)
+                dt = (row - middle_row) * row_s - late
+                x, y, z = camera_point(rig, view, pose, arm_then, dt)
+                u, v = project_point(K, dist, x, y, z, J)
+                arm_then = turned_within(omega, dt, rx, ry, rz)
+                edge_then = turned_within(omega, dt, Qx, Qy, Qz)
+                ex, ey, ez = edge_then
+                gx = Rcw[0, 0] * ex + Rcw[0, 1] * ey + Rcw[0, 2] * ez
+                gy = Rcw[1, 0] * ex + Rcw[1, 1] * ey + Rcw[1, 2] * ez
+                gz = Rcw[2, 0] * ex + Rcw[2, 1] * ey + Rcw[2, 2] * ez
+            tx = J[0, 0] * gx + J[0, 1] * gy + J[0, 2] * gz
+            ty = J[1, 0] * gx + J[1, 1] * gy + J[1, 2] * gz
             tl = sqrt(tx * tx + ty * ty)
             nx, ny = ty / tl, -tx / tl
             if nx * (u - mx) + ny * (v - my) < 0.0:
@@ -193,7 +225,10 @@ def add_edge_equations(
             a0, a1, a2 = nx * J[0, 0] + ny * J[1, 0], nx * J[0, 1] + ny * J[1, 1], nx * J[0, 2] + ny * J[1, 2]
             for a in range(3):
                 aw[a] = Rcw[0, a] * a0 + Rcw[1, a] * a1 + Rcw[2, a] * a2
-            rx, ry, rz = Px + s * Qx, Py + s * Qy, Pz + s * Qz
+            ax_then, ay_then, az_then = aw[0], aw[1], aw[2]
+            if row_s != 0.0:
+                # As seen from the axes at the pose, to which rotations and face normals belong.
+                aw[0], aw[1], aw[2] = turned_within(omega, -dt, aw[0], aw[1], aw[2])
             qx, qy, qz = ry * aw[2] - rz * aw[1], rz * aw[0] - rx * aw[2], rx * aw[1] - ry * aw[0]
             if not sharp:
                 angle = strip_turn(aw, normal[f0], normal[f1], interior, work.strip_end)
@@ -203,14 +238,21 @@ def add_edge_equations(
                         settings.light[view], normal[f0], work.strip_end, angle, interior, work.strip_steps
                     )
             low, high = min(lines[0], 0.0), max(lines[STRIP_CELLS], 0.0)
-            blur, bend = sigma, 0.0
+            blur, bend, rate = sigma, 0.0, 0.0
+            if exposure > 0.0 or row_s != 0.0:
+                rate = (
+                    ax_then * vel[0]
+                    + ay_then * vel[1]
+                    + az_then * vel[2]
+                    + qx * omega[0]
+                    + qy * omega[1]
+                    + qz * omega[2]
+                )
             if exposure > 0.0:
-                move = (
-                    aw[0] * vel[0] + aw[1] * vel[1] + aw[2] * vel[2] + qx * omega[0] + qy * omega[1] + qz * omega[2]
-                ) * exposure
+                move = rate * exposure
                 blur = sqrt(sigma * sigma + move * move / 12.0)
                 if curved:
-                    bend = _distance_acceleration(J, Rcw, (nx, ny), (rx, ry, rz), (Qx, Qy, Qz), vel, omega)
+                    bend = _distance_acceleration(J, Rcw, (nx, ny), arm_then, edge_then, vel, omega)
                     bend = bend * exposure * exposure / 24.0
             across, middle = (abs(nx), u) if steep else (abs(ny), v)
             # The band stops short of the other edges of the faces beside it, and of their own strip and blur.
@@ -225,7 +267,7 @@ def add_edge_equations(
                 if within_hull(hull, hidden_by, u, v, REFLECTION_MARGIN_PX + reach):
                     continue
             # Along the pixel line the signed distance grows with slope `step`.
-            step = nx if steep else ny
+            step = nx if steep else ny - rate * row_s
             if step > 0.0:
                 begin, end = ceil(middle - inside / step), floor(middle + outside / step)
             else:
@@ -235,6 +277,8 @@ def add_edge_equations(
                 continue
             # Lens distortion leaves a remainder (line - u) or (line - v), which shifts every pixel of the line alike.
             d = step * (begin - middle) + (ny * (line - v) if steep else nx * (line - u)) + bend
+            if row_s != 0.0 and not steep:
+                d -= rate * row_s * (v - row)
             ib = 1.0 / blur
             under_row = 0.0
             i = n
@@ -261,7 +305,7 @@ def add_edge_equations(
                 for a in range(4):
                     for j in range(n, i):
                         spread[a, j] *= sigma * ib
-            rows[m, 0], rows[m, 1], rows[m, 2] = -aw[0], -aw[1], -aw[2]
+            rows[m, 0], rows[m, 1], rows[m, 2] = -ax_then, -ay_then, -az_then
             rows[m, 3], rows[m, 4], rows[m, 5] = -qx, -qy, -qz
             # A contour drawn δ too far out brings every pixel δ nearer to the die.
             rows[m, CONTOUR] = 0.0 if interior else -1.0

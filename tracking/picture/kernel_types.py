@@ -90,6 +90,10 @@ class CameraRig(NamedTuple):
     """(views,) the view that shares the picture and may hide this one; -1 if there is none."""
     weight: Any
     """(views,) factor on the information of its edges; a view of weight 0 still hides others."""
+    row_s: Any
+    """(views,) [s] from the exposure of one row to that of the next; 0 for a global shutter."""
+    middle_row: Any
+    """(views,) [px] row whose exposure is the time of the frame."""
 
 
 class FrameWindows(NamedTuple):
@@ -158,7 +162,8 @@ class PictureModel(NamedTuple):
 
 
 class PoseState(NamedTuple):
-    """A pose at mid-exposure and the motion that blurs it."""
+    """A pose at mid-exposure and the motion that blurs it; with a rolling shutter, at mid-exposure of the row in which the
+    first camera sees the centre."""
 
     position: Any
     """(3,) [m] of the centre, world axes."""

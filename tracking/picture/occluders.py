@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import inner_no_memory
-from .kernel_types import FrameWindows, PictureModel, Workspace
+from .kernel_types import FrameWindows, PictureModel, PoseState, Workspace
 from .projection import outline_hull, place_die, within_hull
 
 OCCLUDED_SHARE = 0.04
@@ -47,7 +47,7 @@ def new_occluder_mask(backgrounds: NDArray[np.float32]) -> OccluderMask:
 
 @inner_no_memory
 def update_occluder_mask(
-    windows: FrameWindows, model: PictureModel, mask: OccluderMask, pos: Any, R: Any, work: Workspace
+    windows: FrameWindows, model: PictureModel, mask: OccluderMask, pose: PoseState, work: Workspace
 ) -> None:
     """Update the mask, and the backgrounds of the model, from one frame with a known pose.
 
@@ -60,7 +60,7 @@ def update_occluder_mask(
     for view in range(rig.camera.shape[0]):
         c = rig.camera[view]
         mirrored = rig.partner[view] >= 0 and rig.partner[view] < view
-        if mirrored or windows.size[c, 0] == 0 or not place_die(shape, rig, view, pos, R, work):
+        if mirrored or windows.size[c, 0] == 0 or not place_die(shape, rig, view, pose, work):
             continue
         count = outline_hull(shape, work)
         x0, y0 = windows.corner[c, 0], windows.corner[c, 1]

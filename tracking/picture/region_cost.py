@@ -20,6 +20,7 @@ from .kernel_types import (
     ROBUST_COST,
     FrameWindows,
     PictureModel,
+    PoseState,
     RefinementSettings,
     Shape,
     Workspace,
@@ -51,7 +52,7 @@ UNEXPLAINED_COST = 10.0
 
 @inner_nogil
 def region_cost(
-    windows: FrameWindows, model: PictureModel, pos: Any, R: Any, margin: float, work: Workspace
+    windows: FrameWindows, model: PictureModel, pose: PoseState, margin: float, work: Workspace
 ) -> tuple[float, float]:
     """Mean over the cameras of the region cost of one pose, and the share of the die's own pixels that differ from the
     background.
@@ -64,10 +65,10 @@ def region_cost(
     for view in range(rig.camera.shape[0]):
         camera = rig.camera[view]
         mirrored = rig.partner[view] >= 0 and rig.partner[view] < view
-        if mirrored or windows.size[camera, 0] == 0 or not place_die(shape, rig, view, pos, R, work):
+        if mirrored or windows.size[camera, 0] == 0 or not place_die(shape, rig, view, pose, work):
             continue
-        outline = rounded_contour(shape, rig, view, pos, work)
-        if not place_outer(shape, rig, view, pos, R, work):
+        outline = rounded_contour(shape, rig, view, pose.position, work)
+        if not place_outer(shape, rig, view, pose, work):
             return NO_COST, 0.0
         x0, y0 = windows.corner[camera, 0], windows.corner[camera, 1]
         x1, y1 = x0 + windows.size[camera, 0], y0 + windows.size[camera, 1]
@@ -107,13 +108,14 @@ def region_costs_in_box(
     the shares of their pixels that differ from the background."""
     rig, shape = model.rig, model.shape
     work = new_workspace(shape, rig)
-    first = np.int64(0)
+    first, still = np.int64(0), np.zeros(3)
     for k in range(positions.shape[0]):
         costs[k], differs[k] = NO_COST, 0.0
-        if not place_die(shape, rig, first, positions[k], rotations[k], work):
+        pose = PoseState(positions[k], rotations[k], still, still)
+        if not place_die(shape, rig, first, pose, work):
             continue
         outline = rounded_contour(shape, rig, first, positions[k], work)
-        if place_outer(shape, rig, first, positions[k], rotations[k], work):
+        if place_outer(shape, rig, first, pose, work):
             total, inside, other = _box_cost(
                 image, model.backgrounds[0], (first, first), box, shape, outline, model.settings, work
             )

@@ -80,6 +80,8 @@ class View:
     """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
     level_grey: float = 1.0
     """Unit of thresholds in grey levels, see `PixelNoise`."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row to that of the last; 0 for a global shutter."""
 
     @property
     def camera(self) -> Camera:
@@ -144,6 +146,14 @@ class View:
             strip_prior_share=TRACKED_STRIP_SHARE,
         )
 
+    def exposure_delay_s(self, positions_m: Array) -> Array:
+        """(...,) [s] from the time of a frame to the exposure of the row in which the first camera sees each of some points
+        (..., 3), which is the time of a pose; 0 for a global shutter and for NaN."""
+        if self.readout_s == 0.0:
+            return np.zeros(np.shape(positions_m)[:-1])
+        rows = self.camera.project(np.asarray(positions_m))[..., 1]
+        return np.asarray(np.nan_to_num((rows - self.rig.middle_row[0]) * self.rig.row_s[0]))
+
     def model(self, settings: RefinementSettings, rig: CameraRig | None = None) -> PictureModel:
         """The record that kernels take, with another camera rig if one is given."""
         return PictureModel(self.backgrounds, self.rig if rig is None else rig, self.shape, settings)
@@ -178,6 +188,7 @@ def make_view(
     *,
     mirror: bool = False,
     quality: Quality = STANDARD,
+    readout_s: float = 0.0,
 ) -> View:
     """Prepare the geometry that all frames share; the arguments are the fields of `View`, and `noise` is three of them.
 
@@ -186,11 +197,11 @@ def make_view(
     """
     cameras = (camera,) if isinstance(camera, Camera) else tuple(camera)
     pictures = [background] if isinstance(background, np.ndarray) else list(background)
-    rig = _camera_rig(cameras, mirror)
+    rig = _camera_rig(cameras, mirror, readout_s)
     return View(
         cameras, stack_pictures(pictures), die, noise.noise_grey, exposure_s or 0.0, blur_px, quality,
         symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)),
-        noise.rounding_grey, noise.level_grey,
+        noise.rounding_grey, noise.level_grey, readout_s,
     )  # fmt: skip
 
 
@@ -234,7 +245,7 @@ def _face_edges(die: Die) -> NDArray[np.int64]:
     return table
 
 
-def _camera_rig(cameras: tuple[Camera, ...], mirror: bool) -> CameraRig:
+def _camera_rig(cameras: tuple[Camera, ...], mirror: bool, readout_s: float) -> CameraRig:
     """The views: every camera, then every camera in the mirror."""
     n = len(cameras)
     twice = [*cameras, *cameras] if mirror else list(cameras)
@@ -244,6 +255,7 @@ def _camera_rig(cameras: tuple[Camera, ...], mirror: bool) -> CameraRig:
         np.ascontiguousarray([c.matrix for c in twice], float), np.ascontiguousarray([c.distortion for c in twice], float),
         np.ascontiguousarray(rotations, float), np.ascontiguousarray([c.translation_m for c in twice], float),
         np.array([k % n for k in range(len(twice))]), np.array(partner), (np.arange(len(twice)) < n).astype(float),
+        np.array([readout_s / (c.height_px - 1) for c in twice]), np.array([0.5 * (c.height_px - 1) for c in twice]),
     )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from .clip_poses import ClipPoses as ClipPoses
 from .clip_poses import Picture as Picture
 from .clip_poses import SampledFrames as SampledFrames
 from .clip_poses import as_track as as_track
+from .clip_poses import exposure_times_s as exposure_times_s
 from .clip_poses import longest_stride as longest_stride
 from .clip_poses import power_of_two as power_of_two
 from .clip_poses import wholly_in_view as wholly_in_view

@@ -180,7 +180,7 @@ def power_of_two(most: float) -> int:
 
 def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None = None) -> Track:
     """A track of the frames with a pose, or of those among them in `use`; the others are lost, and so are poses whose
-    pixels leave a direction open."""
+    pixels leave a direction open. Its times are `exposure_times_s`."""
     n = len(source)
     known = poses.known if use is None else poses.known & use
     covariance = np.full((n, 6, 6), np.nan)
@@ -194,7 +194,16 @@ def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None
     jacobian = np.full((n, 6), np.nan)
     jacobian[known] = contour_bias_jacobians(poses.H[known], view.settings)
     jacobian = np.where(np.isfinite(poses.contour_bias_jacobian), poses.contour_bias_jacobian, jacobian)
-    return Track(frames, source.times_s, position, continuous_sign(quaternion), covariance, status, jacobian)
+    times_s = exposure_times_s(view, source, poses)
+    return Track(frames, times_s, position, continuous_sign(quaternion), covariance, status, jacobian)
+
+
+def exposure_times_s(view: View, source: FrameSource, poses: ClipPoses) -> Array:
+    """(n,) the times of the poses: those of the frames, and with a rolling shutter the instants at which the row of the
+    die's centre is exposed; frames without a pose have that of the frame."""
+    if view.readout_s == 0.0:
+        return source.times_s
+    return np.asarray(source.times_s + view.exposure_delay_s(poses.position_m))
 
 
 def wholly_in_view(view: View, poses: ClipPoses) -> Mask:

@@ -166,7 +166,8 @@ def refine_and_score(
             break
     cost = 0.0
     if settings.region_pixels > 0:
-        region, differs = region_cost(windows, model, p, Q, REGION_MARGIN_PX, work)
+        pose = PoseState(p, Q, start.velocity, start.omega)
+        region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
         statistics[BACKGROUND_SHARE] = 1.0 - differs
         cost = pose_cost(region, statistics)
     return p, Q, cost
@@ -208,12 +209,10 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
         for again in range(2):
             if again:
                 work.shared_grey[:] = 0.0
-            windows = crop_windows(
-                frames[which[k]], rig, shape, start, R, WINDOW_PX if again else NARROW_WINDOW_PX, work
-            )
+            first = PoseState(start, R, rows.motion[k, :3], rows.motion[k, 3:])
+            windows = crop_windows(frames[which[k]], rig, shape, first, WINDOW_PX if again else NARROW_WINDOW_PX, work)
             if windows.pixels.shape[1] == 0:
                 break
-            first = PoseState(start, R, rows.motion[k, :3], rows.motion[k, 3:])
             p, Q, cost = refine_and_score(
                 windows,
                 model,

@@ -53,7 +53,7 @@ from .acceptance import (
     PRIOR_SIGMAS,
     USUAL_COST_FRAMES,
 )
-from .motion_filter import MotionEstimate, predict_motion, track_frames, update_motion
+from .motion_filter import MotionEstimate, predict_motion, predicted_delay, track_frames, update_motion
 
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
@@ -129,7 +129,8 @@ class FrameTracker:
         reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if rates is None else (BOUNCED_REACH, BOUNCED_RAD)
         P = _initial_covariance(view, pose, frame_s, reach, rad)
         motion = np.concatenate([pose.position_m, np.zeros(6) if rates is None else rates])
-        made = FrameTracker(view, motion, pose.rotation.copy(), P, np.array([times_s[k], pose.cost, 1.0]), unused)
+        exposed_s = float(times_s[k] + view.exposure_delay_s(pose.position_m))
+        made = FrameTracker(view, motion, pose.rotation.copy(), P, np.array([exposed_s, pose.cost, 1.0]), unused)
         made.next_frame = k + 1
         return made
 
@@ -247,7 +248,9 @@ class FrameTracker:
 
     def _pose_by_hypotheses(self, image: NDArray[np.float32], time_s: float) -> Pose | None:
         """The pose on one frame that the motion so far does not explain, or None if the die is lost or out of view."""
-        dt = time_s - float(self.clock[0])
+        frame_s, dt = time_s, time_s - float(self.clock[0])
+        late = predicted_delay(self.view.rig, self.motion, dt)
+        time_s, dt = time_s + late, dt + late
         predicted, P = self.motion.copy(), self.P.copy()
         R = predict_motion(predicted, self.rotation, P, dt)
         expected = _state(time_s, predicted, R)
@@ -259,9 +262,10 @@ class FrameTracker:
             self.misses += 1
             if self.misses % SEARCH_EVERY != SEARCH_EVERY - 1 or self.backwards:
                 return None
-            return self._initialised_again(image, time_s, R, abs(dt) / (self.misses + 1))
+            return self._initialised_again(image, frame_s, R, abs(dt) / (self.misses + 1))
         pose, start = best
         pose = replace(pose, rotation=nearest_equivalent_rotation(pose.rotation, R, self.view.symmetries))
+        time_s = float(frame_s + self.view.exposure_delay_s(pose.position_m))
         self._update(pose, start, predicted, R, P, time_s, abs(dt) / (self.misses + 1))
         return pose
 
@@ -338,7 +342,8 @@ class FrameTracker:
         self.motion = np.concatenate([pose.position_m, np.zeros(6)])
         self.rotation = pose.rotation.copy()
         self.P = _initial_covariance(self.view, pose, frame_s, UNKNOWN_REACH, UNKNOWN_RAD)
-        self.clock = np.array([time_s, pose.cost, 1.0])
+        exposed_s = float(time_s + self.view.exposure_delay_s(pose.position_m))
+        self.clock = np.array([exposed_s, pose.cost, 1.0])
         self.misses = 0
         return pose
 

@@ -354,6 +354,7 @@ def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until:
     if len(known) < 3:
         return 0.0
     middle = int(known[len(known) // 2])
+    times_s = times_s[: len(poses.known)] + view.exposure_delay_s(poses.position_m)
     t = times_s[known] - times_s[middle]
     without_fall = poses.position_m[known] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
     turns = rotation_between(quat_from_matrix(poses.rotation[middle]), quat_from_matrix(poses.rotation[known]))

@@ -28,12 +28,14 @@ from ..picture import (
     NARROW_WINDOW_PX,
     OCCLUDED_SHARE,
     WINDOW_PX,
+    CameraRig,
     OccluderMask,
     PictureModel,
     PoseRows,
     PoseState,
     RefinementSettings,
     crop_windows,
+    exposure_delay,
     inverse_positive,
     new_equations,
     new_workspace,
@@ -84,6 +86,8 @@ TWO_COARSE_PX = 0.6
 """The same for two coarse steps."""
 ONE_COARSE_PX = 0.3
 """The same for one coarse step."""
+DELAY_ITERATIONS = 3
+"""Iterations for the instant at which a rolling shutter exposes a moving die."""
 
 
 class MotionEstimate(NamedTuple):
@@ -142,6 +146,22 @@ def predict_motion(x: Any, R: Any, P: Any, dt: float) -> Any:
             P[i, j] = s
             P[j, i] = s
     return product(E, R)
+
+
+@compiled(nogil=True)
+def predicted_delay(rig: CameraRig, x: Any, dt: float) -> float:
+    """`exposure_delay` of a die whose motion (9,) leads for dt [s] to the time of a frame, and on until its row is
+    exposed."""
+    late = 0.0
+    if rig.row_s[0] != 0.0:
+        p = np.zeros(3)
+        for _ in range(DELAY_ITERATIONS):
+            t = dt + late
+            for a in range(3):
+                p[a] = x[a] + x[3 + a] * t
+            p[2] -= 0.5 * GRAVITY_M_S2 * t * t
+            late = exposure_delay(rig, p)
+    return late
 
 
 @inner_nogil
@@ -230,19 +250,18 @@ def track_frames(
     reach, moved = reach_of_die(shape), np.zeros(3)
     for k in range(frames.shape[0]):
         ahead, P_ahead = x.copy(), P.copy()
-        R_ahead = predict_motion(ahead, R, P_ahead, times[k] - clock[0])
+        late = predicted_delay(rig, x, times[k] - clock[0])
+        R_ahead = predict_motion(ahead, R, P_ahead, times[k] - clock[0] + late)
         # Variances that are moved back to an instant where they were known cancel, and rounding may make them negative.
         sigma_m = sqrt(max(P_ahead[0, 0], P_ahead[1, 1], P_ahead[2, 2], 0.0))
         sigma_rad = sqrt(max(P_ahead[3, 3], P_ahead[4, 4], P_ahead[5, 5], 0.0))
         coarse = _coarse_steps(scale_px(rig, ahead[:3]) * (sigma_m + sigma_rad * reach))
-        windows = crop_windows(
-            frames[k], rig, shape, ahead[:3], R_ahead, WINDOW_PX if coarse > 0 else NARROW_WINDOW_PX, work
-        )
+        predicted = PoseState(ahead[:3], R_ahead, ahead[3:6], ahead[6:9])
+        windows = crop_windows(frames[k], rig, shape, predicted, WINDOW_PX if coarse > 0 else NARROW_WINDOW_PX, work)
         if windows.pixels.shape[1] == 0:
             return k
         prior_m = min(max(PRIOR_SIGMAS * sigma_m, settings.tight_m), settings.loose_m)
         prior_rad = min(max(PRIOR_SIGMAS * sigma_rad, settings.tight_rad), settings.loose_rad)
-        predicted = PoseState(ahead[:3], R_ahead, ahead[3:6], ahead[6:9])
         p, Q, cost = refine_and_score(windows, model, predicted, prior_m, prior_rad, coarse, work, equations)
         new = clock[2] < MIN_POSES_OF_FLIGHT
         far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
@@ -276,12 +295,13 @@ def track_frames(
         for a in range(3):
             for b in range(3):
                 R[a, b] = updated[a, b]
-        clock[0] = times[k]
+        clock[0] = times[k] + exposure_delay(rig, p)
         clock[1] = usual + (cost - usual) / min(clock[2] + 1.0, USUAL_COST_FRAMES)
         clock[2] += 1.0
         store_frame(k, p, Q, cost, equations, rows)
         if statistics[BACKGROUND_SHARE] > OCCLUDED_SHARE or occluders.count[0] > 0:
-            update_occluder_mask(windows, model, occluders, p, Q, work)
+            pose = PoseState(p, Q, predicted.velocity, predicted.omega)
+            update_occluder_mask(windows, model, occluders, pose, work)
     return frames.shape[0]
 
 

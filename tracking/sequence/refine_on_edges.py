@@ -33,6 +33,7 @@ from ..picture import (
 from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, weak_prior
 from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
 from .labelling import with_labels_of_flights
+from .motion_filter import DELAY_ITERATIONS
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -82,7 +83,7 @@ class EdgeRefinement:
         reference = tracked
         attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, np.zeros(count, bool))]
         if self.throw is not None:
-            reference = _poses_on_flights(self.throw, self.source.times_s)
+            reference = _poses_on_flights(view, self.throw, self.source.times_s)
             from_both = rows & self._differ_from(reference)
             attempts = [
                 _Attempt(view, settings, some, use, self.offsets, from_both)
@@ -243,9 +244,13 @@ def _are_singular(covariance: Array) -> Mask:
     return np.asarray(np.isnan(covariance[:, 0, 0]))
 
 
-def _poses_on_flights(throw: Throw, times_s: Array) -> ClipPoses:
-    """The poses that the flights give on every frame, as initial poses of a refinement."""
-    out = ClipPoses.empty(len(times_s))
+def _poses_on_flights(view: View, throw: Throw, frames_s: Array) -> ClipPoses:
+    """The poses that the flights give on every frame, as initial poses of a refinement: with a rolling shutter when the row of
+    the die's centre is exposed."""
+    out, times_s = ClipPoses.empty(len(frames_s)), frames_s
+    if view.readout_s > 0.0:
+        for _ in range(DELAY_ITERATIONS):
+            times_s = frames_s + view.exposure_delay_s(throw.poses(times_s)[0])
     position, quaternion = throw.poses(times_s)
     out.position_m[:], out.rotation[:] = position, matrix_from_quat(quaternion)
     out.motion[:] = throw.rates(times_s)

@@ -107,7 +107,7 @@ def refine_on_marks(
     # as they were learned, on the flights.
     flying = _in_flight(on_edges, found.throw).tracked
     rows, supported = np.flatnonzero(flying), np.flatnonzero(on_edges.tracked & ~flying)
-    frames = FrameRefinement(view, marks, _frame_poses(view, on_edges, poses, rows), flights, source.times_s[rows])
+    frames = FrameRefinement(view, marks, _frame_poses(view, on_edges, poses, rows), flights, on_edges.time_s[rows])
     # Frames refined on edges only now count half, and half when refined on marks.
     _refine_rows(source, rows, frames, report if every == 1 else lambda done: report((len(source) + done) // 2))
     out, shared = ClipPoses.empty(len(source)), np.full((len(source), 6, 6), np.nan)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die
+from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_matrix
 from ...model.throw import Throw
 from ..camera import Camera
 from ..clip_parameters import (
@@ -30,7 +31,7 @@ from ..clip_parameters import (
 )
 from ..footage import Clip, FrameSource, estimate_background
 from ..picture import PixelNoise, View, make_view, pixel_noise, share_in_view, with_corner_radius, with_reflections
-from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, wholly_in_view
+from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, exposure_times_s, wholly_in_view
 from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
 from ..throw import NoFlightError, decimation_factor, measure_throw, with_calibrated_covariance
@@ -68,6 +69,8 @@ class ClipFacts:
     """Whether the radius of the die's corners is given."""
     level_grey: float = 1.0
     """Grey values per level of the file: above 1 for a clip mapped to light."""
+    readout_s: float = 0.0
+    """Time from the exposure of the first row to that of the last, of every camera; 0 for a global shutter."""
 
 
 NO_FACTS = ClipFacts()
@@ -115,7 +118,7 @@ def track_clip(
     )
     throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
-        poses = with_consistent_labels(view, poses, throw, source.times_s)
+        poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
         throw = _measured(view, source, poses)
     if quality.second_pass:
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
@@ -126,6 +129,8 @@ def track_clip(
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view, track = with_corner_radius(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
+    if view.readout_s > 0.0:
+        calibrated = _at_frame_times(view, source, calibrated, throw)
     return TrackedClip(calibrated, result.marks, offsets, view.die, corners)
 
 
@@ -156,8 +161,9 @@ def _view_of(
         max(each.noise_grey for each in noises), max(each.rounding_grey for each in noises), facts.level_grey
     )
     return make_view(
-        cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality
-    )
+        cameras, die, pictures, noise, facts.exposure_s, INITIAL_BLUR_PX, mirror=facts.mirror, quality=quality,
+        readout_s=facts.readout_s,
+    )  # fmt: skip
 
 
 def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> None:
@@ -194,7 +200,8 @@ def _refined(
     view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
     count, offsets = len(source), ClockOffsets.none(len(source.clips))
     report.at_least(count)
-    if throw is not None:
+    # With a rolling shutter the cameras see the die at instants of their own, which are no offset of their clocks.
+    if throw is not None and view.readout_s == 0.0:
         offsets = estimate_clock_offsets(view, source.frame, source.times_s, throw)
     refinement = EdgeRefinement(view, source, poses.interpolated(), throw, usable, offsets)
     use_marks = view.quality.marks
@@ -227,6 +234,34 @@ def _track(source: FrameSource, view: View, poses: ClipPoses, throw: Throw | Non
         if share_in_view(view, state.position_m, state.rotation) == 0.0:
             status[k] = ABSENT
     return replace(track, status=status)
+
+
+def _at_frame_times(view: View, source: FrameSource, track: Track, throw: Throw | None) -> Track:
+    """The track of a rolling shutter at the times of the frames, from the instants at which the row of the die's centre was
+    exposed. Each pose keeps its difference from the flights: that of the position, and that of the rotation in body axes. Without
+    flights the track keeps its times."""
+    try:
+        throw = measure_throw(track, view.die, view.camera, every=decimation_factor(track, view.die))
+    except NoFlightError:
+        if throw is None:
+            return track
+    rows = np.flatnonzero(track.tracked)
+    position, covariance = track.position_m.copy(), track.covariance.copy()
+    quaternion = track.quaternion.copy()
+    (p, q), (p_then, q_then) = throw.poses(source.times_s[rows]), throw.poses(track.time_s[rows])
+    turn = matrix_from_quat(q) @ np.swapaxes(matrix_from_quat(q_then), 1, 2)
+    position[rows] += p - p_then
+    quaternion[rows] = quat_from_matrix(turn @ matrix_from_quat(quaternion[rows]))
+    T = np.tile(np.eye(6), (len(rows), 1, 1))
+    T[:, 3:, 3:] = turn
+    covariance[rows] = T @ covariance[rows] @ np.swapaxes(T, 1, 2)
+    return replace(
+        track,
+        time_s=source.times_s,
+        position_m=position,
+        quaternion=continuous_sign(quaternion),
+        covariance=covariance,
+    )
 
 
 class _Reporter:

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory, inner_nogil
-from ..picture import pixel_of_ray
-from .kernel_types import Optics
+from ..picture import ROW_ITERATIONS, PoseState, pixel_of_ray, turned_within
+from .kernel_types import Optics, RowDrift
 
 LEAST_DEPTH_M = 1e-6
 """A corner nearer to the camera's plane than this has no pixel."""
@@ -70,9 +70,56 @@ def shrink_face(S: Any, centre: Any, offset: float, E: Any, origin: Any) -> None
         origin[i] = centre[i] + offset * E[2, i]
 
 
+@inner_nogil
+def drift_of_rows(optics: Optics, pose: PoseState) -> RowDrift:
+    """How a die moves in camera axes from the row of its centre, in which its pose holds, to other rows."""
+    Rcw, tcw = optics.rotation, optics.translation
+    centre, velocity, omega = np.zeros(3), np.zeros(3), np.zeros(3)
+    for i in range(3):
+        centre[i] = tcw[i]
+        for j in range(3):
+            centre[i] += Rcw[i, j] * pose.position[j]
+            velocity[i] += Rcw[i, j] * pose.velocity[j]
+            omega[i] += Rcw[i, j] * pose.omega[j]
+    _, row = pixel_of_ray(optics.matrix, optics.distortion, centre[0] / centre[2], centre[1] / centre[2])
+    return RowDrift(optics.row_s, row, centre, velocity, omega)
+
+
+@inner_no_memory
+def drifted_point(drift: RowDrift, dt: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A point of the die in camera axes, dt [s] after its pose."""
+    c, v = drift.centre, drift.velocity
+    x, y, z = turned_within(drift.omega, dt, x - c[0], y - c[1], z - c[2])
+    return x + c[0] + v[0] * dt, y + c[1] + v[1] * dt, z + c[2] + v[2] * dt
+
+
+@inner_no_memory
+def drifted_face(drift: RowDrift, v: float, E: Any, centre: Any, offset: float, E_then: Any, origin_then: Any) -> float:
+    """Fill axes and origin of a face when row v is exposed, from those at the pose, of a die about `centre`; return the
+    distance of its plane."""
+    dt = (v - drift.row) * drift.row_s
+    for k in range(3):
+        E_then[k, 0], E_then[k, 1], E_then[k, 2] = turned_within(drift.omega, dt, E[k, 0], E[k, 1], E[k, 2])
+    gap = 0.0
+    for i in range(3):
+        origin_then[i] = centre[i] + dt * drift.velocity[i] + offset * E_then[2, i]
+        gap += E_then[2, i] * origin_then[i]
+    return gap
+
+
+@inner_no_memory
+def pixel_of_drifting(optics: Optics, drift: RowDrift, x: float, y: float, z: float) -> tuple[float, float]:
+    """Pixel of a point (x, y, z) of the die at its pose, when the row that shows it is exposed."""
+    u, v = pixel_of_ray(optics.matrix, optics.distortion, x / z, y / z)
+    for _ in range(ROW_ITERATIONS):
+        a, b, c = drifted_point(drift, (v - drift.row) * drift.row_s, x, y, z)
+        u, v = pixel_of_ray(optics.matrix, optics.distortion, a / c, b / c)
+    return u, v
+
+
 @inner_no_memory
 def face_outline(
-    optics: Optics, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
+    optics: Optics, drift: RowDrift, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
 ) -> bool:
     """Fill the corners px (count, 2) of the flat part of a face and its half-planes (count, 3), positive inside by
     `margin` [px] and more; False if a corner lies behind the camera."""
@@ -84,6 +131,8 @@ def face_outline(
         if z <= LEAST_DEPTH_M:
             return False
         px[i, 0], px[i, 1] = pixel_of_ray(optics.matrix, optics.distortion, x / z, y / z)
+        if drift.row_s != 0.0:
+            px[i, 0], px[i, 1] = pixel_of_drifting(optics, drift, x, y, z)
         mx += px[i, 0] / count
         my += px[i, 1] / count
     for i in range(count):

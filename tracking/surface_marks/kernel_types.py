@@ -108,6 +108,23 @@ class Optics(NamedTuple):
     """[s]"""
     blur: float
     """Standard deviation of the lens blur [px]."""
+    row_s: float
+    """[s] from the exposure of one row to that of the next; 0 for a global shutter."""
+
+
+class RowDrift(NamedTuple):
+    """The motion of the die from pixel row to pixel row under a rolling shutter, in camera axes."""
+
+    row_s: float
+    """[s] from the exposure of one row to that of the next; 0 for a global shutter."""
+    row: float
+    """Row of the die's centre, at whose exposure the pose holds."""
+    centre: Any
+    """(3,) [m]"""
+    velocity: Any
+    """(3,) [m/s]"""
+    omega: Any
+    """(3,) [rad/s]"""
 
 
 class Faces(NamedTuple):

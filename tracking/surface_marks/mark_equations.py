@@ -19,6 +19,8 @@ import numpy as np
 from ...model.compiled import compiled, inner_fast_sums
 from ..picture import PoseState, solve_factored, solve_positive
 from .face_geometry import (
+    drift_of_rows,
+    drifted_face,
     exposure_shrink,
     face_in_camera,
     face_outline,
@@ -133,6 +135,8 @@ def mark_equations(
     eliminated = np.zeros(LIGHT_COEFFICIENTS)
     shrink, inverse_shrink, centre, scaled_centre = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
     exposure_shrink(Rcw, omega, optics.exposure, shrink)
+    drift, rolling = drift_of_rows(optics, frame.pose), optics.row_s != 0.0
+    E_then, origin_then = np.zeros((3, 3)), np.zeros(3)
     for i in range(3):
         centre[i] = tcw[i] + Rcw[i, 0] * position[0] + Rcw[i, 1] * position[1] + Rcw[i, 2] * position[2]
         for j in range(3):
@@ -150,7 +154,7 @@ def mark_equations(
             continue
         blur_on_face(optics, E, origin, offsets[f], velocity, omega, lens_blur, motion)
         border = faces.margin + motion_reach_px(K, origin[2], motion)
-        if not face_outline(optics, E, origin, corners[f], counts[f], border, px, planes):
+        if not face_outline(optics, drift, E, origin, corners[f], counts[f], border, px, planes):
             continue
         top, bottom = px[0, 1], px[0, 1]
         for i in range(counts[f]):
@@ -184,7 +188,11 @@ def mark_equations(
                     high = low - 1.0
             begin = ceil(low)
             end = max(floor(high) + 1, begin)
-            row_on_face(optics.rays[v, begin:end], inverse_shrink, E, origin, gap, texel, half, line)
+            if rolling:
+                gap = drifted_face(drift, float(v), E, scaled_centre, offsets[f], E_then, origin_then)
+                row_on_face(optics.rays[v, begin:end], inverse_shrink, E_then, origin_then, gap, texel, half, line)
+            else:
+                row_on_face(optics.rays[v, begin:end], inverse_shrink, E, origin, gap, texel, half, line)
             for u in range(begin, end):
                 value, x, y = image[v - y0, u - x0], line[0, u - begin], line[1, u - begin]
                 if value >= faces.saturation:

@@ -9,7 +9,15 @@ import numpy as np
 
 from ...model.compiled import compiled, inner_no_memory
 from ..picture import pixel_of_ray
-from .face_geometry import exposure_shrink, face_in_camera, face_outline, motion_reach_px, shrink_face
+from .face_geometry import (
+    drift_of_rows,
+    exposure_shrink,
+    face_in_camera,
+    face_outline,
+    motion_reach_px,
+    pixel_of_drifting,
+    shrink_face,
+)
 from .face_light import fit_light, relative_slopes
 from .kernel_types import (
     LEARNING_ITERATIONS,
@@ -84,8 +92,9 @@ def sample_texture(
     blur_on_face(optics, E, origin, offset, velocity, omega, lens_blur, motion)
     shrink_face(S, centre, offset, E, origin)
     px, planes = np.zeros((sides, 2)), np.zeros((sides, 3))
+    drift = drift_of_rows(optics, frame.pose)
     margin = faces.margin + motion_reach_px(K, origin[2], motion)
-    if not face_outline(optics, E, origin, faces.corners[f], sides, margin, px, planes):
+    if not face_outline(optics, drift, E, origin, faces.corners[f], sides, margin, px, planes):
         return 0.0, 0.0
     height, width = image.shape
     half = 0.5 * (n - 1)
@@ -107,6 +116,8 @@ def sample_texture(
             Y = origin[1] + a * E[0, 1] + b * E[1, 1]
             Z = origin[2] + a * E[0, 2] + b * E[1, 2]
             u, v = pixel_of_ray(K, dist, X / Z, Y / Z)
+            if drift.row_s != 0.0:
+                u, v = pixel_of_drifting(optics, drift, X, Y, Z)
             inside = True
             for k in range(sides):
                 if planes[k, 0] * u + planes[k, 1] * v + planes[k, 2] < 0.0:

@@ -351,7 +351,7 @@ def optics_of(view: View, marks: SurfaceMarks) -> Optics:
     camera = view.camera
     return Optics(
         marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m, float(view.exposure_s),
-        float(marks.blur_px),
+        float(marks.blur_px), float(view.rig.row_s[0]),
     )  # fmt: skip
 
 

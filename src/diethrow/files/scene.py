@@ -62,6 +62,9 @@ class ClipSource:
     """Frames that are not used: ranges of a first frame and the one after the last."""
     response: Response = None
     """How grey levels follow light."""
+    readout_s: float = 0.0
+    """Time from the first row's mid-exposure to the last row's (rolling shutter); 0 for a global shutter. The time of a
+    frame is that of its middle row."""
 
 
 @dataclass(frozen=True)
@@ -257,6 +260,10 @@ class _ClipTable(TomlTable):
     path: PathText | None = Field(None, description=PATH_WANTED)
     fps: Positive | None = Field(None, description="the recording rate in frames per second, a number above 0")
     exposure_s: Positive | None = Field(None, description="the exposure time of a frame in seconds, a number above 0")
+    readout_s: NotNegative = Field(
+        0.0,
+        description="the time in seconds from the first row's mid-exposure to the last row's (rolling shutter), 0 or more",
+    )
     background: PathText | None = Field(None, description=_BACKGROUND_WANTED)
     frames: Annotated[Vector2i, AfterValidator(_rising)] | None = Field(
         None, description="[first, stop], two whole numbers with 0 <= first < stop"
@@ -344,6 +351,10 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
         guess = _unit_guess(table.exposure_s, (1e-3, 1e-6), lambda exposure: exposure <= frame_s)
         wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
         raise refuse(path, "clip.exposure_s", table.exposure_s, wanted)
+    if table.readout_s > frame_s:
+        guess = _unit_guess(table.readout_s, (1e-3, 1e-6), lambda readout: readout <= frame_s)
+        wanted = f"wanted seconds, at most the {frame_s:.4g} s between two frames{guess}"
+        raise refuse(path, "clip.readout_s", table.readout_s, wanted)
     return ClipSource(
         files.existing(table.path, "clip.path", PATH_WANTED),
         table.fps,
@@ -352,6 +363,7 @@ def _clip(table: _ClipTable, path: Path, files: _FilesOfScene) -> ClipSource:
         (table.frames[0], table.frames[1]) if table.frames else None,
         tuple((part, part + 1) if isinstance(part, int) else (part[0], part[1]) for part in table.exclude),
         table.response,
+        table.readout_s,
     )
 
 

@@ -12,8 +12,10 @@ from footage_of_throws import DICE, FPS, falling_cube, film, photograph, pips, s
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
+from diethrow.model.laws import SmoothImpact
 from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
@@ -89,6 +91,53 @@ def test_a_bouncing_cube_is_tracked_on_every_frame(bit_depth: int) -> None:
     # and the rounding to whole grey levels are not in the model. A smaller value is expected: every covariance contains
     # the errors common to all frames of a clip, and this clip has none.
     assert 1.5 < np.median(nees) < 9.0
+
+
+ROLLING = replace(ROOM, readout_s=0.95 / FPS)
+"""Almost the whole interval between two frames. The cube passes 60 rows above and below the middle one."""
+
+
+@cache
+def fast_cube() -> Throw:
+    """A falling cube that bounces once, at 60 rad/s before the bounce and 1.2 m/s."""
+    slow = falling_cube(FRAMES / FPS)
+    start = slow.flights[0].start
+    release = replace(
+        start, velocity_m_s=np.array([0.1, 0.1, -0.9]), omega_rad_s=60.0 * start.omega_rad_s / np.linalg.norm(start.omega_rad_s)
+    )  # fmt: skip
+    return throw_die(CUBE, release, SmoothImpact(0.6), until=Until(time_s=FRAMES / FPS)).throw
+
+
+@cache
+def rolling_clip() -> ArrayClip:
+    return film(ROLLING, CUBE, fast_cube(), FRAMES)
+
+
+def tracked_with(readout_s: float, clip: ArrayClip) -> tuple[Array, Track]:
+    """(n, 6) errors of a track with a readout time, and the track."""
+    facts = ClipFacts(readout_s=readout_s)
+    track = track_clip(clip, ROOM.camera, CUBE, background=np.rint(ROOM.table), facts=facts).track
+    return errors_of(track, fast_cube()), track
+
+
+def test_a_rolling_shutter_is_tracked_as_accurately_as_a_global_one() -> None:
+    errors, track = tracked_with(ROLLING.readout_s, rolling_clip())
+    flat, _ = tracked_with(0.0, film(ROOM, CUBE, fast_cube(), FRAMES))
+    assert (track.status == TRACKED).all()
+    assert np.array_equal(track.time_s, np.arange(FRAMES) / FPS)
+    for numbers in (slice(0, 3), slice(3, 6)):
+        rolling_error, global_error = (float(np.median(np.linalg.norm(e[:, numbers], axis=1))) for e in (errors, flat))
+        # Other noise on other pixels, and rows interpolated in the rendering.
+        assert rolling_error < 1.5 * global_error
+    nees = np.array([e @ np.linalg.solve(C, e) for e, C in zip(errors, track.covariance, strict=True)])
+    assert np.median(nees) < 9.0
+
+
+def test_without_its_readout_time_a_rolling_shutter_is_tracked_worse() -> None:
+    known, _ = tracked_with(ROLLING.readout_s, rolling_clip())
+    unknown, _ = tracked_with(0.0, rolling_clip())
+    with_key, without = (np.nanmedian(np.linalg.norm(e[:, 3:], axis=1)) for e in (known, unknown))
+    assert without > 2.0 * with_key
 
 
 TIMES_FASTER = 6

@@ -87,6 +87,7 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
             excluded=scene.clip.excluded,
             rounding=scene.rounding,
             level_grey=level_grey(clip, response),
+            readout_s=scene.clip.readout_s,
         )
         light = clip_in_light(clip, response)
         return measure_clip_quality(light, view.camera, scene.die, open_part, background=background, facts=facts)

@@ -182,6 +182,8 @@ def _decimated(
         raise SceneError(f"{scene.path}: {error}") from error
     smaller = [None if picture is None else decimation.picture(picture) for picture in backgrounds]
     cameras = tuple(decimation.camera(view.camera) for view in scene.views())
+    row_s = source.readout_s / (scene.views()[0].camera.height_px - 1)
+    source = replace(source, readout_s=decimation.shrink * row_s * (cameras[0].height_px - 1))
     return replace(scene, clip=source), fewer, smaller, cameras
 
 
@@ -196,8 +198,9 @@ def _follow(
 ) -> TrackedClip:
     mirror = scene.table.surface == "mirror"
     facts = ClipFacts(
-        scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=unit_grey
-    )
+        scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=unit_grey,
+        readout_s=scene.clip.readout_s,
+    )  # fmt: skip
     try:
         return track_clip(
             clips,
