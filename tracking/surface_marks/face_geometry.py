@@ -119,11 +119,11 @@ def pixel_of_drifting(optics: Optics, drift: RowDrift, x: float, y: float, z: fl
 
 @inner_no_memory
 def face_outline(
-    optics: Optics, drift: RowDrift, E: Any, origin: Any, corners: Any, count: int, margin: float, px: Any, planes: Any
+    optics: Optics, drift: RowDrift, E: Any, origin: Any, corners: Any, margin: float, px: Any, planes: Any
 ) -> bool:
-    """Fill the corners px (count, 2) of the flat part of a face and its half-planes (count, 3), positive inside by
-    `margin` [px] and more; False if a corner lies behind the camera."""
-    mx, my = 0.0, 0.0
+    """Fill the corners px (count, 2) of the flat part of a face, of `corners` (count, 2) [m], and its half-planes (count,
+    3), positive inside by `margin` [px] and more; False if a corner lies behind the camera."""
+    mx, my, count = 0.0, 0.0, corners.shape[0]
     for i in range(count):
         x = origin[0] + corners[i, 0] * E[0, 0] + corners[i, 1] * E[1, 0]
         y = origin[1] + corners[i, 0] * E[0, 1] + corners[i, 1] * E[1, 1]

@@ -154,7 +154,7 @@ def mark_equations(
             continue
         blur_on_face(optics, E, origin, offsets[f], velocity, omega, lens_blur, motion)
         border = faces.margin + motion_reach_px(K, origin[2], motion)
-        if not face_outline(optics, drift, E, origin, corners[f], counts[f], border, px, planes):
+        if not face_outline(optics, drift, E, origin, corners[f, : counts[f]], border, px, planes):
             continue
         top, bottom = px[0, 1], px[0, 1]
         for i in range(counts[f]):

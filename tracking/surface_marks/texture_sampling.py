@@ -94,7 +94,7 @@ def sample_texture(
     px, planes = np.zeros((sides, 2)), np.zeros((sides, 3))
     drift = drift_of_rows(optics, frame.pose)
     margin = faces.margin + motion_reach_px(K, origin[2], motion)
-    if not face_outline(optics, drift, E, origin, faces.corners[f], sides, margin, px, planes):
+    if not face_outline(optics, drift, E, origin, faces.corners[f, :sides], margin, px, planes):
         return 0.0, 0.0
     height, width = image.shape
     half = 0.5 * (n - 1)
