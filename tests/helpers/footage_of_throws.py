@@ -159,7 +159,7 @@ def photograph_by_rows(room: Studio, die: Die, throw: Moving, time_s: float) -> 
     height = room.camera.height_px
     place = (np.arange(height) / (height - 1)) * BANDS
     delays = (np.arange(BANDS + 1) / BANDS - 0.5) * room.readout_s
-    pictures = [photograph(room, die, throw.at(max(time_s + float(delay), 0.0))).astype(float) for delay in delays]
+    pictures = [photograph(room, die, throw.at(time_s + float(delay))).astype(float) for delay in delays]
     first = np.minimum(place.astype(int), BANDS - 1)
     share = (place - first)[:, None]
     rows = np.arange(height)
