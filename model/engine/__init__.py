@@ -12,7 +12,7 @@ from .air import Vacuum as Vacuum
 from .air import drag_trajectory as drag_trajectory
 from .event_loop import poses_of_throws as poses_of_throws
 from .event_loop import run_throw as run_throw
-from .flight import VertexHeights as VertexHeights
+from .flight import FallingDie as FallingDie
 from .flight import advance as advance
 from .flight import clearance as clearance
 from .flight import first_touch as first_touch

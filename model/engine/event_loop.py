@@ -13,7 +13,7 @@ import numpy as np
 
 from ..compiled import compiled, inner
 from .flight import (
-    VertexHeights,
+    FallingDie,
     advance,
     first_touch,
     height_terms,
@@ -113,8 +113,10 @@ def run_throw(
                 return RESTED, impacts, face, time, state, log[:0], knots.rows[:0]
             spin = spin_rate(state)
             height_terms(body.vertices, state, spin, terms)
-            heights = VertexHeights(terms, state[2], state[9], spin, body.radius)
-            dt, hit, velocity, acceleration = first_touch(heights, plane, time, precision.contact_tolerance, end - time)
+            falling = FallingDie(state[2], state[9], spin, body.radius)
+            dt, hit, velocity, acceleration = first_touch(
+                terms, falling, plane, time, precision.contact_tolerance, end - time
+            )
             if face >= 0 and stop_when_decided:
                 ending = RESTED
             elif hit < 0:

@@ -86,11 +86,9 @@ def height_terms(vertices: Array, state: Array, spin: float, terms: Array) -> No
         terms[i, 0], terms[i, 1], terms[i, 2], terms[i, 3] = a, b, along, sqrt(a * a + b * b)
 
 
-class VertexHeights(NamedTuple):
-    """The heights h(t) of vertices in a flight; they are those of its start for t = 0."""
+class FallingDie(NamedTuple):
+    """What the heights of all vertices in a flight have in common, at its start."""
 
-    terms: Array
-    """(n, 4) [m] of `height_terms`."""
     height: float
     """z [m] of the centre."""
     velocity: float
@@ -103,16 +101,16 @@ class VertexHeights(NamedTuple):
 
 @compiled
 def first_touch(
-    heights: VertexHeights, plane: Plane, clock: float, tolerance: float, limit: float
+    terms: Array, die: FallingDie, plane: Plane, clock: float, tolerance: float, limit: float
 ) -> tuple[float, int, float, float]:
-    """The first instant at which a vertex meets the table from above, no later than `limit` [s].
+    """The first instant at which a vertex of `terms` meets the table from above, no later than `limit` [s].
 
     `clock` [s] is the time at the start of the flight, for a table that moves; a vertex no higher than `tolerance` [m]
     touches. Returns the time [s] from the start of the flight, the row of the vertex (-1: the limit came first), and its
     vertical velocity (0 where it is only rounding) and acceleration there, relative to the table. Of vertices that touch
     together the fastest is returned, the first of equals.
     """
-    terms, height, velocity, spin, radius = heights
+    height, velocity, spin, radius = die
     t = 0.0
     g = plane.g
     moving = plane.amplitude != 0.0
@@ -177,41 +175,41 @@ def first_touch(
 
 
 @inner
-def touch_of_vertex(heights: VertexHeights, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
-    """The next touch of the only vertex in `heights`, whatever others do: time, found, velocity, acceleration.
+def touch_of_vertex(terms: Array, die: FallingDie, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
+    """The next touch of the one vertex in `terms` (1, 4), whatever others do: time, found, velocity, acceleration.
 
     A vertex that is already below the table and sinking touched a little before the flight began, and its time is negative.
     So the time stays a smooth function of the state where two touches change their order. It may lie as far back as the die
     takes to fall its own circumradius. A vertex that never rises above the table again has no touch.
     """
-    terms, height, velocity, spin, radius = heights
+    height, velocity, spin, radius = die
     below = BELOW_TABLE * radius
     h = height + terms[0, 0] + terms[0, 2] - table_height(plane, clock)
     v = velocity + spin * terms[0, 1] - table_velocity(plane, clock)
     if h < below and v < 0.0:
-        return _touch_before(heights, plane, clock)
-    t, _, v, acceleration = first_touch(heights, plane, clock, 0.0, inf)
-    return t, _height(heights, plane, clock, t) >= below, v, acceleration
+        return _touch_before(terms, die, plane, clock)
+    t, _, v, acceleration = first_touch(terms, die, plane, clock, 0.0, inf)
+    return t, _height(terms, die, plane, clock, t) >= below, v, acceleration
 
 
 @inner
-def _height(heights: VertexHeights, plane: Plane, clock: float, t: float) -> float:
-    """Height [m] of the only vertex in `heights` above the table."""
-    terms, height, velocity, spin, _ = heights
+def _height(terms: Array, die: FallingDie, plane: Plane, clock: float, t: float) -> float:
+    """Height [m] of the one vertex in `terms` (1, 4) above the table."""
+    height, velocity, spin, _ = die
     swung = terms[0, 0] * cos(spin * t) + terms[0, 1] * sin(spin * t) + terms[0, 2]
     return float(height + (velocity - 0.5 * plane.g * t) * t + swung - table_height(plane, clock + t))
 
 
 @inner
-def _touch_before(heights: VertexHeights, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
+def _touch_before(terms: Array, die: FallingDie, plane: Plane, clock: float) -> tuple[float, bool, float, float]:
     """The instant before the flight at which a vertex that is below the table crossed it; as `touch_of_vertex`."""
-    terms, height, velocity, spin, radius = heights
+    height, velocity, spin, radius = die
     t, g = 0.0, plane.g
     peak_table_acceleration = plane.amplitude * plane.rate * plane.rate
     bound = max(spin * spin * terms[0, 3] + peak_table_acceleration - g, LEAST_BOUND * g)  # h'' is no larger
     while t > -sqrt(2.0 * radius / g):
         swung, swept = cos(spin * t), sin(spin * t)
-        h = _height(heights, plane, clock, t)
+        h = _height(terms, die, plane, clock, t)
         v = velocity - g * t + spin * (terms[0, 1] * swung - terms[0, 0] * swept) - table_velocity(plane, clock + t)
         size = abs(height) + abs(velocity * t) + radius * (1.0 - spin * t)
         if plane.amplitude != 0.0:

@@ -72,8 +72,8 @@ def next_touch(die: Die, state: State, *, after_s: float = 0.0, until_s: float =
         return None
     terms = np.empty((len(die.solid.vertices), 4))
     engine.height_terms(die.solid.vertices, packed, spin, terms)
-    heights = engine.VertexHeights(terms, packed[2], packed[9], spin, die.solid.circumradius)
-    dt, vertex, velocity, _ = engine.first_touch(heights, engine.LEVEL, begin, 0.0, until_s - begin)
+    falling = engine.FallingDie(packed[2], packed[9], spin, die.solid.circumradius)
+    dt, vertex, velocity, _ = engine.first_touch(terms, falling, engine.LEVEL, begin, 0.0, until_s - begin)
     if vertex < 0:
         return None
     engine.advance(packed, spin, dt, engine.LEVEL)

@@ -137,14 +137,14 @@ def next_event(
         if t > 0.0:
             state_after_step(contact, y, time, t, stages, now)
         if i >= 0:
-            n, o = contact_forces(contact, now, time + t)
+            n, o = contact_forces(body, plane, now, time + t, i, j)
             if min(n, o) < weightless:
                 for _ in range(RELEASE_BISECTIONS):
                     middle = 0.5 * (last + t)
                     if middle in (last, t):
                         break
                     state_after_step(contact, y, time, middle, stages, now)
-                    n, o = contact_forces(contact, now, time + middle)
+                    n, o = contact_forces(body, plane, now, time + middle, i, j)
                     if min(n, o) < weightless:
                         t = middle
                     else:
@@ -172,7 +172,7 @@ def next_event(
                     continue
             acceleration = free_acceleration(body, plane, now, time + t, k)
             if i >= 0:
-                n, o = contact_forces(contact, now, time + t)
+                n, o = contact_forces(body, plane, now, time + t, i, j)
                 acceleration += response(body, now, k, i) * n
                 if j >= 0:
                     acceleration += response(body, now, k, j) * o

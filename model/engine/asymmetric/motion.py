@@ -74,9 +74,8 @@ def free_acceleration(body: AsymmetricBody, plane: Plane, y: Array, time: float,
 
 
 @inner
-def contact_forces(contact: Contact, y: Array, time: float) -> tuple[float, float]:
+def contact_forces(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int) -> tuple[float, float]:
     """The vertical forces [N] that keep vertices i and j (-1: i alone) on the table."""
-    body, plane, i, j = contact
     if i < 0:
         return 0.0, 0.0
     b = free_acceleration(body, plane, y, time, i)
@@ -90,9 +89,8 @@ def contact_forces(contact: Contact, y: Array, time: float) -> tuple[float, floa
 
 
 @inner
-def _state_rates(contact: Contact, y: Array, time: float, out: Array) -> None:
+def _state_rates(body: AsymmetricBody, plane: Plane, y: Array, time: float, i: int, j: int, out: Array) -> None:
     """Fill `out` (8,) with q' and, in held contact, z', v_z', L_x', L_y'."""
-    body, plane, i, j = contact
     p, q, r = body_angular_velocity(body, y)
     w, a, b, c = y[3], y[4], y[5], y[6]
     out[0] = 0.5 * (-a * p - b * q - c * r)
@@ -101,7 +99,7 @@ def _state_rates(contact: Contact, y: Array, time: float, out: Array) -> None:
     out[3] = 0.5 * (w * r + a * q - b * p)
     if i < 0:
         return
-    n, o = contact_forces(contact, y, time)
+    n, o = contact_forces(body, plane, y, time, i, j)
     out[4] = y[9]
     out[5] = -plane.g + (n + o) / body.mass
     d, e, f = unit_torque(body, y, i)
@@ -144,7 +142,7 @@ def state_after_step(contact: Contact, y: Array, time: float, dt: float, stages:
         stage_values(stages, stage, dt, size)
         _write_values(out, values)
         if stage < STAGES:
-            _state_rates(contact, out, time + NODES[stage] * dt, stages[stage])
+            _state_rates(body, plane, out, time + NODES[stage] * dt, i, j, stages[stage])
     values[:4] /= sqrt(values[0] * values[0] + values[1] * values[1] + values[2] * values[2] + values[3] * values[3])
     _write_values(out, values)
     if i < 0:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...compiled import compiled, inner
 from ..event_loop import run_throw
 from ..flight import (
-    VertexHeights,
+    FallingDie,
     advance,
     centripetal_acceleration,
     clearance,
@@ -264,8 +264,8 @@ def add_grazing_touch(
     band = SAFETY_FACTOR * (sqrt(heights) + body.radius * sqrt(tilts)) + floor
     spin, terms = spin_rate(state), np.empty((body.vertices.shape[0], 4))
     height_terms(body.vertices, state, spin, terms)
-    heights_in_flight = VertexHeights(terms, state[2], state[9], spin, body.radius)
-    low, k, _, _ = first_touch(heights_in_flight, plane, time, band, dt)
+    falling = FallingDie(state[2], state[9], spin, body.radius)
+    low, k, _, _ = first_touch(terms, falling, plane, time, band, dt)
     there = state.copy()
     advance(there, spin, dt, plane)
     if k < 0 or k == hit or vertex_velocity(body, plane, there, time + dt, k) < 0.0:

@@ -18,7 +18,7 @@ from ..air import AIR_STEP_S, FLOW_SIZE, Air, Vacuum, drag_acceleration, integra
 from ..flight import (
     BELOW_TABLE,
     LEAST_BOUND,
-    VertexHeights,
+    FallingDie,
     advance,
     first_touch,
     height_terms,
@@ -164,10 +164,10 @@ def touch_in_vacuum(
     air: Vacuum, plane: Plane, start: FlightStart, terms: Array, radius: float, clock: float, limit: float
 ) -> tuple[float, int, float, float]:
     """`touch_ahead` without drag."""
-    heights = VertexHeights(terms, start.state[2], start.state[9], start.spin, radius)
+    falling = FallingDie(start.state[2], start.state[9], start.spin, radius)
     if limit < inf:
-        return first_touch(heights, plane, clock, 0.0, limit)
-    dt, found, velocity, acceleration = touch_of_vertex(heights, plane, clock)
+        return first_touch(terms, falling, plane, clock, 0.0, limit)
+    dt, found, velocity, acceleration = touch_of_vertex(terms, falling, plane, clock)
     return dt, 0 if found else -1, velocity, acceleration
 
 
