@@ -1,0 +1,380 @@
+"""Rates of success over random clips: `python benchmarks/population.py [--clips 100] [--seed 1]`.
+
+Each clip is drawn from stated ranges (`population_clips/draw.py`: shape, corner radius, gloss, paint, light, view, size in
+the picture, frame rate, exposure, spin, response, noise, shutter, codec), rendered by rays, tracked and fitted as `diethrow
+analyze` does, and compared with its truth. Clip k of a seed is the same everywhere. Clips and results stay in `--cache`, and
+a repeated call continues: clips are rendered again after a change of the renderer, and analysed again after `--again`, or
+where `--label` is new (a label names a state of the program, for comparison).
+
+The table has a row for each kind of clip, with counts and, below 100 %, intervals of 95 % (Wilson):
+
+  clips      of this kind; refused: no die was found, or the scene is not accepted, with a reason; crashed: any other error
+  begun      first pose right: the first frame with a pose within 5 degrees and 1 mm across of the truth, up to a symmetry
+  tracked    frames with a pose, of those that show the whole die
+  wrong      frames off by more than 5 degrees, 1 mm across or 5 standard deviations (chi square of as small a probability),
+             of those with a pose; gross: the first two alone
+  unnamed    wrong frames that no message names
+  bounces    found, of the lone ones in view; spurious: farther than 1.5 frames from any true one, of those found
+  NEES       median over clips of each clip's median (5.35 where covariances are honest)
+  rotation, lateral, depth   medians over clips of each clip's median [deg, mm, mm]
+  chi        share of clips whose interval of the restitution holds the truth, of those that have one; rms error in standard
+             errors (the interval's half width is two)
+
+`--worst N` saves pictures of the worst clips, with the contour of the pose that was found and of the true one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, as_completed
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from accuracy import (
+    MATCHED_FRAMES,
+    Truth,
+    body_turn,
+    findable,
+    read_truth,
+    rotations_onto,
+    rows_of,
+    turn_errors,
+)
+from numpy.typing import NDArray
+from population_clips import RENDERER_VERSION, draw_clip, write_random_clip
+from scipy.stats import binomtest, chi2
+
+from diethrow.analysis import RunError, Tracking, silent
+from diethrow.commands.clip.fit import run_fit
+from diethrow.commands.clip.track import check_scene, track_scene
+from diethrow.executors import Processes, cluster_at, cores, one_thread
+from diethrow.files.provenance import Stopwatch
+from diethrow.files.scene import Scene, SceneError, read_scene
+from diethrow.fitting.results import Fit
+from diethrow.model.rotations import angle_between, matrix_from_quat
+from diethrow.tracking.quality import QUALITIES
+
+Array = NDArray[np.float64]
+
+WRONG_DEG, WRONG_M, WRONG_SIGMAS = 5.0, 1e-3, 5.0
+WRONG_SQUARED = float(chi2.isf(chi2.sf(WRONG_SIGMAS**2, 1), 6))
+"""Squared Mahalanobis distance of six components as improbable as 5 standard deviations of one: 43."""
+DEFAULT_CACHE = Path.home() / ".cache" / "diethrow" / "population"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Render, analyse and compare what is missing; print the tables. The exit status is 1 if a clip crashed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clips", type=int, default=100, help="number of clips (%(default)s)")
+    parser.add_argument("--first", type=int, default=0, help="number of the first clip (%(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="(%(default)s)")
+    parser.add_argument("--cache", type=Path, default=DEFAULT_CACHE, help="folder of clips and results (%(default)s)")
+    parser.add_argument("--label", default="main", help="name of the results, for comparison (%(default)s)")
+    parser.add_argument("--quality", choices=list(QUALITIES), default="standard")
+    parser.add_argument("--again", action="store_true", help="analyse clips again that have results")
+    parser.add_argument("--kind", action="append", default=[], help="only clips of this kind; may be repeated")
+    parser.add_argument("--list", action="store_true", help="print a line for every clip")
+    parser.add_argument("--worst", type=int, default=10, help="clips to save pictures of (%(default)s)")
+    parser.add_argument("--workers", type=int, default=cores(), help="processes of this machine (%(default)s)")
+    parser.add_argument("--scheduler", help="address of a Dask scheduler instead, whose workers see the cache")
+    chosen = parser.parse_args(arguments)
+    clips = chosen.cache / f"seed{chosen.seed}_v{RENDERER_VERSION}"
+    results = clips / "results" / f"{chosen.label}_{chosen.quality}.jsonl"
+    results.parent.mkdir(parents=True, exist_ok=True)
+    numbers = range(chosen.first, chosen.first + chosen.clips)
+    known = {} if chosen.again else read_results(results)
+    missing = [k for k in numbers if k not in known]
+    with executor_of(chosen) as executor:
+        work = [
+            executor.submit(clip_result, clips, chosen.seed, k, chosen.quality, tuple(chosen.kind)) for k in missing
+        ]
+        for result in progress(work):
+            known[result["clip"]] = result
+            with results.open("a") as file:
+                file.write(json.dumps(result) + "\n")
+    wanted = [known[k] for k in numbers if k in known and known[k]["outcome"] != "skipped"]
+    if chosen.list:
+        for result in wanted:
+            print(line_of(result))
+    print_table(wanted)
+    for result in sorted(wanted, key=badness, reverse=True)[: chosen.worst]:
+        save_picture(clips, result, results.parent / f"{chosen.label}_worst")
+    return 1 if any(result["outcome"] == "crashed" for result in wanted) else 0
+
+
+@contextmanager
+def executor_of(chosen: argparse.Namespace) -> Iterator[Executor]:
+    """Local processes, or a cluster."""
+    if chosen.scheduler:
+        with cluster_at(chosen.scheduler) as executor:
+            yield executor
+    else:
+        with Processes(chosen.workers) as processes:
+            yield processes
+
+
+def read_results(path: Path) -> dict[int, dict[str, Any]]:
+    """Results by number of the clip; of several, the last."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    return {result["clip"]: result for result in map(json.loads, lines) if result["outcome"] != "skipped"}
+
+
+def progress(work: Sequence[Future[dict[str, Any]]]) -> Iterator[dict[str, Any]]:
+    """Results as they come, counted on stderr."""
+    begin = time.monotonic()
+    for done, future in enumerate(as_completed(work), 1):
+        yield future.result()
+        left = (time.monotonic() - begin) / done * (len(work) - done)
+        print(f"\r{done} of {len(work)} clips, {left / 60:.0f} min left ", end="", file=sys.stderr, flush=True)
+    if work:
+        print(file=sys.stderr)
+
+
+# --- one clip ---------------------------------------------------------------------------------------------------------
+
+
+def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Render a clip where it is not there yet, analyse it, and compare: a record for the file of results."""
+    draw = draw_clip(seed, number)
+    result: dict[str, Any] = {"clip": number, "kinds": draw.kinds, "outcome": "skipped"}
+    if kinds and not set(kinds) & set(draw.kinds):
+        return result
+    folder = clips / f"{number:04d}"
+    if not folder.exists():
+        clips.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=clips) as scratch:
+            whole = Path(scratch) / "clip"
+            whole.mkdir()
+            write_random_clip(draw, whole)
+            with suppress(OSError):  # where another process has rendered the same clip meanwhile
+                whole.rename(folder)
+    began = time.perf_counter()
+    try:
+        scene = read_scene(folder / "scene.toml")
+        with one_thread():
+            check_scene(scene)
+            tracking = track_scene(scene, silent, Stopwatch(), QUALITIES[quality])
+            fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, silent, Stopwatch(), "profile")
+        result |= {"outcome": "analysed"} | compared(scene, read_truth(folder), tracking, fit, draw.law.chi)
+    except (RunError, SceneError) as error:
+        result |= {"outcome": "refused", "reason": str(error)}
+    except Exception as error:  # a crash on one clip is a result of the benchmark
+        result |= {"outcome": "crashed", "reason": f"{type(error).__name__}: {error}"}
+    return result | {"seconds": round(time.perf_counter() - began, 2)}
+
+
+def compared(scene: Scene, truth: Truth, tracking: Tracking, fit: Fit, chi: float) -> dict[str, Any]:
+    """Numbers of one analysis against its truth."""
+    track = tracking.smoothed
+    row = rows_of(track, truth)
+    visible = truth.visible[row]
+    both = visible & track.tracked
+    messages = [*tracking.notices, *fit.messages]
+    found = {"visible": int(visible.sum()), "tracked": int(both.sum()), "messages": messages}
+    if not both.any():
+        return found | {"begun": False, "wrong": 0, "gross": 0, "unnamed": 0} | bounces_of(tracking, truth)
+    turn = body_turn(track, truth, row, scene)
+    moved = truth.position_m[row] - track.position_m
+    turned = np.full((len(row), 3), np.nan)
+    turned[both] = turn_errors(matrix_from_quat(track.quaternion[both]) @ turn, truth.rotation[row[both]])
+    in_camera = moved @ scene.views()[0].camera.rotation.T
+    across, along = np.linalg.norm(in_camera[:, :2], axis=1), np.abs(in_camera[:, 2])
+    angle = np.degrees(np.linalg.norm(turned, axis=1))
+    nees = np.full(len(row), np.nan)
+    nees[both] = squared_distances(np.concatenate([moved[both], turned[both]], 1), track.covariance[both])
+    gross = both & ((angle > WRONG_DEG) | (across > WRONG_M))
+    wrong = gross | (both & (nees > WRONG_SQUARED))
+    first = int(np.flatnonzero(both)[0])
+    return (
+        found
+        | {
+            "begun": bool(angle_up_to_symmetry(track.quaternion[first], truth, row[first], scene) < WRONG_DEG)
+            and bool(across[first] < WRONG_M),
+            "wrong": int(wrong.sum()),
+            "gross": int(gross.sum()),
+            "unnamed": int(sum(not named(int(frame), messages) for frame in track.frame[wrong])),
+            "first_wrong": int(track.frame[gross][0]) if gross.any() else None,
+            "rotation": quantiles(angle[both]),
+            "lateral": quantiles(1e3 * across[both]),
+            "depth": quantiles(1e3 * along[both]),
+            "nees": float(np.median(nees[both])),
+            "chi": chi_of(fit, chi),
+        }
+        | bounces_of(tracking, truth)
+    )
+
+
+def squared_distances(errors: Array, covariances: Array) -> Array:
+    """(n,) squared Mahalanobis lengths of errors (n, 6) with covariances (n, 6, 6)."""
+    return np.asarray(np.einsum("ki,ki->k", errors, np.linalg.solve(covariances, errors[..., None])[..., 0]))
+
+
+def angle_up_to_symmetry(quaternion: Array, truth: Truth, row: int, scene: Scene) -> float:
+    """[deg] between a pose and the truth, with the symmetry rotation that fits best."""
+    turns = rotations_onto(truth.vertices_m, scene.die.solid.vertices)
+    found = matrix_from_quat(quaternion)
+    return float(min(np.degrees(angle_between(found @ turn, truth.rotation[row])) for turn in turns))
+
+
+def quantiles(values: Array) -> list[float]:
+    """Median and 95th percentile."""
+    return [float(np.median(values)), float(np.percentile(values, 95))]
+
+
+def named(frame: int, messages: Sequence[str]) -> bool:
+    """Whether a message names the frame, or frames around it."""
+    import re
+
+    for message in messages:
+        for low, high in re.findall(r"frames? (\d+)(?: (?:to|and) (\d+))?", message):
+            if int(low) <= frame <= int(high or low):
+                return True
+    return False
+
+
+def bounces_of(tracking: Tracking, truth: Truth) -> dict[str, Any]:
+    """Lone bounces in view, those found, and spurious ones."""
+    frame_s = float(np.median(np.diff(truth.time_s)))
+    times = np.array([impact.time_s for impact in tracking.measured.impacts])
+    gaps = np.abs(times[:, None] - truth.bounce_s) / frame_s
+    wanted = np.flatnonzero(findable(truth, frame_s))
+    found = [k for k in wanted if gaps[:, k].min(initial=np.inf) < MATCHED_FRAMES]
+    return {
+        "lone": len(wanted),
+        "found": len(found),
+        "spurious": int((gaps.min(1, initial=np.inf) > MATCHED_FRAMES).sum()),
+        "late": [float(gaps[:, k].min()) for k in found],
+    }
+
+
+def chi_of(fit: Fit, true: float) -> dict[str, Any]:
+    """Error of the restitution, whether its interval holds the truth, and the error in standard errors."""
+    chi = fit.parameters["chi"]
+    if chi.value is None:
+        return {"error": None, "holds": None, "sigmas": None}
+    if chi.low is None or chi.high is None:
+        return {"error": chi.value - true, "holds": None, "sigmas": None}
+    sigma = (chi.high - chi.low) / 4.0
+    error = chi.value - true
+    return {
+        "error": error,
+        "holds": bool(chi.low <= true <= chi.high),
+        "sigmas": error / sigma if sigma > 0 else None,
+    }
+
+
+# --- tables -----------------------------------------------------------------------------------------------------------
+
+
+def print_table(results: Sequence[dict[str, Any]]) -> None:
+    """A row for all clips and one for each kind."""
+    kinds = sorted({kind for result in results for kind in result["kinds"]})
+    heads = ["kind", "clips", "refused", "crashed", "begun", "tracked", "wrong", "gross", "unnamed", "bounces"]
+    heads += ["spurious", "NEES", "rotation", "lateral", "depth", "chi holds", "chi rms"]
+    rows = [row_of("all", results)]
+    rows += [row_of(kind, [result for result in results if kind in result["kinds"]]) for kind in kinds]
+    widths = [max(len(row[k]) for row in (heads, *rows)) for k in range(len(heads))]
+    for row in (heads, *rows):
+        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+    reasons = [f"  clip {r['clip']}: {r['reason']}" for r in results if r["outcome"] in ("refused", "crashed")]
+    if reasons:
+        print("\nrefused or crashed:", *reasons, sep="\n")
+
+
+def row_of(kind: str, results: Sequence[dict[str, Any]]) -> list[str]:
+    """The cells of one kind."""
+    good = [result for result in results if result["outcome"] == "analysed"]
+
+    def total(name: str) -> int:
+        return sum(int(result[name]) for result in good)
+
+    def middle(value: Callable[[dict[str, Any]], float | None], digits: int) -> str:
+        values = [v for result in good if (v := value(result)) is not None]
+        return f"{np.median(values):.{digits}f}" if values else ""
+
+    posed = [result for result in good if "nees" in result]
+    chis = [result["chi"] for result in posed if result["chi"]["holds"] is not None]
+    sigmas = [chi["sigmas"] for chi in chis if chi["sigmas"] is not None]
+    return [
+        kind,
+        str(len(results)),
+        str(sum(result["outcome"] == "refused" for result in results)),
+        str(sum(result["outcome"] == "crashed" for result in results)),
+        share(total("begun"), len(good)),
+        share(total("tracked"), total("visible")),
+        share(total("wrong"), total("tracked")),
+        share(total("gross"), total("tracked")),
+        str(total("unnamed")),
+        share(total("found"), total("lone")),
+        share(total("spurious"), total("found") + total("spurious")),
+        middle(lambda result: result.get("nees"), 1),
+        middle(lambda result: result["rotation"][0] if "rotation" in result else None, 3),
+        middle(lambda result: result["lateral"][0] if "lateral" in result else None, 4),
+        middle(lambda result: result["depth"][0] if "depth" in result else None, 3),
+        share(sum(bool(chi["holds"]) for chi in chis), len(chis)),
+        f"{np.sqrt(np.mean(np.square(sigmas))):.1f}" if sigmas else "",
+    ]
+
+
+def share(count: int, total: int) -> str:
+    """A percentage with its interval."""
+    if total == 0:
+        return ""
+    low, high = binomtest(count, total).proportion_ci(0.95, "wilson")
+    return f"{100 * count / total:.1f} ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def line_of(result: dict[str, Any]) -> str:
+    """One clip on one line."""
+    head = f"{result['clip']:4d} {result['outcome']:8s} {result['seconds']:6.1f} s  "
+    if result["outcome"] != "analysed":
+        return head + result["reason"][:120] + "  " + ", ".join(result["kinds"])
+    numbers = (
+        f"tracked {result['tracked']}/{result['visible']} wrong {result['wrong']} gross {result['gross']} "
+        f"bounces {result['found']}/{result['lone']}+{result['spurious']}"
+    )
+    if "nees" in result:
+        numbers += f" NEES {result['nees']:.1f} {result['rotation'][0]:.3f} deg {result['depth'][0]:.3f} mm"
+    return f"{head}{'' if result['begun'] else 'BEGUN WRONG '}{numbers}  {', '.join(result['kinds'])}"
+
+
+def badness(result: dict[str, Any]) -> float:
+    """What puts a clip among the worst: failures first, then wrong or lost frames and bounces."""
+    if result["outcome"] != "analysed":
+        return {"crashed": 1e6, "refused": 1e5}[result["outcome"]]
+    lost = (result["visible"] - result["tracked"]) / max(result["visible"], 1)
+    wrong = result["wrong"] / max(result["tracked"], 1)
+    return float(
+        10.0 * (not result["begun"]) + 5.0 * wrong + 5.0 * lost + result["lone"] - result["found"] + result["spurious"]
+    )
+
+
+def save_picture(clips: Path, result: dict[str, Any], folder: Path) -> None:
+    """Six frames of a clip side by side, at the worst of it: the frames around the first wrong pose, or spread evenly."""
+    import cv2
+
+    from diethrow.commands.clip.track import open_footage
+
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        scene = read_scene(clips / f"{result['clip']:04d}" / "scene.toml")
+    except SceneError:
+        return
+    clip = open_footage(scene, scene.views()[0])
+    count = len(clip)
+    first = result.get("first_wrong")
+    shown = np.linspace(0, count - 1, 6).astype(int) if first is None else np.arange(first - 3, first + 3)
+    pictures = {k: frame for k, frame in enumerate(clip.frames()) if k in set(np.clip(shown, 0, count - 1).tolist())}
+    row = np.hstack([pictures[k] for k in sorted(pictures)])
+    cv2.imwrite(str(folder / f"{result['clip']:04d}.png"), row)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
