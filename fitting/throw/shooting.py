@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from ...model.throw import Propagation, State, Throw
+from ...model.throw import MAX_STATE_COMPONENT, Propagation, State, Throw
 from ...tracking.throw import left_jacobians, perturbed
 from ..estimation import (
     COST_TOLERANCE,
@@ -40,6 +40,9 @@ _FIRST_SHARE = 0.1
 
 _NO_INFORMATION = 1e-6
 """Information on a parameter, relative to that of its first scale, below which it has none."""
+
+LARGEST_DISPLACEMENT = 0.25
+"""Displacement of a state, of what the model resolves: axes of a tilted table may make a component larger by a factor of √3."""
 
 _HOPELESS = 2.0
 """Cost in k² per frame above which a trajectory is no fit; one within `extension.MISFIT` costs less."""
@@ -127,6 +130,7 @@ def fit_trajectory(
     room = np.array([[bound - physics.values[name] for bound in physics.bounds(name)] for name in names])
     low, high = np.full(12 + len(names), -np.inf), np.full(12 + len(names), np.inf)
     low[12:], high[12:] = room.reshape(-1, 2).T
+    low[:12], high[:12] = room_of_state(start.state)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         residuals, jacobian, _ = _evaluated(observations, start, x, vertices)
@@ -149,6 +153,16 @@ def fit_trajectory(
         root=_information_root(scaled, physics),
         propagation=propagation,
     )
+
+
+def room_of_state(state: State) -> tuple[Array, Array]:
+    """Bounds (12,) of a displacement of a state that the model still resolves. Frames of one instant leave velocities open, and a
+    step along them may be of any length."""
+    high = np.full(12, np.inf)
+    for first, name in ((0, "position_m"), (6, "velocity_m_s"), (9, "omega_rad_s")):
+        largest = float(np.abs(getattr(state, name)).max())
+        high[first : first + 3] = LARGEST_DISPLACEMENT * (MAX_STATE_COMPONENT[name] - largest)
+    return -high, high
 
 
 def refitted(start: Trajectory, k2: float, *, tolerance: float = COST_TOLERANCE) -> Trajectory:

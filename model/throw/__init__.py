@@ -6,6 +6,7 @@ its start and by parameters of die, law and table, for fits. `body_of` and the p
 `model.engine`.
 """
 
+from .body import MAX_STATE_COMPONENT as MAX_STATE_COMPONENT
 from .body import RELEASE_DEPTH_TOLERANCE as RELEASE_DEPTH_TOLERANCE
 from .body import asymmetric_body_of as asymmetric_body_of
 from .body import body_of as body_of
