@@ -130,7 +130,7 @@ def fit_trajectory(
     room = np.array([[bound - physics.values[name] for bound in physics.bounds(name)] for name in names])
     low, high = np.full(12 + len(names), -np.inf), np.full(12 + len(names), np.inf)
     low[12:], high[12:] = room.reshape(-1, 2).T
-    low[:12], high[:12] = room_of_state(start.state)
+    low[:12], high[:12] = displacement_bounds(start.state)
 
     def evaluate(x: Array) -> tuple[Array, Array]:
         residuals, jacobian, _ = _evaluated(observations, start, x, vertices)
@@ -155,7 +155,7 @@ def fit_trajectory(
     )
 
 
-def room_of_state(state: State) -> tuple[Array, Array]:
+def displacement_bounds(state: State) -> tuple[Array, Array]:
     """Bounds (12,) of a displacement of a state that the model still resolves. Frames of one instant leave velocities open, and a
     step along them may be of any length."""
     high = np.full(12, np.inf)
