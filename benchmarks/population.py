@@ -20,13 +20,14 @@ The table has a row for each kind of clip, with counts and, below 100 %, interva
   chi        share of clips whose interval of the restitution holds the truth, of those that have one; rms error in standard
              errors (the interval's half width is two)
 
-`--worst N` saves pictures of the worst clips, with the contour of the pose that was found and of the true one.
+`--worst N` saves pictures of the worst clips: six frames about the first pose that is wrong, or spread over the clip.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import tempfile
 import time
@@ -230,8 +231,6 @@ def quantiles(values: Array) -> list[float]:
 
 def named(frame: int, messages: Sequence[str]) -> bool:
     """Whether a message names the frame, or frames around it."""
-    import re
-
     for message in messages:
         for low, high in re.findall(r"frames? (\d+)(?: (?:to|and) (\d+))?", message):
             if int(low) <= frame <= int(high or low):
