@@ -35,7 +35,7 @@ EXPOSURE_SHARE = (0.03, 0.95)
 """Of the frame interval."""
 MAX_SPIN_RAD_S = 70.0
 MAX_TURN_PER_FRAME_RAD = 0.2
-"""Spin at release is at most this times the rate: 48 rad/s at 240 frames/s, where half a turn a second is usual."""
+"""Spin at release is at most this times the rate: 48 rad/s at 240 frames/s."""
 FALL_M = (0.03, 0.6)
 """Height of fall that gives the speed of the first impact."""
 FRAMES = (100, 150)

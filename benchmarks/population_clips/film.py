@@ -8,6 +8,7 @@ whose grey levels follow the response. The file is written by the codec of the d
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from diethrow.commands.model.filmed_throw import scene_tables
 from diethrow.files.truth import write_truth
 
 from .draw import Draw
@@ -29,7 +31,7 @@ RENDERER_VERSION = 2
 """Part of the name of a cached clip; counts the changes of pictures or draws."""
 FINER = 3
 """Subpixels along each side of a pixel: at a blur of 0.45 px their distance is 0.74 standard deviations."""
-FINER_ABOVE_PX = 2
+FINER_IF_LARGE = 2
 """The same for dice wider than LARGE_PX, for time; the blur is then above 0.9 of their distance."""
 LARGE_PX = 90.0
 POSES_PER_FRAME = 24
@@ -56,7 +58,7 @@ def write_random_clip(draw: Draw, folder: Path) -> None:
     body, light = _body(draw), _light(draw)
     rng = np.random.default_rng([draw.seed, draw.number, 1])
     size = draw.camera.width_px
-    finer = FINER_ABOVE_PX if _diameter_px(draw) > LARGE_PX else FINER
+    finer = FINER_IF_LARGE if _diameter_px(draw) > LARGE_PX else FINER
     rays = _rays(draw, finer)
     table, points = _table(draw, rays, np.random.default_rng([draw.seed, draw.number, 2]))
     sensor = _Sensor(draw, rng, size)
@@ -392,12 +394,11 @@ def _write(folder: Path, frames: Iterator[NDArray[np.uint8]], draw: Draw) -> str
 
 def scene_text(draw: Draw, clip: str) -> str:
     """The scene file that a user would write who knows the camera."""
-    camera, die = draw.camera, draw.die
     background = 'background = "background.png"\n' if draw.has_background else ""
-    radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
-    marks = f'marks = "{die.marks}"\n' if die.marks else ""
-    response = f"response = {draw.response!r}\n".replace("'", '"') if draw.states_response else ""
+    response = f"response = {json.dumps(draw.response)}\n" if draw.states_response else ""
     readout = f"readout_s = {draw.readout_s!r}\n" if draw.readout_s else ""
+    # The truth has the inertia that the model gave the die, whatever it gives one without a number later.
+    inertia = f"inertia_kg_m2 = {draw.die.inertia_kg_m2!r}\n"
     return f"""# Clip {draw.number} of seed {draw.seed}: {", ".join(draw.kinds)}.
 
 [clip]
@@ -405,20 +406,4 @@ path = "{clip}"
 fps = {draw.fps!r}
 exposure_s = {draw.exposure_s!r}
 {background}{readout}{response}
-[camera]
-width = {camera.width_px}
-height = {camera.height_px}
-matrix = {camera.matrix.tolist()}
-distortion = {camera.distortion.tolist()}
-rotation = {camera.rotation.tolist()}
-translation_m = {camera.translation_m.tolist()}
-
-[table]
-surface = "{draw.surface}"
-
-[die]
-shape = "{die.solid.name}"
-edge_m = {die.solid.edge_m!r}
-mass_kg = {die.mass_kg!r}
-inertia_kg_m2 = {die.inertia_kg_m2!r}
-{radius}{marks}"""
+{scene_tables(draw.camera, draw.surface, draw.die)}{inertia}"""

@@ -60,10 +60,10 @@ def _run(setup: engine.Setup, start: Array, start_time: float, limits: engine.Li
 def _run_of(setup: Any, start: Any, start_time: Any, limits: Any, keep: Any) -> Any:
     """The branch of `_run` that the type of the body asks for, chosen when it is compiled."""
 
-    def run_asymmetric(setup, start, start_time, limits, keep):  # type: ignore[no-untyped-def]
+    def run_asymmetric(setup: Any, start: Any, start_time: Any, limits: Any, keep: Any) -> Any:
         return asymmetric.run_asymmetric_throw(setup, start, start_time, limits, keep)
 
-    def run(setup, start, start_time, limits, keep):  # type: ignore[no-untyped-def]
+    def run(setup: Any, start: Any, start_time: Any, limits: Any, keep: Any) -> Any:
         return engine.run_throw(setup, start, start_time, limits, keep)
 
     return run_asymmetric if setup[0].instance_class is engine.AsymmetricBody else run

@@ -42,9 +42,10 @@ SMALLER_RADIUS = 0.9
 """Factor on a radius that the flights of its pass do not support: little decides whether an impact is lost, and it is rather lost
 with a radius that is too large."""
 LIGHT_PASSES = 2
-"""Most tracking passes with an estimated light."""
+"""Most tracking passes with an estimated light: poses of the first are known well enough to estimate it again."""
 SAME_COST = 0.05
-"""Cost by which a pass with an estimated light may fit the pictures worse than the pass before: the noise of the mean."""
+"""Cost by which a pass with an estimated light may fit the pictures worse than the pass before. Of five random clips the costs
+of three with better poses rose by up to 0.015 or fell; those of two with worse poses rose by 0.11 and 0.39."""
 SUFFICIENT_FRAMES = 0.95
 """Share of the frames tracked with another radius, or none, below which a radius is rejected."""
 ROUND_SHARE = 0.25

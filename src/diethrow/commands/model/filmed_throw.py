@@ -375,9 +375,6 @@ def write_ffv1(path: Path, frames: Iterator[NDArray], job: FilmJob) -> None:
 
 def scene_text(job: FilmJob, clip: str) -> str:
     """The scene file of this clip."""
-    camera, die = job.camera, job.die
-    radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
-    marks = f'marks = "{die.marks}"\n' if die.marks else ""
     response = "" if is_linear(job.response) else f"response = {json.dumps(job.response)}\n"
     return f"""# {job.name}: a simulated throw, rendered as filmed at {job.fps:g} frames per second.
 
@@ -387,7 +384,14 @@ fps = {float(job.fps)!r}
 exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
 {response}
-[camera]
+{scene_tables(job.camera, job.surface, job.die)}"""
+
+
+def scene_tables(camera: Camera, surface: str, die: Die) -> str:
+    """The tables of a scene file that describe camera, table and die."""
+    radius = f"corner_radius_m = {die.corner_radius_m!r}\n" if die.corner_radius_m else ""
+    marks = f'marks = "{die.marks}"\n' if die.marks else ""
+    return f"""[camera]
 width = {camera.width_px}
 height = {camera.height_px}
 matrix = {camera.matrix.tolist()}
@@ -396,7 +400,7 @@ rotation = {camera.rotation.tolist()}
 translation_m = {camera.translation_m.tolist()}
 
 [table]
-surface = "{job.surface}"
+surface = "{surface}"
 
 [die]
 shape = "{die.solid.name}"
