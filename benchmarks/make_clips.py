@@ -197,9 +197,9 @@ def job_of(name: str, case: Case, effort: RenderSettings) -> FilmJob:
         case.frames,
         look,
         sensor,
-        blur,
-        effort,
-        case.seed,
+        blur_px=blur,
+        rendering=effort,
+        seed=case.seed,
     )
 
 

@@ -5,8 +5,10 @@
 inner edge, and a piece of a sphere around every inner corner. Each is divided into triangles whose vertices lie on the
 surface and carry its normal, so that the shading is that of the smooth body. A sharp die has its faces only.
 
-**Paint.** Every face has a square tile of one texture (the atlas). The tile after the last is blank and covers the bevels.
+**Paint.** Every face has a square tile of one texture (the atlas). The paint of a face covers its bevels up to their middle, by
+projection onto the plane of the face.
 Pips are placed as on a Western die; numbers are upright towards a corner of their face, or towards an edge on the cube.
+Recessed marks are a second texture of heights, by which the renderer turns the normals; the mesh stays flat there.
 """
 
 from __future__ import annotations
@@ -39,6 +41,10 @@ GRAIN_PX = 1.5
 """Standard deviation of the blur of the grain, in pixels of the atlas: specks of a few hundredths of a face."""
 NUMBER_WIDTH = 1.35
 """Diagonal of a number's bounding box in inradii of its face: clear of the edges."""
+SPECK_PX = 4.0
+"""Standard deviation of the blur of the specks, in pixels of the atlas: flakes of a tenth of a face."""
+SPECK_REFLECTANCE = 0.25
+"""Of dark specks, as a share of the die's reflectance."""
 
 PIPS: dict[int, tuple[tuple[int, int], ...]] = {
     1: ((0, 0),),
@@ -95,15 +101,20 @@ def face_frame(solid: Solid, face: int) -> FaceFrame:
 # --- shape ---
 
 
+def stretched(mesh: Mesh, factors: tuple[float, float, float]) -> Mesh:
+    """The mesh with its body axes stretched, as a die whose edges are not equal."""
+    by = np.array(factors)
+    return Mesh(mesh.vertices_m * by, _unit(mesh.normals / by), mesh.texture_uv, mesh.triangles)
+
+
 def die_mesh(die: Die) -> Mesh:
     """The surface of a die, sharp or rounded. Raises ValueError for a radius that leaves no inner polyhedron."""
     solid, radius = die.solid, die.corner_radius_m
     inner = inner_vertices(solid, radius)
     parts = [_face(solid, k, inner, radius) for k in range(len(solid.faces))]
     if radius > 0:
-        blank = _tile_uv(len(solid.faces), len(solid.faces), np.zeros(2))
-        parts += [_bevel(solid, e, inner, radius, blank) for e in range(len(solid.edges))]
-        parts += [_corner(solid, v, inner, radius, blank) for v in range(len(inner))]
+        parts += [part for e in range(len(solid.edges)) for part in _bevel(solid, e, inner, radius)]
+        parts += [part for v in range(len(inner)) for part in _corner(solid, v, inner, radius)]
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts[:-1])])
     return Mesh(
         np.concatenate([part.vertices_m for part in parts]),
@@ -117,44 +128,56 @@ def _face(solid: Solid, face: int, inner: Array, radius: float) -> Mesh:
     """The flat part of a face, as a triangle fan from its first corner."""
     normal = solid.normals[face]
     corners = inner[list(solid.faces[face])] + radius * normal
-    frame = face_frame(solid, face)
-    across = (corners - frame.middle_m) @ np.stack([frame.right, frame.up], 1) / frame.half_m
     n = len(corners)
     fan = np.array([(0, j, j + 1) for j in range(1, n - 1)])
-    return Mesh(corners, np.tile(normal, (n, 1)), _tile_uv(face, len(solid.faces), across), fan)
+    return _painted(solid, face, corners, np.tile(normal, (n, 1)), fan)
 
 
-def _bevel(solid: Solid, edge: int, inner: Array, radius: float, blank: Array) -> Mesh:
-    """The piece of a cylinder between the two faces of an edge."""
+def _painted(solid: Solid, face: int, vertices: Array, normals: Array, triangles: NDArray[np.int64]) -> Mesh:
+    """Triangles with the paint of a face."""
+    frame = face_frame(solid, face)
+    across = (vertices - frame.middle_m) @ np.stack([frame.right, frame.up], 1) / frame.half_m
+    return Mesh(vertices, normals, _tile_uv(face, len(solid.faces), across), triangles)
+
+
+def _bevel(solid: Solid, edge: int, inner: Array, radius: float) -> list[Mesh]:
+    """The piece of a cylinder between the two faces of an edge: a half with the paint of each."""
     (a, b), (f, g) = solid.edges[edge], solid.edge_faces[edge]
-    share = np.linspace(0.0, 1.0, BEVEL_STEPS + 1)[:, None]
-    normals = _unit((1.0 - share) * solid.normals[f] + share * solid.normals[g])
+    middle = _unit(solid.normals[f] + solid.normals[g])
     # The edge runs from a to b counter-clockwise about its first face, so the second face lies to its right.
-    vertices = np.concatenate([inner[a] + radius * normals, inner[b] + radius * normals])
-    m = BEVEL_STEPS + 1
-    low = np.arange(BEVEL_STEPS)
+    halves = ((f, solid.normals[f], middle), (g, middle, solid.normals[g]))
+    m = BEVEL_STEPS // 2 + 1
+    low = np.arange(m - 1)
     triangles = np.concatenate([np.stack([low, low + 1, low + m], 1), np.stack([low + 1, low + m + 1, low + m], 1)])
-    return Mesh(vertices, np.tile(normals, (2, 1)), np.tile(blank, (2 * m, 1)), triangles)
+    parts = []
+    for face, begin, end in halves:
+        share = np.linspace(0.0, 1.0, m)[:, None]
+        normals = _unit((1.0 - share) * begin + share * end)
+        vertices = np.concatenate([inner[a] + radius * normals, inner[b] + radius * normals])
+        parts.append(_painted(solid, face, vertices, np.tile(normals, (2, 1)), triangles))
+    return parts
 
 
-def _corner(solid: Solid, vertex: int, inner: Array, radius: float, blank: Array) -> Mesh:
-    """The piece of a sphere around an inner corner: a sector for every pair of neighbouring faces."""
+def _corner(solid: Solid, vertex: int, inner: Array, radius: float) -> list[Mesh]:
+    """The piece of a sphere around an inner corner: for every pair of neighbouring faces a sector with the paint of each."""
     pairs = [
         (f, g) if a == vertex else (g, f)
         for (a, b), (f, g) in zip(solid.edges, solid.edge_faces, strict=True)
         if vertex in (a, b)
     ]
-    middle = _unit(np.sum([solid.normals[f] for f, _ in pairs], 0))
-    sectors = [_sector(middle, solid.normals[g], solid.normals[f]) for f, g in pairs]
-    normals = np.concatenate([directions for directions, _ in sectors])
-    size = len(sectors[0][0])
-    triangles = np.concatenate([cut + k * size for k, (_, cut) in enumerate(sectors)])
-    return Mesh(inner[vertex] + radius * normals, normals, np.tile(blank, (len(normals), 1)), triangles)
+    top = _unit(np.sum([solid.normals[f] for f, _ in pairs], 0))
+    parts = []
+    for f, g in pairs:
+        middle = _unit(solid.normals[f] + solid.normals[g])
+        for face, first, second in ((g, solid.normals[g], middle), (f, middle, solid.normals[f])):
+            normals, triangles = _sector(top, first, second)
+            parts.append(_painted(solid, face, inner[vertex] + radius * normals, normals, triangles))
+    return parts
 
 
 def _sector(a: Array, b: Array, c: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Directions on the spherical triangle a, b, c, divided BEVEL_STEPS times along each side, and the triangles between."""
-    n = BEVEL_STEPS
+    """Directions on the spherical triangle a, b, c, divided BEVEL_STEPS / 2 times along each side, and the triangles between."""
+    n = BEVEL_STEPS // 2
     number = {(i, j): k for k, (i, j) in enumerate((i, j) for i in range(n + 1) for j in range(n + 1 - i))}
     directions = _unit(np.array([(n - i - j) * a + i * b + j * c for i, j in number]))
     upright = [(number[i, j], number[i + 1, j], number[i, j + 1]) for i in range(n) for j in range(n - i)]
@@ -172,30 +195,46 @@ def _unit(vectors: Array) -> Array:
 
 
 def face_paint(
-    die: Die, *, die_reflectance: float, mark_reflectance: float, grain: float, seed: int
+    die: Die, *, die_reflectance: float, mark_reflectance: float, grain: float, seed: int, speckle: float = 0.0
 ) -> NDArray[np.float32]:
     """The atlas (n, n): the reflectance of all faces, first row on top.
 
-    `grain` is the relative standard deviation of the die's reflectance, in specks of a few hundredths of a face.
+    `grain` is the relative standard deviation of the die's reflectance, in specks of a few hundredths of a face; `speckle` the
+    share of the faces that dark flakes cover, marks excepted.
     """
+    marked = _all_marks(die)
+    rng = np.random.default_rng(seed)
+    fine = cv2.GaussianBlur(rng.standard_normal(marked.shape).astype(np.float32), (0, 0), GRAIN_PX)
+    paint = np.full(marked.shape, die_reflectance, np.float32)
+    if speckle > 0:
+        flakes = cv2.GaussianBlur(rng.standard_normal(marked.shape).astype(np.float32), (0, 0), SPECK_PX)
+        paint[flakes < np.quantile(flakes, speckle)] *= SPECK_REFLECTANCE
+    paint += (mark_reflectance - paint) * marked
+    return np.asarray(np.clip(paint * (1.0 + grain * fine / fine.std()), 0.0, 1.0), np.float32)
+
+
+def mark_heights(die: Die, depth_m: float) -> NDArray[np.float32]:
+    """Heights (n, n) [m] of the atlas over the faces: marks are bowls, the deepest of them `depth_m` deep."""
+    inside = cv2.distanceTransform((_all_marks(die) > 0.5).astype(np.uint8), cv2.DIST_L2, 5)
+    share = inside / max(float(inside.max()), 1.0)
+    return np.asarray(-depth_m * (1.0 - (1.0 - share) ** 2), np.float32)
+
+
+def _all_marks(die: Die) -> NDArray[np.float32]:
+    """Share (n, n) of each pixel of the atlas that marks cover."""
     count = len(die.solid.faces)
     across = _tiles_across(count)
-    atlas = np.full((across * TILE_PX, across * TILE_PX), die_reflectance, np.float32)
+    atlas = np.zeros((across * TILE_PX, across * TILE_PX), np.float32)
     for face in range(count):
         row, column = divmod(face, across)
-        marked = _marks(die, face)
-        atlas[row * TILE_PX : (row + 1) * TILE_PX, column * TILE_PX : (column + 1) * TILE_PX] += (
-            mark_reflectance - die_reflectance
-        ) * marked
-    specks = cv2.GaussianBlur(
-        np.random.default_rng(seed).standard_normal(atlas.shape).astype(np.float32), (0, 0), GRAIN_PX
-    )
-    return np.asarray(np.clip(atlas * (1.0 + grain * specks / specks.std()), 0.0, 1.0), np.float32)
+        tile = slice(row * TILE_PX, (row + 1) * TILE_PX), slice(column * TILE_PX, (column + 1) * TILE_PX)
+        atlas[tile] = _marks(die, face)
+    return atlas
 
 
 def _tiles_across(faces: int) -> int:
-    """Tiles per row of the atlas, which has a tile for each face and a blank one."""
-    return int(np.ceil(np.sqrt(faces + 1)))
+    """Tiles per row of the atlas, which has a tile for each face."""
+    return int(np.ceil(np.sqrt(faces)))
 
 
 def _tile_uv(tile: int, faces: int, across: Array) -> Array:

@@ -3,11 +3,19 @@
 The point spread function is a Gaussian that includes the pixel's area. A camera without distortion or skew is rendered
 directly, with this Gaussian as its pixel filter. For any other camera, an ideal image of twice the resolution is rendered,
 resampled at the real pixels with cubic splines, blurred by the rest of the Gaussian, and averaged.
+
+**Depth of field.** A thin lens of aperture diameter A, focused at the distance s along its axis, blurs a point at the distance z
+into a disc of the diameter
+
+    c = f A |1/z - 1/s|     (f: focal length in pixels)
+
+It is the mean over pinhole cameras at all points a of the aperture, each with its principal point moved by f a / s, so that all
+of them see the plane of focus at the same pixels (Haeberli and Akeley 1990, The accumulation buffer).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -25,6 +33,10 @@ FINE_FILTER_PX = 0.5
 """Standard deviation of the fine image's pixel filter, in fine pixels: a cubic spline can still interpolate it."""
 MAX_INVERSION_ERROR_PX = 1e-4
 """Error of the inverted distortion above which it counts as not invertible; real lenses have a thousandth of it."""
+MAX_POINTS = 96
+"""Points of the aperture; at 1 px from each other they fill a disc of 11 px, and wider ones show some grain."""
+PLASTIC = np.array([0.7548776662466927, 0.5698402909980532])
+"""Steps of the plane's low-discrepancy sequence (powers of the plastic number): any run of its points covers the aperture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +82,53 @@ class Optics:
         height, width = box[3] - box[1], box[2] - box[0]
         own = soft[top : top + height * FINER, left : left + width * FINER]
         return np.asarray(own.reshape(height, FINER, width, FINER).mean((1, 3)))
+
+
+@dataclass(frozen=True)
+class Aperture:
+    """The opening of a thin lens; of diameter 0 everything is in focus."""
+
+    diameter_m: float = 0.0
+    focus_m: float = 1.0
+    """Distance of the plane of focus from the camera, along its axis."""
+
+    def __post_init__(self) -> None:
+        if not (
+            np.isfinite(self.diameter_m) and self.diameter_m >= 0 and np.isfinite(self.focus_m) and self.focus_m > 0
+        ):
+            raise ValueError(
+                f"aperture_m = {self.diameter_m}, focus_m = {self.focus_m}: wanted a diameter of 0 or more and a distance above 0"
+            )
+
+    def blur_px(self, camera: Camera, points_m: Array) -> float:
+        """Diameter of the largest disc into which one of the points (n, 3) of the world is blurred."""
+        depth = points_m @ camera.rotation[2] + camera.translation_m[2]
+        focal = float(max(camera.matrix[0, 0], camera.matrix[1, 1]))
+        seen = depth[depth > 0]
+        return float(focal * self.diameter_m * np.abs(1.0 / seen - 1.0 / self.focus_m).max(initial=0.0))
+
+    def points(self, camera: Camera, points_m: Array) -> int:
+        """Number of points of the aperture: 1 px apart in the largest disc, which a lens blur of 0.6 px hides."""
+        return int(np.clip(np.ceil(np.pi / 4 * self.blur_px(camera, points_m) ** 2), 1, MAX_POINTS))
+
+    def offsets_m(self, count: int) -> Array:
+        """(count, 2) points that cover the aperture evenly, as does every run of them; to the right and down in the image."""
+        if count == 1 or self.diameter_m == 0:
+            return np.zeros((count, 2))
+        share, turn = ((np.arange(count)[:, None] + 0.5) * PLASTIC % 1.0).T
+        angle = 2.0 * np.pi * turn
+        spread = np.sqrt(share)[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+        return np.asarray(self.diameter_m / 2 * (spread - spread.mean(0)))
+
+    def seen_from(self, optics: Optics, offset_m: Array) -> Optics:
+        """The ideal camera at a point (2,) of the aperture, which sees the plane of focus at the same pixels."""
+        pose = optics.pose.copy()
+        pose[:3, 3] += optics.pose[:3, :2] @ (-offset_m)  # Mitsuba's axes point left and up
+        x, y = np.array(optics.middle_px) + optics.focal_px * offset_m / self.focus_m
+        return replace(optics, pose=pose, middle_px=(float(x), float(y)))
+
+
+PINHOLE = Aperture()
 
 
 def _blur_margin(blur_px: float) -> int:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...tracking.camera import Camera
-from .die_surface import Mesh, die_mesh, face_paint
+from .die_surface import Mesh, die_mesh, face_paint, mark_heights, stretched
 from .image_boxes import Box
 from .lens import Optics
 from .table_textures import WIDTH_M, is_mirror, table_paint
@@ -32,6 +32,10 @@ REFLECTANCE = 0.8
 """Reflectance of a mirror table without dust: a front-coated mirror has 0.9, a glass one less."""
 MAX_PATH_DEPTH = 5
 """Vertices of the longest light path: lamp, table, die, table, camera."""
+TRANSLUCENT_PATH_DEPTH = 10
+"""The same through a die: into it, reflected within it, and out."""
+PLASTIC_INDEX = 1.49
+"""Refractive index of acrylic."""
 TABLE_ROUGHNESS = 0.3
 ROD_REFLECTANCE = 0.2
 MAX_REFLECTANCE = 0.95
@@ -56,6 +60,14 @@ class Appearance:
     """Roughness of the die's gloss: 0.05 is nearly a mirror, 0.5 is dull."""
     grain: float = 0.015
     """Relative standard deviation of the die's reflectance."""
+    speckle: float = 0.0
+    """Share of the faces that dark flakes cover."""
+    translucency: float = 0.0
+    """Share of the surface's light that is refracted through the die; the rest is scattered by the paint."""
+    mark_depth_m: float = 0.0
+    """Depth of recessed marks."""
+    stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Factors on the body axes of the die that is seen, for dice whose edges are not equal."""
     table_factor: float = 1.0
     """Factor on the reflectance of the table."""
     lit_face_level: float = 0.8
@@ -75,21 +87,13 @@ def lamp_beside(camera: Camera, distance_m: float = 0.6) -> Point:
     return float(x), float(y), float(distance_m * np.sin(rise))
 
 
-def scene_of(mi: Any, die: Die, optics: Optics, surface: str, appearance: Appearance) -> dict[str, Any]:
-    """The whole scene as Mitsuba's dictionary."""
-    paint = face_paint(
-        die,
-        die_reflectance=appearance.die_reflectance,
-        mark_reflectance=appearance.mark_reflectance,
-        grain=appearance.grain,
-        seed=appearance.seed,
-    )
-    coat = mi.load_dict(
-        {"type": "roughplastic", "alpha": appearance.roughness, "diffuse_reflectance": _picture(mi, paint)}
-    )
+def scene_of(mi: Any, die: Die, optics: Optics, surface: str, appearance: Appearance, dice: int = 1) -> dict[str, Any]:
+    """The whole scene as Mitsuba's dictionary, with equal dice `die_0`, `die_1`, … and on a mirror their images `image_0`, …"""
+    coat, mesh = _die_coat(mi, die, appearance), stretched(die_mesh(die), appearance.stretch)
+    depth = TRANSLUCENT_PATH_DEPTH if appearance.translucency > 0 else MAX_PATH_DEPTH
     scene = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": MAX_PATH_DEPTH},
+        "integrator": {"type": "path", "max_depth": depth},
         "sensor": _sensor(mi, optics),
         "table": {
             "type": "rectangle",
@@ -98,29 +102,55 @@ def scene_of(mi: Any, die: Die, optics: Optics, surface: str, appearance: Appear
         },
         "lamp": _lamp(mi, appearance.lamp_m, appearance.lamp_side_m),
         "room": _room_light(mi, surface, appearance),
-        "body": {"type": "shapegroup", "skin": _mesh(mi, die_mesh(die), coat)},
-        "die": {"type": "instance", "to_world": mi.ScalarTransform4f(), "of": {"type": "ref", "id": "body"}},
+        "body": {"type": "shapegroup", "skin": _mesh(mi, mesh, coat)},
     }
+    scene |= {f"die_{k}": _instance(mi, "body") for k in range(dice)}
     for k, rod in enumerate(appearance.rods_m):
         scene[f"rod_{k}"] = _rod(*rod)
     if is_mirror(surface):
-        mesh = die_mesh(die)
         flipped = Mesh(
             mesh.vertices_m * MIRRORED_Z, mesh.normals * MIRRORED_Z, mesh.texture_uv, mesh.triangles[:, ::-1]
         )
         x, y, z = appearance.lamp_m
-        scene["integrator"] = {"type": "volpath", "max_depth": MAX_PATH_DEPTH}
+        scene["integrator"] = {"type": "volpath", "max_depth": depth}
         scene["image_lamp"] = _lamp(mi, (x, y, -z), appearance.lamp_side_m)
         scene["image_body"] = {"type": "shapegroup", "skin": _mesh(mi, flipped, coat)}
-        scene["image"] = {
-            "type": "instance",
-            "to_world": mi.ScalarTransform4f(),
-            "of": {"type": "ref", "id": "image_body"},
-        }
+        scene |= {f"image_{k}": _instance(mi, "image_body") for k in range(dice)}
         for k, (begin, end, radius) in enumerate(appearance.rods_m):
             down = tuple(np.array(begin) * MIRRORED_Z), tuple(np.array(end) * MIRRORED_Z)
             scene[f"image_rod_{k}"] = _rod(*down, radius)
     return scene
+
+
+def _die_coat(mi: Any, die: Die, appearance: Appearance) -> Any:
+    """The surface of the die: paint under a clear coat, with recesses, and partly transparent."""
+    paint = face_paint(
+        die,
+        die_reflectance=appearance.die_reflectance,
+        mark_reflectance=appearance.mark_reflectance,
+        grain=appearance.grain,
+        seed=appearance.seed,
+        speckle=appearance.speckle,
+    )
+    coat: dict[str, Any] = {
+        "type": "roughplastic",
+        "alpha": appearance.roughness,
+        "diffuse_reflectance": _picture(mi, paint),
+    }
+    if appearance.mark_depth_m > 0:
+        coat = {
+            "type": "bumpmap",
+            "heights": _picture(mi, mark_heights(die, appearance.mark_depth_m)),
+            "coat": coat,
+        }
+    if appearance.translucency > 0:
+        body = {"type": "roughdielectric", "alpha": appearance.roughness, "int_ior": PLASTIC_INDEX}
+        coat = {"type": "blendbsdf", "weight": appearance.translucency, "coat": coat, "inside": body}
+    return mi.load_dict(coat)
+
+
+def _instance(mi: Any, body: str) -> dict[str, Any]:
+    return {"type": "instance", "to_world": mi.ScalarTransform4f(), "of": {"type": "ref", "id": body}}
 
 
 def _rod(begin: Point, end: Point, radius: float) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib.util
 import json
 import sys
 from pathlib import Path
@@ -11,18 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import CUBE, LAW, RELEASE, SMALL_CAMERA, invoke, text_file
+from film_studio import with_mitsuba
 
 from diethrow.commands.clip.track import open_footage
-from diethrow.commands.model.filmed_throw import FilmSettings, camera_for, film_job, recorded, scene_text
+from diethrow.commands.model.film_settings import FilmSettings
+from diethrow.commands.model.filmed_throw import camera_for, film_job, recorded, scene_text
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
 from diethrow.files.truth import visibility
 from diethrow.tracking.footage.background import load_background
 from diethrow.tracking.footage.response import light_table
-
-with_mitsuba = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"
-)
 
 DIE = f'[table]\nsurface = "cork"\n{CUBE}'
 LOW_RELEASE = RELEASE.replace("0.06]", "0.03]").replace("[0.3,", "[0.1,")

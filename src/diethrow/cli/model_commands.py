@@ -29,7 +29,7 @@ from .options import (
     run_on,
     usable_cores,
 )
-from .printing import print_film, print_throw
+from .printing import print_film, print_presets, print_throw
 from .progress import announcing, progress_bars
 
 
@@ -58,6 +58,15 @@ def throw(
         print_throw(result, out)
 
 
+def _print_presets(wanted: bool) -> None:
+    """Print the presets of film, and stop."""
+    if wanted:
+        from ..commands.model.film_presets import preset_rows
+
+        print_presets(preset_rows())
+        raise typer.Exit
+
+
 @app.command(
     epilog="Example:  diethrow film throw.toml --scene clips/cube_wood/scene.toml --out out/film; "
     "diethrow analyze out/film/scene.toml --out out/seen"
@@ -70,19 +79,40 @@ def film(
         typer.Option(
             "--scene",
             metavar="SCENE",
-            help="Take camera, rate, exposure, response, surface and marks from this scene. "
+            help="Take camera, rate, exposure, readout, response, surface and marks from this scene. "
             "[default: a camera that sees the whole throw]",
         ),
     ] = None,
+    preset: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--preset",
+            metavar="NAME",
+            help="Settings of an ordinary die or camera, or a fault, by name: see --list-presets. Repeat it to combine several; "
+            "a later one wins, and explicit options win over all.",
+        ),
+    ] = None,
     frames: Annotated[int | None, typer.Option("--frames", help="Number of frames. [default: the whole throw]")] = None,
-    start: Annotated[float, typer.Option("--start", metavar="S", help="Time skipped after the release [s].")] = 0.0,
-    size: Annotated[int, typer.Option("--size", metavar="PX", help="Width and height without a scene.")] = 512,
+    start: Annotated[
+        float | None, typer.Option("--start", metavar="S", help="Time skipped after the release [s]. [default: 0]")
+    ] = None,
+    size: Annotated[
+        int | None, typer.Option("--size", metavar="PX", help="Width and height without a scene. [default: 512]")
+    ] = None,
     fps: Annotated[
         float | None, typer.Option("--fps", metavar="HZ", help="Recording rate [1/s]. [default: the scene's]")
     ] = None,
     exposure: Annotated[
         float | None,
         typer.Option("--exposure", metavar="S", help="Exposure of a frame [s]. [default: the scene's, or 0.0002]"),
+    ] = None,
+    readout: Annotated[
+        float | None,
+        typer.Option(
+            "--readout",
+            metavar="S",
+            help="Rolling shutter: time from the first row's exposure to the last row's [s]. [default: the scene's, or 0]",
+        ),
     ] = None,
     response: Annotated[
         str | None,
@@ -92,17 +122,69 @@ def film(
             help="linear, srgb, or the exponent of grey = light ** exponent. [default: the scene's, or linear]",
         ),
     ] = None,
-    bits: Annotated[int, typer.Option("--bits", help="Bits per pixel: 8, 10, 12 or 16.")] = 8,
-    noise: Annotated[float, typer.Option("--noise", help="Factor on the sensor's noise; 0: none.")] = 1.0,
-    blur: Annotated[float, typer.Option("--blur", metavar="PX", help="Standard deviation of the point spread.")] = 0.6,
-    samples: Annotated[int, typer.Option("--samples", help="Light paths per pixel; more give less render noise.")] = 48,
-    seed: Annotated[int, typer.Option("--seed", help="Seed of textures and noise.")] = 1,
+    bits: Annotated[int | None, typer.Option("--bits", help="Bits per pixel: 8, 10, 12 or 16. [default: 8]")] = None,
+    noise: Annotated[
+        float | None, typer.Option("--noise", help="Factor on the sensor's noise; 0: none. [default: 1]")
+    ] = None,
+    codec: Annotated[
+        str | None,
+        typer.Option(
+            "--codec", metavar="ffv1|h264|hevc|mjpeg", help="Codec of the clip. [default: ffv1, without loss]"
+        ),
+    ] = None,
+    crf: Annotated[
+        int | None,
+        typer.Option(
+            "--crf", help="Rate factor of h264 and hevc, quantiser of mjpeg; higher is worse. [default: 20, 22, 4]"
+        ),
+    ] = None,
+    full_range: Annotated[
+        bool | None,
+        typer.Option("--full-range/--limited-range", help="Range of the luma of h264 and hevc. [default: limited]"),
+    ] = None,
+    blur: Annotated[
+        float | None,
+        typer.Option("--blur", metavar="PX", help="Standard deviation of the point spread. [default: 0.6]"),
+    ] = None,
+    aperture: Annotated[
+        float | None,
+        typer.Option(
+            "--aperture", metavar="M", help="Diameter of the lens's aperture [m]. [default: 0, sharp everywhere]"
+        ),
+    ] = None,
+    focus: Annotated[
+        float | None,
+        typer.Option(
+            "--focus", metavar="M", help="Distance of the plane of focus [m]. [default: the die's at its first impact]"
+        ),
+    ] = None,
+    corner_radius: Annotated[
+        float | None,
+        typer.Option(
+            "--corner-radius", metavar="M", help="Radius of the die's corners [m]. [default: the throw file's]"
+        ),
+    ] = None,
+    roughness: Annotated[
+        float | None,
+        typer.Option("--roughness", help="Of the die's gloss: 0.05 is nearly a mirror, 0.5 is dull. [default: 0.15]"),
+    ] = None,
+    samples: Annotated[
+        int | None, typer.Option("--samples", help="Light paths per pixel; more give less render noise. [default: 48]")
+    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed of textures, noise and faults. [default: 1]")] = None,
     threads: Threads = None,
     variant: Annotated[
-        str,
-        typer.Option("--variant", help="Variant of Mitsuba; llvm_ad_mono is twice as fast with LLVM 16 or newer."),
-    ] = "scalar_rgb",
+        str | None,
+        typer.Option(
+            "--variant",
+            help="Variant of Mitsuba; llvm_ad_mono is three times as fast with LLVM 19 or newer. [default: scalar_rgb]",
+        ),
+    ] = None,
     force: Force = False,
+    list_presets: Annotated[
+        bool,
+        typer.Option("--list-presets", is_eager=True, callback=_print_presets, help="Print all presets and stop."),
+    ] = False,
 ) -> None:
     """Render a simulated throw as a camera would film it, with the truth beside it, ready for analyze."""
     with one_sentence_errors():
@@ -111,20 +193,29 @@ def film(
 
         checked = read_plan(plan)
         seen = read_scene(scene, allow_outside=True) if scene else None  # no footage is opened
-        from ..commands.model.filmed_throw import FilmSettings, response_named
+        from ..commands.model.film_settings import film_settings, response_named
         from ..commands.model.filmed_throw import film as shoot
 
         with checked_options():
-            settings = FilmSettings(
+            settings = film_settings(
+                preset or (),
                 frames=frames,
                 start_s=start,
                 size_px=size,
                 fps=fps,
                 exposure_s=exposure,
+                readout_s=readout,
                 response=response_named(response),
                 bit_depth=bits,
                 noise=noise,
+                codec=codec,
+                crf=crf,
+                full_range=full_range,
                 blur_px=blur,
+                aperture_m=aperture,
+                focus_m=focus,
+                corner_radius_m=corner_radius,
+                roughness=roughness,
                 samples=samples,
                 seed=seed,
                 threads=threads or usable_cores(),

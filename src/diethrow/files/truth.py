@@ -32,10 +32,20 @@ BOUNCE = (
 
 
 def write_truth(
-    folder: Path, throw: Throw, die: Die, camera: Camera, law: SmoothImpact | CoulombImpact, fps: float, frames: int
+    folder: Path,
+    throw: Throw,
+    die: Die,
+    camera: Camera,
+    law: SmoothImpact | CoulombImpact,
+    fps: float,
+    frames: int,
+    times_s: Array | None = None,
 ) -> None:
-    """Write all files of the truth, for frames 0 to `frames` - 1 at k / fps."""
-    times = np.arange(frames) / fps
+    """Write all files of the truth, for frames 0 to `frames` - 1 at k / fps.
+
+    Where the order of frames has faults, `times_s` (frames,) are the true times of the pictures that they show.
+    """
+    times = np.arange(frames) / fps if times_s is None else times_s
     write_table(folder / "truth.csv", POSE, _poses(throw, die, camera, times))
     shown = [impact for impact in throw.bounces if impact.time_s <= times[-1]]
     write_table(folder / "bounces.csv", BOUNCE, (_bounce(throw, impact, law) for impact in shown))

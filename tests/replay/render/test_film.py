@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.util
-
 import numpy as np
 import pytest
+from film_studio import camera, flight, with_mitsuba
 from numpy.typing import NDArray
 
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.die.solid import SHAPES, Solid, convex_solid, inner_vertices
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotation_between
-from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.model.rotations import quat_from_matrix, rotation_between
 from diethrow.replay.render.die_surface import PIPS, TILE_PX, die_mesh, face_frame, face_paint
 from diethrow.replay.render.image_boxes import blend, rounded_up
 from diethrow.replay.render.lens import optics_of, undistorted
@@ -19,16 +17,11 @@ from diethrow.replay.render.mitsuba_scene import Appearance, lamp_beside
 from diethrow.replay.render.renderer import FilmRenderer, RenderSettings, frame_light
 from diethrow.replay.render.sensor import Sensor, expose, fixed_pattern, rounded
 from diethrow.replay.render.table_textures import SURFACES, table_paint
-from diethrow.tracking.camera import Camera
 from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 
 Array = NDArray[np.float64]
-
-with_mitsuba = pytest.mark.skipif(
-    importlib.util.find_spec("mitsuba") is None, reason="Mitsuba is not installed (pip install 'diethrow[film]')"
-)
 
 RADII = (0.0, 0.0008)
 
@@ -36,17 +29,6 @@ RADII = (0.0, 0.0008)
 def edge_of(shape: str) -> float:
     """The edge of each die with a circumradius of 11 mm."""
     return 0.011 / make_die(shape, 1.0, 1.0).solid.circumradius
-
-
-def camera(distortion: float = 0.0, size: int = 96) -> Camera:
-    """A camera 35 degrees above the table at 0.5 m; a 16 mm cube is 35 px wide."""
-    pitch = np.radians(35.0)
-    ahead = np.array([0.0, np.cos(pitch), -np.sin(pitch)])
-    right = np.array([1.0, 0.0, 0.0])
-    rotation = np.array([right, np.cross(ahead, right), ahead])
-    matrix = np.array([[1100.0, 0.0, size / 2 + 3.2], [0.0, 1100.0, size / 2 - 4.6], [0.0, 0.0, 1.0]])
-    lens = np.array([distortion, 0.0, 0.0, 0.0, 0.0])
-    return Camera(size, size, matrix, lens, rotation, -rotation @ (np.array([0.0, 0.0, 0.012]) - 0.5 * ahead))
 
 
 # --- the surface ---
@@ -218,12 +200,6 @@ def studio(
     view = camera(distortion, size)
     appearance = Appearance(lamp_beside(view), lamp_side_m=0.02, grain=0.0)
     return FilmRenderer(die, view, surface, appearance, rendering=RenderSettings(samples))
-
-
-def flight(position: tuple[float, float, float], velocity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Throw:
-    turned = quat_from_rotvec(np.array([0.4, 0.3, 0.5]))
-    start = State(0.0, np.array(position), turned, np.array(velocity), np.zeros(3))
-    return Throw((Flight(start, np.inf),), ())
 
 
 @with_mitsuba

@@ -1,45 +1,59 @@
 """A simulated throw as a clip: the images that a given camera would record, with the true motion.
 
-The folder contains a scene file, the clip, an image of the empty table and the truth (`truth`). `diethrow analyze
+The folder contains a scene file, the clip, an image of the empty table and the truth (`files.truth`). `frames.csv` states what
+the camera did with each frame of the file: the picture that it shows, the gain, and the shift by a stabiliser. `diethrow analyze
 DIR/scene.toml` analyses it, and `benchmarks/tracker.py` compares the analysis with the truth.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
-import av
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...files.csv_and_json import write_table
 from ...files.outputs import whole_folder
 from ...files.plan import Plan
 from ...files.provenance import Stopwatch, write_provenance
 from ...files.scene import Scene
 from ...files.settings import refuse
 from ...files.truth import write_truth
-from ...model.die import Die
+from ...model.die import MAX_CORNER_RADIUS_FRACTION, Die
 from ...model.laws import CoulombImpact, SmoothImpact
+from ...model.rotations import continuous_sign, quat_from_rotvec, quat_multiply
 from ...model.throw import State, Throw, Until, throw_die
 from ...replay.render import (
+    Aperture,
     Appearance,
+    Codec,
     FilmRenderer,
     FixedPattern,
+    FrameFaults,
+    Processing,
+    Processor,
     RenderSettings,
     Sensor,
+    Shutter,
     expose,
+    filtered,
     fixed_pattern,
     frame_light,
+    gains,
     lamp_beside,
     rounded,
+    shifts_px,
+    shown_pictures,
+    write_film,
 )
 from ...tracking.camera import Camera
 from ...tracking.footage import Response, grey_of, is_linear
+from .film_settings import MAX_FRAMES, USUAL_SETTINGS, FilmSettings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str, int, int], None]
@@ -52,96 +66,23 @@ DEPRESSION_RAD = np.radians(28.0)
 """Angle below the horizontal at which the camera points, without a scene."""
 HEADING_RAD = np.radians(20.0)
 """Heading of the camera from the y axis, without a scene: no face of a die at rest is seen edge-on."""
-MAX_FRAMES = 100_000
-MAX_SIZE_PX = 8192
-MIN_SIZE_PX = 16
 AFTER_LANDING_S = 0.05
 """Time that a film continues after the landing face is decided, to show the die come to rest."""
 BACKGROUND_EXPOSURES = 16
 """Exposures of the empty table whose mean is the background, so that it has little noise."""
-NO_NOISE_WELL_E = 1e15
-"""Full well of a sensor without noise [electrons]: its shot noise is far below a grey level."""
-PIXEL_FORMATS = {8: "gray", 10: "gray10le", 12: "gray12le", 16: "gray16le"}
-"""FFV1's pixel format for each bit depth that common readers support."""
-AVI_FPS = 30
-"""Nominal rate of the clip's container, because AVI refuses 1500 frames per second; the scene states the true rate."""
-
-
-@dataclass(frozen=True)
-class FilmSettings:
-    """Settings of a film besides the throw and the scene."""
-
-    frames: int | None = None
-    """Number of frames; None for the whole throw."""
-    start_s: float = 0.0
-    """Time after the release at which the clip begins; its time is 0 there."""
-    size_px: int = 512
-    """Width and height without a scene."""
-    fps: float | None = None
-    """Recording rate; None for that of the scene or the throw file."""
-    exposure_s: float | None = None
-    """None for the exposure of the scene, or EXPOSURE_S."""
-    response: Response = None
-    """How grey levels follow light; None for the response of the scene, or linear."""
-    bit_depth: int = 8
-    noise: float = 1.0
-    """Factor on the sensor's read noise, fixed-pattern noise and shot noise; 0 for none."""
-    blur_px: float = 0.6
-    """Standard deviation of the point spread function, pixel area included."""
-    samples: int = 48
-    """Light paths per pixel of a frame."""
-    seed: int = 1
-    """Seed of textures, noise and light paths."""
-    threads: int = 1
-    variant: str = "scalar_rgb"
-    """Variant of Mitsuba."""
-
-    def __post_init__(self) -> None:
-        if self.bit_depth not in PIXEL_FORMATS:
-            raise ValueError(f"bit_depth = {self.bit_depth}: wanted one of {', '.join(map(str, PIXEL_FORMATS))}")
-        if not (np.isfinite(self.noise) and self.noise >= 0):
-            raise ValueError(f"noise = {self.noise}: wanted a factor, 0 or more")
-        grey_of(np.zeros(1), self.response)  # refuses an unknown one
-        if self.frames is not None and not 1 <= self.frames <= MAX_FRAMES:
-            raise ValueError(f"frames = {self.frames}: wanted 1 to {MAX_FRAMES}")
-        if not MIN_SIZE_PX <= self.size_px <= MAX_SIZE_PX:
-            raise ValueError(f"size_px = {self.size_px}: wanted {MIN_SIZE_PX} to {MAX_SIZE_PX}")
-        if not (np.isfinite(self.start_s) and self.start_s >= 0):
-            raise ValueError(f"start_s = {self.start_s}: wanted a time of 0 or more, before the first impact")
-        for name in ("fps", "exposure_s"):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise ValueError(f"{name} = {value}: wanted a finite number above 0")
-
-    @property
-    def rendering(self) -> RenderSettings:
-        """Samples, threads and variant of the renderer."""
-        return RenderSettings(self.samples, self.threads, self.variant)
-
-    @property
-    def sensor(self) -> Sensor:
-        """The sensor with scaled noise."""
-        ideal = Sensor(self.bit_depth, seed=self.seed)
-        if self.noise == 0:
-            return replace(
-                ideal, full_well_e=NO_NOISE_WELL_E, read_noise_e=0.0, pixel_gain_sigma=0.0, pixel_offset_e=0.0
-            )
-        # Relative shot noise grows as the full well shrinks. Read noise and offsets are in electrons and scale with it.
-        return replace(
-            ideal,
-            full_well_e=ideal.full_well_e / self.noise**2,
-            read_noise_e=ideal.read_noise_e / self.noise,
-            pixel_gain_sigma=ideal.pixel_gain_sigma * self.noise,
-            pixel_offset_e=ideal.pixel_offset_e / self.noise,
-        )
-
-
-def response_named(text: str | None) -> Response:
-    """The response that a word on the command line names: a number is an exponent. `FilmSettings` refuses unknown ones."""
-    try:
-        return text if text is None else float(text)
-    except ValueError:
-        return text
+MEDIUM_LIGHT = 0.3
+"""Light of a pixel of medium brightness, as a share of full scale."""
+POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
+FRAME_COLUMNS = ("frame", "picture", "t", "gain", "shift_x_px", "shift_y_px", "fault")
+"""Of `frames.csv`; `picture` counts those that the camera took, at t = picture / fps."""
+SECOND_DIE_RADII = (2.6, 3.2, 4.0, 5.0)
+"""Distances between the releases of two dice, in circumscribed radii, of which the nearest is taken that keeps them apart."""
+SECOND_DIE_TURN = np.array([0.9, -0.7, 0.4])
+"""[rad] rotation vector from the first die to the second at their release: they show different faces."""
+SECOND_DIE_SIDES = 12
+"""Directions from the first die to the second that are tried."""
+APART_RADII = 2.05
+"""Least distance of two dice in circumscribed radii: at 2 their corners could touch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +113,29 @@ class FilmJob:
     blur_px: float = 0.6
     rendering: RenderSettings = field(default_factory=RenderSettings)
     seed: int = 1
-    """Seed of noise and light paths."""
+    """Seed of noise, light paths and faults."""
+    readout_s: float = 0.0
+    aperture: Aperture = field(default_factory=Aperture)
+    codec: Codec = field(default_factory=Codec)
+    processing: Processing = field(default_factory=Processing)
+    faults: FrameFaults = field(default_factory=FrameFaults)
+    second: Throw | None = None
+    """The throw of a second die."""
+
+    @property
+    def clip_name(self) -> str:
+        """Of the film's file."""
+        return f"clip{self.codec.suffix}"
+
+    @property
+    def throws(self) -> tuple[Throw, ...]:
+        """Those of all dice."""
+        return (self.throw,) if self.second is None else (self.throw, self.second)
+
+    @property
+    def shown(self) -> NDArray[np.int64]:
+        """(n,) number of the camera's picture that each frame of the file shows."""
+        return shown_pictures(self.faults, self.frames, self.seed)
 
 
 def film(
@@ -180,7 +143,7 @@ def film(
     out: Path,
     *,
     scene: Scene | None = None,
-    settings: FilmSettings = FilmSettings(),
+    settings: FilmSettings = USUAL_SETTINGS,
     force: bool = False,
     progress: Progress = lambda stage, done, total: None,
     command: tuple[str, ...] = (),
@@ -213,32 +176,119 @@ def film(
 def film_job(plan: Plan, scene: Scene | None, settings: FilmSettings, name: str) -> FilmJob:
     """Simulate the throw and determine all settings that were left open. Raises SceneError as `film` does."""
     fps = settings.fps or (scene.clip.fps if scene and scene.clip.fps else plan.fps)
-    exposure_s = settings.exposure_s or (scene.clip.exposure_s if scene else None) or min(EXPOSURE_S, 1.0 / fps)
-    if exposure_s > 1.0 / fps:
-        raise ValueError(f"exposure_s = {exposure_s}: wanted at most the {1.0 / fps:.4g} s between two frames")
+    exposure_s, readout_s = _shutter_times(scene, settings, fps)
+    plan = replace(plan, die=_die(plan, scene, settings))
     throw, frames = _throw_on_film(plan, fps, settings)
     times = np.arange(frames) / fps
     camera = _scene_camera(scene, plan) if scene else camera_for(throw, plan.die, times, settings.size_px)
-    surface = scene.table.surface if scene else plan.table.surface
-    die = replace(plan.die, marks=plan.die.marks or scene.die.marks) if scene else plan.die
-    appearance = Appearance(lamp_beside(camera), seed=settings.seed)
     return FilmJob(
         name=name,
         throw=throw,
         law=plan.law,
-        die=die,
+        die=plan.die,
         camera=camera,
-        surface=surface,
+        surface=scene.table.surface if scene else plan.table.surface,
         fps=fps,
         exposure_s=exposure_s,
+        readout_s=readout_s,
         frames=frames,
-        appearance=appearance,
+        appearance=_appearance(plan.die, camera, settings),
         sensor=settings.sensor,
         response=settings.response if settings.response is not None or scene is None else scene.clip.response,
         blur_px=settings.blur_px,
+        aperture=settings.aperture(_die_distance_m(throw, camera)),
+        codec=settings.stored_as,
+        processing=settings.processing,
+        faults=settings.faults,
+        second=second_throw(plan, throw, camera, times) if settings.second_die else None,
         rendering=settings.rendering,
         seed=settings.seed,
     )
+
+
+def _shutter_times(scene: Scene | None, settings: FilmSettings, fps: float) -> tuple[float, float]:
+    """Exposure and readout [s]. Raises ValueError for one that is longer than the time between two frames."""
+    interval_s = 1.0 / fps
+    exposure_s, readout_s = settings.exposure_s, settings.readout_s
+    if exposure_s is None and settings.exposure_share is not None:
+        exposure_s = settings.exposure_share * interval_s
+    if readout_s is None and settings.readout_share is not None:
+        readout_s = settings.readout_share * interval_s
+    exposure_s = exposure_s or (scene.clip.exposure_s if scene else None) or min(EXPOSURE_S, interval_s)
+    if readout_s is None:
+        readout_s = scene.clip.readout_s if scene else 0.0
+    for name, value in (("exposure_s", exposure_s), ("readout_s", readout_s)):
+        if value > interval_s * (1.0 + 1e-9):
+            raise ValueError(f"{name} = {value}: wanted at most the {interval_s:.4g} s between two frames")
+    return exposure_s, readout_s
+
+
+def _die(plan: Plan, scene: Scene | None, settings: FilmSettings) -> Die:
+    """The die of the plan with the marks of the scene, rounded and marked as the settings ask for."""
+    die, marks = plan.die, plan.die.marks or (scene.die.marks if scene else None)
+    if settings.mark_depth > 0 and marks is None:
+        marks = "pips" if die.solid.name == "cube" else "numbers"
+    radius_m = settings.corner_radius_m
+    if radius_m is None and settings.corner_radius_share is not None:
+        radius_m = settings.corner_radius_share * die.solid.inradius
+    if radius_m is None:
+        radius_m = die.corner_radius_m
+    most = MAX_CORNER_RADIUS_FRACTION * die.solid.inradius
+    if radius_m > most:
+        raise ValueError(
+            f"corner_radius_m = {radius_m}: wanted at most {most:.4g}, {MAX_CORNER_RADIUS_FRACTION:g} inscribed radii"
+        )
+    return replace(die, marks=marks, corner_radius_m=radius_m)
+
+
+def _appearance(die: Die, camera: Camera, settings: FilmSettings) -> Appearance:
+    """Light and surfaces as the settings ask for."""
+    given = {
+        name: getattr(settings, name) for name in ("roughness", "lamp_side_m") if getattr(settings, name) is not None
+    }
+    return Appearance(
+        lamp_beside(camera),
+        seed=settings.seed,
+        speckle=settings.speckle,
+        translucency=settings.translucency,
+        mark_depth_m=settings.mark_depth * die.solid.edge_m,
+        stretch=settings.stretch,
+        **given,
+    )
+
+
+def _die_distance_m(throw: Throw, camera: Camera) -> float:
+    """Distance along the axis of the camera at the first impact, or at the end of a throw without one."""
+    at_s = throw.impacts[0].time_s if throw.impacts else throw.flights[-1].end_s
+    position = throw.poses(np.array([at_s if np.isfinite(at_s) else 0.0]))[0][0]
+    return float(camera.rotation[2] @ position + camera.translation_m[2])
+
+
+def second_throw(plan: Plan, throw: Throw, camera: Camera, times_s: Array) -> Throw:
+    """The throw of an equal die, released beside the first with the same velocity, turned, that never touches the first.
+
+    Of all directions the one is taken in which it is in view for most of the time. Raises ValueError if all dice would meet.
+    """
+    first, size = throw.flights[0].start, plan.die.solid.circumradius
+    positions = throw.poses(times_s)[0]
+    turned = quat_multiply(quat_from_rotvec(SECOND_DIE_TURN), first.quaternion)
+    for distance in SECOND_DIE_RADII:
+        found: list[tuple[float, Throw]] = []
+        for angle in 2.0 * np.pi * np.arange(SECOND_DIE_SIDES) / SECOND_DIE_SIDES:
+            beside = first.position_m + distance * size * np.array([np.cos(angle), np.sin(angle), 0.0])
+            beside[2] = max(beside[2], size * 1.01)  # whichever corner points down
+            release = replace(first, position_m=beside, quaternion=turned)
+            other = throw_die(
+                plan.die, release, plan.law, until=Until(time_s=float(times_s[-1]) + AFTER_LANDING_S)
+            ).throw
+            there = other.poses(times_s)[0]
+            if np.linalg.norm(there - positions, axis=1).min() > APART_RADII * size:
+                seen = camera.project(there)
+                inside = (seen >= 0).all(1) & (seen <= [camera.width_px - 1, camera.height_px - 1]).all(1)
+                found.append((float(inside.mean()), other))
+        if found:
+            return max(found, key=lambda each: each[0])[1]
+    raise ValueError("second_die: every throw beside the first meets it; film a shorter part of the throw, with frames")
 
 
 def _throw_on_film(plan: Plan, fps: float, settings: FilmSettings) -> tuple[Throw, int]:
@@ -323,59 +373,90 @@ def _extent(throw: Throw, die: Die, times_s: Array) -> tuple[Array, Array]:
 def write_clip(folder: Path, job: FilmJob, progress: Progress = lambda stage, done, total: None) -> None:
     """Write the clip with its scene, background and truth into an existing folder."""
     renderer = FilmRenderer(
-        job.die, job.camera, job.surface, job.appearance, blur_px=job.blur_px, rendering=job.rendering
+        job.die,
+        job.camera,
+        job.surface,
+        job.appearance,
+        blur_px=job.blur_px,
+        aperture=job.aperture,
+        dice=len(job.throws),
+        rendering=job.rendering,
     )
     pattern = fixed_pattern(job.sensor, job.camera.height_px, job.camera.width_px)
     progress("Lighting the table", 0, 0)
     cv2.imwrite(str(folder / "background.png"), _background(job, pattern, renderer.empty()))
-    write_ffv1(folder / "clip.avi", _frames(renderer, job, pattern, progress), job)
-    (folder / "scene.toml").write_text(scene_text(job, "clip.avi"), encoding="utf-8")
-    write_truth(folder, job.throw, job.die, job.camera, job.law, job.fps, job.frames)
+    write_film(folder / job.clip_name, _frames(renderer, job, pattern, progress), job.codec, job.sensor.bit_depth)
+    (folder / "scene.toml").write_text(scene_text(job, job.clip_name), encoding="utf-8")
+    times_s = job.shown / job.fps
+    write_truth(folder, job.throw, job.die, job.camera, job.law, job.fps, len(times_s), times_s)
+    write_table(folder / "frames.csv", FRAME_COLUMNS, _frame_rows(job))
+    if job.second is not None:
+        write_table(folder / "second_die.csv", ("frame", "t", *POSE), _pose_rows(job.second, times_s))
 
 
 def _frames(renderer: FilmRenderer, job: FilmJob, pattern: FixedPattern, progress: Progress) -> Iterator[NDArray]:
-    """The frames as the sensor records them."""
+    """The frames of the file, as the camera records and processes them."""
     rng = np.random.default_rng([job.seed, 1])
-    times = np.arange(job.frames) / job.fps
-    for k, light in enumerate(frame_light(renderer, job.throw, times, job.exposure_s)):
+    times, shown = np.arange(job.frames) / job.fps, job.shown
+    gain, shift_px = gains(job.processing, job.frames), shifts_px(job.processing, job.frames, job.seed)
+    processor = Processor(job.processing, _noise_levels(job))
+    shutter = Shutter(job.exposure_s, job.readout_s)
+    for k, light in enumerate(frame_light(renderer, job.throws, times, shutter)):
         progress("Filming", k + 1, job.frames)
-        yield recorded(job, expose(job.sensor, pattern, light, rng))
+        levels = expose(job.sensor, pattern, filtered(gain[k] * light, job.processing), rng)
+        picture = rounded(job.sensor, processor.levels(_stored(job, levels), shift_px[k]))
+        for _ in range(int((shown == k).sum())):
+            yield picture
 
 
 def _background(job: FilmJob, pattern: FixedPattern, light: Array) -> NDArray:
-    """The mean of BACKGROUND_EXPOSURES exposures of the empty table."""
+    """The mean of BACKGROUND_EXPOSURES exposures of the empty table, processed as a frame."""
     rng = np.random.default_rng([job.seed, 2])
+    light = filtered(light, job.processing)
     exposures = [expose(job.sensor, pattern, light, rng) for _ in range(BACKGROUND_EXPOSURES)]
-    return recorded(job, np.mean(exposures, 0))
+    processor = Processor(job.processing, _noise_levels(job))
+    return rounded(job.sensor, processor.levels(_stored(job, np.mean(exposures, 0)), np.zeros(2)))
+
+
+def _noise_levels(job: FilmJob) -> float:
+    """Standard deviation [grey levels] of the noise of a pixel of medium brightness, which noise reduction assumes."""
+    electrons = MEDIUM_LIGHT * job.sensor.full_well_e
+    return float(np.sqrt(electrons + job.sensor.read_noise_e**2) * job.sensor.top / job.sensor.full_well_e)
+
+
+def _frame_rows(job: FilmJob) -> Iterable[Sequence[Any]]:
+    """What the camera did with each frame of the file."""
+    gain, shift_px = gains(job.processing, job.frames), shifts_px(job.processing, job.frames, job.seed)
+    before = -1
+    for frame, picture in enumerate(job.shown.tolist()):
+        fault = "repeated" if picture == before else "after a gap" if picture > before + 1 else ""
+        yield (frame, picture, picture / job.fps, float(gain[picture]), *shift_px[picture].tolist(), fault)
+        before = picture
+
+
+def _pose_rows(throw: Throw, times_s: Array) -> Iterable[Sequence[Any]]:
+    """Frame, time and pose."""
+    positions, quaternions = throw.poses(times_s)
+    for k, (position, quaternion) in enumerate(zip(positions, continuous_sign(quaternions), strict=True)):
+        yield (k, float(times_s[k]), *position.tolist(), *quaternion.tolist())
 
 
 def recorded(job: FilmJob, levels: Array) -> NDArray:
     """Whole grey levels (height, width) from those of the linear sensor, after the camera's response."""
-    if not is_linear(job.response):
-        top = job.sensor.top
-        levels = top * grey_of(np.clip(levels / top, 0.0, 1.0), job.response)
-    return rounded(job.sensor, levels)
+    return rounded(job.sensor, _stored(job, levels))
 
 
-def write_ffv1(path: Path, frames: Iterator[NDArray], job: FilmJob) -> None:
-    """Write grey frames without loss, one in memory at a time."""
-    with av.open(str(path), "w") as container:
-        stream = container.add_stream("ffv1", rate=AVI_FPS)
-        stream.height, stream.width = job.camera.height_px, job.camera.width_px
-        stream.pix_fmt = PIXEL_FORMATS[job.sensor.bit_depth]
-        for number, levels in enumerate(frames):
-            frame = av.VideoFrame(job.camera.width_px, job.camera.height_px, stream.pix_fmt)
-            lines = np.zeros((levels.shape[0], frame.planes[0].line_size // levels.itemsize), levels.dtype)
-            lines[:, : levels.shape[1]] = levels
-            frame.planes[0].update(lines.tobytes())
-            frame.pts, frame.time_base = number, Fraction(1, AVI_FPS)
-            container.mux(stream.encode(frame))
-        container.mux(stream.encode(None))
+def _stored(job: FilmJob, levels: Array) -> Array:
+    """The same before rounding; levels of a response other than linear are clipped to full scale."""
+    if is_linear(job.response):
+        return levels
+    return np.asarray(job.sensor.top * grey_of(np.clip(levels / job.sensor.top, 0.0, 1.0), job.response))
 
 
 def scene_text(job: FilmJob, clip: str) -> str:
     """The scene file of this clip."""
     response = "" if is_linear(job.response) else f"response = {json.dumps(job.response)}\n"
+    readout = f"readout_s = {float(job.readout_s)!r}\n" if job.readout_s else ""
     return f"""# {job.name}: a simulated throw, rendered as filmed at {job.fps:g} frames per second.
 
 [clip]
@@ -383,7 +464,7 @@ path = "{clip}"
 fps = {float(job.fps)!r}
 exposure_s = {float(job.exposure_s)!r}
 background = "background.png"
-{response}
+{readout}{response}
 {scene_tables(job.camera, job.surface, job.die)}"""
 
 
