@@ -8,6 +8,7 @@ other folders read pictures through this one.
 
 from .background import estimate_background as estimate_background
 from .background import load_background as load_background
+from .background import shows_one_picture as shows_one_picture
 from .cine import is_cine as is_cine
 from .clip import Clip as Clip
 from .clip import clip_files as clip_files
@@ -31,3 +32,4 @@ from .response import grey_of as grey_of
 from .response import is_linear as is_linear
 from .response import level_grey as level_grey
 from .response import picture_in_light as picture_in_light
+from .retiming import clip_at_times as clip_at_times

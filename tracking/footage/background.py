@@ -20,6 +20,31 @@ BAND_BYTES = 2**25
 """Memory for the floating-point work of the median at one time."""
 
 
+STILL_SAMPLES = 8
+"""Frames that are compared before all are: of a throw, hardly any two of them are alike."""
+STILL_RMS = 0.6
+"""Largest root mean square difference [levels of 8 bits] of copies of one picture: codecs leave up to 0.5, and noise of one level
+makes 1.4."""
+STILL_LEVELS = 12.0
+"""Largest difference of a single pixel [levels of 8 bits] of such copies: a die that moves makes more."""
+
+
+def shows_one_picture(clip: Clip) -> bool:
+    """Whether all of several frames are copies of one picture, up to what a codec changes: nothing can be measured on them."""
+    first = np.asarray(clip.frame(0), np.float32)
+    unit = 2.0 ** (clip.bit_depth - 8)
+
+    def is_first(index: int) -> bool:
+        difference = np.abs(np.asarray(clip.frame(index), np.float32) - first)
+        return (
+            float(difference.max()) <= STILL_LEVELS * unit
+            and float(np.sqrt((difference**2).mean())) <= STILL_RMS * unit
+        )
+
+    samples = np.unique(np.linspace(1, len(clip) - 1, STILL_SAMPLES).astype(int)) if len(clip) > 1 else ()
+    return len(clip) > 1 and all(map(is_first, map(int, samples))) and all(map(is_first, range(1, len(clip))))
+
+
 def estimate_background(clip: Clip) -> NDArray[np.float32]:
     """(height, width) grey levels of the scene, as the median of up to MAX_SAMPLES frames spread over the clip.
 

@@ -135,7 +135,7 @@ class CineClip(Footage):
         self.header = header
         count = len(self._offsets)
         declared = header.frame_rate_hz or None
-        times, late = _times(path, stamps, declared, fps, count, header)
+        times, late, stamped = _times(path, stamps, declared, fps, count, header)
         step_s = float(np.median(np.diff(times))) if count > 1 else None
         if exposures is not None and step_s is not None:
             exposures = exposures[exposures <= step_s]  # some files declare a longer one for their last frame
@@ -154,6 +154,7 @@ class CineClip(Footage):
                 "format": "phantom",
                 "record_rate_hz": _rate_hz(step_s, declared) if step_s is not None else declared,
                 "exposure_s": exposure_s or None,
+                "time_stamps": stamped,
                 "declared_rate_hz": declared,
                 "start_frame": header.first_image,
                 "packed": {UNPACKED: None, PACKED_10: 10, PACKED_12: 12}[header.packing],
@@ -349,25 +350,25 @@ def _times(
     fps: float | None,
     count: int,
     header: Header,
-) -> tuple[Array, tuple[str, ...]]:
-    """Frame times (count,) [s] since the first frame, and notices on them."""
+) -> tuple[Array, tuple[str, ...], bool]:
+    """Frame times (count,) [s] since the first frame, notices on them, and whether the file states a time for every frame."""
     if stamps is None or count < 2:
         _check_rate(path, fps, declared_hz, "header declares")
-        return times_from_rate(path, fps or declared_hz, count), ()
+        return times_from_rate(path, fps or declared_hz, count), (), False
     stamps = stamps[:count] & ~np.uint64(IRIG_BITS)
     since_s = (stamps - stamps[0]).view(np.int64) / FIXED_POINT
     step_s = float(np.median(np.diff(since_s)))
     if not step_s > 0:
         _check_rate(path, fps, declared_hz, "header declares")
         notice = f"{path.name}: the time stamps do not rise; the frames count as evenly spaced at the given rate."
-        return times_from_rate(path, fps or declared_hz, count), (notice,)
+        return times_from_rate(path, fps or declared_hz, count), (notice,), False
     _check_rate(path, fps, 1.0 / step_s, "time stamps have")
     since_s, replaced = _without_impossible_times(path, since_s, step_s, header.recorded_count)
     rate = _rate_hz(step_s, fps or declared_hz)
     even = np.arange(count) / rate
     if np.abs(since_s - even).max() <= MAX_ROUNDING / rate:
-        return even, replaced
-    return since_s, (*replaced, *_gaps(path, since_s, step_s))
+        return even, replaced, True
+    return since_s, (*replaced, *_gaps(path, since_s, step_s)), True
 
 
 def _rate_hz(step_s: float, stated: float | None) -> float:

@@ -122,8 +122,9 @@ class Footage(ABC):
         )
 
     def metadata(self) -> dict[str, Any]:
-        """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them."""
-        return {"record_rate_hz": None, "exposure_s": None, **self._facts}
+        """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them, and `time_stamps`
+        says whether it states the time of every frame."""
+        return {"record_rate_hz": None, "exposure_s": None, "time_stamps": False, **self._facts}
 
     def frame(self, index: int) -> Frame:
         """The frame at `index`, counted from `first_frame`.

@@ -10,7 +10,11 @@ monochrome HEVC as limited by default, and decodes monochrome H.264 as untagged 
 decides. A wrong choice changes grey levels by up to 20. RGB becomes luma with the weights of ITU-R BT.601.
 
 **Times** are t = k / fps. The timestamps of the container are for playback, and serve as a check: a notice reports uneven ones.
-Uneven timestamps that run at the recording rate and are fine enough show dropped frames, and are used as the frames' times.
+Uneven timestamps that run at the recording rate and are fine enough show dropped frames, and are used as the frames' times; of
+coarser ones (a telephone's 1/600 s at 240 frames/s) the whole frame intervals between them are used.
+
+**What players change** is not done: frames are read as stored. A notice reports the rotation that a file asks for, and frames
+that the edit list of a trimmed film leaves out.
 """
 
 from __future__ import annotations
@@ -48,6 +52,9 @@ SAME_RATE = 0.01
 """Largest relative difference of the timestamps' rate from the recording rate, for use as the frames' times."""
 MAX_TICK_FRAMES = 0.2
 """Largest tick, in frames, of timestamps that are used as the frames' times: a coarser one blurs the motion."""
+MAX_COUNTING_TICK_FRAMES = 0.45
+"""Largest tick, in frames, of timestamps that tell how many frame intervals lie between two frames: both are rounded by half of
+one."""
 
 
 def open_video(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
@@ -67,6 +74,8 @@ class Packets:
     """Whether decoding can begin here."""
     broken: bool
     """Whether the list ends at damage."""
+    hidden: int = 0
+    """Number of frames that the edit list of the file leaves out."""
 
     @property
     def rank(self) -> NDArray[np.int64]:
@@ -99,10 +108,11 @@ class VideoClip(Footage):
         sample = self._decode(0)
         stream = self._video  # decoding may have opened the file anew
         facts = _facts(self._container, stream, sample)
+        turned = _rotation_notices(path, sample)
         playback = f"only a playback rate ({facts['playback_fps']:g} frames/s)" if facts["playback_fps"] else "no rate"
         times = times_from_rate(path, fps, count, playback)
         time_base_s = float(stream.time_base or 0)
-        times, notices = _times(
+        times, notices, stamped = _times(
             path, times, np.asarray(np.sort(self._packets.time)[:count] * time_base_s, np.float64), time_base_s
         )
         grey = _grey(sample, self._mono)
@@ -113,8 +123,8 @@ class VideoClip(Footage):
             bit_depth=_bit_depth(sample),
             file_times_s=times,
             frame_range=frame_range,
-            notices=self._truncation_notices(count) + notices,
-            facts=facts,
+            notices=self._truncation_notices(count) + turned + notices,
+            facts={**facts, "time_stamps": stamped},
         )
 
     def _read(self, number: int) -> Frame:
@@ -186,7 +196,12 @@ class VideoClip(Footage):
         return count
 
     def _truncation_notices(self, count: int) -> tuple[str, ...]:
-        declared = self._video.frames
+        declared, hidden = self._video.frames, self._packets.hidden
+        if hidden and not self._packets.broken:
+            return (
+                f"{self.path.name}: the edit list of the file leaves out {hidden} of {count + hidden} frames (a trimmed film); "
+                "the others are used.",
+            )
         if count < declared:
             return (
                 f"{self.path.name}: the file declares {declared} frames and {count} can be read; "
@@ -246,30 +261,72 @@ def _list_packets(container: av.container.InputContainer, stream: av.VideoStream
     offset, time, key = (np.array([row[i] for row in rows]) for i in range(3)) if rows else (np.empty(0),) * 3
     if len(key):
         key[0] = True  # decoding has to begin there
+    hidden = _hidden_frames(container, stream, len(rows)) if not broken and len(rows) < stream.frames else 0
     return Packets(
-        offset.astype(np.int64), time.astype(np.int64), key.astype(bool), broken or len(rows) < stream.frames
+        offset.astype(np.int64),
+        time.astype(np.int64),
+        key.astype(bool),
+        broken or len(rows) + hidden < stream.frames,
+        hidden,
+    )
+
+
+def _hidden_frames(container: av.container.InputContainer, stream: av.VideoStream, shown: int) -> int:
+    """Number of frames that an edit list leaves out: those that the demuxer hands out without it, beyond the `shown` ones."""
+    if "mov" not in container.format.name.split(","):
+        return 0
+    options = {"protocol_whitelist": "file", "ignore_editlist": "1"}
+    try:
+        with av.open(container.name, options=options) as whole:
+            packets = _filled(whole.demux(whole.streams[stream.index]))
+            return max(sum(1 for _ in packets) - shown, 0)
+    except av.error.FFmpegError:
+        return 0  # damaged; the caller counts what it has
+
+
+def _rotation_notices(path: Path, sample: av.VideoFrame) -> tuple[str, ...]:
+    """A notice where the file asks players to rotate its frames."""
+    degrees = round(sample.rotation)
+    if degrees % 360 == 0:
+        return ()
+    return (
+        f"{path.name}: the file asks players to rotate its frames by {degrees}°; they are read as stored, "
+        f"{sample.width} × {sample.height} px, and camera and background must be of stored frames.",
     )
 
 
 def _times(
     path: Path, even_s: NDArray[np.float64], playback_s: NDArray[np.float64], time_base_s: float
-) -> tuple[NDArray[np.float64], tuple[str, ...]]:
-    """Frame times and notices on them, from k / fps and the container's own times (both (n,) [s])."""
+) -> tuple[NDArray[np.float64], tuple[str, ...], bool]:
+    """Frame times, notices on them, and whether the times are those of the container, from k / fps and the container's own times
+    (both (n,) [s])."""
     if len(even_s) < 3 or playback_s[-1] <= playback_s[0]:
-        return even_s, ()
+        return even_s, (), False
     k = np.arange(len(even_s))
     mean_s = (playback_s[-1] - playback_s[0]) / k[-1]
     tick_s = _tick(playback_s, time_base_s)
     wander_s = np.ptp(playback_s - k * mean_s)
     if wander_s <= MAX_ROUNDING_TICKS * tick_s + MAX_WANDER_FRAMES * mean_s:
-        return even_s, ()
+        return even_s, (), False
     step_s = float(np.median(np.diff(playback_s)))
     uneven = f"{path.name}: the timestamps are uneven (a variable frame rate, or dropped frames)"
-    if abs(step_s - even_s[1]) <= SAME_RATE * even_s[1] and tick_s <= MAX_TICK_FRAMES * even_s[1]:
-        return playback_s - playback_s[0], (
-            f"{uneven}; they run at the recording rate, and are used as the frames' times.",
-        )
-    return even_s, (f"{uneven}; the frames count as evenly spaced at fps.",)
+    interval_s = even_s[1]
+    if abs(step_s - interval_s) <= SAME_RATE * interval_s and tick_s <= MAX_TICK_FRAMES * interval_s:
+        times_s, used = playback_s - playback_s[0], "and are used as the frames' times"
+        return times_s, (f"{uneven}; they run at the recording rate, {used}.",), True
+    whole = np.rint(np.diff(playback_s) / interval_s)
+    # Rounded steps have another median than the interval; their commonest whole number of intervals is one at this rate.
+    at_rate = np.median(whole) == 1.0 and abs(_common_step(playback_s, whole) - interval_s) <= SAME_RATE * interval_s
+    if at_rate and (whole >= 1.0).all() and tick_s <= MAX_COUNTING_TICK_FRAMES * interval_s:
+        times_s = interval_s * np.concatenate([[0.0], np.cumsum(whole)])
+        used = "and the whole frame intervals between them are used"
+        return times_s, (f"{uneven}; they run at the recording rate, {used}.",), True
+    return even_s, (f"{uneven}; the frames count as evenly spaced at fps.",), False
+
+
+def _common_step(playback_s: NDArray[np.float64], whole: NDArray[np.float64]) -> float:
+    """Mean interval [s] of timestamps whose steps (n - 1,) are so many intervals."""
+    return float((playback_s[-1] - playback_s[0]) / max(whole.sum(), 1.0))
 
 
 def _tick(times_s: NDArray[np.float64], time_base_s: float) -> float:

@@ -15,7 +15,10 @@ from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
 from .flight_segmentation import decimation_factor as decimation_factor
+from .flight_segmentation import rows_without_outliers as rows_without_outliers
+from .flights import WeightedPoses as WeightedPoses
 from .flights import fit_flights as fit_flights
+from .flights import fit_states as fit_states
 from .flights import left_jacobians as left_jacobians
 from .flights import perturbed as perturbed
 from .flights import pose_jacobian as pose_jacobian
@@ -30,6 +33,7 @@ from .measurement import measure_throw as measure_throw
 from .measurement import weighted_poses as weighted_poses
 from .measurement import with_calibrated_covariance as with_calibrated_covariance
 from .rest import SupportedMotion as SupportedMotion
+from .rest import first_supported_row as first_supported_row
 from .rest import flights_only as flights_only
 from .rest import frames_in_flight as frames_in_flight
 from .shared_bias import CONTOUR_SHARE as CONTOUR_SHARE

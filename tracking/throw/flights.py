@@ -208,14 +208,20 @@ def fit_flight(observations: WeightedPoses) -> tuple[State, Array, float]:
 
 def fit_flights(observations: WeightedPoses, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array]:
     """As `fit_flight` for many groups of rows: packed states (groups, 14) and sums of squared sigmas (groups,)."""
-    states, chi2 = np.empty((len(groups), 14)), np.empty(len(groups))
-    for k in range(0, len(groups), GROUPS_PER_BATCH):
-        some = groups[k : k + GROUPS_PER_BATCH]
-        ends = np.concatenate([[0], np.cumsum([len(group) for group in some])]).astype(np.int64)
-        states[k : k + GROUPS_PER_BATCH], _, chi2[k : k + GROUPS_PER_BATCH] = _fitted(
-            observations.rows(np.concatenate(some)), ends
-        )
+    states, _, chi2 = fit_states(observations, groups)
     return states, chi2
+
+
+def fit_states(observations: WeightedPoses, groups: Sequence[NDArray[np.int64]]) -> tuple[Array, Array, Array]:
+    """As `fit_flights`, with the covariances (groups, 12, 12) of the states between the two."""
+    count = len(groups)
+    states, covariances, chi2 = np.empty((count, 14)), np.empty((count, 12, 12)), np.empty(count)
+    for k in range(0, count, GROUPS_PER_BATCH):
+        batch = slice(k, k + GROUPS_PER_BATCH)
+        some = groups[batch]
+        ends = np.concatenate([[0], np.cumsum([len(group) for group in some])]).astype(np.int64)
+        states[batch], covariances[batch], chi2[batch] = _fitted(observations.rows(np.concatenate(some)), ends)
+    return states, covariances, chi2
 
 
 def _fitted(observations: WeightedPoses, ends: NDArray[np.int64]) -> tuple[Array, Array, Array]:

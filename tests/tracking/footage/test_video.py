@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import av
 import numpy as np
 import pytest
 from footage_files import noisy_frames, write_video
+from numpy.typing import NDArray
 
 from diethrow.tracking.footage.clip import Clip, open_clip
 
@@ -144,3 +146,52 @@ def test_sound_is_no_film(tmp_path: Path) -> None:
         container.mux(stream.encode(sound))
     with pytest.raises(ValueError, match=r"x\.wav: .*'wav'"):
         open_clip(path, fps=1500)
+
+
+def _mp4(path: Path, frames: NDArray[np.uint16], ticks: list[int] | None = None, per_second: int = 30) -> Path:
+    return write_video(
+        path, frames, fps=per_second, times=ticks, codec="libx264", options={"qp": "0", "bf": "3", "g": "20"}
+    )
+
+
+def test_coarse_timestamps_count_the_frame_intervals_between_frames(tmp_path: Path) -> None:
+    # A time base of 1/600 s at 240 frames/s: 2.5 ticks a frame, rounded. Frames 10 to 12 are missing.
+    frames = [*range(10), *range(13, 60)]
+    path = _mp4(tmp_path / "x.mp4", noisy_frames(len(frames)), [round(2.5 * k) for k in frames], 600)
+    clip = open_clip(path, fps=240)
+    assert "whole frame intervals" in clip.notices[0]
+    np.testing.assert_allclose(clip.times_s, np.array(frames) / 240, rtol=1e-12)
+    assert clip.metadata()["time_stamps"] is True
+
+
+@pytest.mark.parametrize("left_out", [7, 20, 33])
+def test_frames_that_an_edit_list_leaves_out_are_counted_and_not_read(left_out: int, tmp_path: Path) -> None:
+    frames = noisy_frames(60)
+    content = bytearray(_mp4(tmp_path / "whole.mp4", frames).read_bytes())
+    begin = content.find(b"elst") + 12
+    with av.open(str(tmp_path / "whole.mp4")) as container:
+        step = int(1 / (30 * container.streams.video[0].time_base))
+    duration, start, rate = struct.unpack(">IiI", content[begin : begin + 12])
+    content[begin : begin + 12] = struct.pack(">IiI", duration - left_out * 1000 // 30, start + left_out * step, rate)
+    path = tmp_path / "trimmed.mp4"
+    path.write_bytes(content)
+    clip = open_clip(path, fps=1500)
+    assert len(clip) == 60 - left_out
+    (notice,) = clip.notices
+    assert f"leaves out {left_out} of 60 frames" in notice
+    for k in np.random.default_rng(1).permutation(len(clip)):
+        np.testing.assert_array_equal(clip.frame(int(k)), frames[left_out + k])
+
+
+def test_a_rotation_that_the_file_asks_for_is_reported_and_not_done(tmp_path: Path) -> None:
+    frames = noisy_frames(5)
+    content = bytearray(_mp4(tmp_path / "upright.mp4", frames).read_bytes())
+    # The matrix of a track header of version 0 follows 44 bytes behind its name.
+    begin = content.find(b"tkhd") + 44
+    assert content[begin + 32 : begin + 36] == b"\x40\0\0\0"
+    content[begin : begin + 36] = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
+    path = tmp_path / "turned.mp4"
+    path.write_bytes(content)
+    clip = open_clip(path, fps=1500)
+    assert "rotate its frames by -90°; they are read as stored, 64 × 48 px" in clip.notices[0]
+    np.testing.assert_array_equal(clip.frame(3), frames[3])
