@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 from command_line import invoke
-from footage_files import write_tiff
+from footage_files import write_photron, write_tiff
 from footage_of_throws import DICE, film, studio
 from random_throws import random_quaternion
 
@@ -47,7 +47,7 @@ def test_a_good_clip_is_checked_and_its_page_needs_no_network(scene: Path, tmp_p
     status, output, _ = invoke("check", scene, "--out", out)
     assert status == 0
     names = (
-        *("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "corners"),
+        *("timing", "background", "light", "die", "pixels", "motion blur", "sharpness", "shutter", "corners"),
         *("scale", "vertical", "table"),
     )
     assert all(name in output for name in names)
@@ -101,3 +101,27 @@ def test_a_missing_clip_is_one_sentence(scene: Path, tmp_path: Path) -> None:
     status, _, output = invoke("check", other)
     assert status == 2
     assert len(output.strip().splitlines()) == 1
+
+
+def test_a_film_of_one_picture_is_refused_with_its_name(scene: Path, tmp_path: Path) -> None:
+    picture = np.rint(ROOM.table).astype(np.uint8)
+    write_tiff(tmp_path / "still.tif", np.array([picture] * 5))
+    path = tmp_path / "scene.toml"
+    path.write_text(scene.read_text().replace("clip.tif", "still.tif").replace('background = "background.png"', ""))
+    status, _, output = invoke("check", path)
+    assert status == 2
+    assert 'clip.path = "still.tif": all 5 frames of it are copies of one picture' in output
+
+
+@pytest.mark.parametrize("key", ["exposure_s", "readout_s"])
+def test_times_longer_than_the_interval_of_the_file_are_refused(scene: Path, tmp_path: Path, key: str) -> None:
+    frames = np.random.default_rng(1).integers(0, 255, (4, *ROOM.table.shape)).astype(np.uint16)
+    write_photron(tmp_path / "x.cihx", frames, stored_bits=16)
+    lines = [
+        line for line in scene.read_text().splitlines() if not line.startswith(("fps", "background", "exposure_s"))
+    ]
+    path = tmp_path / "scene.toml"
+    path.write_text("\n".join(lines).replace('"clip.tif"', f'"x.cihx"\n{key} = 0.5'))
+    status, _, output = invoke("check", path)
+    assert status == 2
+    assert f"clip.{key} = 0.5: wanted seconds, at most the" in output

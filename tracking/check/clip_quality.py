@@ -8,6 +8,7 @@ frame with the die in view. All else follows from its poses and their pixels:
 - the fall: the acceleration with nothing assumed about it (`gravity`). Errors of neighbouring frames are correlated (shading,
   marks, depth). With a first-order autoregression of correlation r, a sum of n terms has (1 + r) / (1 - r) times the variance of
   independent ones, and the interval is widened accordingly;
+- the shutter: the readout that shears the die in the picture (`shutter`);
 - the table: the height of the contact at every bounce that was resolved.
 """
 
@@ -41,10 +42,12 @@ from ..picture import (
 )
 from ..pose import ManualInitialisation, die_blobs, pose_state, refine_pose
 from ..quality import FAST
-from ..sequence import NO_FACTS, ClipFacts, NoDieError, track_clip
+from ..sequence import NO_FACTS, ClipFacts, NoDieError
 from ..throw import NoFlightError, measure_throw, transition_matrix
+from ..timing import ITS_OWN, ClipClock, FrameTimes, track_clip_in_time
 from ..track import Track
 from .gravity import Fall, measure_fall
+from .shutter import Readout, estimate_readout
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -90,6 +93,8 @@ class FrameTiming:
     """Largest deviation of a step between frames from the median step, as a share of it."""
     notices: tuple[str, ...]
     """Notices of the reader; repeated frames are among them if they were read."""
+    found: FrameTimes | None = None
+    """Missing and repeated frames that the motion shows; None where no die was tracked."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +136,8 @@ class TrackedPart:
     """(k,) their standard errors."""
     corners: CornerRadius | None = None
     """The estimated radius of the corners; None where the scene gives it, or the corners look sharp."""
+    readout: Readout | None = None
+    """The readout of a rolling shutter, estimated from the shear of the die; None where too few frames show it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,10 +160,11 @@ def measure_clip_quality(
     *,
     background: Image | None = None,
     facts: ClipFacts = NO_FACTS,
+    clock: ClipClock = ITS_OWN,
 ) -> ClipQuality:
     """Measure the quality of a clip. `open_part` opens the frames from first to stop (numbers in the file) of the same clip.
 
-    `background` (height, width) is a frame without the die.
+    `background` (height, width) is a frame without the die; `clock` says whether missing and repeated frames are corrected.
     Raises ValueError where the clip cannot be read.
     """
     estimated = background is None
@@ -165,7 +173,7 @@ def measure_clip_quality(
     sample = [_grey(clip.frame(int(k))) for k in rows]
     noise = pixel_noise(sample, empty, facts.level_grey)
     background_match = _background_match(sample, empty, estimated, clip.bit_depth, facts.level_grey)
-    tracked_part, failure, notices = None, "", clip.notices
+    tracked_part, times, failure, notices = None, None, "", clip.notices
     view = make_view(camera, die, empty, noise, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s)
     first = _first_frame_with_die(clip, view, facts.start)
     if first is None:
@@ -174,24 +182,27 @@ def measure_clip_quality(
         stop = min(first + PART_FRAMES, len(clip))
         part = open_part(clip.first_frame + first, clip.first_frame + stop)
         try:
-            followed = track_clip(part, camera, die, background=empty, facts=facts, quality=FAST)
+            timed = track_clip_in_time([part], [camera], die, background=empty, facts=facts, quality=FAST, clock=clock)
+            followed, times = timed.tracked, timed.times
             still = PixelNoise(noise.noise_grey, level_grey=noise.level_grey)
-            view = make_view(
-                camera, followed.die, empty, still, facts.exposure_s, START_BLUR_PX, readout_s=facts.readout_s
-            )
-            tracked_part = _tracked_part(part, followed.track, view, followed.corners)
+
+            def view_with(readout_s: float, blur_px: float = START_BLUR_PX) -> View:
+                return make_view(camera, followed.die, empty, still, facts.exposure_s, blur_px, readout_s=readout_s)
+
+            tracked_part = _tracked_part(part, followed.track, view_with(facts.readout_s), followed.corners)
+            tracked_part = _with_readout(part, tracked_part, view_with, facts.readout_s)
         except NoDieError as error:
             failure = str(error)
         notices = (*notices, *(notice for notice in part.notices if notice not in notices))
-    return ClipQuality(frame_timing(clip, notices), background_match, tracked_part, failure)
+    return ClipQuality(frame_timing(clip, notices, times), background_match, tracked_part, failure)
 
 
 def _grey(frame: Frame) -> Image:
     return np.ascontiguousarray(frame, np.float32)
 
 
-def frame_timing(clip: Clip, notices: tuple[str, ...]) -> FrameTiming:
-    """The times of a clip's frames, and the rates that its file declares."""
+def frame_timing(clip: Clip, notices: tuple[str, ...], found: FrameTimes | None = None) -> FrameTiming:
+    """The times of a clip's frames, the rates that its file declares, and what was found in the motion."""
     declared = clip.metadata()
     steps = np.diff(clip.times_s)
     usual = float(np.median(steps)) if len(steps) else np.nan
@@ -204,6 +215,7 @@ def frame_timing(clip: Clip, notices: tuple[str, ...]) -> FrameTiming:
         declared.get("exposure_s"),
         uneven,
         notices,
+        found,
     )
 
 
@@ -275,6 +287,19 @@ def _tracked_part(clip: Clip, track: Track, view: View, corners: CornerRadius | 
         sigmas,
         corners,
     )
+
+
+def _with_readout(
+    clip: Clip, part: TrackedPart | None, view_with: Callable[[float, float], View], readout_s: float
+) -> TrackedPart | None:
+    """The tracked part with the readout that it shows."""
+    if part is None or part.throw is None:
+        return part
+    blur_px = part.lens_blur_px
+    found = estimate_readout(
+        clip, part.track, part.throw, view_with(readout_s, blur_px), lambda trial_s: view_with(trial_s, blur_px)
+    )
+    return replace(part, readout=found)
 
 
 def _diameter_px(view: View, position: Array, rotation: Array) -> float:

@@ -7,6 +7,8 @@ The limits and their reasons:
 - motion blur: the edge model includes it. Above 1 px it flattens an edge more than the lens does. Above 6 px (a full-frame
   exposure at 2 mm a frame) neighbouring edges run into each other;
 - corners: an estimate of their radius is off by a sixth of it, a caliper by less;
+- shutter: a readout that is left out shears the die and bends its flights; it is reported where it is certain, at five standard
+  errors, and a tenth of the frame interval at least;
 - lens blur: below 0.3 px edges alias; above 1.5 px the lens is out of focus;
 - scale and vertical: calibrated cameras and measured edges reach one per cent and half a degree. A value is doubtful where the
   measurement cannot distinguish it from a good one;
@@ -26,9 +28,11 @@ from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
 from ..footage import REPEATED
+from ..timing import FaultKind, FrameTimes
 from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
 from .gravity import Fall, fall_notices
+from .shutter import Readout
 
 Array = NDArray[np.float64]
 
@@ -103,6 +107,12 @@ CERTAIN = 1.5
 """Half widths of a 95 % interval beyond which a deviation is not chance: three standard errors, one case in three hundred."""
 MAX_UNEVEN_SHARE = 0.02
 """Largest good deviation of a step between frames from the median step."""
+READOUT_SIGMAS = 5.0
+"""Standard errors by which the readout must be off: no global shutter may be called a rolling one."""
+LEAST_READOUT_SHARE = 0.1
+"""The same as a share of the frame interval: less moves a die by a few hundredths of the frame's own motion."""
+OPEN_READOUT_SHARE = 0.5
+"""Share of the frame interval up to which a readout would go unnoticed where the pictures are said to show none."""
 MAX_EXPOSURE_MISMATCH = 0.1
 """Share by which the exposures of scene and file may differ: headers round it."""
 MAX_LOST_SHARE = 0.1
@@ -110,9 +120,14 @@ MAX_LOST_SHARE = 0.1
 
 
 def judge(
-    quality: ClipQuality, die: Die, exposure_s: float | None, rounding: CornerRounding = CornerRounding.GIVEN
+    quality: ClipQuality,
+    die: Die,
+    exposure_s: float | None,
+    rounding: CornerRounding = CornerRounding.GIVEN,
+    readout_s: float = 0.0,
 ) -> tuple[Finding, ...]:
-    """Every finding on a clip; `exposure_s` is the scene's, and `rounding` says whether it gives the radius of the corners."""
+    """Every finding on a clip; `exposure_s` and `readout_s` are the scene's, and `rounding` says whether it gives the radius of
+    the corners."""
     findings = [
         _timing(quality.timing, exposure_s),
         _background(quality.background_match),
@@ -123,6 +138,7 @@ def judge(
         advice = "check the clip, the background and [die]; a manual initial pose ([start]) may help"
         return (*findings, Finding("die", Verdict.BAD, f"No die could be tracked: {quality.failure}.", advice))
     findings += [_tracking(tracked_part), _size(tracked_part), _motion_blur(tracked_part), _lens_blur(tracked_part)]
+    findings.append(_shutter(tracked_part.readout, readout_s))
     if rounding is not CornerRounding.GIVEN:
         findings.append(_corners(tracked_part))
     findings += [
@@ -147,7 +163,7 @@ def judge_throw(
 
 
 def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
-    values = {
+    values: dict[str, float | None] = {
         "rate_hz": timing.rate_hz,
         "file_rate_hz": timing.file_rate_hz,
         "playback_hz": timing.playback_hz,
@@ -161,6 +177,8 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         measured += f" by the scene; the file declares only a playback rate of {timing.playback_hz:g} frames/s"
     else:
         measured += " by the scene; the file declares no rate"
+    if timing.found is not None and timing.found.faults:
+        return _frame_faults(timing.found, measured, values)
     if repeated:
         advice = "the software filled in dropped frames; export the clip again, or exclude these frames (clip.exclude)"
         return Finding("timing", Verdict.BAD, f"{measured}. {repeated[0]}", advice, values)
@@ -174,6 +192,25 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         measured += f"; the exposure is {1e6 * file_s:.4g} µs by the file and {1e6 * scene_s:.4g} µs by the scene"
         return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {file_s:.4g}", values)
     return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
+
+
+def _frame_faults(found: FrameTimes, measured: str, values: dict[str, float | None]) -> Finding:
+    """Missing, doubled and frozen frames: bad where they are certain and the times are left as filmed."""
+    for kind in FaultKind:
+        values[f"{kind.value}_gaps"] = float(sum(fault.kind is kind for fault in found.faults))
+    certain = [fault for fault in found.faults if fault.is_certain]
+    text = f"{measured}. {' '.join(found.notices)}"
+    if certain and not found.corrected:
+        advice = (
+            "export the clip again with every frame, or leave --timing as-filmed out so that the times are corrected"
+        )
+        return Finding("timing", Verdict.BAD, text, advice, values)
+    advice = (
+        "export the clip again with every frame"
+        if certain
+        else "look at these frames, or leave them out (clip.exclude)"
+    )
+    return Finding("timing", Verdict.DOUBTFUL, text, advice, values)
 
 
 def _background(match: BackgroundMatch) -> Finding:
@@ -289,6 +326,39 @@ def _lens_blur(tracked_part: TrackedPart) -> Finding:
         advice = "edges this sharp alias; a slight defocus makes them more exact"
         return Finding("sharpness", Verdict.DOUBTFUL, measured, advice, values)
     return Finding("sharpness", Verdict.GOOD, measured, "", values)
+
+
+def _shutter(found: Readout | None, stated_s: float) -> Finding:
+    """The readout of a rolling shutter against the scene's, which is 0 for a global one."""
+    if found is None:
+        measured = "Too few frames in flight show whether the rows are exposed at once."
+        return Finding("shutter", Verdict.GOOD, measured, "", {})
+    values: dict[str, float | None] = {
+        "readout_s": found.readout_s,
+        "sigma_readout_s": found.sigma_s,
+        "stated_readout_s": stated_s,
+    }
+    size = f"{1e3 * found.readout_s:.2g} ± {1e3 * found.sigma_s:.2g} ms"
+    least_s = max(READOUT_SIGMAS * found.sigma_s, LEAST_READOUT_SHARE * found.interval_s)
+    if abs(found.readout_s - stated_s) <= least_s:
+        clear = READOUT_SIGMAS * found.sigma_s <= OPEN_READOUT_SHARE * found.interval_s
+        says = f"{1e3 * stated_s:.3g} ms by the scene" if stated_s else "a global shutter by the scene"
+        known = "consistent with" if clear else "which decides little; it is"
+        text = f"From the first row to the last, the shear of the die shows {size} (standard error), {known} {says}."
+        return Finding("shutter", Verdict.GOOD, text, "", values)
+    if found.readout_s < -least_s:
+        text = f"The rows are exposed one after the other from the bottom up: the shear of the die shows {size}."
+        advice = "turn clip, background and [camera] upside down, and set clip.readout_s"
+        return Finding("shutter", Verdict.BAD, text, advice, values)
+    if stated_s == 0.0:
+        text = (
+            f"The rows are exposed one after the other: the shear of the die shows {size} from the first to the last."
+        )
+        return Finding("shutter", Verdict.BAD, text, f"set clip.readout_s = {found.readout_s:.2g}", values)
+    text = f"The shear of the die shows {size} from the first row to the last; the scene says {1e3 * stated_s:.3g} ms."
+    shown = f"the pictures suggest {found.readout_s:.2g}" if found.readout_s > least_s else "the pictures show none"
+    advice = f"measure clip.readout_s, or leave it out for a global shutter; {shown}"
+    return Finding("shutter", Verdict.DOUBTFUL, text, advice, values)
 
 
 def _corners(tracked_part: TrackedPart) -> Finding:

@@ -15,6 +15,7 @@ from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge,
 from ...tracking.footage import Clip, clip_in_light, level_grey, open_clip
 from ...tracking.pose import ManualInitialisation
 from ...tracking.sequence import ClipFacts
+from ...tracking.timing import ClipClock, Timing
 from .track import check_scene, input_paths, open_background, open_footage
 
 
@@ -33,17 +34,25 @@ class Check:
         return any(finding.verdict is Verdict.BAD for finding in self.findings)
 
 
-def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, command: tuple[str, ...] = ()) -> Check:
+def check_clip(
+    scene: Scene,
+    out: Path | None = None,
+    *,
+    timing: Timing = "corrected",
+    force: bool = False,
+    command: tuple[str, ...] = (),
+) -> Check:
     """Examine the clips of a scene, one per camera; with `out`, write check.json and check.html to that folder.
+    `timing` says whether missing and repeated frames are corrected.
 
     Raises SceneError for footage that does not fit the scene, and OutputExistsError for a folder that exists.
     """
     check_scene(scene)
     if out is None:
-        return _check(scene, Stopwatch())[0]
+        return _check(scene, timing, Stopwatch())[0]
     watch = Stopwatch()
     with whole_folder(out, force=force, inputs=input_paths(scene)) as folder:
-        check, clips = _check(scene, watch)
+        check, clips = _check(scene, timing, watch)
         write_json(folder / "check.json", _record(check))
         tracked_parts = [
             (measured.tracked_part, clip, view.camera)
@@ -55,7 +64,7 @@ def check_clip(scene: Scene, out: Path | None = None, *, force: bool = False, co
     return check
 
 
-def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
+def _check(scene: Scene, timing: Timing, watch: Stopwatch) -> tuple[Check, list[Clip]]:
     views = scene.views()
     findings: list[Finding] = []
     measured, clips = [], []
@@ -64,13 +73,13 @@ def _check(scene: Scene, watch: Stopwatch) -> tuple[Check, list[Clip]]:
             clips.append(open_footage(scene, view))
         with watch.stage("check"):
             # An initial pose by hand was clicked in the first camera's picture.
-            measured.append(_measured(scene, view, clips[-1], scene.start if k == 0 else None))
-        found = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding)
+            measured.append(_measured(scene, view, clips[-1], timing, scene.start if k == 0 else None))
+        found = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding, scene.clip.readout_s)
         findings += found if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in found]
     return Check(tuple(findings), tuple(measured)), clips
 
 
-def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation | None) -> ClipQuality:
+def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: ManualInitialisation | None) -> ClipQuality:
     """Measurements on the clip of one camera."""
     background, response = open_background(scene, view, clip), scene.clip.response
 
@@ -90,7 +99,9 @@ def _measured(scene: Scene, view: View, clip: Clip, start: ManualInitialisation 
             readout_s=scene.clip.readout_s,
         )
         light = clip_in_light(clip, response)
-        return measure_clip_quality(light, view.camera, scene.die, open_part, background=background, facts=facts)
+        return measure_clip_quality(
+            light, view.camera, scene.die, open_part, background=background, facts=facts, clock=ClipClock(timing)
+        )
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: {error}") from error
 
