@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from ...model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotation_between
 from ...model.throw import State, Throw
 from ..covariance import scaled_inverse
-from ..picture import BIWEIGHT_CUT, CameraRig, PixelNoise, View, make_view, shares_in_view
+from ..picture import BIWEIGHT_CUT, CameraRig, LightPrior, PixelNoise, View, make_view, shares_in_view
 from ..pose import Pose, pose_state, refine_pose
 from ..throw import CONTOUR_SHARE, CONTOUR_SIGMA_PX
 
@@ -143,7 +143,7 @@ def _view_of_one(view: View, c: int) -> View:
         camera, view.die, background, noise, view.exposure_s, view.blur_px, mirror=mirror, quality=view.quality,
         readout_s=view.readout_s,
     )  # fmt: skip
-    return replace(alone, light=view.light[view.rig.camera == c])
+    return replace(alone, light=LightPrior(*(values[view.rig.camera == c] for values in view.light)))
 
 
 def _rows_in_flight(times_s: Array, throw: Throw) -> NDArray[np.int64]:

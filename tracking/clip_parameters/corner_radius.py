@@ -51,6 +51,7 @@ from ..picture import (
     new_equations,
     new_workspace,
     shares_in_view,
+    strips_of_any_shade,
     whole_frame_windows,
     with_corner_radius,
 )
@@ -285,9 +286,9 @@ def contour_sigma_px(view: View, radius_sigma_m: float, position_m: Array, rotat
 
 def _free_poses(view: View) -> RefinementSettings:
     """Settings of a refinement with a free pose and strips of any shade, whatever is known of the light."""
-    dark = np.zeros_like(view.light)
+    free = strips_of_any_shade(len(view.rig.camera))
     return view.settings._replace(
-        fine_steps=FREE_STEPS, min_gain=FREE_LAST_GAIN, region_pixels=0, strip_prior_share=FREE_STRIP_SHARE, light=dark
+        fine_steps=FREE_STEPS, min_gain=FREE_LAST_GAIN, region_pixels=0, strip_prior_share=FREE_STRIP_SHARE, light=free
     )
 
 

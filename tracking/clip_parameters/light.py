@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..picture import LIGHT_DEGREE, LIGHT_TERMS, NORMAL_MAD, View
+from ..picture import LAMP_PRIOR, NORMAL_MAD, SPHERE, LightPrior, View, normal_monomials, unknown_light
 from ..pose import ClipPoses, Picture, wholly_in_view
 
 Array = NDArray[np.float64]
@@ -39,10 +39,6 @@ FEWEST_GREYS = 40
 """Least number of face greys to which the polynomial is fitted."""
 PARTS = 6
 """Parts of the clip for the cross-validation."""
-PRIOR_SIGMAS = np.array([10.0, 2.0, 1.25, 0.5, 0.4])
-"""Prior standard deviation of each degree's part of the brightness, in units of its mean. A lamp on a dull surface
-gives 1, 2, 1.25, 0 and -0.375 times the Legendre polynomials in the cosine of the angle to it; the overall brightness
-is unknown."""
 LEAST_MISFIT = 0.01
 """Least standard deviation of the fit, in units of the median grey."""
 MOST_MISFIT = 0.3
@@ -54,12 +50,6 @@ REWEIGHTINGS = 8
 """Iterations of the robust weights."""
 FIRST_SIGMA = 0.1
 """Standard deviation that the first iteration assumes."""
-DARKEST_SHARE = 0.5
-"""Least brightness that is predicted, in units of that of the darkest faces."""
-DARKEST_QUANTILE = 0.02
-"""Quantile of the greys that counts as the darkest faces."""
-SPHERE_POINTS = 200
-"""Normals over which the prior and the mean accuracy are computed."""
 
 
 def with_light(view: View, picture: Picture, poses: ClipPoses) -> View:
@@ -70,7 +60,7 @@ def with_light(view: View, picture: Picture, poses: ClipPoses) -> View:
     """
     if view.die.corner_radius_m == 0.0:
         return view
-    light = np.zeros_like(view.light)
+    light = unknown_light(len(view.rig.camera))
     rows = np.flatnonzero(wholly_in_view(view, poses))
     rows = np.unique(rows[np.linspace(0, len(rows) - 1, min(LIGHT_FRAMES, len(rows))).astype(int)])
     greys = [_face_greys(view, picture(int(k)), poses.position_m[k], poses.rotation[k]) for k in rows]
@@ -80,7 +70,7 @@ def with_light(view: View, picture: Picture, poses: ClipPoses) -> View:
         if count.sum() >= FEWEST_GREYS:
             known = np.concatenate(of_frame)
             frame = np.repeat(np.arange(len(rows)), count)
-            light[k] = _light_of_camera(known[:, :3], known[:, 3], frame, camera.rotation[2])
+            _fill_light_of_camera(k, light, known[:, :3], known[:, 3], frame, camera.rotation[2])
     return replace(view, light=light)
 
 
@@ -124,84 +114,44 @@ def _pixels_inside(
     return rows + low[1] - 1, columns + low[0] - 1
 
 
-def _light_of_camera(normals: Array, grey: Array, frame: NDArray[np.int64], axis: Array) -> Array:
-    """(LIGHT_TERMS + 2,) coefficients of the brightness, its least value, and its standard deviation [grey].
-
-    They are fitted to greys (n,) at normals (n, 3) on frames (n,), for a camera with the optical axis `axis` (3,);
-    zero if the greys are no function of the normals, or do not determine it.
-    """
+def _fill_light_of_camera(
+    k: int, light: LightPrior, normals: Array, grey: Array, frame: NDArray[np.int64], axis: Array
+) -> None:
+    """Fill row k of the light with what greys (n,) at normals (n, 3) on frames (n,) show, for a camera with the optical axis
+    `axis` (3,). It stays unknown if the greys are no function of the normals, or do not determine it."""
     median = float(np.median(grey))
-    light, A = np.zeros(LIGHT_TERMS + 2), normal_monomials(normals)
+    A = normal_monomials(normals)
     if not median > 0.0:
-        return light
+        return
     brightness, residual = grey / median, np.zeros(len(grey))
     for low, high in pairwise(np.linspace(0, frame[-1] + 1, PARTS + 1)):
         part = (frame >= low) & (frame < high)
         residual[part] = brightness[part] - A[part] @ _fit_polynomial(A[~part], brightness[~part])[0]
-    coefficients, covariance = _fit_polynomial(A, brightness)
-    visible = normal_monomials(_SPHERE[_SPHERE @ axis < 0.0])
-    variance = float(np.einsum("ni,ij,nj->n", visible, covariance, visible).mean())
+    coefficients, information = _fit_polynomial(A, brightness)
+    visible = normal_monomials(SPHERE[SPHERE @ axis < 0.0])
+    variance = float(np.einsum("ni,ij,nj->n", visible, np.linalg.inv(information), visible).mean())
     misfit = float(np.hypot(_standard_deviation(residual), np.sqrt(variance)))
     if misfit > MOST_MISFIT:
-        return light
-    light[:LIGHT_TERMS] = median * coefficients
-    darkest = max(float(np.quantile(grey, DARKEST_QUANTILE)), 1e-3 * median)
-    light[LIGHT_TERMS:] = DARKEST_SHARE * darkest, misfit * median
-    return light
+        return
+    light.level[k], light.deviation[k] = median, misfit * median
+    light.mean[k] = median * coefficients
+    light.information[k] = information / median**2
 
 
 def _fit_polynomial(A: Array, brightness: Array) -> tuple[Array, Array]:
-    """(LIGHT_TERMS,) coefficients of the relative brightness (n,) with rows A, and their covariance: with a prior,
-    and robust against highlights, shadows near the table, and frames with a wrong pose."""
+    """(LIGHT_TERMS,) coefficients of the relative brightness (n,) with rows A, and their information: with a prior, and
+    robust against highlights, shadows near the table, and frames with a wrong pose."""
     weight, sigma = np.ones(len(brightness)), FIRST_SIGMA
     for _ in range(REWEIGHTINGS):
         weighted = A.T * weight
-        covariance = np.linalg.inv(weighted @ A / sigma**2 + _PRIOR)
-        coefficients = np.asarray(covariance @ (weighted @ brightness)) / sigma**2
+        information = weighted @ A / sigma**2 + LAMP_PRIOR
+        coefficients = np.asarray(np.linalg.solve(information, weighted @ brightness)) / sigma**2
         residual = brightness - A @ coefficients
         sigma = _standard_deviation(residual)
         weight = 1.0 / (1.0 + (residual / (CAUCHY_SCALE * sigma)) ** 2)
-    return coefficients, np.asarray(covariance)
+    return coefficients, np.asarray(information)
 
 
 def _standard_deviation(residual: Array) -> float:
     """Of residuals (n,), by their median absolute value; at least LEAST_MISFIT."""
     return max(NORMAL_MAD * float(np.median(np.abs(residual))), LEAST_MISFIT)
-
-
-_POWERS = [
-    (i, j, k)
-    for i in range(LIGHT_DEGREE + 1)
-    for j in range(LIGHT_DEGREE + 1 - i)
-    for k in range(2 if i + j < LIGHT_DEGREE else 1)
-]
-
-
-def normal_monomials(normals: Array) -> Array:
-    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of the kernels of `picture`: k is at
-    most 1, since z² is 1 - x² - y²."""
-    x, y, z = normals.T
-    return np.stack([x**i * y**j * z**k for i, j, k in _POWERS], axis=1)
-
-
-def _spiral_on_sphere(count: int) -> Array:
-    """(count, 3) unit vectors, evenly spread on a golden spiral."""
-    k = np.arange(count) + 0.5
-    z, turn = 1.0 - 2.0 * k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
-    across = np.sqrt(1.0 - z * z)
-    return np.column_stack([across * np.cos(turn), across * np.sin(turn), z])
-
-
-_SPHERE = _spiral_on_sphere(SPHERE_POINTS)
-
-
-def _prior() -> Array:
-    """(LIGHT_TERMS, LIGHT_TERMS) prior information, for lamps in unknown directions. By the addition theorem the
-    covariance of the brightness at normals n and n' is Σ σ_l² P_l(n · n')/(2 l + 1)."""
-    by_degree = PRIOR_SIGMAS**2 / (2.0 * np.arange(LIGHT_DEGREE + 1) + 1.0)
-    covariance = np.polynomial.legendre.legval(_SPHERE @ _SPHERE.T, by_degree)
-    fit = np.linalg.pinv(normal_monomials(_SPHERE))
-    return np.asarray(np.linalg.inv(fit @ covariance @ fit.T))
-
-
-_PRIOR = _prior()

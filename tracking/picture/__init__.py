@@ -20,7 +20,6 @@ from .kernel_types import BLUR as BLUR
 from .kernel_types import CLEAR_PX as CLEAR_PX
 from .kernel_types import CONTOUR as CONTOUR
 from .kernel_types import CONTOUR_PX as CONTOUR_PX
-from .kernel_types import LIGHT_DEGREE as LIGHT_DEGREE
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
 from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import PARAMETERS as PARAMETERS
@@ -78,6 +77,16 @@ from .small_matrices import solve_factored as solve_factored
 from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
+from .surface_light import LAMP_PRIOR as LAMP_PRIOR
+from .surface_light import SPHERE as SPHERE
+from .surface_light import LightPrior as LightPrior
+from .surface_light import begin_light as begin_light
+from .surface_light import keep_light as keep_light
+from .surface_light import kept_light as kept_light
+from .surface_light import normal_monomials as normal_monomials
+from .surface_light import strips_of_any_shade as strips_of_any_shade
+from .surface_light import unknown_light as unknown_light
+from .surface_light import update_light as update_light
 from .view import THREADS as THREADS
 from .view import Array as Array
 from .view import Image as Image

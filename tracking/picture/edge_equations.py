@@ -65,7 +65,8 @@ from .projection import (
     turned_within,
     within_hull,
 )
-from .rounded_edge import fill_rounded_basis, fill_sharp_basis, fill_strip_lines, fill_strip_steps, strip_turn
+from .rounded_edge import fill_rounded_basis, fill_sharp_basis, fill_strip_lines, fill_strip_slopes, strip_turn
+from .surface_light import NO_LIGHT, clear_light, eliminate_light, fill_strip_rows
 
 STRETCH_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""
@@ -114,6 +115,7 @@ def add_edge_equations(
     K, dist, Rcw = rig.matrix[view], rig.distortion[view], rig.rotation[view]
     mirrored = rig.partner[view] >= 0 and rig.partner[view] < view
     radius, sharp = shape.radius, shape.radius == 0.0
+    same_band = not sharp and work.light.level[view] == NO_LIGHT
     px, cam, arm, J, aw, edges = (
         work.vertex_px,
         work.vertex_camera,
@@ -137,6 +139,8 @@ def add_edge_equations(
     work.shared_matrix[view] = 0.0
     work.shared_coupling[view] = 0.0
     work.shared_right[view] = 0.0
+    if not sharp:
+        clear_light(view, work.light)
     for e in range(shape.edges.shape[0]):
         f0, f1 = shape.edge_faces[e, 0], shape.edge_faces[e, 1]
         if facing[f0] <= 0.0 and facing[f1] <= 0.0:
@@ -233,11 +237,9 @@ def add_edge_equations(
             if not sharp:
                 angle = strip_turn(aw, normal[f0], normal[f1], interior, work.strip_end)
                 fill_strip_lines(aw, normal[f0], work.strip_end, angle, radius, lines)
-                if m == 0:
-                    fill_strip_steps(
-                        settings.light[view], normal[f0], work.strip_end, angle, interior, work.strip_steps
-                    )
-            low, high = min(lines[0], 0.0), max(lines[STRIP_CELLS], 0.0)
+                if m == 0 and work.light.level[view] > 0.0:
+                    fill_strip_rows(normal[f0], work.strip_end, angle, interior, work.light.mean[view], work.light)
+                fill_strip_slopes(interior, work.light.left, work)
             blur, bend, rate = sigma, 0.0, 0.0
             if exposure > 0.0 or row_s != 0.0:
                 rate = (
@@ -255,15 +257,22 @@ def add_edge_equations(
                     bend = _distance_acceleration(J, Rcw, (nx, ny), arm_then, edge_then, vel, omega)
                     bend = bend * exposure * exposure / 24.0
             across, middle = (abs(nx), u) if steep else (abs(ny), v)
-            # The band stops short of the other edges of the faces beside it, and of their own strip and blur.
-            inside = min(band - low, room_beside(near_edges, beside_near, line, middle) * across - KEPT_BLURS * blur)
-            outside = band + high
+            # The band stops short of the blur of the other edges of the faces beside it. The flat part of a face is the inner
+            # body's, moved out: its other edges lie as far from the first or last line of the strip. Where radii are compared,
+            # all shall see the same pixels.
+            before, behind = lines[0], lines[STRIP_CELLS]
+            moved, moved_far = (0.0, 0.0) if same_band else (before, behind)
+            room = room_beside(near_edges, beside_near, line, middle) * across
+            inside = min(band - min(before, 0.0), room - KEPT_BLURS * blur - moved)
+            outside = band + max(behind, 0.0)
             if interior:
-                outside = min(outside, room_beside(far_edges, beside_far, line, middle) * across - KEPT_BLURS * blur)
-            if inside + low < LEAST_BAND_BLURS * blur or outside - high < LEAST_BAND_BLURS * blur:
+                room = room_beside(far_edges, beside_far, line, middle) * across
+                outside = min(outside, room - KEPT_BLURS * blur + moved_far)
+            least = LEAST_BAND_BLURS * blur
+            if inside + min(before, moved) < least or outside - behind < least:
                 continue
             if hidden_by > 0 and (mirrored or not interior):
-                reach = high + KEPT_BLURS * blur
+                reach = max(lines[STRIP_CELLS], 0.0) + KEPT_BLURS * blur
                 if within_hull(hull, hidden_by, u, v, REFLECTION_MARGIN_PX + reach):
                     continue
             # Along the pixel line the signed distance grows with slope `step`.
@@ -294,9 +303,9 @@ def add_edge_equations(
                     if with_blur:
                         # The blur of the line grows with the lens blur by σ / blur.
                         spread[0, i] = d * ib * sigma * ib
+                    grey[i] = value
                 else:
-                    fill_rounded_basis(d, ib, shade, with_blur, work, i)
-                grey[i] = value
+                    grey[i] = value - fill_rounded_basis(d, blur, shade, with_blur, work, i)
                 d += step
                 i += 1
             if isnan(under_row):
@@ -315,8 +324,11 @@ def add_edge_equations(
             m += 1
             row_begin[m] = n
             walked += row_length
+    top = PARAMETERS if with_blur else BLUR
     if sharp:
-        eliminate_shared_greys(work, view, PARAMETERS if with_blur else BLUR, H, g)
+        eliminate_shared_greys(work, view, top, H, g)
+    else:
+        eliminate_light(work.light, view, top, H, g)
 
 
 @inner_no_memory

@@ -33,7 +33,6 @@ from .kernel_types import (
     BLUR,
     CLEAR_PX,
     CONTOUR_PX,
-    LIGHT_TERMS,
     LOG_NOISE,
     PARAMETERS,
     PIXELS,
@@ -45,6 +44,7 @@ from .kernel_types import (
     Workspace,
 )
 from .small_matrices import cholesky_factor, solve_factored
+from .surface_light import FACE_EDGES, TAIL_DEGREES, add_stretch_to_light, fill_expected
 
 FEWEST_PIXELS = 12
 """Pixels of a stretch below which its intensities and its noise are not estimated."""
@@ -70,6 +70,11 @@ FAINT_PIXELS = 30
 """Sum of the robust weights of a stretch from which a fainter step is clear."""
 STRIP_NOISE_GREY = 2.0
 """Least noise that the prior on a rounded strip is scaled by: on noiseless pictures it would hold nothing."""
+LEFT_SHARE = 0.3
+"""Part of the deviations from the light that the two intensities of a strip do not describe. They look like a shift of
+the edge. Between two faces nothing but the course of the strip shows where the edge is, so that deviations of the usual
+size count as well as what is seen beyond them. Single pictures of made dice, matt and glossy, refined from their true
+poses with the light of the clip, then had a NEES of 7 to 19; without it 14 to 140."""
 LEAST_PIVOT = 1e-9
 """Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
 LEAST_SHARED_PIVOT = 1e-12
@@ -125,7 +130,15 @@ def add_stretch(
     base = stretch.background_sum / n
     scale, icut = noise_floor, 0.0
     sums, shared_grey = work.grey_sums[view], work.shared_grey[view]
-    strip_grey = settings.light[view, LIGHT_TERMS + 1]
+    light, tie = work.light, work.tie
+    lit = not sharp and light.level[view] > 0.0
+    face_tie, strip_tie, tail = 0.0, 0.0, 1.0
+    if lit:
+        fill_expected(view, light)
+        deviation = light.deviation[view]
+        strip_tie = 1.0 / (stretch.edge_stretches * deviation * deviation)
+        face_tie = strip_tie / FACE_EDGES
+    tie[:] = 0.0
     known_near, known_far = 0.0, 0.0
     c[2], c[3] = 0.0, 0.0
     res[:n] = 0.0
@@ -141,13 +154,22 @@ def add_stretch(
             y[1] += known_far * shared_grey[far, 0]
         else:
             _four_sums(n, icut, phi, grey, res, w, A, y)
-            if strip_grey > 0.0:
-                prior = (scale / strip_grey) ** 2
+            if lit:
+                if reweighting > 0 and light.solved[view] > 0:
+                    off2, off3 = c[2] - light.expected[2], c[3] - light.expected[3]
+                    spread2, spread3 = light.spread[0] + 1.0 / strip_tie, light.spread[1] + 1.0 / strip_tie
+                    tail = (TAIL_DEGREES + 2.0) / (TAIL_DEGREES + off2 * off2 / spread2 + off3 * off3 / spread3)
+                tie[0] = face_tie * scale * scale
+                tie[1] = tie[0] if stretch.interior else 0.0
+                tie[2] = tie[3] = min(tail, 1.0) * strip_tie * scale * scale
+                for a in range(4):
+                    A[a, a] += tie[a]
+                    y[a] += tie[a] * light.expected[a]
             else:
                 level = 0.5 * (abs(y[0] / max(A[0, 0], 1e-9)) + abs(y[1] / max(A[1, 1], 1e-9)) * base) + 1.0
                 prior = (max(scale, STRIP_NOISE_GREY) / (settings.strip_prior_share * level)) ** 2
-            A[2, 2] += prior
-            A[3, 3] += prior
+                A[2, 2] += prior
+                A[3, 3] += prior
         if not cholesky_factor(A, K, L, LEAST_PIVOT):
             return
         solve_factored(L, K, y, c)
@@ -162,10 +184,20 @@ def add_stretch(
         icut = 1.0 / (BIWEIGHT_CUT * scale)
     iv = stretch.weight / (scale * scale)
     cost, used = _grey_slopes(n, K, c, icut, slope, res, rise, w)
+    if lit:
+        for i in range(n):
+            rise[i] += work.known_slope[i]
     rounding_grey = settings.rounding_grey
     if rounding_grey > 0.0:
         correlated = _correlated_shift(n, rise, w)
         iv /= 1.0 + stretch.edge_stretches * iv * rounding_grey * rounding_grey / 24.0 * correlated
+    if lit:
+        off2, off3 = c[2] - light.expected[2], c[3] - light.expected[3]
+        left = max(off2 * off2 + off3 * off3 - 2.0 / strip_tie, 0.0)
+        if stretch.interior:
+            left += light.deviation[view] * light.deviation[view]
+        left *= LEFT_SHARE * LEFT_SHARE * stretch.edge_stretches
+        iv /= 1.0 + iv * left * _light_shift(n, L, rise, w, phi, y)
     begin, rows = work.row_begin, work.row_jacobian
     C[:] = 0.0
     for k in range(m):
@@ -228,6 +260,11 @@ def add_stretch(
         if sharing:
             by_near[b] += known_near * y[0]
             by_far[b] += known_far * y[1]
+    if lit:
+        add_stretch_to_light(view, iv, L, tie, c, C, top, light)
+    elif not sharp:
+        light.sums[view, 0] += 1.0
+        light.sums[view, 1] += c[0]
     if sharing:
         shared, right = work.shared_matrix[view], work.shared_right[view]
         det = A[0, 0] * A[1, 1] - A[1, 0] * A[1, 0]
@@ -462,6 +499,27 @@ def _grey_slopes(n: int, K: int, c: Any, icut: float, slope: Any, res: Any, rise
         cost += 1.0 - q * q * q
         used += w[i]
     return cost, used
+
+
+@inner_no_memory
+def _light_shift(n: int, L: Any, rise: Any, w: Any, phi: Any, y: Any) -> float:
+    """Information about the shift of a stretch, its intensities eliminated, times the square of the shift by a grey level
+    of error that has the sign of the slope everywhere."""
+    total, squares = 0.0, 0.0
+    y0, y1, y2, y3 = 0.0, 0.0, 0.0, 0.0
+    for i in range(n):
+        wr = w[i] * rise[i]
+        total += abs(wr)
+        squares += wr * rise[i]
+        y0 += wr * phi[0, i]
+        y1 += wr * phi[1, i]
+        y2 += wr * phi[2, i]
+        y3 += wr * phi[3, i]
+    y[0], y[1], y[2], y[3] = y0, y1, y2, y3
+    solve_factored(L, 4, y, y)
+    information = squares - y0 * y[0] - y1 * y[1] - y2 * y[2] - y3 * y[3]
+    shift = total / max(squares, 1e-30)
+    return max(information, 0.0) * shift * shift
 
 
 @inner_fast_sums_no_memory

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.compiled import compiled
+from ...model.compiled import compiled, inner_nogil
 
 MAX_STRETCH_PIXELS = 2048
 """Capacity of the workspace for pixels of one stretch of edge; pixel lines beyond it are left out."""
@@ -144,10 +144,9 @@ class RefinementSettings(NamedTuple):
     correlated along an edge. 0 otherwise."""
     strip_prior_share: float
     """Standard deviation of the prior on α, β, γ, δ of a rounded strip, as a share of the mean intensity beside the
-    edge."""
+    edge, where no light is assumed."""
     light: Any
-    """(views, LIGHT_TERMS + 2) brightness by surface normal, see `rounded_edge`: coefficients [grey], the least
-    brightness that is believed, and one sigma by which strips differ from it; 0 if nothing is known."""
+    """What is known of the light before a frame is looked at, a `surface_light.LightPrior`."""
 
 
 class PictureModel(NamedTuple):
@@ -214,6 +213,53 @@ class PoseRows(NamedTuple):
     """(n,) pose cost, see `pose_costs`."""
 
 
+class LightSpace(NamedTuple):
+    """The light on a die as an unknown of one picture (`surface_light`), and what the pictures before showed of it."""
+
+    level: Any
+    """(views,) [grey] mean brightness; 0 as long as nothing is known."""
+    deviation: Any
+    """(views,) [grey] standard deviation of intensities from the brightness by normal."""
+    mean: Any
+    """(views, LIGHT_TERMS) [grey] coefficients after the last step."""
+    prior_mean: Any
+    """(views, LIGHT_TERMS) [grey] before the picture."""
+    information: Any
+    """(views, LIGHT_TERMS, LIGHT_TERMS) [1/grey²] of that."""
+    sums: Any
+    """(views, 2) number of stretches beside faces, and the sum of their greys."""
+    matrix: Any
+    """(views, LIGHT_TERMS, LIGHT_TERMS) normal matrix of the coefficients, lower half."""
+    factor: Any
+    """(views, LIGHT_TERMS, LIGHT_TERMS) its Cholesky factor."""
+    coupling: Any
+    """(views, LIGHT_TERMS, PARAMETERS) coupling of the parameters to the coefficients."""
+    right: Any
+    """(views, LIGHT_TERMS) right side."""
+    solved: Any
+    """(views,) whether the factor exists."""
+    kept_level: Any
+    """(views,) the level, coefficients and information that earlier pictures leave; 0 if there were none."""
+    kept_mean: Any
+    kept_information: Any
+    rows: Any
+    """(4, LIGHT_TERMS) intensities of a stretch by the coefficients."""
+    expected: Any
+    """(4,) [grey] these intensities."""
+    spread: Any
+    """(2,) [grey²] variances of the last two of them."""
+    stretch: Any
+    """(4, 4)"""
+    monomials: Any
+    """(LIGHT_TERMS,)"""
+    solution: Any
+    """(LIGHT_TERMS,)"""
+    course: Any
+    """(STRIP_CELLS + 1,) [grey] brightness at the nodes of a strip."""
+    left: Any
+    """(STRIP_CELLS + 1,) [grey] what the four basis functions leave of it."""
+
+
 class Workspace(NamedTuple):
     """Scratch arrays, allocated once for many frames."""
 
@@ -233,8 +279,11 @@ class Workspace(NamedTuple):
     """(3,) derivative of the signed distance d by a world displacement of the edge [px/m]."""
     strip_lines: Any
     """(STRIP_CELLS + 1,) [px] signed distances of the lines of a rounded strip."""
-    strip_steps: Any
-    """(STRIP_CELLS + 1, 4) change of the basis functions at each of these lines."""
+    strip_slopes: Any
+    """(STRIP_CELLS + 1, 5) [1/px] changes of slope, at each of these lines, of the four basis functions and of what they leave
+    of the brightness."""
+    strip_jump: Any
+    """(5,) jumps of these at the last line."""
     strip_end: Any
     """(3,) direction towards which the normal turns on a strip."""
     hull: Any
@@ -253,6 +302,8 @@ class Workspace(NamedTuple):
     """Absolute residuals."""
     grey_slope: Any
     """dI/dd of the fitted intensities."""
+    known_slope: Any
+    """dI/dd of what the basis functions of a rounded edge leave of the brightness."""
     neighbours: Any
     """(2, most, 5) other edges of the two faces beside an edge."""
     row_begin: Any
@@ -286,6 +337,23 @@ class Workspace(NamedTuple):
     """(views, faces + 1) right side of those greys."""
     shared_faces: Any
     """(views, faces + 2) number of greys that are shared, and whose."""
+    light: LightSpace
+    """Of a rounded die."""
+    tie: Any
+    """(4,) information that ties the intensities of a stretch to the light."""
+
+
+@inner_nogil
+def _new_light_space(views: int) -> LightSpace:
+    """Of pictures of which nothing is known."""
+    n = LIGHT_TERMS
+    return LightSpace(
+        np.zeros(views), np.zeros(views), np.zeros((views, n)), np.zeros((views, n)), np.zeros((views, n, n)),
+        np.zeros((views, 2)), np.zeros((views, n, n)), np.zeros((views, n, n)), np.zeros((views, n, PARAMETERS)),
+        np.zeros((views, n)), np.zeros(views, np.int64), np.zeros(views), np.zeros((views, n)), np.zeros((views, n, n)),
+        np.zeros((4, n)), np.zeros(4), np.zeros(2), np.zeros((4, 4)), np.zeros(n), np.zeros(n),
+        np.zeros(STRIP_CELLS + 1), np.zeros(STRIP_CELLS + 1),
+    )  # fmt: skip
 
 
 @compiled(nogil=True)
@@ -293,15 +361,18 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
     """An empty workspace for dice of this shape."""
     nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]
     views, most = rig.camera.shape[0], MAX_STRETCH_PIXELS
+    light = _new_light_space(views if shape.radius > 0.0 else 0)
     return Workspace(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
-        np.zeros(3), np.zeros(STRIP_CELLS + 1), np.zeros((STRIP_CELLS + 1, 4)), np.zeros(3), np.zeros((ne, 3)),
+        np.zeros(3), np.zeros(STRIP_CELLS + 1),
+        np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 3)),
         np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
-        np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)), np.zeros(MAX_STRETCH_ROWS, np.int64),
+        np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
+        np.zeros(MAX_STRETCH_ROWS, np.int64),
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),
         np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
         np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, PARAMETERS)), np.zeros((views, nf + 1)),
-        np.zeros((views, nf + 2), np.int64),
+        np.zeros((views, nf + 2), np.int64), light, np.zeros(4),
     )  # fmt: skip
 
 

@@ -9,14 +9,16 @@ from one to the other. With u from 0 to 1 along that turn, the intensity of the 
 
 with p = 4u(1 - u), and q the cubic that is zero at both ends and in the middle. Distant light on a dull surface gives
 these to second order, and to third order over the wider turn, which passes through the direction of the light and into
-the shade. A weak prior holds α, β, γ, δ near zero, because a strip that is seen too narrow does not determine them.
+the shade. α, β, γ, δ of all strips follow from one light on the die, up to small deviations (`surface_light`). A weak
+prior holds them near zero where no light is assumed: in the first step on a picture of an unknown light, and where radii
+are compared.
 
-The strip is drawn in STRIP_CELLS pieces of equal turn, each between its own two lines of the picture, the surface
-points whose normals divide the turn.
+The strip is drawn in STRIP_CELLS pieces of equal turn, over each of which the intensity is linear in the picture, between
+the surface points whose normals divide the turn. Its nodes are raised or lowered by a twelfth of their second difference,
+so that chords have the mean of the curve. Pieces of constant intensity, five to a strip of as many pixels, left nearly a
+grey level at both ends of a strip, and moved edges between two faces by a tenth of a pixel.
 
-**Light.** If the clip shows the brightness B of a surface by its normal (`tracking.clip_parameters.light`), c0
-B(u)/B(0) takes the place of c0 at the contour, and between two faces B(u) over its own chord multiplies the straight
-line. α, β, γ, δ then are no larger than the differences of faces from B.
+With σ the blur, a blurred ramp that begins at a line is σ ψ((d - line)/σ), ψ(t) = t Φ(t) + φ(t).
 """
 
 from __future__ import annotations
@@ -28,32 +30,40 @@ import numpy as np
 from scipy.special import ndtr
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
-from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS, Workspace
+from .kernel_types import STRIP_CELLS, Workspace
+from .surface_light import STRIP_NODES
 
 _PER_BLUR = 128
 """Samples per blur in the tables of Φ and its derivative φ: linear interpolation is right to 2e-6, a thousandth of what
 a grey level shows."""
 _END_BLURS = 5.0
 """Where the tables end: Φ is 3e-7 there."""
+LEAST_PIECE_PX = 1e-3
+"""Least width of a piece of a strip in the picture: where the surface turns away, pieces end in one line."""
 _BLURS = np.arange(-_END_BLURS * _PER_BLUR, _END_BLURS * _PER_BLUR + 2) / _PER_BLUR
 _CUMULATIVE = np.asarray(ndtr(_BLURS))
 _DENSITY = np.exp(-0.5 * _BLURS**2) / np.sqrt(2.0 * np.pi)
 
 
-def _strip_steps() -> Any:
-    """(2, STRIP_CELLS + 1, 4) the change of the basis functions at each line of a strip, at the contour and between two
-    faces."""
-    u = (np.arange(STRIP_CELLS) + 0.5) / STRIP_CELLS
-    flat, none = np.ones(STRIP_CELLS), np.zeros(STRIP_CELLS)
-    contour = np.stack([flat, none, u, u * u]), np.eye(4)[1]
-    humps = 4.0 * u * (1.0 - u), 6.0 * np.sqrt(3.0) * u * (1.0 - u) * (1.0 - 2.0 * u)
-    between = np.stack([1.0 - u, u, *humps]), np.eye(4)[1]
-    return np.stack(
-        [np.diff(inside, axis=1, prepend=np.eye(4)[:, :1], append=far[:, None]).T for inside, far in (contour, between)]
-    )
-
-
-_STRIP_STEPS = np.ascontiguousarray(_strip_steps())
+@inner_no_memory
+def fill_strip_slopes(interior: bool, left: Any, work: Workspace) -> None:
+    """Fill `strip_slopes`, the changes of slope [1/px] at each line of a strip, of the four basis functions and of the
+    nodes `left` (STRIP_CELLS + 1,), and `strip_jump`, their jumps at the last line."""
+    slopes, jump, lines = work.strip_slopes, work.strip_jump, work.strip_lines
+    nodes = STRIP_NODES[1 if interior else 0]
+    for a in range(5):
+        before = 0.0
+        for j in range(STRIP_CELLS):
+            rise = (left[j + 1] - left[j]) if a == 4 else (nodes[j + 1, a] - nodes[j, a])
+            slope = rise / (lines[j + 1] - lines[j])
+            slopes[j, a] = slope - before
+            before = slope
+        slopes[STRIP_CELLS, a] = -before
+        jump[a] = 0.0
+    if not interior:
+        for a in range(4):
+            jump[a] = (1.0 if a == 1 else 0.0) - nodes[STRIP_CELLS, a]
+        jump[4] = -left[STRIP_CELLS]
 
 
 @inner_no_memory
@@ -83,80 +93,42 @@ def fill_strip_lines(gradient: Any, n0: Any, end: Any, angle: float, radius: flo
         d0, d1 = c * d0 + s * d1, c * d1 - s * d0
         lines[j] = d0
     for j in range(1, STRIP_CELLS + 1):
-        lines[j] = max(lines[j], lines[j - 1])
+        lines[j] = max(lines[j], lines[j - 1] + LEAST_PIECE_PX)
 
 
 @inner_no_memory
-def _brightness(light: Any, x: float, y: float, z: float) -> float:
-    """Brightness [grey] of a surface of normal (x, y, z)."""
-    total, k, a = 0.0, np.int64(0), 1.0
-    for i in range(LIGHT_DEGREE + 1):
-        b = a
-        for j in range(LIGHT_DEGREE + 1 - i):
-            total += light[k] * b
-            k += 1
-            if i + j < LIGHT_DEGREE:
-                total += light[k] * b * z
-                k += 1
-            b *= y
-        a *= x
-    return max(total, light[k])
-
-
-@inner_no_memory
-def fill_strip_steps(light: Any, n0: Any, end: Any, angle: float, interior: bool, steps: Any) -> None:
-    """Fill `steps` (STRIP_CELLS + 1, 4), the change of the basis functions at each line of a strip, shaded by the light
-    of its view (LIGHT_TERMS + 2,) where that is known."""
-    kind = 1 if interior else 0
-    for j in range(STRIP_CELLS + 1):
-        for a in range(4):
-            steps[j, a] = _STRIP_STEPS[kind, j, a]
-    if not light[LIGHT_TERMS + 1] > 0.0:
-        return
-    first = _brightness(light, n0[0], n0[1], n0[2])
-    c, s = cos(angle), sin(angle)
-    last = _brightness(light, c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2])
-    near, far = 1.0, 0.0
-    for j in range(STRIP_CELLS):
-        u = (j + 0.5) / STRIP_CELLS
-        c, s = cos(u * angle), sin(u * angle)
-        here = _brightness(light, c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2])
-        if interior:
-            shade = here / ((1.0 - u) * first + u * last)
-            steps[j, 0], steps[j, 1] = (1.0 - u) * shade - near, u * shade - far
-            near, far = near + steps[j, 0], far + steps[j, 1]
-        else:
-            steps[j, 0] = here / first - near
-            near += steps[j, 0]
-    steps[STRIP_CELLS, 0], steps[STRIP_CELLS, 1] = -near, 1.0 - far
-
-
-@inner_no_memory
-def fill_rounded_basis(d: float, ib: float, shade: float, with_blur: bool, work: Workspace, n: int) -> None:
+def fill_rounded_basis(d: float, blur: float, shade: float, with_blur: bool, work: Workspace, n: int) -> float:
     """Fill the basis functions of pixel n at distance d [px] from a rounded edge, their derivatives by d and, if
-    `with_blur`, by the blur 1 / ib. `shade` is what multiplies the far side.
-
-    The share of a cell is a difference of two steps. Summed by parts, each of the STRIP_CELLS + 1 lines is looked up
-    once and is weighted by the change of the basis function there.
+    `with_blur`, by the blur. `shade` is what multiplies the far side. Returns what the basis functions leave of the
+    brightness at the pixel [grey], and fills its derivative by d.
     """
-    steps, lines, phi, slope, spread = work.strip_steps, work.strip_lines, work.basis, work.basis_slope, work.basis_blur
-    f0, f1, f2, f3 = 1.0, 0.0, 0.0, 0.0
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+    slopes, jump, lines = work.strip_slopes, work.strip_jump, work.strip_lines
+    phi, slope, spread = work.basis, work.basis_slope, work.basis_blur
+    f0, f1, f2, f3, f4 = 1.0, 0.0, 0.0, 0.0, 0.0
+    s0, s1, s2, s3, s4 = 0.0, 0.0, 0.0, 0.0, 0.0
     b0, b1, b2, b3 = 0.0, 0.0, 0.0, 0.0
+    ib, t, a, p = 1.0 / blur, 0.0, 0.0, 0.0
     for j in range(STRIP_CELLS + 1):
         t = (d - lines[j]) * ib
         a, p = _blurred_step(t)
-        v0, v1, v2, v3 = steps[j, 0], steps[j, 1], steps[j, 2], steps[j, 3]
-        f0, f1, f2, f3 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a
-        p *= ib
-        s0, s1, s2, s3 = s0 + v0 * p, s1 + v1 * p, s2 + v2 * p, s3 + v3 * p
+        ramp = blur * (t * a + p)
+        v0, v1, v2, v3, v4 = slopes[j, 0], slopes[j, 1], slopes[j, 2], slopes[j, 3], slopes[j, 4]
+        f0, f1, f2, f3, f4 = f0 + v0 * ramp, f1 + v1 * ramp, f2 + v2 * ramp, f3 + v3 * ramp, f4 + v4 * ramp
+        s0, s1, s2, s3, s4 = s0 + v0 * a, s1 + v1 * a, s2 + v2 * a, s3 + v3 * a, s4 + v4 * a
         if with_blur:
-            p *= -t
             b0, b1, b2, b3 = b0 + v0 * p, b1 + v1 * p, b2 + v2 * p, b3 + v3 * p
+    v0, v1, v2, v3, v4 = jump[0], jump[1], jump[2], jump[3], jump[4]
+    f0, f1, f2, f3, f4 = f0 + v0 * a, f1 + v1 * a, f2 + v2 * a, f3 + v3 * a, f4 + v4 * a
+    p *= ib
+    s0, s1, s2, s3, s4 = s0 + v0 * p, s1 + v1 * p, s2 + v2 * p, s3 + v3 * p, s4 + v4 * p
     phi[0, n], phi[1, n], phi[2, n], phi[3, n] = f0, f1 * shade, f2, f3
     slope[0, n], slope[1, n], slope[2, n], slope[3, n] = s0, s1 * shade, s2, s3
     if with_blur:
+        p *= -t
+        b0, b1, b2, b3 = b0 + v0 * p, b1 + v1 * p, b2 + v2 * p, b3 + v3 * p
         spread[0, n], spread[1, n], spread[2, n], spread[3, n] = b0, b1 * shade, b2, b3
+    work.known_slope[n] = s4
+    return f4
 
 
 @inner_fast_sums_no_memory

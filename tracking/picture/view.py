@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from ...model.die import Die, inner_vertices, symmetry_rotations
 from ..camera import Camera
 from ..quality import STANDARD, Quality
-from .kernel_types import LIGHT_TERMS, CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
+from .kernel_types import CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
 from .occluders import OccluderMask, new_occluder_mask
 from .projection import SMALLEST_WINDOW_PX, WINDOW_PX
 from .segmentation import PixelNoise
+from .surface_light import LightPrior, unknown_light
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -74,8 +75,8 @@ class View:
     shape: Shape
     rig: CameraRig
     """The cameras and, if the table reflects, the mirrored cameras behind them."""
-    light: Array
-    """(views, LIGHT_TERMS + 2) brightness by surface normal, see `RefinementSettings`; zero if it is not known."""
+    light: LightPrior
+    """What is known of the light on a rounded die."""
     rounding_grey: float = 0.0
     """Step between the grey levels of the clip if rounding errors of pixels of one grey are the same; 0 otherwise."""
     level_grey: float = 1.0
@@ -200,7 +201,7 @@ def make_view(
     rig = _camera_rig(cameras, mirror, readout_s)
     return View(
         cameras, stack_pictures(pictures), die, noise.noise_grey, exposure_s or 0.0, blur_px, quality,
-        symmetry_rotations(die.solid), _shape_of(die), rig, np.zeros((len(rig.camera), LIGHT_TERMS + 2)),
+        symmetry_rotations(die.solid), _shape_of(die), rig, unknown_light(len(rig.camera)),
         noise.rounding_grey, noise.level_grey, readout_s,
     )  # fmt: skip
 

@@ -30,6 +30,7 @@ from ..picture import (
     PoseState,
     Workspace,
     add_edge_equations,
+    begin_light,
     cholesky_factor,
     crop_windows,
     new_equations,
@@ -41,6 +42,7 @@ from ..picture import (
     solve_factored,
     turn,
     turn_from,
+    update_light,
     update_shared_greys,
 )
 
@@ -117,6 +119,7 @@ def refine_and_score(
     reach, six = reach_of_die(shape), np.int64(6)
     work.grey_sums[:] = 0.0
     work.shared_faces[:] = 0
+    begin_light(settings.light, work.light)
     for it in range(coarse + settings.fine_steps):
         fine = it >= coarse
         if fine:
@@ -161,6 +164,7 @@ def refine_and_score(
             p[a] += step[a]
         Q = turn(Q, step[3:])
         update_shared_greys(work, step)
+        update_light(work.light, step)
         moved_px = _moved_px(rig, start.position, step, shrink * lr * reach, reach)
         if fine and (gain < settings.min_gain or moved_px < settings.min_step_px):
             break

@@ -6,7 +6,9 @@
 (`refine_on_marks`). `acceptance` has the thresholds that accept a pose. Commands and the check of a clip use `track_clip`."""
 
 from .tracker import NO_FACTS as NO_FACTS
+from .tracker import Background as Background
 from .tracker import ClipFacts as ClipFacts
+from .tracker import Progress as Progress
 from .tracker import TrackedClip as TrackedClip
 from .tracker import track_clip as track_clip
 from .tracking_pass import NoDieError as NoDieError

@@ -24,6 +24,7 @@ from ..picture import (
     PoseRows,
     View,
     Workspace,
+    kept_light,
     new_workspace,
     share_in_view,
     with_occluder_mask,
@@ -140,6 +141,8 @@ class FrameTracker:
             self.view, self.motion.copy(), self.rotation.copy(), self.P.copy(), self.clock.copy(), self.unused
         )
         back.view, back._occluders = self.view, self._occluders
+        for kept, known in zip(kept_light(back._work), kept_light(self._work), strict=True):
+            kept[:] = known
         back.backwards = True
         return back
 
@@ -240,7 +243,7 @@ class FrameTracker:
         )  # fmt: skip
         motion = MotionEstimate(self.motion, self.rotation, self.P, self.clock)
         model = self.view.model(self.view.tracking_settings)
-        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprise_chi2, found)
+        done = track_frames(frames, times_s[rows], model, self._occluders, motion, surprise_chi2, found, self._work)
         poses.put_rows(rows[:done], PoseRows(*(values[:done] for values in found)))
         return int(done)
 

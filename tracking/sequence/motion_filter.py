@@ -34,11 +34,12 @@ from ..picture import (
     PoseRows,
     PoseState,
     RefinementSettings,
+    Workspace,
     crop_windows,
     exposure_delay,
     inverse_positive,
+    keep_light,
     new_equations,
-    new_workspace,
     product,
     reach_of_die,
     rotation_exp,
@@ -234,18 +235,20 @@ def update_motion(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: Refi
 @compiled(nogil=True)
 def track_frames(
     frames: Any, times: Any, model: PictureModel, occluders: OccluderMask, motion: MotionEstimate, path_chi2: float,
-    rows: PoseRows,
+    rows: PoseRows, work: Workspace,
 ) -> int:  # fmt: skip
     """Track a die in flight over frames (n, cameras, height, width) at `times` (n,) until a frame that its motion does
     not explain.
 
     Returns the number of frames that it explains; the `rows` (n,) are filled that far and the `motion` is moved there.
     A pose whose normalised innovation squared exceeds `path_chi2` ends the tracking in any case. Occluders that are
-    found enter the mask, and the backgrounds of the model become NaN there.
+    found enter the mask, and the backgrounds of the model become NaN there. The workspace holds what the frames before
+    showed of the light on the die, and gets what these show.
     """
     rig, shape, settings = model.rig, model.shape, model.settings
     x, R, P, clock = motion.x, motion.rotation, motion.P, motion.clock
-    work, equations = new_workspace(shape, rig), new_equations()
+    equations, A = new_equations(), np.zeros((6, 6))
+    work.shared_grey[:] = 0.0
     statistics = equations.statistics
     reach, moved = reach_of_die(shape), np.zeros(3)
     for k in range(frames.shape[0]):
@@ -299,6 +302,11 @@ def track_frames(
         clock[1] = usual + (cost - usual) / min(clock[2] + 1.0, USUAL_COST_FRAMES)
         clock[2] += 1.0
         store_frame(k, p, Q, cost, equations, rows)
+        for a in range(6):
+            for b in range(6):
+                A[a, b] = equations.H[a, b]
+            A[a, a] += 1.0 / (prior_m * prior_m if a < 3 else prior_rad * prior_rad)
+        keep_light(work.light, A)
         if statistics[BACKGROUND_SHARE] > OCCLUDED_SHARE or occluders.count[0] > 0:
             pose = PoseState(p, Q, predicted.velocity, predicted.omega)
             update_occluder_mask(windows, model, occluders, pose, work)

@@ -21,7 +21,6 @@ from ..clip_parameters import (
     radius_by_free_poses,
     radius_on_flights,
     sample_in_flight,
-    with_light,
 )
 from ..footage import FrameSource
 from ..picture import View, with_corner_radius
@@ -41,11 +40,6 @@ SAME_RADIUS = 0.1
 SMALLER_RADIUS = 0.9
 """Factor on a radius that the flights of its pass do not support: little decides whether an impact is lost, and it is rather lost
 with a radius that is too large."""
-LIGHT_PASSES = 2
-"""Most tracking passes with an estimated light: poses of the first are known well enough to estimate it again."""
-SAME_COST = 0.05
-"""Cost by which a pass with an estimated light may fit the pictures worse than the pass before. Of five random clips the costs
-of three with better poses rose by up to 0.015 or fell; those of two with worse poses rose by 0.11 and 0.39."""
 SUFFICIENT_FRAMES = 0.95
 """Share of the frames tracked with another radius, or none, below which a radius is rejected."""
 ROUND_SHARE = 0.25
@@ -97,36 +91,6 @@ def track_rounded(
 
 
 def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
-    """A pose for every frame that can be tracked from the initial pose, and the view with what was estimated on the way: the lens
-    blur and, of a rounded die, the light. Raises NoDieError if no die was found.
-
-    The bevels of a rounded die hide where its contour is until their shade is known: with unknown shades the distance of a
-    single picture is off by millimetres, with the light of the faces by tenths. So a rounded die is tracked once more from its
-    initial pose on, with the light that the first pass shows. While the radius itself is tried, its passes do without."""
-    tracked, poses = _tracked_from_initial_pose(view, task)
-    for _ in range(LIGHT_PASSES):
-        lit = with_light(replace(view, blur_px=tracked.blur_px), task.source.frame, poses)
-        if not lit.light.any():
-            break
-        try:
-            again, others = _tracked_from_initial_pose(lit, task)
-        except NoDieError:
-            break
-        if not _explains_as_much(others, poses):
-            break
-        tracked, poses = again, others
-    return tracked, poses
-
-
-def _explains_as_much(poses: ClipPoses, others: ClipPoses) -> bool:
-    """Whether poses cover nearly as many frames as others, and fit the pictures that both cover as well."""
-    both = poses.known & others.known
-    if not both.any() or poses.frames < SUFFICIENT_FRAMES * others.frames:
-        return False
-    return float((poses.cost_with_edge_noise[both] - others.cost_with_edge_noise[both]).mean()) < SAME_COST
-
-
-def _tracked_from_initial_pose(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     """The poses of one pass, and the view with the lens blur estimated at its beginning. Raises NoDieError where no die was
     found."""
     source = task.source
@@ -177,7 +141,7 @@ def _track_sharp_or_round(view: View, task: TrackingTask, rounding: CornerRoundi
     except NoDieError:
         # A die that is round all over is not found as one with sharp corners.
         ball = with_corner_radius(view, ROUND_SHARE * view.die.solid.inradius)
-        first, poses = _tracked_from_initial_pose(ball, task)
+        first, poses = track_once(ball, task)
         if _radius_from_pictures(first, task.source, poses, rounding) is None:
             raise
         return first, poses
@@ -189,7 +153,7 @@ def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> lis
     for _ in range(MAX_RADIUS_TRIALS):
         # From the original view: tracking a sharp die takes what its corners would cover for an occluder.
         try:
-            tracked_view, poses = _tracked_from_initial_pose(with_corner_radius(view, radius_m), task)
+            tracked_view, poses = track_once(with_corner_radius(view, radius_m), task)
         except NoDieError:
             break  # so round that no initial pose is found; the poses tracked before remain
         use = wholly_in_view(tracked_view, poses) & poses.evenly_spaced
