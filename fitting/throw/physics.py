@@ -212,9 +212,21 @@ class Physics:
         return self.die.inertia_kg_m2 if name == "inertia_kg_m2" else _NEUTRAL.get(name, 0.0)
 
     def with_values(self, **values: float) -> Physics:
-        """The same with other values, each clipped to its bounds."""
+        """The same with other values, each clipped to its bounds, and the centre of mass to the inside of the die."""
         kept = {name: float(np.clip(value, *self.bounds(name))) for name, value in values.items()}
-        return replace(self, values={**self.values, **kept})
+        return replace(self, values=self._with_inner_centre({**self.values, **kept}))
+
+    def _with_inner_centre(self, values: dict[str, float]) -> dict[str, float]:
+        """Values whose centre of mass lies as deep inside the body of the corner radius as an offset along one axis may. Three
+        coordinates within their bounds reach out of a tetrahedron."""
+        if not all(name in values for name in CENTRE_OF_MASS):
+            return values
+        solid, centre = self.die.solid, np.array([values[name] for name in CENTRE_OF_MASS])
+        radius_m = values.get("corner_radius_m", self.die.corner_radius_m)
+        outward, limit = float((solid.normals @ centre).max()), _MAX_OFFSET * (solid.inradius - radius_m)
+        if outward <= limit:
+            return values
+        return {**values, **dict(zip(CENTRE_OF_MASS, (limit / outward * centre).tolist(), strict=True))}
 
     def with_effect(self, effect: str) -> Physics:
         """The same with one more effect, at the values where it has no effect."""

@@ -136,6 +136,12 @@ def blur_texture(texture: Any, blur: Any, scratch: Any) -> int:
     pass: more passes would amplify the texture's noise.
     """
     spacing, remaining, k = 1, _largest_eigenvalue(blur), ZERO
+    if remaining == 0.0:
+        # A face that was learned on one frame has the blur of that frame.
+        for i in range(texture.shape[0]):
+            for j in range(texture.shape[1]):
+                scratch[0, i, j] = texture[i, j]
+        return ZERO
     whole, positive = remaining, blur[0] + blur[2] > 0.0
     while positive and remaining > STENCIL_BLUR_TEXEL2 * spacing * spacing:
         _blur_again(texture, k, blur, 1.0 / (3.0 * whole), spacing, scratch)

@@ -15,6 +15,7 @@ from diethrow.fitting.free.loaded_die import CENTRE_OF_MASS, mass_offset_from_fl
 from diethrow.fitting.throw.clock_and_scale import as_tracked
 from diethrow.fitting.throw.physics import EFFECTS, Physics
 from diethrow.fitting.throw.throw_fit import fit_throw
+from diethrow.model.die import SHAPES
 from diethrow.model.die.die import make_die
 from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat
@@ -187,3 +188,16 @@ def test_a_wrong_clock_or_scale_is_found_and_the_fitted_throw_is_in_the_units_of
     state = fit.throw.at(middle)
     ahead = fit.throw.poses(np.array([middle + 1e-6]))[0][0]
     assert ahead - state.position_m == pytest.approx(1e-6 * state.velocity_m_s, abs=1e-10)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_centre_of_mass_that_is_tried_lies_inside_the_rounded_die(shape: str) -> None:
+    """Each coordinate within its bounds put it outside a tetrahedron, and the fit of the whole throw ended there."""
+    die = make_die(shape, 0.02, 0.005)
+    die = replace(die, corner_radius_m=0.3 * die.solid.inradius)
+    for towards in np.vstack([die.solid.normals, die.solid.vertices / die.solid.circumradius]):
+        offset = dict(zip(CENTRE_OF_MASS, (die.solid.circumradius * towards).tolist(), strict=True))
+        centre = Physics(die, LEVEL, {"chi": 0.5}).with_values(**offset).body.centre_of_mass_m
+        assert centre is not None
+        assert (die.solid.offsets - die.corner_radius_m - die.solid.normals @ centre).min() > 0.0
+        assert centre @ towards > 0.0

@@ -229,3 +229,10 @@ def test_blur_on_the_grid_adds_its_covariance_to_any_cubic(blur: tuple[float, fl
     assert np.isfinite(found).all()
     # The border stays unchanged, which affects one more row with each pass.
     np.testing.assert_allclose(found[50:71, 50:71], wanted[50:71, 50:71], atol=1e-9)
+
+
+def test_no_blur_leaves_a_texture_as_it_is() -> None:
+    # A face that is learned on one frame has exactly the blur of that frame; the difference was divided by its size.
+    texture = np.random.default_rng(1).normal(size=(9, 9))
+    scratch = np.full((2, 9, 9), np.nan)
+    assert np.array_equal(scratch[blurred(texture, np.zeros(3), scratch)], texture)
