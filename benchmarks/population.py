@@ -173,12 +173,17 @@ def clip_result(clips: Path, seed: int, number: int, quality: str, kinds: tuple[
 
 def compared(scene: Scene, truth: Truth, tracking: Tracking, fit: Fit, chi: float) -> dict[str, Any]:
     """Numbers of one analysis against its truth."""
+    found = track_compared(scene, truth, tracking, [*tracking.notices, *fit.messages])
+    return found | {"chi": chi_of(fit, chi)} if "nees" in found else found
+
+
+def track_compared(scene: Scene, truth: Truth, tracking: Tracking, messages: Sequence[str]) -> dict[str, Any]:
+    """Numbers of one track against its truth; `messages` name the frames that are known to be doubtful."""
     track = tracking.smoothed
     row = rows_of(track, truth)
     visible = truth.visible[row]
     both = visible & track.tracked
-    messages = [*tracking.notices, *fit.messages]
-    found = {"visible": int(visible.sum()), "tracked": int(both.sum()), "messages": messages}
+    found = {"visible": int(visible.sum()), "tracked": int(both.sum()), "messages": [*messages]}
     if not both.any():
         return found | {"begun": False, "wrong": 0, "gross": 0, "unnamed": 0} | bounces_of(tracking, truth)
     turn = body_turn(track, truth, row, scene)
@@ -206,7 +211,6 @@ def compared(scene: Scene, truth: Truth, tracking: Tracking, fit: Fit, chi: floa
             "lateral": quantiles(1e3 * across[both]),
             "depth": quantiles(1e3 * along[both]),
             "nees": float(np.median(nees[both])),
-            "chi": chi_of(fit, chi),
         }
         | bounces_of(tracking, truth)
     )

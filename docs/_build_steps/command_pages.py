@@ -1,4 +1,7 @@
-"""A page for every command, made from the command line itself: nothing of it is copied by hand."""
+"""A page for every command, made from the command line itself: nothing of it is copied by hand.
+
+In the notes, `{presets}` stands for the table of the presets of `film`.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any
 import typer
 
 from diethrow.cli.app import app
+from diethrow.commands.model.film_presets import PRESETS
 
 
 def write(folder: Path) -> None:
@@ -52,8 +56,17 @@ def _page(name: str, command: Any, notes: Path) -> str:
         if rows:
             parts += [heading, _table(rows)]
     if notes.exists():
-        parts.append(notes.read_text(encoding="utf-8").strip())
+        parts.append(notes.read_text(encoding="utf-8").strip().replace("{presets}", _presets()))
     return "\n\n".join(parts) + "\n"
+
+
+def _presets() -> str:
+    """The presets of `film` with what they set."""
+    lines = ["| preset | film | settings |", "| --- | --- | --- |"]
+    for preset in PRESETS:
+        values = ", ".join(f"`{name} = {value}`" for name, value in preset.values.items())
+        lines.append(f"| `{preset.name}` | {_cell(preset.sentence)} | {values} |")
+    return "\n".join(lines)
 
 
 def _table(rows: list[tuple[str, str]]) -> str:

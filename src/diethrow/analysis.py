@@ -16,6 +16,7 @@ from .tracking.check import fall_notices, measure_fall
 from .tracking.clip_parameters import ClockOffsets, CornerRadius
 from .tracking.footage import Clip
 from .tracking.surface_marks import FaceNumbers
+from .tracking.timing import FrameTimes
 from .tracking.track import Track
 
 Progress = Callable[[str, int, int], None]
@@ -61,6 +62,8 @@ class Tracking:
     """Clock offsets of several cameras."""
     corners: CornerRadius | None
     """Estimated corner radius, which `die` has; None if the scene states it or the corners look sharp."""
+    times: FrameTimes
+    """Times of the frames, and the faults that the motion shows in those of the file."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -73,6 +76,7 @@ class Tracking:
         """Reservations about the footage and the motion in it, one sentence each."""
         return (
             *(n for clip in self.clips for n in clip.notices),
+            *self.times.notices,
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),

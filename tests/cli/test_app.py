@@ -199,7 +199,7 @@ def test_ctrl_c_ends_with_status_130(
             raise SystemError("returned a result with an exception set") from inner
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("diethrow.commands.clip.track.track_clip", stopped)
+    monkeypatch.setattr("diethrow.commands.clip.track.track_clip_in_time", stopped)
     before = sorted(tmp_path.rglob("*"))
     status, _, message = invoke("analyze", empty_scene, "--out", tmp_path / "out")
     assert status == 130

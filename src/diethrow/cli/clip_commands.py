@@ -17,6 +17,7 @@ from .options import (
     Figures,
     Fineness,
     Force,
+    FrameTiming,
     Intervals,
     OutFolder,
     SceneFile,
@@ -33,6 +34,7 @@ from .options import (
     output_words,
     quality_of_name,
     run_on,
+    timing_of_name,
     tracking_words,
     two_counts,
 )
@@ -59,6 +61,7 @@ def analyze(
     quality: Fineness = "standard",
     every: Every = 1,
     shrink: Shrink = 1,
+    timing: FrameTiming = "corrected",
     intervals: Intervals = "profile",
     chi_within: Annotated[
         float | None,
@@ -84,7 +87,7 @@ def analyze(
         from .compiling import model_ahead
 
         with checked_options():
-            chosen, method = quality_of_name(quality), interval_method(intervals)
+            chosen, method, times = quality_of_name(quality), interval_method(intervals), timing_of_name(timing)
         if trade_file is not None and chi_within is None:
             stop_with_status(
                 "--trade needs --chi-within; state the wanted half-width of χ, as in --chi-within 0.01", MISUSED
@@ -97,7 +100,7 @@ def analyze(
                 chosen, every, shrink = quality_of_name(quality), less.every, less.shrink
                 options = f"--quality {quality} --every {every} --shrink {shrink}"
                 typer.echo(f"diethrow: chosen for χ ± {chi_within:g}: {options}", err=True)
-        how = (*tracking_words(quality, every, shrink), *given_option("--intervals", intervals, "profile"))
+        how = (*tracking_words(quality, every, shrink, timing), *given_option("--intervals", intervals, "profile"))
         drawn = (*flag_words("--embed-replay", embed_replay), *flag_words("--figures", figures))
         with progress_bars() as progress, model_ahead():
             result = analyze_scene(
@@ -108,6 +111,7 @@ def analyze(
                 decimation=Decimation(every, shrink),
                 intervals=method,
                 shown=Shown(embed_replay, figures),
+                timing=times,
                 progress=progress,
                 command=(*command_words("analyze", scene, out, force, allow_outside), *how, *drawn),
             )
@@ -121,6 +125,7 @@ def track(
     quality: Fineness = "standard",
     every: Every = 1,
     shrink: Shrink = 1,
+    timing: FrameTiming = "corrected",
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
@@ -130,7 +135,9 @@ def track(
         from ..commands.clip.track import track_only
         from ..tracking.footage import Decimation
 
-        how = tracking_words(quality, every, shrink)
+        how = tracking_words(quality, every, shrink, timing)
+        with checked_options():
+            times = timing_of_name(timing)
         with progress_bars() as progress:
             result = track_only(
                 checked,
@@ -138,6 +145,7 @@ def track(
                 force=force,
                 quality=quality_of_name(quality),
                 decimation=Decimation(every, shrink),
+                timing=times,
                 progress=progress,
                 command=(*command_words("track", scene, out, force, allow_outside), *how),
             )
@@ -314,6 +322,7 @@ def check(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for check.json and check.html. [default: none]"),
     ] = None,
+    timing: FrameTiming = "corrected",
     allow_outside: AllowOutside = False,
     force: Force = False,
 ) -> None:
@@ -325,8 +334,10 @@ def check(
         checked = checked_scene(scene, allow_outside)
         from ..commands.clip.check import check_clip
 
+        with checked_options():
+            times = timing_of_name(timing)
         with announcing():
-            result = check_clip(checked, out, force=force, command=as_typed())
+            result = check_clip(checked, out, timing=times, force=force, command=as_typed())
         print_check(result)
         if out is not None:
             typer.echo(f"See {out / 'check.html'}")

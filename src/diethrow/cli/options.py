@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from ..files.scene import Scene
     from ..fitting.throw import IntervalMethod
     from ..tracking.quality import Quality
+    from ..tracking.timing import Timing
 
 R = TypeVar("R")
 
@@ -47,6 +48,14 @@ Fineness = Annotated[
 ]
 Every = Annotated[int, typer.Option("--every", min=1, metavar="N", help="Use every N-th frame.")]
 Shrink = Annotated[int, typer.Option("--shrink", min=1, metavar="F", help="Average F × F pixels into one.")]
+FrameTiming = Annotated[
+    str,
+    typer.Option(
+        "--timing",
+        metavar="corrected|as-filmed",
+        help="corrected: missing, doubled and frozen frames that the motion shows with certainty get their true times.",
+    ),
+]
 Intervals = Annotated[
     str,
     typer.Option(
@@ -138,9 +147,22 @@ def interval_method(name: str) -> IntervalMethod:
     raise ValueError(f"--intervals {name}: wanted {', '.join(INTERVAL_METHODS)}")
 
 
-def tracking_words(quality: str, every: int, shrink: int) -> tuple[str, ...]:
+def timing_of_name(name: str) -> Timing:
+    """The way of taking times of that name. Raises ValueError for an unknown name."""
+    from ..tracking.timing import TIMINGS
+
+    for timing in TIMINGS:
+        if name == timing:
+            return timing
+    raise ValueError(f"--timing {name}: wanted {', '.join(TIMINGS)}")
+
+
+def tracking_words(quality: str, every: int, shrink: int, timing: str) -> tuple[str, ...]:
     """The options of the tracking stage as typed."""
-    return ("--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1))
+    return (
+        "--quality", quality, *given_option("--every", every, 1), *given_option("--shrink", shrink, 1),
+        *given_option("--timing", timing, "corrected"),
+    )  # fmt: skip
 
 
 def given_option(name: str, value: int | str, default: int | str) -> tuple[str, ...]:

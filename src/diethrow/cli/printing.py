@@ -68,6 +68,11 @@ def print_film(job: FilmJob, out: Path) -> None:
     typer.echo(f"Next:  diethrow analyze {out / 'scene.toml'} --out {out.with_name(out.name + '_analysed')}")
 
 
+def print_presets(rows: list[tuple[str, str]]) -> None:
+    """Names and sentences of the presets of a film."""
+    _print_table(rows)
+
+
 def print_batch(result: Batch, out: Path) -> None:
     """Clips finished, and the reason of every failure."""
     for failure in result.failures:

@@ -186,11 +186,11 @@ def write_provenance(
     seconds: dict[str, float],
     inputs: tuple[Path, ...] | Inputs = (),
     seeds: dict[str, int] | None = None,
-    found: dict[str, float] | None = None,
+    found: dict[str, object] | None = None,
 ) -> None:
     """Write `provenance.json`: version, command line, working folder, settings, SHA-256 of every input, seeds, packages, timings.
 
-    `understood` is the frozen value that the command read (a Scene, a Plan); `found` holds numbers that were estimated because
+    `understood` is the frozen value that the command read (a Scene, a Plan); `found` holds what was estimated because
     the file does not give them; inputs as for `files_read`, or the `Inputs` of the run.
     """
     read = inputs.files if isinstance(inputs, Inputs) else files_read(inputs)

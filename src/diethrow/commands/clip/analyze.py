@@ -20,6 +20,7 @@ from ...replay.pages import ReportDetails
 from ...tracking.check import Finding, contact_heights, fall_of_correlated_frames, frame_timing, judge_throw
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import STANDARD, Quality
+from ...tracking.timing import Timing
 from .fit import estimate_sequentially, record_replay, run_fit, write_model, write_pages
 from .track import check_scene, input_paths, same_command, track_scene, write_origin, write_tracking
 
@@ -33,21 +34,23 @@ def analyze(
     decimation: Decimation = WHOLE_CLIP,
     intervals: IntervalMethod = "profile",
     shown: Shown = PLAIN,
+    timing: Timing = "corrected",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Analysis:
     """Everything from clip to replay, written to the folder `out`.
 
     `decimation` leaves out frames, or makes the pictures smaller; `intervals` says where those of the parameters come
-    from; `shown` what is drawn besides; `command` is repeated in the provenance, and left out it is the one that would do
-    the same. Raises SceneError for a scene that cannot be analysed, RunError for a clip without a die, OutputExistsError
-    for a folder that exists (unless `force`); then no folder is left.
+    from; `shown` what is drawn besides; `timing` whether the times of missing and repeated frames are corrected; `command`
+    is repeated in the provenance, and left out it is the one that would do the same. Raises SceneError for a scene that
+    cannot be analysed, RunError for a clip without a die, OutputExistsError for a folder that exists (unless `force`); then
+    no folder is left.
     """
     watch = Stopwatch()
     check_scene(scene)
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
+        tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
         fit = run_fit(tracking.unbiased, tracking.measured, tracking.die, progress, watch, intervals)
         notices = tracking.notices
         write_tracking(folder, scene, tracking)
@@ -66,8 +69,8 @@ def analyze(
             notices=notices,
         )
         record_replay(folder, record, progress, watch)
-        command = command or same_command("analyze", scene, out, quality, decimation, intervals)
-        write_origin(folder, scene, command, inputs, watch, tracking.corners)
+        command = command or same_command("analyze", scene, out, quality, decimation, intervals, timing)
+        write_origin(folder, scene, command, inputs, watch, tracking)
         details = ReportDetails(tracking.unbiased, _findings(scene, tracking), read_json(folder / "provenance.json"))
         write_pages(folder, record, details, shown, progress, watch)
     return Analysis(Path(out), tracking.smoothed, tracking.measured, fit, notices, watch.seconds)
@@ -77,7 +80,7 @@ def _findings(scene: Scene, tracking: Tracking) -> tuple[Finding, ...]:
     """Timing of the first camera's clip; scale, vertical and table height from the flights and bounces of the throw."""
     clip = tracking.clips[0]
     return judge_throw(
-        frame_timing(clip, clip.notices),
+        frame_timing(clip, clip.notices, tracking.times),
         fall_of_correlated_frames(tracking.frames, tracking.measured),
         contact_heights(tracking.measured, tracking.die),
         tracking.die,

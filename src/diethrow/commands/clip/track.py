@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,23 +20,28 @@ from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
-from ...tracking.clip_parameters import CornerRadius
 from ...tracking.footage import (
     WHOLE_CLIP,
     Clip,
     Decimation,
+    clip_at_times,
     clip_files,
     clip_in_light,
     level_grey,
     load_background,
     open_clip,
     picture_in_light,
+    shows_one_picture,
 )
 from ...tracking.quality import QUALITIES, STANDARD, Quality
-from ...tracking.sequence import ClipFacts, TrackedClip, track_clip
+from ...tracking.sequence import ClipFacts
 from ...tracking.surface_marks import read_faces, with_numbers
 from ...tracking.throw import NoFlightError, flights_only, measure
+from ...tracking.timing import ClipClock, TimedTracking, Timing, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
+
+SAME_INTERVAL = 1e-3
+"""Share by which the rate of a file may differ from the scene's when times are compared with the frame interval."""
 
 
 def track_only(
@@ -46,6 +51,7 @@ def track_only(
     force: bool = False,
     quality: Quality = STANDARD,
     decimation: Decimation = WHOLE_CLIP,
+    timing: Timing = "corrected",
     progress: Progress = silent,
     command: tuple[str, ...] = (),
 ) -> Tracking:
@@ -54,10 +60,10 @@ def track_only(
     check_scene(scene)
     paths = input_paths(scene)
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        tracking = track_scene(scene, progress, watch, quality, decimation=decimation)
+        tracking = track_scene(scene, progress, watch, quality, decimation=decimation, timing=timing)
         write_tracking(folder, scene, tracking)
-        command = command or same_command("track", scene, out, quality, decimation)
-        write_origin(folder, scene, command, inputs, watch, tracking.corners)
+        command = command or same_command("track", scene, out, quality, decimation, timing=timing)
+        write_origin(folder, scene, command, inputs, watch, tracking)
     return tracking
 
 
@@ -85,10 +91,12 @@ def track_scene(
     quality: Quality = STANDARD,
     clips: Sequence[Clip] | None = None,
     decimation: Decimation = WHOLE_CLIP,
+    timing: Timing = "corrected",
 ) -> Tracking:
     """Track the die through the footage of a scene, find its bounces, and smooth its flights.
 
-    `clips`, one per camera, replace the footage that the scene names. Raises SceneError for footage that does not fit the
+    `clips`, one per camera, replace the footage that the scene names. `timing` says whether missing and repeated frames that
+    the motion shows are corrected, or times are as filmed. Raises SceneError for footage that does not fit the
     scene, RunError if no die is found.
     """
     watch = watch or Stopwatch()
@@ -100,13 +108,17 @@ def track_scene(
     # One unit for all: the noise is that of the noisiest camera.
     unit_grey = max(level_grey(clip, scene.clip.response) for clip in clips)
     cameras = tuple(view.camera for view in views)
+    interval_s = float(np.median(np.diff(clips[0].times_s))) if len(clips[0]) > 1 else None
     if not decimation.is_whole:
         scene, light, backgrounds, cameras = _decimated(scene, light, backgrounds, decimation)
         clips = [decimation.clip(clip) for clip in clips]
     try:
         with watch.stage("track"):
             progress("Tracking the die", 0, len(clips[0]))
-            followed = _follow(scene, light, unit_grey, cameras, backgrounds, quality, progress)
+            how = _How(quality, timing, interval_s, unit_grey)
+            timed = _follow(scene, light, cameras, backgrounds, how, progress)
+            followed, times = timed.tracked, timed.times
+            clips = [clip_at_times(clip, times.times_s) for clip in clips]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
@@ -117,8 +129,9 @@ def track_scene(
             error.add_note(notice)
         raise
     return Tracking(
-        tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners
-    )
+        tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners,
+        times.renumbered(clips[0].first_frame, decimation.every),
+    )  # fmt: skip
 
 
 def open_footage(scene: Scene, view: View) -> Clip:
@@ -133,7 +146,21 @@ def open_footage(scene: Scene, view: View) -> Clip:
     if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
         wanted = f"the frames of {view.path.name} have {clip.width_px} × {clip.height_px} px; wanted their own camera"
         raise refuse(scene.path, "camera.width and camera.height", [camera.width_px, camera.height_px], wanted)
+    _check_times(scene, clip)
+    if shows_one_picture(clip):
+        wanted = f"all {len(clip)} frames of it are copies of one picture; wanted a film of a throw"
+        raise refuse(scene.path, "clip.path", view.path.name, wanted)
     return clip
+
+
+def _check_times(scene: Scene, clip: Clip) -> None:
+    """Raises SceneError if the scene's exposure or readout is longer than the frame interval of a file that has its own rate."""
+    interval_s = float(np.median(np.diff(clip.times_s))) if len(clip) > 1 else np.inf
+    for name in ("exposure_s", "readout_s"):
+        value = getattr(scene.clip, name)
+        if value and value > interval_s * (1.0 + SAME_INTERVAL):
+            wanted = f"wanted seconds, at most the {interval_s:.4g} s between two frames of the file"
+            raise refuse(scene.path, f"clip.{name}", value, wanted)
 
 
 def input_paths(scene: Scene) -> tuple[Path, ...]:
@@ -187,29 +214,41 @@ def _decimated(
     return replace(scene, clip=source), fewer, smaller, cameras
 
 
+@dataclass(frozen=True)
+class _How:
+    """How the clips of a scene are tracked."""
+
+    quality: Quality
+    timing: Timing
+    interval_s: float | None
+    """Interval of the cameras' clock; None for a single frame."""
+    unit_grey: float
+    """Levels of the clips in light per level of the files."""
+
+
 def _follow(
     scene: Scene,
     clips: Sequence[Clip],
-    unit_grey: float,
     cameras: Sequence[Camera],
     backgrounds: Sequence[NDArray[np.float32] | None],
-    quality: Quality,
+    how: _How,
     progress: Progress,
-) -> TrackedClip:
+) -> TimedTracking:
     mirror = scene.table.surface == "mirror"
     facts = ClipFacts(
-        scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=unit_grey,
+        scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=how.unit_grey,
         readout_s=scene.clip.readout_s,
     )  # fmt: skip
     try:
-        return track_clip(
+        return track_clip_in_time(
             clips,
             cameras,
             scene.die,
             background=backgrounds,
             facts=facts,
-            quality=quality,
+            quality=how.quality,
             progress=lambda done, total: progress("Tracking the die", done, total),
+            clock=ClipClock(how.timing, how.interval_s),
         )
     except (ValueError, OSError) as error:
         raise RunError(f"{scene.path}: {error}") from error
@@ -251,14 +290,16 @@ def same_command(
     quality: Quality,
     decimation: Decimation,
     intervals: IntervalMethod = "profile",
+    timing: Timing = "corrected",
 ) -> tuple[str, ...]:
     """The command line that does the same; empty for a quality without a name."""
     if quality not in QUALITIES.values():
         return ()
     less = ("--every", str(decimation.every), "--shrink", str(decimation.shrink)) if not decimation.is_whole else ()
     other = ("--intervals", intervals) if intervals != "profile" else ()
+    times = ("--timing", timing) if timing != "corrected" else ()
     start = ("diethrow", name, str(scene.path), "--out", str(out), "--allow-outside")
-    return (*start, "--quality", quality.name, *less, *other)
+    return (*start, "--quality", quality.name, *less, *times, *other)
 
 
 def write_origin(
@@ -267,9 +308,15 @@ def write_origin(
     command: tuple[str, ...],
     inputs: Inputs,
     watch: Stopwatch,
-    corners: CornerRadius | None = None,
+    tracking: Tracking | None = None,
 ) -> None:
-    found = {} if corners is None else {"corner_radius_m": corners.radius_m, "sigma_corner_radius_m": corners.sigma_m}
+    """`provenance.json`, with what was estimated because the scene does not give it, and every fault of the frame times."""
+    found: dict[str, object] = {}
+    if tracking is not None and tracking.corners is not None:
+        found |= {"corner_radius_m": tracking.corners.radius_m, "sigma_corner_radius_m": tracking.corners.sigma_m}
+    if tracking is not None and tracking.times.faults:
+        found |= {"times_corrected": tracking.times.corrected}
+        found |= {"frame_time_faults": [fault.record for fault in tracking.times.faults]}
     write_provenance(folder, command=command, understood=scene, inputs=inputs, seconds=watch.seconds, found=found)
 
 
