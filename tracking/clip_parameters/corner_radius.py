@@ -183,6 +183,14 @@ def rounding_gain(view: View, frames: SampledFrames, radius_px: float) -> tuple[
     return _winsorised_mean(sharp - round_)
 
 
+def gain_over_sharp(view: View, radius_m: float, sharp: SampledFrames, rounded: SampledFrames) -> tuple[float, float]:
+    """Mean fall of ℓ from sharp corners to corners of a radius, and its standard error, each at the poses of a track of its own,
+    on the same pictures."""
+    settings = _free_poses(view)
+    before = _misfits(with_corner_radius(view, SHARP_PX / scale_px_per_m(view, sharp)), sharp, settings)[0]
+    return _winsorised_mean(before - _misfits(with_corner_radius(view, radius_m), rounded, settings)[0])
+
+
 def is_rounded(view: View, frames: Callable[[int], SampledFrames]) -> bool:
     """Whether the die of a view with sharp corners is clearly rounded; `frames(count)` gives at most `count` frames."""
     sampled, tested_px = frames(RADIUS_FRAMES), compared_radius_px(view)

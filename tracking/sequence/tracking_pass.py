@@ -17,6 +17,7 @@ from ..clip_parameters import (
     CornerRounding,
     contour_sigma_px,
     estimate_lens_blur,
+    gain_over_sharp,
     is_rounded,
     radius_by_free_poses,
     radius_on_flights,
@@ -78,8 +79,10 @@ def track_rounded(
         return first, poses, corners if rounding is CornerRounding.ESTIMATED else None
     trials = _radius_trials(view, task, corners)
     was_sharp = first.die.corner_radius_m == 0.0
-    if rounding is CornerRounding.TESTED and was_sharp and not _is_better_than_sharp(trials, poses.frames):
-        return first, poses, None
+    if rounding is CornerRounding.TESTED and was_sharp:
+        trials = [trial for trial in trials if _is_better_than_sharp(trial, poses, task.source)]
+        if not trials:
+            return first, poses, None
     if trials:
         most = max(trial.poses.frames for trial in trials)
         sufficient = [trial for trial in trials if trial.poses.frames >= SUFFICIENT_FRAMES * most]
@@ -167,10 +170,16 @@ def _radius_trials(view: View, task: TrackingTask, corners: CornerRadius) -> lis
     return trials
 
 
-def _is_better_than_sharp(trials: list[_Trial], frames: int) -> bool:
+def _is_better_than_sharp(trial: _Trial, sharp: ClipPoses, source: FrameSource) -> bool:
     """Whether a rounded die was tracked over as many frames as the sharp one, or over hardly fewer with a radius that its flights
-    support. A sharp die out of focus looks a little rounded, and is lost with a radius that is not its own."""
-    return any(trial.poses.frames >= (SUFFICIENT_FRAMES if trial.is_supported else 1.0) * frames for trial in trials)
+    support, and explains their pictures better. A sharp die out of focus looks a little rounded; with a radius that is not its
+    own it is lost, or tracked with poses that draw it worse."""
+    if trial.poses.frames < (SUFFICIENT_FRAMES if trial.is_supported else 1.0) * sharp.frames:
+        return False
+    both = sharp.known & trial.poses.known
+    frames = (poses.sample(source.frame, both, RADIUS_FRAMES) for poses in (sharp, trial.poses))
+    gain, sigma = gain_over_sharp(trial.view, trial.radius_m, *frames)
+    return gain > 0.0 or sigma == np.inf
 
 
 def _radius_from_pictures(

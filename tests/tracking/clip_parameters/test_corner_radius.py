@@ -24,11 +24,13 @@ from diethrow.tracking.clip_parameters.corner_radius import (
     SampledFrames,
     compared_radius_px,
     contour_sigma_px,
+    gain_over_sharp,
     is_rounded,
     radius_by_free_poses,
     radius_on_flights,
     rounding_gain,
 )
+from diethrow.tracking.footage import FrameSource
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.quality import FAST
@@ -258,10 +260,32 @@ def test_a_first_radius_with_which_no_initial_pose_is_found_is_discarded(monkeyp
 
 
 @pytest.mark.parametrize(
-    ("frames", "borne_out", "better"), [(100, False, True), (99, False, False), (96, True, True), (94, True, False)]
-)
-def test_a_radius_with_which_the_die_is_lost_is_discarded(frames: int, borne_out: bool, better: bool) -> None:
-    poses, corners = ClipPoses.empty(120), CornerRadius(1e-3, 1e-4)
-    poses.known[:frames] = True
-    trial = tracking_pass._Trial(1e-3, STUDIO.view(CUBE), poses, borne_out, corners)
-    assert tracking_pass._is_better_than_sharp([trial], 100) is better
+    ("frames", "borne_out", "gain", "better"),
+    [
+        (100, False, 0.1, True), (99, False, 0.1, False), (96, True, 0.1, True), (94, True, 0.1, False),
+        (120, True, -0.1, False),
+    ],
+)  # fmt: skip
+def test_a_radius_with_which_the_die_is_lost_or_drawn_worse_is_discarded(
+    monkeypatch: pytest.MonkeyPatch, frames: int, borne_out: bool, gain: float, better: bool
+) -> None:
+    sharp, rounded = ClipPoses.empty(120), ClipPoses.empty(120)
+    sharp.known[:100] = True
+    rounded.known[:frames] = True
+    trial = tracking_pass._Trial(1e-3, STUDIO.view(CUBE), rounded, borne_out, CornerRadius(1e-3, 1e-4))
+    monkeypatch.setattr(tracking_pass, "gain_over_sharp", lambda *_: (gain, 0.01))
+    source = FrameSource([ArrayClip(np.zeros((120, 4, 4), np.uint8), np.arange(120) / FPS, 8)])
+    assert tracking_pass._is_better_than_sharp(trial, sharp, source) is better
+
+
+@pytest.mark.parametrize("is_rounded_die", [False, True])
+def test_the_pictures_tell_which_corners_a_die_has_at_the_poses_of_each(is_rounded_die: bool) -> None:
+    radius_m = 8.0 / PX_PER_M
+    rounded = replace(CUBE, corner_radius_m=radius_m)
+    draw = (lambda s, rng: photograph_rounded(STUDIO, rounded, s, rng)) if is_rounded_die else (
+        lambda s, rng: photograph(STUDIO, CUBE, s, rng)
+    )  # fmt: skip
+    frames = sampled(draw, FEW)
+    gain, sigma = gain_over_sharp(STUDIO.view(CUBE), radius_m, frames, frames)
+    assert (gain > 3.0 * sigma) is is_rounded_die
+    assert (gain < -3.0 * sigma) is not is_rounded_die
