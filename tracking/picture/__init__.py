@@ -35,6 +35,7 @@ from .kernel_types import PictureModel as PictureModel
 from .kernel_types import PoseRows as PoseRows
 from .kernel_types import PoseState as PoseState
 from .kernel_types import RefinementSettings as RefinementSettings
+from .kernel_types import Shape as Shape
 from .kernel_types import Workspace as Workspace
 from .kernel_types import new_equations as new_equations
 from .kernel_types import new_workspace as new_workspace

@@ -24,7 +24,6 @@ from .manual_pose import ManualInitialisation as ManualInitialisation
 from .manual_pose import excluded_rows as excluded_rows
 from .manual_pose import manual_initial_pose as manual_initial_pose
 from .refine import Pose as Pose
-from .refine import PosePrior as PosePrior
 from .refine import blur_step as blur_step
 from .refine import contour_bias_jacobians as contour_bias_jacobians
 from .refine import covariances as covariances
@@ -35,4 +34,5 @@ from .refine_kernels import LEAST_CONTOUR_PX as LEAST_CONTOUR_PX
 from .refine_kernels import WELL_SEEN as WELL_SEEN
 from .refine_kernels import refine_and_score as refine_and_score
 from .refine_kernels import refine_frames as refine_frames
+from .refine_kernels import seen_distance_m as seen_distance_m
 from .refine_kernels import store_frame as store_frame

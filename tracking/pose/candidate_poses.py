@@ -38,7 +38,7 @@ from ..picture import (
     without_rims,
     without_shadow,
 )
-from .refine import Pose, PosePrior, pose_state, refine_pose
+from .refine import Pose, pose_prior, pose_state, refine_pose
 from .refine_kernels import COARSE_STEPS
 
 Array = NDArray[np.float64]
@@ -249,7 +249,7 @@ def _refined_trials(view: View, images: Image, positions_m: Array, rotations: Ar
     The distance may be off by a fifth at first. A second camera sees that error from the side, too far off for any edge
     to be found.
     """
-    first, prior = with_first_camera_only(view), PosePrior(SIZE_PRIOR_REACH * view.reach_m, GRID_PRIOR_RAD)
+    first, prior = with_first_camera_only(view), pose_prior(SIZE_PRIOR_REACH * view.reach_m, GRID_PRIOR_RAD)
 
     def refined(rows: NDArray[np.int64]) -> list[Pose]:
         work = new_workspace(view.shape, view.rig)

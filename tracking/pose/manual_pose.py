@@ -21,7 +21,7 @@ from scipy.optimize import linear_sum_assignment
 from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import matrix_from_quat
 from ..picture import View, visible_faces
-from .refine import Pose, PosePrior, pose_state, refine_pose
+from .refine import Pose, pose_prior, pose_state, refine_pose
 from .refine_kernels import COARSE_STEPS
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -
 
     Raises ValueError if no pose of the die matches the clicks, or the frame does not confirm the pose.
     """
-    prior = PosePrior(PRIOR_M, PRIOR_RAD)
+    prior = pose_prior(PRIOR_M, PRIOR_RAD)
     found = [
         refine_pose(view, image, pose_state(position, rotation), coarse=COARSE_STEPS, prior=prior)
         for position, rotation in _given_poses(view, start)

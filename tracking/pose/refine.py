@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from ..picture import (
     new_workspace,
     whole_frame_windows,
 )
-from .refine_kernels import refine_and_score
+from .refine_kernels import isotropic_prior, refine_and_score
 
 CONVERGED_STEPS = 12
 """Most steps of a refinement that is run until it converges."""
@@ -107,18 +106,14 @@ def weak_prior(view: View) -> Array:
     return _loose_prior(view.settings)
 
 
+def pose_prior(sigma_m: float, sigma_rad: float) -> Array:
+    """(6, 6) information of an isotropic prior: standard deviations of each coordinate of the centre, and of the rotation about
+    each axis. It keeps directions that the pixels leave open near the initial pose, and is too weak to pull the others."""
+    return np.asarray(isotropic_prior(sigma_m, sigma_rad))
+
+
 def _loose_prior(settings: RefinementSettings) -> Array:
-    return np.diag([1.0 / settings.loose_m**2] * 3 + [1.0 / settings.loose_rad**2] * 3)
-
-
-class PosePrior(NamedTuple):
-    """Standard deviations of the prior about an initial pose. It keeps directions that the pixels leave open near that
-    pose, and is too weak to pull the others."""
-
-    sigma_m: float
-    """Of each coordinate of the centre."""
-    sigma_rad: float
-    """Of the rotation about each axis."""
+    return pose_prior(settings.loose_m, settings.loose_rad)
 
 
 def pose_state(
@@ -140,24 +135,25 @@ def refine_pose(
     start: PoseState,
     *,
     coarse: int = 2,
-    prior: PosePrior | None = None,
+    prior: Array | None = None,
     roughly: bool = False,
     work: Workspace | None = None,
 ) -> Pose:
     """The pose near an initial one, `start`, that explains the edges of a frame best.
 
     `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
-    the number of steps at larger blurs before those at the lens blur. `prior` is the loose one of the view if it is
-    None. `roughly` stops where the view's quality says, not at convergence.
+    the number of steps at larger blurs before those at the lens blur. `prior` is the (6, 6) information of the prior
+    about the initial pose, the loose one of the view if it is None. `roughly` stops where the view's quality says, not
+    at convergence.
     """
     converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
     settings = view.tracking_settings if roughly else converged
-    sigma_m, sigma_rad = prior or PosePrior(settings.loose_m, settings.loose_rad)
     work = new_workspace(view.shape, view.rig) if work is None else work
     work.shared_grey[:] = 0.0
     equations = new_equations()
     p, Q, cost = refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), start, sigma_m, sigma_rad, coarse, work, equations,
+        whole_frame_windows(view, image), view.model(settings), start, _loose_prior(settings) if prior is None else prior,
+        coarse, work, equations,
     )  # fmt: skip
     return _pose_from(p, Q, cost, equations, settings)
 
@@ -191,8 +187,8 @@ def blur_step(view: View, image: Image, start: PoseState) -> tuple[float, float]
     )
     equations = new_equations()
     refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), start,
-        settings.loose_m, settings.loose_rad, 0, new_workspace(view.shape, view.rig), equations,
+        whole_frame_windows(view, image), view.model(settings), start, _loose_prior(settings), 0,
+        new_workspace(view.shape, view.rig), equations,
     )  # fmt: skip
     H, g = equations.H, equations.g
     A = H[:6, :6] + _loose_prior(settings)

@@ -1,7 +1,8 @@
 """Refinement of a pose on the edges of its frame, compiled.
 
-Gauss-Newton on the robust normal equations of all views (`tracking.picture`), with an isotropic Gaussian prior about
-the start. An uncertain start begins with steps at larger blurs, whose wider bands see edges that are farther away.
+Gauss-Newton on the robust normal equations of all views (`tracking.picture`), with a Gaussian prior about the start:
+what the motion says of the pose, or a loose isotropic one. An uncertain start begins with steps at larger blurs, whose
+wider bands see edges that are farther away.
 """
 
 from __future__ import annotations
@@ -76,36 +77,68 @@ LEAST_CONTOUR_PX = 20.0
 """Least length [px] of contour in view that determines a pose; below, it is repeated as well."""
 
 
-@inner_no_memory
-def _moved_px(rig: CameraRig, pos: Any, step: Any, turned: float, reach: float) -> float:
-    """Displacement in the picture [px] of the die's farthest points by a step (3,) [m] of the centre and a rotation
-    that moves them by `turned` [m], in the view that shows most of it: a step along the line of sight moves them
-    little."""
+@compiled(nogil=True)
+def isotropic_prior(sigma_m: float, sigma_rad: float) -> Any:
+    """(6, 6) information of a prior with one standard deviation for all coordinates of the centre and one for all rotations."""
+    prior = np.zeros((6, 6))
+    for a in range(3):
+        prior[a, a] = 1.0 / sigma_m**2
+        prior[3 + a, 3 + a] = 1.0 / sigma_rad**2
+    return prior
+
+
+@compiled(nogil=True)
+def seen_distance_m(rig: CameraRig, pos: Any, step: Any, reach: float) -> float:
+    """Distance [m] by which a step (3,) of a die's centre moves its farthest points at right angles to the line of sight,
+    in the view that shows most of it.
+
+    From a metre away, the size of a small die in the picture says only within centimetres how far it is.
+    """
     most = 0.0
     for view in range(rig.camera.shape[0]):
-        x, y, z, depth = 0.0, 0.0, 0.0, rig.translation[view, 2]
-        for b in range(3):
-            x += rig.rotation[view, 0, b] * step[b]
-            y += rig.rotation[view, 1, b] * step[b]
-            z += rig.rotation[view, 2, b] * step[b]
-            depth += rig.rotation[view, 2, b] * pos[b]
-        if depth > LEAST_DEPTH_M:
-            aside = sqrt(x * x + y * y) + reach * abs(z) / depth + turned
-            most = max(most, rig.matrix[view, 0, 0] / depth * aside)
+        if rig.weight[view] > 0.0:
+            depth = rig.translation[view, 2]
+            for b in range(3):
+                depth += rig.rotation[view, 2, b] * pos[b]
+            most = max(most, _moved_px(rig, view, pos, step, 0.0, reach) * max(depth, 0.0) / rig.matrix[view, 0, 0])
     return most
+
+
+@inner_no_memory
+def _most_moved_px(rig: CameraRig, pos: Any, step: Any, turned: float, reach: float) -> float:
+    """`_moved_px` in the view that shows most of it."""
+    most = 0.0
+    for view in range(rig.camera.shape[0]):
+        most = max(most, _moved_px(rig, view, pos, step, turned, reach))
+    return most
+
+
+@inner_no_memory
+def _moved_px(rig: CameraRig, view: int, pos: Any, step: Any, turned: float, reach: float) -> float:
+    """Displacement in a picture [px] of the die's farthest points by a step (3,) [m] of the centre and a rotation that
+    moves them by `turned` [m]; 0 behind the camera. A step along the line of sight moves them little."""
+    x, y, z, depth = 0.0, 0.0, 0.0, rig.translation[view, 2]
+    for b in range(3):
+        x += rig.rotation[view, 0, b] * step[b]
+        y += rig.rotation[view, 1, b] * step[b]
+        z += rig.rotation[view, 2, b] * step[b]
+        depth += rig.rotation[view, 2, b] * pos[b]
+    if depth <= LEAST_DEPTH_M:
+        return 0.0
+    return rig.matrix[view, 0, 0] / depth * (sqrt(x * x + y * y) + reach * abs(z) / depth + turned)
 
 
 @compiled(nogil=True)
 def refine_and_score(
-    windows: FrameWindows, model: PictureModel, start: PoseState, prior_m: float, prior_rad: float, coarse: int,
-    work: Workspace, equations: NormalEquations,
+    windows: FrameWindows, model: PictureModel, start: PoseState, prior: Any, coarse: int, work: Workspace,
+    equations: NormalEquations,
 ) -> tuple[Any, Any, float]:  # fmt: skip
     """Refine a pose by Gauss-Newton, `coarse` steps at larger blurs first; return position (3,), rotation (3, 3) and
     pose cost.
 
-    The prior is isotropic about the start, with standard deviations `prior_m` and `prior_rad`. The equations become
-    those of the pixels alone before the last step, both halves; H is zero if the pixels and the prior leave no
-    solution. The cost is 0 if the settings ask for no region cost.
+    The prior is about the start, with information `prior` (6, 6) [1/m, 1/rad]. The equations become those of the pixels
+    alone before the last step, both halves; H is zero if the pixels and the prior leave no solution. The cost is 0 if
+    the settings ask for no region cost.
 
     The greys that stretches share are those of the step before. At the first step they are what the workspace holds:
     those of the frame before if the caller knows one, which saves two steps, or nothing.
@@ -115,7 +148,6 @@ def refine_and_score(
     p, Q = start.position.copy(), start.rotation.copy()
     away, step = np.zeros(6), np.zeros(6)
     A, L, y = np.zeros((6, 6)), np.zeros((6, 6)), np.zeros(6)
-    wp, wr = 1.0 / prior_m**2, 1.0 / prior_rad**2
     reach, six = reach_of_die(shape), np.int64(6)
     work.grey_sums[:] = 0.0
     work.shared_faces[:] = 0
@@ -138,11 +170,10 @@ def refine_and_score(
             for b in range(a):
                 H[b, a] = H[a, b]
         for a in range(6):
+            y[a] = g[a]
             for b in range(6):
-                A[a, b] = H[a, b]
-            w = wp if a < 3 else wr
-            A[a, a] += w
-            y[a] = g[a] - w * away[a]
+                A[a, b] = H[a, b] + prior[a, b]
+                y[a] -= prior[a, b] * away[b]
         if not cholesky_factor(A, six, L, LEAST_PIVOT):
             H[:] = 0.0
             break
@@ -165,7 +196,7 @@ def refine_and_score(
         Q = turn(Q, step[3:])
         update_shared_greys(work, step)
         update_light(work.light, step)
-        moved_px = _moved_px(rig, start.position, step, shrink * lr * reach, reach)
+        moved_px = _most_moved_px(rig, start.position, step, shrink * lr * reach, reach)
         if fine and (gain < settings.min_gain or moved_px < settings.min_step_px):
             break
     cost = 0.0
@@ -205,6 +236,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
     work, equations = new_workspace(shape, rig), new_equations()
     statistics = equations.statistics
     moved, reach = np.zeros(3), reach_of_die(shape)
+    loose = isotropic_prior(settings.loose_m, settings.loose_rad)
     for k in range(which.shape[0]):
         rows.H[k] = 0.0
         if isnan(rows.position[k, 0]):
@@ -221,8 +253,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
                 windows,
                 model,
                 first,
-                settings.loose_m,
-                settings.loose_rad,
+                loose,
                 RESTART_COARSE_STEPS * again,
                 work,
                 equations,
@@ -231,7 +262,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
             rotation_log(turn_from(R, Q), moved)
             turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
             if (
-                _moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX
+                _most_moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX
                 and statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX]
                 and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX
             ):

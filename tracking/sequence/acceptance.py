@@ -35,5 +35,9 @@ NEW_FLIGHT_RAD = radians(2.0)
 ON_PATH_CHI2 = 30.0
 """Normalised innovation squared (six numbers) up to which a pose lies on the predicted path: one in 25 000 of honest poses lies
 farther off."""
+BOUNCE_REACH = 0.35
+"""Height of the lowest corner, in circumradii, below which an impact may have occurred between two frames."""
+HEIGHT_SIGMAS = 3.0
+"""Standard errors of the prediction by which it must be higher."""
 PRIOR_SIGMAS = 4.0
 """Width of the prior of a refinement, in standard errors of the prediction: wide enough not to hold a bounce back."""

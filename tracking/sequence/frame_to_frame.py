@@ -33,16 +33,18 @@ from ..pose import (
     LEAST_CONTOUR_PX,
     ClipPoses,
     Pose,
-    PosePrior,
     longest_stride,
     pose_candidates,
     pose_state,
     power_of_two,
     refine_pose,
+    seen_distance_m,
 )
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
+    BOUNCE_REACH,
+    HEIGHT_SIGMAS,
     KNOWN_RAD,
     MAX_EXCESS_COST,
     MIN_POSES_OF_FLIGHT,
@@ -51,10 +53,19 @@ from .acceptance import (
     NEW_FLIGHT_RAD,
     NEW_FLIGHT_REACH,
     ON_PATH_CHI2,
-    PRIOR_SIGMAS,
     USUAL_COST_FRAMES,
 )
-from .motion_filter import MotionEstimate, predict_motion, predicted_delay, track_frames, update_motion
+from .motion_filter import (
+    FIRST_POSES_RAD,
+    FIRST_POSES_REACH,
+    MotionEstimate,
+    lowest_m,
+    motion_prior,
+    predict_motion,
+    predicted_delay,
+    track_frames,
+    update_motion,
+)
 
 Array = NDArray[np.float64]
 Frames = NDArray[Any]
@@ -76,8 +87,10 @@ LEAST_IMPROVEMENT = 0.02
 """Cost by which a later hypothesis must be better: it departs further from the prediction."""
 CLEAR_SUPPORT = 0.8
 """Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
-BOUNCE_REACH = 0.35
-"""Height of the lowest corner, in circumradii, below which an impact may have occurred between two frames."""
+LOST_FRAMES = 2
+"""Frames without a pose after which a die high above the table may be found off its path: the motion was wrong."""
+FASTEST_FACTOR = 1.5
+"""Speed of the die's points after an impact over that before, at the most: no impact gives energy."""
 SEARCH_EVERY = 6
 """Frames without a pose until a new initial pose is searched."""
 BACKWARDS_MISSES = 3
@@ -121,15 +134,18 @@ class FrameTracker:
 
     @staticmethod
     def from_pose(
-        view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], rates: Array | None = None
-    ) -> FrameTracker:
+        view: View, pose: Pose, times_s: Array, k: int, unused: NDArray[np.bool_], rates: Array | None = None,
+        velocity_m_s: Array | None = None,
+    ) -> FrameTracker:  # fmt: skip
         """A tracker that knows the pose on frame k, and, as after an impact, approximate `rates` (6,): velocity [m/s] and spin
-        [rad/s]."""
+        [rad/s]; or the part of the velocity (3,) across the line of sight, and nothing of the rest."""
         near = times_s[max(k - 1, 0) : k + 2]
         frame_s = float(np.abs(np.diff(near)).mean()) if len(near) > 1 else 1.0
         reach, rad = (UNKNOWN_REACH, UNKNOWN_RAD) if rates is None else (BOUNCED_REACH, BOUNCED_RAD)
         P = _initial_covariance(view, pose, frame_s, reach, rad)
-        motion = np.concatenate([pose.position_m, np.zeros(6) if rates is None else rates])
+        if rates is None:
+            rates = np.concatenate([np.zeros(3) if velocity_m_s is None else velocity_m_s, np.zeros(3)])
+        motion = np.concatenate([pose.position_m, rates])
         exposed_s = float(times_s[k] + view.exposure_delay_s(pose.position_m))
         made = FrameTracker(view, motion, pose.rotation.copy(), P, np.array([exposed_s, pose.cost, 1.0]), unused)
         made.next_frame = k + 1
@@ -275,11 +291,7 @@ class FrameTracker:
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
-        settings = self.view.settings
-        tight = PosePrior(
-            float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 0), settings.tight_m, settings.loose_m)),
-            float(np.clip(PRIOR_SIGMAS * widest_sigma(P, 3), settings.tight_rad, settings.loose_rad)),
-        )
+        tight = motion_prior(P, self.view.settings)
         others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
         for start, coarse, prior in ((expected, 1, tight), *((s, c, None) for s, c in others)):
             initial = pose_state(start.position_m, start.rotation, start.velocity_m_s, start.omega_rad_s)
@@ -304,17 +316,27 @@ class FrameTracker:
         """Whether something explains where the pose lies: the motion so far, a table near enough for an impact, or a picture that
         shows the die there beyond doubt. Poses of a half-hidden die are explained by none of these."""
         reach = self.view.reach_m
-        distance = float(np.linalg.norm(pose.position_m - expected.position_m))
+        distance = float(seen_distance_m(self.view.rig, pose.position_m, pose.position_m - expected.position_m, reach))
         angle = angle_between(pose.rotation, expected.rotation)
-        far_m = max(NEW_FLIGHT_REACH * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
-        far_rad = max(NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
+        high = self._is_high(expected, P)
+        far_m = max((FIRST_POSES_REACH if high else NEW_FLIGHT_REACH) * reach, PREDICTED_SIGMAS * widest_sigma(P, 0))
+        far_rad = max(FIRST_POSES_RAD if high else NEW_FLIGHT_RAD, PREDICTED_SIGMAS * widest_sigma(P, 3))
         if distance < far_m and angle < far_rad:
             return True
-        lowest = float((expected.rotation @ self.view.die.solid.vertices.T)[2].min() + expected.position_m[2])
+        dt = expected.time_s - float(self.clock[0])
+        speed = float(np.linalg.norm(expected.velocity_m_s)) + reach * float(np.linalg.norm(expected.omega_rad_s))
+        moved = float(np.linalg.norm(pose.position_m - self.motion[:3]))
+        if moved > FASTEST_FACTOR * speed * abs(dt) + far_m:
+            return False
         is_clear = pose.support > CLEAR_SUPPORT
-        if lowest < BOUNCE_REACH * reach:
+        if not high:
             return is_clear or pose.cost < self.usual_cost + SMALL_EXCESS_COST
-        return is_clear and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
+        return is_clear and self.misses >= LOST_FRAMES and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
+
+    def _is_high(self, expected: State, P: Array) -> bool:
+        """Whether the die flies too high above the table for an impact."""
+        lowest = float(lowest_m(self.view.shape, expected.position_m, expected.rotation))
+        return lowest - HEIGHT_SIGMAS * widest_sigma(P, 0) > BOUNCE_REACH * self.view.reach_m
 
     def _other_states(self, expected: State) -> Iterator[tuple[State, int]]:
         """Other initial states, each with the level of coarseness of its refinement: after impacts on the low corners, the last
@@ -356,10 +378,14 @@ class FrameTracker:
         """Update the motion with the pose of this frame. If that lies far from the prediction, a new motion begins with the
         velocities of the initial state that led to it."""
         self.misses = 0
-        distance = float(np.linalg.norm(pose.position_m - predicted[:3]))
+        distance = float(
+            seen_distance_m(self.view.rig, pose.position_m, pose.position_m - predicted[:3], self.view.reach_m)
+        )
         angle = angle_between(pose.rotation, R)
         count = float(self.clock[2])
-        if count >= MIN_POSES_OF_FLIGHT and (distance > NEW_FLIGHT_REACH * self.view.reach_m or angle > NEW_FLIGHT_RAD):
+        high = self._is_high(_state(time_s, predicted, R), P)
+        far_reach, far_rad = (FIRST_POSES_REACH, FIRST_POSES_RAD) if high else (NEW_FLIGHT_REACH, NEW_FLIGHT_RAD)
+        if count >= MIN_POSES_OF_FLIGHT and (distance > far_reach * self.view.reach_m or angle > far_rad):
             has_rates = np.any(start.velocity_m_s != 0.0)
             reach, rad = (BOUNCED_REACH, BOUNCED_RAD) if has_rates else (UNKNOWN_REACH, UNKNOWN_RAD)
             self.motion = np.concatenate([pose.position_m, start.velocity_m_s, start.omega_rad_s])

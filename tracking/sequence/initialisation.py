@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.world import GRAVITY_M_S2
 from ..footage import FrameSource
-from ..picture import View
+from ..picture import Image, View
 from ..pose import (
     SAME_POSE_EDGES,
     ClipPoses,
@@ -32,12 +32,17 @@ from ..pose import (
     die_blobs,
     manual_initial_pose,
     pose_candidates,
+    pose_state,
+    refine_pose,
     same_picture,
+    seen_distance_m,
+    weak_prior,
 )
 from .frame_to_frame import FrameTracker
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 
 MAX_FIRST_FRAMES = 14
 """Frames on which an initial pose is searched, a few frames apart, before the clip is given up."""
@@ -51,7 +56,8 @@ SAMPLED_FRAMES = 12
 CERTAIN_SUPPORT = 0.85
 """Share of the contour with a clear step, over all frames and with none missed, above which a hypothesis is accepted at once."""
 MIN_SUPPORT = 0.6
-"""Least share of the contour with a clear step of any hypothesis."""
+"""Least share of the contour with a clear step of any hypothesis. It suffices where more frames than those of the second stage
+show an even motion: a face as bright as the table has no step on any of them."""
 EVEN = 0.5
 """Unevenness below which a hypothesis is accepted at once."""
 UNEVEN = 1.0
@@ -77,9 +83,15 @@ right one is hardly worse than those that its own frames draw away from it."""
 AGREEMENT_EDGES = 0.2
 """Distance of corners, in edges, within which hypotheses from different frames agree: the distance of a small die is
 uncertain."""
+SAME_AREA_LOG = 0.4
+"""Logarithm of the ratio of areas beyond which the regions of two frames do not show the same."""
+VISIBLE_MOTION_PX = 0.5
+"""Motion within the exposure from which its blur shows: a third of the lens blur, in standard deviations."""
 UNEVEN_EDGES = 0.1
-"""Rms departure from a parabola, in edges, that no die in flight shows. A wrong hypothesis jumps, and so does a pose drawn into a
-shadow."""
+"""Rms departure from a parabola as the camera sees it, in edges, that no die in flight shows. A wrong hypothesis jumps, and so
+does a pose drawn into a shadow."""
+UNEVEN_SIGMAS = 2.0
+"""Standard errors of the poses that count as much as these: what a picture leaves open is no departure."""
 UNEVEN_RAD = np.radians(1.5)
 """Rms departure [rad] from an even rotation that no die in flight shows."""
 
@@ -125,7 +137,8 @@ class Hypothesis:
         """Whether nothing speaks against it, so that no other frame is needed."""
         known = np.flatnonzero(self.poses.known)
         has_no_gap = len(known) == known[-1] - known[0] + 1
-        return self.competitors == 0 and self.support > CERTAIN_SUPPORT and has_no_gap and self.score.unevenness < EVEN
+        support = CERTAIN_SUPPORT if self.score.until <= FULL_STAGE else MIN_SUPPORT
+        return self.competitors == 0 and self.support > support and has_no_gap and self.score.unevenness < EVEN
 
 
 Candidate = tuple[int, Hypothesis]
@@ -251,7 +264,8 @@ def initial_pose_by_hand(
             "excluded"
         )
     pose = manual_initial_pose(view, np.asarray(source.frame(k)[0], np.float32), by_hand)
-    return _on_clip(_new_hypothesis(view, source, k, pose, unused), source, k, unused)
+    hypothesis = _new_hypothesis(view, source, k, pose, unused, _rate_px_s(view, source, k, unused))
+    return _on_clip(hypothesis, source, k, unused)
 
 
 def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) -> tuple[FrameTracker, ClipPoses]:
@@ -277,8 +291,11 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
 def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hypothesis | None:
     """The hypothesis on frame k that the frames after it support best; None if they support none."""
     left = min(STAGES[-1], len(source) - k)
-    poses = pose_candidates(view, np.asarray(source.frame(k), np.float32))
-    hypotheses = [_new_hypothesis(view, source, k, pose, unused) for _, pose in poses]
+    image, rate_px_s = np.asarray(source.frame(k), np.float32), _rate_px_s(view, source, k, unused)
+    hypotheses = [
+        _new_hypothesis(view, source, k, _moving(view, image, pose, rate_px_s), unused, rate_px_s)
+        for _, pose in pose_candidates(view, image)
+    ]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
         # Past an impact no hypothesis moves evenly: of those still on the die, the one that led before it has won.
@@ -317,11 +334,47 @@ def _winner(
     return best
 
 
-def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused: Mask) -> Hypothesis:
+def _rate_px_s(view: View, source: FrameSource, k: int, unused: Mask) -> Array:
+    """(2,) velocity [px/s] in the first camera's picture of the region that differs from the background, from frame k and those
+    beside it; 0 if none of these shows it."""
+    here = die_blobs(view, np.asarray(source.frame(k)[0], np.float32))
+    beside: list[tuple[float, Array]] = []
+    for j in (k - 1, k + 1):
+        if here and 0 <= j < len(source) and not unused[j]:
+            there = die_blobs(view, np.asarray(source.frame(j)[0], np.float32))
+            if there and abs(np.log(there[0].area_px / here[0].area_px)) < SAME_AREA_LOG:
+                beside.append((float(source.times_s[j]), there[0].centre_px))
+    if not beside:
+        return np.zeros(2)
+    first, last = (
+        (beside[0], beside[-1]) if len(beside) > 1 else ((float(source.times_s[k]), here[0].centre_px), beside[0])
+    )
+    return np.asarray((last[1] - first[1]) / (last[0] - first[0]), float)
+
+
+def _velocity_m_s(view: View, pose: Pose, rate_px_s: Array) -> Array:
+    """(3,) velocity [m/s] across the line of sight that moves the centre of a pose by so many pixels a second."""
+    camera = view.camera
+    depth_m = float((camera.rotation @ (pose.position_m - camera.centre_m))[2])
+    across = rate_px_s * depth_m / np.diag(camera.matrix)[:2]
+    return np.asarray(camera.rotation[:2].T @ across, float)
+
+
+def _moving(view: View, image: Image, pose: Pose, rate_px_s: Array) -> Pose:
+    """The pose refined with the blur of its motion, where that shows."""
+    if view.exposure_s * np.abs(rate_px_s).max() < VISIBLE_MOTION_PX:
+        return pose
+    velocity_m_s = _velocity_m_s(view, pose, rate_px_s)
+    return refine_pose(view, image, pose_state(pose.position_m, pose.rotation, velocity_m_s, np.zeros(3)))
+
+
+def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused: Mask, rate_px_s: Array) -> Hypothesis:
     """A hypothesis that has not been tracked yet."""
     poses = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     poses.put(0, pose, np.zeros(6))
-    tracker = FrameTracker.from_pose(view, pose, source.times_s[k:], 0, unused[k:])
+    tracker = FrameTracker.from_pose(
+        view, pose, source.times_s[k:], 0, unused[k:], velocity_m_s=_velocity_m_s(view, pose, rate_px_s)
+    )
     return Hypothesis(tracker, poses, Score(pose.cost_with_edge_noise))
 
 
@@ -358,13 +411,35 @@ def _unevenness(view: View, poses: ClipPoses, times_s: Array, since: int, until:
     t = times_s[known] - times_s[middle]
     without_fall = poses.position_m[known] + np.outer(0.5 * GRAVITY_M_S2 * t * t, [0.0, 0.0, 1.0])
     turns = rotation_between(quat_from_matrix(poses.rotation[middle]), quat_from_matrix(poses.rotation[known]))
-    return max(_departure(t, without_fall) / (UNEVEN_EDGES * view.die.solid.edge_m), _departure(t, turns) / UNEVEN_RAD)
+    sigma_m, sigma_rad = _standard_errors(view, poses, known)
+    off_m, p = _off_line(t, without_fall), poses.position_m[known]
+    seen_m = np.array([seen_distance_m(view.rig, at, step, view.reach_m) for at, step in zip(p, off_m, strict=True)])
+    turned = np.linalg.norm(_off_line(t, turns), axis=1)
+    usual_m, usual_rad = UNEVEN_EDGES * view.die.solid.edge_m, UNEVEN_RAD
+    return max(_rms(seen_m / np.hypot(usual_m, sigma_m)), _rms(turned / np.hypot(usual_rad, sigma_rad)))
 
 
-def _departure(t: Array, values: Array) -> float:
-    """Root mean square distance of values (n, 3) from a straight line over t (n,)."""
-    line = np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1)
-    return float(np.sqrt(((values - line) ** 2).sum(1).mean()))
+def _standard_errors(view: View, poses: ClipPoses, rows: Rows) -> tuple[Array, Array]:
+    """Standard errors of the poses on some rows (n,), across the line of sight [m] and of the rotation [rad], times
+    UNEVEN_SIGMAS."""
+    camera = view.camera
+    covariance = np.linalg.inv(poses.H[rows, :6, :6] + weak_prior(view))
+    sight = poses.position_m[rows] - camera.centre_m
+    sight /= np.linalg.norm(sight, axis=1)[:, None]
+    across = np.trace(covariance[:, :3, :3], axis1=1, axis2=2) - np.einsum(
+        "ni,nij,nj->n", sight, covariance[:, :3, :3], sight
+    )
+    turned = np.trace(covariance[:, 3:, 3:], axis1=1, axis2=2)
+    return UNEVEN_SIGMAS * np.sqrt(across), UNEVEN_SIGMAS * np.sqrt(turned)
+
+
+def _off_line(t: Array, values: Array) -> Array:
+    """(n, 3) differences of values (n, 3) from the straight line over t (n,) that fits them best."""
+    return np.asarray(values - np.stack([np.ones_like(t), t], 1) @ np.polynomial.polynomial.polyfit(t, values, 1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
 
 
 def _distinct(view: View, hypotheses: list[Hypothesis]) -> list[Hypothesis]:

@@ -34,6 +34,7 @@ from ..picture import (
     PoseRows,
     PoseState,
     RefinementSettings,
+    Shape,
     Workspace,
     crop_windows,
     exposure_delay,
@@ -49,9 +50,11 @@ from ..picture import (
     turn_from,
     update_occluder_mask,
 )
-from ..pose import LEAST_CONTOUR_PX, WELL_SEEN, refine_and_score, store_frame
+from ..pose import LEAST_CONTOUR_PX, WELL_SEEN, refine_and_score, seen_distance_m, store_frame
 from .acceptance import (
     ACCEPTED_EXCESS_COST,
+    BOUNCE_REACH,
+    HEIGHT_SIGMAS,
     MAX_EXCESS_COST,
     MIN_POSES_OF_FLIGHT,
     MIN_SUPPORT,
@@ -165,6 +168,25 @@ def predicted_delay(rig: CameraRig, x: Any, dt: float) -> float:
     return late
 
 
+@compiled(nogil=True)
+def motion_prior(P: Any, settings: RefinementSettings) -> Any:
+    """(6, 6) information of the prior on a pose from the covariance (12, 12) of the predicted motion.
+
+    Its standard deviations are PRIOR_SIGMAS of the motion's, no less than the tight ones, and no more than the loose ones. What a
+    picture leaves open, as the distance of a small die together with its tilt, the motion holds, and only that.
+    """
+    spread, prior = np.zeros((6, 6)), np.zeros((6, 6))
+    for a in range(6):
+        for b in range(6):
+            spread[a, b] = PRIOR_SIGMAS**2 * P[a, b]
+        spread[a, a] += settings.tight_m**2 if a < 3 else settings.tight_rad**2
+    if not inverse_positive(spread, np.int64(6), prior):
+        prior[:] = 0.0
+    for a in range(6):
+        prior[a, a] += 1.0 / (settings.loose_m**2 if a < 3 else settings.loose_rad**2)
+    return prior
+
+
 @inner_nogil
 def _innovation(x: Any, R: Any, P: Any, p: Any, Q: Any, H: Any, settings: RefinementSettings) -> tuple[bool, Any, Any]:
     """Whether a pose (p, Q) with information H has an innovation, the innovation z (6,), and the inverse S (6, 6) of
@@ -263,21 +285,23 @@ def track_frames(
         windows = crop_windows(frames[k], rig, shape, predicted, WINDOW_PX if coarse > 0 else NARROW_WINDOW_PX, work)
         if windows.pixels.shape[1] == 0:
             return k
-        prior_m = min(max(PRIOR_SIGMAS * sigma_m, settings.tight_m), settings.loose_m)
-        prior_rad = min(max(PRIOR_SIGMAS * sigma_rad, settings.tight_rad), settings.loose_rad)
-        p, Q, cost = refine_and_score(windows, model, predicted, prior_m, prior_rad, coarse, work, equations)
+        prior = motion_prior(P_ahead, settings)
+        p, Q, cost = refine_and_score(windows, model, predicted, prior, coarse, work, equations)
         new = clock[2] < MIN_POSES_OF_FLIGHT
         far_m = FIRST_POSES_REACH * reach if new else NEW_FLIGHT_REACH * reach
         far_rad = FIRST_POSES_RAD if new else NEW_FLIGHT_RAD
         rotation_log(turn_from(R_ahead, Q), moved)
         turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
-        gone = sqrt((p[0] - ahead[0]) ** 2 + (p[1] - ahead[1]) ** 2 + (p[2] - ahead[2]) ** 2)
+        gone = seen_distance_m(rig, p, p - ahead[:3], reach)
         usual = clock[1] if clock[2] > 0.0 else cost
         contour_px, clear_px = statistics[CONTOUR_PX], statistics[CLEAR_PX]
         confirmed = contour_px >= LEAST_CONTOUR_PX and clear_px > MIN_SUPPORT * contour_px and equations.H[0, 0] > 0.0
         # On the predicted path a higher cost only means that the light has changed. A direction that the pixels leave
-        # open, as the distance of a face seen alone, may be far off there.
+        # open, as the distance of a face seen alone, may be far off there; and high above the table no impact has occurred.
         allowed = ACCEPTED_EXCESS_COST
+        high = lowest_m(shape, ahead, R_ahead) - HEIGHT_SIGMAS * sigma_m > BOUNCE_REACH * reach
+        if not new and high:
+            far_m, far_rad = FIRST_POSES_REACH * reach, FIRST_POSES_RAD
         if not new and confirmed and turned < far_rad:
             off = innovation_squared(ahead, R_ahead, P_ahead, p, Q, equations.H, settings)
             if off > path_chi2:
@@ -304,13 +328,24 @@ def track_frames(
         store_frame(k, p, Q, cost, equations, rows)
         for a in range(6):
             for b in range(6):
-                A[a, b] = equations.H[a, b]
-            A[a, a] += 1.0 / (prior_m * prior_m if a < 3 else prior_rad * prior_rad)
+                A[a, b] = equations.H[a, b] + prior[a, b]
         keep_light(work.light, A)
         if statistics[BACKGROUND_SHARE] > OCCLUDED_SHARE or occluders.count[0] > 0:
             pose = PoseState(p, Q, predicted.velocity, predicted.omega)
             update_occluder_mask(windows, model, occluders, pose, work)
     return frames.shape[0]
+
+
+@compiled(nogil=True)
+def lowest_m(shape: Shape, p: Any, R: Any) -> float:
+    """Height [m] of the lowest point of a die above the table."""
+    lowest = np.inf
+    for v in range(shape.vertices.shape[0]):
+        z = p[2] - shape.radius
+        for a in range(3):
+            z += R[2, a] * shape.vertices[v, a]
+        lowest = min(lowest, z)
+    return lowest
 
 
 @inner_nogil

@@ -25,7 +25,7 @@ from diethrow.tracking.picture.surface_light import (
     normal_monomials,
 )
 from diethrow.tracking.picture.view import whole_frame_windows
-from diethrow.tracking.pose.refine import pose_state
+from diethrow.tracking.pose.refine import pose_state, weak_prior
 from diethrow.tracking.pose.refine_kernels import refine_and_score
 
 Array = NDArray[np.float64]
@@ -135,7 +135,7 @@ def test_light_kept_from_earlier_pictures_reduces_errors_and_stated_errors() -> 
         for k, (state, image) in enumerate(shown(40, 3)):
             start = pose_state(state.position_m, matrix_from_quat(state.quaternion))
             p, R, _ = refine_and_score(
-                whole_frame_windows(view, image), view.model(settings), start, settings.loose_m, settings.loose_rad, 0,
+                whole_frame_windows(view, image), view.model(settings), start, weak_prior(view), 0,
                 work, equations,
             )  # fmt: skip
             if keep:
@@ -158,7 +158,7 @@ def test_light_is_that_of_the_lamp() -> None:
     for state, image in shown(20, 4):
         start = pose_state(state.position_m, matrix_from_quat(state.quaternion))
         refine_and_score(
-            whole_frame_windows(view, image), view.model(settings), start, settings.loose_m, settings.loose_rad, 0, work,
+            whole_frame_windows(view, image), view.model(settings), start, weak_prior(view), 0, work,
             equations,
         )  # fmt: skip
         keep_light(work.light, equations.H[:6, :6].copy())
