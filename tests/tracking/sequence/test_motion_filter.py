@@ -95,8 +95,8 @@ def far_moving() -> tuple[View, FrameSource, Throw]:
     """A cube that crosses the picture by more than its own radius from frame to frame: a fall filmed by a telephone."""
     room = replace(studio(440, 300), noise_grey=2.0, exposure_s=1e-3)
     right, fps = room.camera.rotation[0], 120.0
-    start = State(0.0, np.array([0.0, 0.0, 0.018]) - 0.035 * right, random_quaternion(np.random.default_rng(4)), 1.35 * right + np.array([0.0, 0.0, 0.25]),
-                  np.array([3.0, -2.0, 4.0]))  # fmt: skip
+    position, velocity = np.array([0.0, 0.0, 0.018]) - 0.035 * right, 1.35 * right + np.array([0.0, 0.0, 0.25])
+    start = State(0.0, position, random_quaternion(np.random.default_rng(4)), velocity, np.array([3.0, -2.0, 4.0]))
     throw = Throw((Flight(start, np.inf),), ())
     source = FrameSource([film(room, CUBE, throw, 7, fps=fps)])
     return room.view(CUBE), source, throw
