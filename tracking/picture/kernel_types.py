@@ -32,7 +32,7 @@ CONTOUR = 6
 BLUR = 7
 """Column of the blur."""
 
-STATISTICS = 8
+STATISTICS = 10
 """Numbers that the kernels count beside the normal equations; their places follow."""
 ROBUST_COST = 0
 """Sum over edge pixels of the truncated cost, 0 to 1 each."""
@@ -50,6 +50,10 @@ LOG_NOISE = 6
 """Sum over edge pixels of the logarithm of the residual noise [grey]."""
 BACKGROUND_SHARE = 7
 """Share of the die's own pixels that show nothing but the background."""
+EVIDENCE = 8
+"""Region cost of the picture with the die, less that of the background alone: summed over pixels, not their mean."""
+DIE_PX = 9
+"""Number of pixels on the die."""
 
 
 class Shape(NamedTuple):

@@ -14,7 +14,6 @@ import numpy as np
 
 from ...model.compiled import compiled, inner_no_memory
 from ..picture import (
-    BACKGROUND_SHARE,
     CLEAR_PX,
     CONTOUR_PX,
     LEAST_DEPTH_M,
@@ -202,8 +201,7 @@ def refine_and_score(
     cost = 0.0
     if settings.region_pixels > 0:
         pose = PoseState(p, Q, start.velocity, start.omega)
-        region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
-        statistics[BACKGROUND_SHARE] = 1.0 - differs
+        region = region_cost(windows, model, start, pose, REGION_MARGIN_PX, work, statistics)
         cost = pose_cost(region, statistics)
     return p, Q, cost
 

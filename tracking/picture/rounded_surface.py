@@ -1,0 +1,263 @@
+"""Which part of a die's surface a pixel shows: a flat face, a strip along an edge, or a rounded corner.
+
+A rounded die is a sharp polyhedron with a ball rolled round it. A ray from the camera meets it first on one of its flat faces,
+moved out by the radius; on a cylinder about an edge; or on a sphere about a vertex. Flat faces are polygons in the picture.
+Elsewhere the nearest intersection of the ray decides, and gives the normal that the pixel shows.
+
+Parts of the surface that look alike are numbered: the faces, then STRIP_CELLS pieces of equal turn of each edge, then the
+vertices.
+"""
+
+from __future__ import annotations
+
+from math import hypot, sqrt
+from typing import Any
+
+import numpy as np
+
+from ...model.compiled import inner_no_memory, inner_nogil
+from .kernel_types import STRIP_CELLS, CameraRig, PoseState, Shape, Workspace
+from .projection import (
+    LEAST_DEPTH_M,
+    ROW_ITERATIONS,
+    camera_point,
+    exposure_delay,
+    pixel_of_ray,
+    project_point,
+    turned_within,
+)
+
+NOTHING = -1
+"""Number of no part."""
+MISSED = 1e300
+"""Distance along a ray that meets nothing."""
+
+
+@inner_nogil
+def number_of_parts(shape: Shape) -> int:
+    """How many parts the surface of a die has."""
+    if shape.radius == 0.0:
+        return shape.normals.shape[0]
+    return shape.normals.shape[0] + STRIP_CELLS * shape.edges.shape[0] + shape.vertices.shape[0]
+
+
+@inner_no_memory
+def ball_px(shape: Shape, rig: CameraRig, view: int, pos: Any) -> float:
+    """Radius [px] of the ball in a view: how far the contour lies beyond that of the inner body."""
+    depth = rig.translation[view, 2]
+    for b in range(3):
+        depth += rig.rotation[view, 2, b] * pos[b]
+    return shape.radius * rig.matrix[view, 0, 0] / max(depth, LEAST_DEPTH_M)
+
+
+# --- the picture of a placed die
+
+
+@inner_nogil
+def contour_segments(shape: Shape, work: Workspace) -> Any:
+    """(edges, 8) the contour of the placed inner body: first end, direction, length [px], and its line a x + b y + c, positive
+    inside."""
+    segments, count = np.empty((shape.edges.shape[0], 8)), 0
+    mx, my, nv = 0.0, 0.0, work.vertex_px.shape[0]
+    for i in range(nv):
+        mx += work.vertex_px[i, 0] / nv
+        my += work.vertex_px[i, 1] / nv
+    for e in range(shape.edges.shape[0]):
+        if (work.face_cosine[shape.edge_faces[e, 0]] > 0.0) == (work.face_cosine[shape.edge_faces[e, 1]] > 0.0):
+            continue
+        i, k = shape.edges[e, 0], shape.edges[e, 1]
+        x, y = work.vertex_px[i, 0], work.vertex_px[i, 1]
+        dx, dy = work.vertex_px[k, 0] - x, work.vertex_px[k, 1] - y
+        length = max(hypot(dx, dy), 1e-9)
+        dx, dy = dx / length, dy / length
+        sign = 1.0 if -dy * (mx - x) + dx * (my - y) > 0.0 else -1.0
+        row = segments[count]
+        row[0], row[1], row[2], row[3], row[4] = x, y, dx, dy, length
+        row[5], row[6], row[7] = -sign * dy, sign * dx, sign * (dy * x - dx * y)
+        count += 1
+    return segments[:count]
+
+
+@inner_no_memory
+def beyond_contour(segments: Any, x: float, y: float, ball: float, band: float) -> tuple[float, float, float]:
+    """Distance [px] of a pixel from the contour, `ball` pixels beyond that of the inner body, positive outside; and the
+    direction (2,) away from the die there. Farther away than `band`, a distance of at least that, with its sign."""
+    least, nx, ny = 1e300, 0.0, 0.0
+    for k in range(segments.shape[0]):
+        within = segments[k, 5] * x + segments[k, 6] * y + segments[k, 7]
+        if within < least:
+            least, nx, ny = within, -segments[k, 5], -segments[k, 6]
+            if within < -ball - band:
+                return -within - ball, nx, ny
+    if least >= 0.0:
+        return -least - ball, nx, ny
+    nearest = 1e300
+    for k in range(segments.shape[0]):
+        s = segments[k]
+        rx, ry = x - s[0], y - s[1]
+        t = min(max(rx * s[2] + ry * s[3], 0.0), s[4])
+        rx, ry = rx - t * s[2], ry - t * s[3]
+        d2 = rx * rx + ry * ry
+        if d2 < nearest:
+            nearest, nx, ny = d2, rx, ry
+    d = sqrt(nearest)
+    return d - ball, nx / max(d, 1e-9), ny / max(d, 1e-9)
+
+
+@inner_nogil
+def flat_faces(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Workspace) -> tuple[Any, Any]:
+    """The half-planes a x + b y + c >= 0 (faces, most, 3) of the flat faces as placed, and (faces,) how many of them bound each;
+    0 for faces that are turned away."""
+    nf, most = shape.face_edges.shape
+    lines, count = np.zeros((nf, most, 3)), np.zeros(nf, np.int64)
+    late = exposure_delay(rig, pose.position)
+    arm = np.empty(3)
+    for f in range(nf):
+        if not work.face_cosine[f] > 0.0:
+            continue
+        mx, my, n = 0.0, 0.0, 0
+        for j in range(most):
+            e = shape.face_edges[f, j]
+            if e < 0:
+                break
+            for b in range(3):
+                arm[b] = work.vertex_arm[shape.edges[e, 0], b] + shape.radius * work.face_normal[f, b]
+            x0, y0 = _pixel_of_arm(rig, view, pose, arm, late)
+            for b in range(3):
+                arm[b] = work.vertex_arm[shape.edges[e, 1], b] + shape.radius * work.face_normal[f, b]
+            x1, y1 = _pixel_of_arm(rig, view, pose, arm, late)
+            lines[f, j, 0], lines[f, j, 1], lines[f, j, 2] = y0 - y1, x1 - x0, -((y0 - y1) * x0 + (x1 - x0) * y0)
+            mx, my, n = mx + 0.5 * (x0 + x1), my + 0.5 * (y0 + y1), n + 1
+        for j in range(n):
+            if lines[f, j, 0] * mx / n + lines[f, j, 1] * my / n + lines[f, j, 2] < 0.0:
+                for q in range(3):
+                    lines[f, j, q] = -lines[f, j, q]
+        count[f] = n
+    return lines, count
+
+
+@inner_no_memory
+def face_at(lines: Any, count: Any, x: float, y: float) -> int:
+    """The flat face at a pixel; NOTHING where there is none."""
+    for f in range(count.shape[0]):
+        hit = count[f] > 0
+        for k in range(count[f]):
+            if lines[f, k, 0] * x + lines[f, k, 1] * y + lines[f, k, 2] < 0.0:
+                hit = False
+                break
+        if hit:
+            return f
+    return NOTHING
+
+
+@inner_no_memory
+def _pixel_of_arm(rig: CameraRig, view: int, pose: PoseState, arm: Any, late: float) -> tuple[float, float]:
+    """Pixel of a point of the die, at the instant at which its row is exposed. `arm` is the point from the die's centre, in
+    world axes at the pose; `late` the time of the pose from that of the frame."""
+    u, v = 0.0, rig.middle_row[view]
+    rows = ROW_ITERATIONS + 1 if rig.row_s[view] != 0.0 else 1
+    for k in range(rows):
+        dt = 0.0 if k == 0 else (v - rig.middle_row[view]) * rig.row_s[view] - late
+        x, y, z = camera_point(rig, view, pose, arm, dt)
+        z = max(z, LEAST_DEPTH_M)
+        u, v = pixel_of_ray(rig.matrix[view], rig.distortion[view], x / z, y / z)
+    return u, v
+
+
+# --- rays
+
+
+@inner_nogil
+def rays_about_centre(rig: CameraRig, view: int, pos: Any) -> Any:
+    """(8,) what `ray_of_pixel` needs: pixel of the die's centre, its ray (x/z, y/z), and the derivative (2, 2) of a ray by its
+    pixel there. Over the picture of a die, lens distortion departs from this by less than a tenth of a pixel."""
+    out, J = np.zeros(8), np.zeros((2, 3))
+    x, y, z = rig.translation[view, 0], rig.translation[view, 1], rig.translation[view, 2]
+    for b in range(3):
+        x += rig.rotation[view, 0, b] * pos[b]
+        y += rig.rotation[view, 1, b] * pos[b]
+        z += rig.rotation[view, 2, b] * pos[b]
+    out[0], out[1] = project_point(rig.matrix[view], rig.distortion[view], x, y, z, J)
+    out[2], out[3] = x / z, y / z
+    det = (J[0, 0] * J[1, 1] - J[0, 1] * J[1, 0]) * z
+    out[4], out[5], out[6], out[7] = J[1, 1] / det, -J[0, 1] / det, -J[1, 0] / det, J[0, 0] / det
+    return out
+
+
+@inner_no_memory
+def fill_ray(
+    rig: CameraRig, view: int, pose: PoseState, about: Any, late: float, x: float, y: float, origin: Any, direction: Any
+) -> None:
+    """Fill origin (3,) [m] and direction (3,) of the ray of a pixel, in axes of the die as it stands when that row is exposed."""
+    R, Rcw, tcw = pose.rotation, rig.rotation[view], rig.translation[view]
+    dx, dy = x - about[0], y - about[1]
+    a, b = about[2] + about[4] * dx + about[5] * dy, about[3] + about[6] * dx + about[7] * dy
+    dt = 0.0
+    if rig.row_s[view] != 0.0:
+        dt = (y - rig.middle_row[view]) * rig.row_s[view] - late
+    o0, o1, o2 = -pose.position[0], -pose.position[1], -pose.position[2]
+    o0, o1, o2 = o0 - pose.velocity[0] * dt, o1 - pose.velocity[1] * dt, o2 - pose.velocity[2] * dt
+    for k in range(3):
+        o0 -= Rcw[k, 0] * tcw[k]
+        o1 -= Rcw[k, 1] * tcw[k]
+        o2 -= Rcw[k, 2] * tcw[k]
+    d0 = Rcw[0, 0] * a + Rcw[1, 0] * b + Rcw[2, 0]
+    d1 = Rcw[0, 1] * a + Rcw[1, 1] * b + Rcw[2, 1]
+    d2 = Rcw[0, 2] * a + Rcw[1, 2] * b + Rcw[2, 2]
+    if dt != 0.0:
+        o0, o1, o2 = turned_within(pose.omega, -dt, o0, o1, o2)
+        d0, d1, d2 = turned_within(pose.omega, -dt, d0, d1, d2)
+    for k in range(3):
+        origin[k] = R[0, k] * o0 + R[1, k] * o1 + R[2, k] * o2
+        direction[k] = R[0, k] * d0 + R[1, k] * d1 + R[2, k] * d2
+
+
+@inner_no_memory
+def part_on_ray(shape: Shape, face_cosine: Any, origin: Any, direction: Any, normal: Any) -> int:
+    """The strip or corner of a rounded die that a ray meets first, and in `normal` (3,) the normal there, all in axes of the
+    die; NOTHING if it meets none. Flat faces are not asked, nor what lies between two that are turned away."""
+    o0, o1, o2 = origin[0], origin[1], origin[2]
+    d0, d1, d2 = direction[0], direction[1], direction[2]
+    size = sqrt(d0 * d0 + d1 * d1 + d2 * d2)
+    d0, d1, d2 = d0 / size, d1 / size, d2 / size
+    radius, nf, ne = shape.radius, shape.normals.shape[0], shape.edges.shape[0]
+    nearest, part = MISSED, NOTHING
+    for e in range(ne):
+        if face_cosine[shape.edge_faces[e, 0]] <= 0.0 and face_cosine[shape.edge_faces[e, 1]] <= 0.0:
+            continue
+        p, q = shape.vertices[shape.edges[e, 0]], shape.vertices[shape.edges[e, 1]]
+        a0, a1, a2 = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+        aa = a0 * a0 + a1 * a1 + a2 * a2
+        w0, w1, w2 = o0 - p[0], o1 - p[1], o2 - p[2]
+        da, wa = d0 * a0 + d1 * a1 + d2 * a2, w0 * a0 + w1 * a1 + w2 * a2
+        A = 1.0 - da * da / aa
+        B = w0 * d0 + w1 * d1 + w2 * d2 - da * wa / aa
+        C = w0 * w0 + w1 * w1 + w2 * w2 - wa * wa / aa - radius * radius
+        disc = B * B - A * C
+        if disc < 0.0 or A <= 0.0:
+            continue
+        t = (-B - sqrt(disc)) / A
+        s = (wa + t * da) / aa
+        if s < 0.0 or s > 1.0 or t >= nearest:
+            continue
+        nearest = t
+        n0, n1 = w0 + t * d0 - s * a0, w1 + t * d1 - s * a1
+        n2 = w2 + t * d2 - s * a2
+        normal[0], normal[1], normal[2] = n0 / radius, n1 / radius, n2 / radius
+        f, g = shape.normals[shape.edge_faces[e, 0]], shape.normals[shape.edge_faces[e, 1]]
+        along = 1.0 - (f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
+        turned = normal[0] * (g[0] - f[0]) + normal[1] * (g[1] - f[1]) + normal[2] * (g[2] - f[2])
+        cell = int(STRIP_CELLS * 0.5 * (1.0 + turned / along))
+        part = nf + e * STRIP_CELLS + min(max(cell, 0), STRIP_CELLS - 1)
+    for i in range(shape.vertices.shape[0]):
+        p = shape.vertices[i]
+        w0, w1, w2 = o0 - p[0], o1 - p[1], o2 - p[2]
+        B = w0 * d0 + w1 * d1 + w2 * d2
+        disc = B * B - (w0 * w0 + w1 * w1 + w2 * w2 - radius * radius)
+        if disc < 0.0:
+            continue
+        t = -B - sqrt(disc)
+        if t < nearest:
+            nearest, part = t, nf + ne * STRIP_CELLS + i
+            normal[0], normal[1], normal[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
+    return part
