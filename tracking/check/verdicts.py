@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
-from ..footage import REPEATED
+from ..footage import AS_STORED, REPEATED, TURNED
 from ..timing import FaultKind, FrameTimes
 from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
@@ -130,6 +130,7 @@ def judge(
     the corners."""
     findings = [
         _timing(quality.timing, exposure_s),
+        *_orientation(quality.timing),
         _background(quality.background_match),
         _light(quality.background_match, quality.tracked_part),
     ]
@@ -159,7 +160,7 @@ def judge_throw(
     by_fall = [_scale(fall, die), _vertical(fall)]
     if not fall_notices(fall):
         by_fall = [replace(f, verdict=Verdict.DOUBTFUL) if f.verdict is Verdict.BAD else f for f in by_fall]
-    return _timing(timing, exposure_s), *by_fall, _table(*contacts)
+    return _timing(timing, exposure_s), *_orientation(timing), *by_fall, _table(*contacts)
 
 
 def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
@@ -169,7 +170,8 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         "playback_hz": timing.playback_hz,
         "largest_uneven_share": timing.uneven_share,
     }
-    repeated = [notice for notice in timing.notices if REPEATED in notice]
+    notices = [notice for notice in timing.notices if TURNED not in notice and AS_STORED not in notice]
+    repeated = [notice for notice in notices if REPEATED in notice]
     measured = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
     if timing.file_rate_hz is not None:
         measured += ", the rate that the file declares"
@@ -182,8 +184,8 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
     if repeated:
         advice = "the software filled in dropped frames; export the clip again, or exclude these frames (clip.exclude)"
         return Finding("timing", Verdict.BAD, f"{measured}. {repeated[0]}", advice, values)
-    if timing.uneven_share > MAX_UNEVEN_SHARE or timing.notices:
-        rest = " ".join(timing.notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
+    if timing.uneven_share > MAX_UNEVEN_SHARE or notices:
+        rest = " ".join(notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
         return Finding(
             "timing", Verdict.DOUBTFUL, f"{measured}. {rest}", "check whether these times are the camera's", values
         )
@@ -192,6 +194,17 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         measured += f"; the exposure is {1e6 * file_s:.4g} µs by the file and {1e6 * scene_s:.4g} µs by the scene"
         return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {file_s:.4g}", values)
     return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
+
+
+def _orientation(timing: FrameTiming) -> tuple[Finding, ...]:
+    """How frames are turned, where the file asks players to change them."""
+    turned = [notice for notice in timing.notices if TURNED in notice]
+    stored = [notice for notice in timing.notices if AS_STORED in notice]
+    advice = "check that [camera] and background show the frames as they are stored"
+    return (
+        *(Finding("orientation", Verdict.GOOD, notice) for notice in turned),
+        *(Finding("orientation", Verdict.DOUBTFUL, notice, advice) for notice in stored),
+    )
 
 
 def _frame_faults(found: FrameTimes, measured: str, values: dict[str, float | None]) -> Finding:

@@ -21,8 +21,10 @@ from .frame_blocks import FrameSource as FrameSource
 from .frame_blocks import Rows as Rows
 from .images import read_picture as read_picture
 from .photron import is_photron as is_photron
+from .reader import AS_STORED as AS_STORED
 from .reader import MAX_PIXELS as MAX_PIXELS
 from .reader import REPEATED as REPEATED
+from .reader import TURNED as TURNED
 from .reader import Frame as Frame
 from .response import EXPONENTS as EXPONENTS
 from .response import NAMED_RESPONSES as NAMED_RESPONSES

@@ -29,6 +29,10 @@ MAX_FRAMES = 2**24
 """Most frames accepted: with more of them the times alone fill the memory."""
 REPEATED = "exact copies of the one before"
 """Words of the notice on repeated frames, by which others recognise it."""
+TURNED = "as the file asks players to"
+"""Words of the notice on turned frames."""
+AS_STORED = "as they are stored"
+"""Words of the notice on frames that are not shown as the file asks players to."""
 MAX_LISTED = 8
 """Most frame numbers that a notice lists."""
 
