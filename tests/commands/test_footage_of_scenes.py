@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from footage_files import noisy_frames, with_display_matrix, write_video
+from footage_files import noisy_frames, with_display_matrix, write_pictures, write_video
 
-from diethrow.commands.clip.footage import open_footage, open_frames, readout_of_frames
+from diethrow.commands.clip.footage import open_background, open_footage, open_frames, readout_of_frames
 from diethrow.files.scene import Scene, read_scene
 from diethrow.files.settings import SceneError
+from diethrow.tracking.check import Verdict, frame_timing, judge_throw
+from diethrow.tracking.footage import smoothed
 
 FRAMES = noisy_frames(6)
 """(6, 48, 64)."""
@@ -22,13 +24,17 @@ def scene_of(folder: Path, matrix: tuple[int, int, int, int], size: tuple[int, i
     """The scene of an MP4 with a display matrix, and of a camera of (width, height)."""
     film = write_video(folder / "x.mp4", FRAMES, fps=30, codec="libx264", options={"qp": "0"})
     with_display_matrix(film, *matrix)
+    return read_scene(scene_file(folder, "x.mp4", size, f"readout_s = {readout_s}"))
+
+
+def scene_file(folder: Path, clip: str, size: tuple[int, int], keys: str) -> Path:
     path = folder / "scene.toml"
     path.write_text(
         f"""
 [clip]
-path = "x.mp4"
+path = "{clip}"
 fps = 500.0
-readout_s = {readout_s}
+{keys}
 [camera]
 width = {size[0]}
 height = {size[1]}
@@ -43,7 +49,7 @@ edge_m = 0.016
 mass_kg = 0.0048
 """
     )
-    return read_scene(path)
+    return path
 
 
 def test_a_camera_of_turned_frames_sees_them_turned(tmp_path: Path) -> None:
@@ -91,3 +97,26 @@ def test_clips_that_are_turned_differently_have_no_common_readout(tmp_path: Path
     clips.append(open_frames(upright, upright.views()[0], None))
     with pytest.raises(SceneError, match=r"clip\.readout_s = 0\.001: some of the clips are turned by 180°"):
         readout_of_frames(upright, clips)
+
+
+def test_a_mosaic_is_removed_from_frames_parts_and_background_alike_and_reported(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    cells = np.tile([[50.0, 90.0], [90.0, 60.0]], (48, 64))
+    frames = np.rint(cells + 2.0 * rng.standard_normal((12, *cells.shape))).astype(np.uint8)
+    write_pictures(tmp_path / "frames", frames)
+    write_pictures(tmp_path / "empty", frames[:1])
+    path = scene_file(tmp_path, "frames", (128, 96), 'background = "empty/frame_1.png"')
+    scene = read_scene(path)
+    view = scene.views()[0]
+    clip = open_footage(scene, view)
+    np.testing.assert_array_equal(clip.frame(4), smoothed(frames[4]))
+    np.testing.assert_array_equal(open_frames(scene, view, (4, 5), part_of=clip).frame(0), smoothed(frames[4]))
+    background = open_background(scene, view, clip)
+    assert background is not None
+    assert float(np.abs(background - smoothed(frames[0].astype(np.float32))).max()) < 1e-4
+    assert "frames: the frames are the raw mosaic of a colour sensor" in clip.notices[0]
+    timing, mosaic, *_ = judge_throw(
+        frame_timing(clip, clip.notices), None, (np.empty(0), np.empty(0)), scene.die, None
+    )
+    assert (timing.name, timing.verdict) == ("timing", Verdict.GOOD)
+    assert (mosaic.name, mosaic.verdict) == ("mosaic", Verdict.DOUBTFUL)

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
-from ..footage import AS_STORED, REPEATED, TURNED
+from ..footage import AS_STORED, MOSAIC, REPEATED, TURNED
 from ..timing import FaultKind, FrameTimes
 from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
@@ -115,6 +115,8 @@ OPEN_READOUT_SHARE = 0.5
 """Share of the frame interval up to which a readout would go unnoticed where the pictures are said to show none."""
 MAX_EXPOSURE_MISMATCH = 0.1
 """Share by which the exposures of scene and file may differ: headers round it."""
+OF_PICTURES = (TURNED, AS_STORED, MOSAIC)
+"""Words of the reader's notices that say nothing of the times."""
 MAX_LOST_SHARE = 0.1
 """Largest share of lost frames among the tracked and lost ones that is good."""
 
@@ -130,7 +132,7 @@ def judge(
     the corners."""
     findings = [
         _timing(quality.timing, exposure_s),
-        *_orientation(quality.timing),
+        *_pictures(quality.timing),
         _background(quality.background_match),
         _light(quality.background_match, quality.tracked_part),
     ]
@@ -160,7 +162,7 @@ def judge_throw(
     by_fall = [_scale(fall, die), _vertical(fall)]
     if not fall_notices(fall):
         by_fall = [replace(f, verdict=Verdict.DOUBTFUL) if f.verdict is Verdict.BAD else f for f in by_fall]
-    return _timing(timing, exposure_s), *_orientation(timing), *by_fall, _table(*contacts)
+    return _timing(timing, exposure_s), *_pictures(timing), *by_fall, _table(*contacts)
 
 
 def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
@@ -170,7 +172,7 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         "playback_hz": timing.playback_hz,
         "largest_uneven_share": timing.uneven_share,
     }
-    notices = [notice for notice in timing.notices if TURNED not in notice and AS_STORED not in notice]
+    notices = [notice for notice in timing.notices if not any(words in notice for words in OF_PICTURES)]
     repeated = [notice for notice in notices if REPEATED in notice]
     measured = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
     if timing.file_rate_hz is not None:
@@ -196,14 +198,19 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
     return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
 
 
-def _orientation(timing: FrameTiming) -> tuple[Finding, ...]:
-    """How frames are turned, where the file asks players to change them."""
+def _pictures(timing: FrameTiming) -> tuple[Finding, ...]:
+    """What the reader changed in the pictures: their orientation, and the mosaic of a colour sensor."""
     turned = [notice for notice in timing.notices if TURNED in notice]
     stored = [notice for notice in timing.notices if AS_STORED in notice]
+    mosaics = [notice for notice in timing.notices if MOSAIC in notice]
     advice = "check that [camera] and background show the frames as they are stored"
+    sharper = (
+        "edges are sharper with a monochrome camera, or in luminance that the camera's software has made of the colours"
+    )
     return (
         *(Finding("orientation", Verdict.GOOD, notice) for notice in turned),
         *(Finding("orientation", Verdict.DOUBTFUL, notice, advice) for notice in stored),
+        *(Finding("mosaic", Verdict.DOUBTFUL, notice, sharper) for notice in mosaics),
     )
 
 

@@ -33,6 +33,8 @@ TURNED = "as the file asks players to"
 """Words of the notice on turned frames."""
 AS_STORED = "as they are stored"
 """Words of the notice on frames that are not shown as the file asks players to."""
+MOSAIC = "raw mosaic of a colour sensor"
+"""Words of the notice on frames with colour filters."""
 MAX_LISTED = 8
 """Most frame numbers that a notice lists."""
 

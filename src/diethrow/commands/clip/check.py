@@ -96,7 +96,7 @@ def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: Manua
     background, response = open_background(scene, view, clip), scene.clip.response
 
     def open_part(first: int, stop: int) -> Clip:
-        return clip_in_light(open_frames(scene, view, (first, stop)), response)
+        return clip_in_light(open_frames(scene, view, (first, stop), part_of=clip), response)
 
     try:
         exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")

@@ -3,6 +3,8 @@
 A phone that is held upright stores its frames on their side and asks players to turn them. Tracking uses turned frames, as a
 calibration does that was made on pictures of a player or of OpenCV. A camera whose size is that of the stored frames was
 calibrated on those, and they are left as they are stored.
+
+The raw mosaic of a colour sensor is smoothed away, in the frames and in the background picture alike.
 """
 
 from __future__ import annotations
@@ -16,12 +18,17 @@ from numpy.typing import NDArray
 from ...files.scene import Scene, View
 from ...files.settings import SceneError, refuse
 from ...tracking.footage import (
+    MOSAIC,
     TURNED,
     Clip,
+    clip_without_mosaic,
+    has_mosaic,
     load_background,
+    mosaic_of,
     open_clip,
     picture_in_light,
     shows_one_picture,
+    smoothed,
 )
 
 SAME_INTERVAL = 1e-3
@@ -47,16 +54,21 @@ def open_footage(scene: Scene, view: View) -> Clip:
     return clip
 
 
-def open_frames(scene: Scene, view: View, frame_range: tuple[int, int] | None) -> Clip:
-    """Frames of a view as its camera is calibrated for them, without any check. Raises ValueError or OSError if they are
-    unreadable."""
+def open_frames(scene: Scene, view: View, frame_range: tuple[int, int] | None, *, part_of: Clip | None = None) -> Clip:
+    """Frames of a view as its camera is calibrated for them, without any check, and without a mosaic: that of `part_of`, if it is
+    given. Raises ValueError or OSError if they are unreadable."""
     assert view.path is not None, "views() demands paths"
     camera, fps = view.camera, scene.clip.fps
     clip = open_clip(view.path, fps=fps, frame_range=frame_range)
     is_on_its_side = turned_deg(clip) % 180 == 90 and clip.width_px != clip.height_px
     if is_on_its_side and (clip.height_px, clip.width_px) == (camera.width_px, camera.height_px):
         clip = open_clip(view.path, fps=fps, frame_range=frame_range, as_stored=True)
-    return clip
+    if part_of is not None:
+        notice = next((notice for notice in part_of.notices if MOSAIC in notice), None)
+    else:
+        mosaic = mosaic_of(clip)
+        notice = None if mosaic is None else mosaic.notice(view.path.name)
+    return clip if notice is None else clip_without_mosaic(clip, notice)
 
 
 def readout_of_frames(scene: Scene, clips: Sequence[Clip]) -> Scene:
@@ -101,6 +113,7 @@ def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32]
     if view.background_path is None:
         return None
     try:
-        return picture_in_light(load_background(view.background_path, clip), clip, scene.clip.response)
+        picture = load_background(view.background_path, clip)
+        return picture_in_light(smoothed(picture) if has_mosaic(clip) else picture, clip, scene.clip.response)
     except (ValueError, OSError) as error:
         raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error

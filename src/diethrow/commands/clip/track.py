@@ -24,7 +24,6 @@ from ...tracking.footage import (
     WHOLE_CLIP,
     Clip,
     Decimation,
-    clip_at_times,
     clip_files,
     clip_in_light,
     level_grey,
@@ -33,7 +32,7 @@ from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import ClipFacts
 from ...tracking.surface_marks import read_faces, with_numbers
 from ...tracking.throw import NoFlightError, flights_only, measure
-from ...tracking.timing import ClipClock, TimedTracking, Timing, track_clip_in_time
+from ...tracking.timing import ClipClock, TimedTracking, Timing, clip_at_times, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
 from .footage import open_background, open_footage, readout_of_frames
 
