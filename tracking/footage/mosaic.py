@@ -161,7 +161,7 @@ class _FillingSmoothedClip(_SmoothedClip):
         is_empty = (boxes[:, 2:] <= boxes[:, :2]).any(1)
         wider[is_empty] = 0
         self._filling.fill(start, raw, wider)
-        for k in np.flatnonzero(~is_empty):
+        for k in np.flatnonzero(~is_empty).tolist():
             (x0, y0, x1, y1), (left, top, right, bottom) = boxes[k].tolist(), wider[k].tolist()
             part = smoothed(raw[k, top:bottom, left:right])
             out[k, y0:y1, x0:x1] = part[y0 - top : y1 - top, x0 - left : x1 - left]

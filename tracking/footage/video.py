@@ -152,8 +152,7 @@ class VideoClip(Footage):
         grey = _grey(decoded, self._mono)
         if self._quarter_turns == 0:
             return grey
-        upright: Frame = np.ascontiguousarray(np.rot90(grey, self._quarter_turns))
-        return upright
+        return np.rot90(grey, self._quarter_turns).copy()
 
     def _decode(self, number: int) -> av.VideoFrame:
         """Decode up to frame `number`, from the key packet before it unless the decoder is nearer."""
