@@ -32,6 +32,7 @@ from ..timing import FaultKind, FrameTimes
 from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
 from .gravity import Fall, fall_notices
+from .second_die import SecondDie
 from .shutter import Readout
 
 Array = NDArray[np.float64]
@@ -142,6 +143,8 @@ def judge(
         return (*findings, Finding("die", Verdict.BAD, f"No die could be tracked: {quality.failure}.", advice))
     findings += [_tracking(tracked_part), _size(tracked_part), _motion_blur(tracked_part), _lens_blur(tracked_part)]
     findings.append(_shutter(tracked_part.readout, readout_s))
+    if tracked_part.second_die is not None:
+        findings.append(_second_die(tracked_part.second_die))
     if rounding is not CornerRounding.GIVEN:
         findings.append(_corners(tracked_part))
     findings += [
@@ -379,6 +382,13 @@ def _shutter(found: Readout | None, stated_s: float) -> Finding:
     shown = f"the pictures suggest {found.readout_s:.2g}" if found.readout_s > least_s else "the pictures show none"
     advice = f"measure clip.readout_s, or leave it out for a global shutter; {shown}"
     return Finding("shutter", Verdict.DOUBTFUL, text, advice, values)
+
+
+def _second_die(found: SecondDie) -> Finding:
+    """A second die in view; it is there only if one was found."""
+    values: dict[str, float | None] = {"frames": float(found.frames), "searched": float(found.searched)}
+    measured, _, advice = found.notice.rstrip(".").partition(": ")
+    return Finding("second die", Verdict.DOUBTFUL, f"{measured}.", advice, values)
 
 
 def _corners(tracked_part: TrackedPart) -> Finding:

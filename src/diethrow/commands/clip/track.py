@@ -20,12 +20,14 @@ from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
+from ...tracking.check import find_second_die
 from ...tracking.footage import (
     WHOLE_CLIP,
     Clip,
     Decimation,
     clip_files,
     clip_in_light,
+    estimate_background,
     level_grey,
 )
 from ...tracking.quality import QUALITIES, STANDARD, Quality
@@ -115,6 +117,8 @@ def track_scene(
             clips = [clip_at_times(clip, times.times_s) for clip in clips]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
+        empty = estimate_background(light[0]) if backgrounds[0] is None else backgrounds[0]
+        second = find_second_die(light[0], followed.track, cameras[0], followed.die, empty, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
         unbiased, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
@@ -124,7 +128,7 @@ def track_scene(
         raise
     return Tracking(
         tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners,
-        times.renumbered(clips[0].first_frame, decimation.every),
+        times.renumbered(clips[0].first_frame, decimation.every), second,
     )  # fmt: skip
 
 
