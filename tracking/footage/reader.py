@@ -129,7 +129,8 @@ class Footage(ABC):
 
     def metadata(self) -> dict[str, Any]:
         """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them, and `time_stamps`
-        says whether it states the time of every frame."""
+        says whether it states the time of every frame. Of a video, `turned_deg` is the angle, counter-clockwise, by which its
+        frames are turned."""
         return {"record_rate_hz": None, "exposure_s": None, "time_stamps": False, **self._facts}
 
     def frame(self, index: int) -> Frame:
