@@ -35,7 +35,8 @@ from measuring import peak_MB, timed
 from numpy.typing import NDArray
 from replay_records import ArrayClip
 
-from diethrow.commands.clip.track import open_footage, track_only, track_scene
+from diethrow.commands.clip.footage import open_footage
+from diethrow.commands.clip.track import track_only, track_scene
 from diethrow.files.scene import read_scene
 from diethrow.model.laws import SmoothImpact
 from diethrow.model.throw.motion import State, Throw

@@ -363,7 +363,7 @@ def save_picture(clips: Path, result: dict[str, Any], folder: Path) -> None:
     """Six frames of a clip side by side, at the worst of it: the frames around the first wrong pose, or spread evenly."""
     import cv2
 
-    from diethrow.commands.clip.track import open_footage
+    from diethrow.commands.clip.footage import open_footage
 
     folder.mkdir(parents=True, exist_ok=True)
     try:

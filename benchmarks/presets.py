@@ -223,7 +223,7 @@ def save_pictures(films: Path, names: Sequence[str], path: Path) -> None:
     """Six frames of every film, a row each."""
     import cv2
 
-    from diethrow.commands.clip.track import open_footage
+    from diethrow.commands.clip.footage import open_footage
 
     rows = []
     for name in names:

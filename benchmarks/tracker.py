@@ -62,7 +62,8 @@ from numpy.typing import NDArray
 from replay_records import ArrayClip
 
 from diethrow.analysis import Tracking
-from diethrow.commands.clip.track import open_footage, track_scene
+from diethrow.commands.clip.footage import open_footage
+from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.model.die.die import Die
 from diethrow.model.rotations import (

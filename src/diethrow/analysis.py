@@ -12,7 +12,7 @@ from .fitting.results import Fit
 from .model.die import Die
 from .model.throw import Throw
 from .tracking.camera import Camera
-from .tracking.check import fall_notices, measure_fall
+from .tracking.check import SecondDie, fall_notices, measure_fall
 from .tracking.clip_parameters import ClockOffsets, CornerRadius
 from .tracking.footage import Clip
 from .tracking.surface_marks import FaceNumbers
@@ -64,6 +64,8 @@ class Tracking:
     """Estimated corner radius, which `die` has; None if the scene states it or the corners look sharp."""
     times: FrameTimes
     """Times of the frames, and the faults that the motion shows in those of the file."""
+    second_die: SecondDie | None = None
+    """A second die in view of the first camera."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -79,6 +81,7 @@ class Tracking:
             *self.times.notices,
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
+            *((self.second_die.notice,) if self.second_die is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *fall_notices(measure_fall(self.frames, self.measured)),
         )

@@ -12,7 +12,7 @@ import pytest
 from command_line import CUBE, LAW, RELEASE, SMALL_CAMERA, invoke, text_file
 from film_studio import with_mitsuba
 
-from diethrow.commands.clip.track import open_footage
+from diethrow.commands.clip.footage import open_footage
 from diethrow.commands.model.film_settings import FilmSettings
 from diethrow.commands.model.filmed_throw import camera_for, film_job, recorded, scene_text
 from diethrow.files.plan import read_plan

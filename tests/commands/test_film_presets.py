@@ -13,7 +13,7 @@ import pytest
 from command_line import CUBE, LAW, RELEASE, invoke, text_file
 from film_studio import with_mitsuba
 
-from diethrow.commands.clip.track import open_footage
+from diethrow.commands.clip.footage import open_footage
 from diethrow.commands.model.film_presets import PRESETS, preset_rows, preset_values
 from diethrow.commands.model.film_settings import FilmSettings, film_settings
 from diethrow.commands.model.filmed_throw import film, film_job, scene_text

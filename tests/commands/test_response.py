@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from diethrow.analysis import Tracking
 from diethrow.commands.clip.check import check_clip
-from diethrow.commands.clip.track import open_footage, track_scene
+from diethrow.commands.clip.footage import open_footage
+from diethrow.commands.clip.track import track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.footage import Decimation
 from diethrow.tracking.quality import FAST

@@ -54,6 +54,18 @@ def write_video(
     return path
 
 
+def with_display_matrix(path: Path, a: float, b: float, c: float, d: float) -> Path:
+    """An MP4 with another display matrix [a b; c d] in its track header."""
+    content = bytearray(path.read_bytes())
+    # The matrix of a track header of version 0 follows 44 bytes behind its name.
+    begin = content.find(b"tkhd") + 44
+    assert content[begin + 32 : begin + 36] == b"\x40\0\0\0"
+    a, b, c, d = (round(each * (1 << 16)) for each in (a, b, c, d))
+    content[begin : begin + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(content)
+    return path
+
+
 def video_frame(levels: NDArray, pixels: str) -> av.VideoFrame:
     """A grey frame for the encoder, written by its plane, since PyAV supports some depths only."""
     height, width = levels.shape

@@ -12,6 +12,8 @@ from .clip_quality import frame_timing as frame_timing
 from .clip_quality import measure_clip_quality as measure_clip_quality
 from .gravity import fall_notices as fall_notices
 from .gravity import measure_fall as measure_fall
+from .second_die import SecondDie as SecondDie
+from .second_die import find_second_die as find_second_die
 from .verdicts import Finding as Finding
 from .verdicts import Verdict as Verdict
 from .verdicts import judge as judge

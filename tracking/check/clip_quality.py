@@ -9,6 +9,7 @@ frame with the die in view. All else follows from its poses and their pixels:
   marks, depth). With a first-order autoregression of correlation r, a sum of n terms has (1 + r) / (1 - r) times the variance of
   independent ones, and the interval is widened accordingly;
 - the shutter: the readout that shears the die in the picture (`shutter`);
+- a second die: regions as large as the die beside it (`second_die`);
 - the table: the height of the contact at every bounce that was resolved.
 """
 
@@ -47,6 +48,7 @@ from ..throw import NoFlightError, measure_throw, transition_matrix
 from ..timing import ITS_OWN, ClipClock, FrameTimes, track_clip_in_time
 from ..track import Track
 from .gravity import Fall, measure_fall
+from .second_die import SecondDie, find_second_die
 from .shutter import Readout, estimate_readout
 
 Array = NDArray[np.float64]
@@ -138,6 +140,8 @@ class TrackedPart:
     """The estimated radius of the corners; None where the scene gives it, or the corners look sharp."""
     readout: Readout | None = None
     """The readout of a rolling shutter, estimated from the shear of the die; None where too few frames show it."""
+    second_die: SecondDie | None = None
+    """A second die in view; None where too few frames show one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +195,9 @@ def measure_clip_quality(
 
             tracked_part = _tracked_part(part, followed.track, view_with(facts.readout_s), followed.corners)
             tracked_part = _with_readout(part, tracked_part, view_with, facts.readout_s)
+            if tracked_part is not None:
+                other = find_second_die(part, followed.track, camera, followed.die, empty, facts.level_grey)
+                tracked_part = replace(tracked_part, second_die=other)
         except NoDieError as error:
             failure = str(error)
         notices = (*notices, *(notice for notice in part.notices if notice not in notices))

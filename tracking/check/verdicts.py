@@ -27,11 +27,12 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.world import GRAVITY_M_S2
 from ..clip_parameters import CornerRounding
-from ..footage import REPEATED
+from ..footage import AS_STORED, MOSAIC, REPEATED, TURNED
 from ..timing import FaultKind, FrameTimes
 from ..track import LOST
 from .clip_quality import BackgroundMatch, ClipQuality, FrameTiming, TrackedPart
 from .gravity import Fall, fall_notices
+from .second_die import SecondDie
 from .shutter import Readout
 
 Array = NDArray[np.float64]
@@ -115,6 +116,8 @@ OPEN_READOUT_SHARE = 0.5
 """Share of the frame interval up to which a readout would go unnoticed where the pictures are said to show none."""
 MAX_EXPOSURE_MISMATCH = 0.1
 """Share by which the exposures of scene and file may differ: headers round it."""
+OF_PICTURES = (TURNED, AS_STORED, MOSAIC)
+"""Words of the reader's notices that say nothing of the times."""
 MAX_LOST_SHARE = 0.1
 """Largest share of lost frames among the tracked and lost ones that is good."""
 
@@ -130,6 +133,7 @@ def judge(
     the corners."""
     findings = [
         _timing(quality.timing, exposure_s),
+        *_pictures(quality.timing),
         _background(quality.background_match),
         _light(quality.background_match, quality.tracked_part),
     ]
@@ -139,6 +143,8 @@ def judge(
         return (*findings, Finding("die", Verdict.BAD, f"No die could be tracked: {quality.failure}.", advice))
     findings += [_tracking(tracked_part), _size(tracked_part), _motion_blur(tracked_part), _lens_blur(tracked_part)]
     findings.append(_shutter(tracked_part.readout, readout_s))
+    if tracked_part.second_die is not None:
+        findings.append(_second_die(tracked_part.second_die))
     if rounding is not CornerRounding.GIVEN:
         findings.append(_corners(tracked_part))
     findings += [
@@ -159,7 +165,7 @@ def judge_throw(
     by_fall = [_scale(fall, die), _vertical(fall)]
     if not fall_notices(fall):
         by_fall = [replace(f, verdict=Verdict.DOUBTFUL) if f.verdict is Verdict.BAD else f for f in by_fall]
-    return _timing(timing, exposure_s), *by_fall, _table(*contacts)
+    return _timing(timing, exposure_s), *_pictures(timing), *by_fall, _table(*contacts)
 
 
 def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
@@ -169,7 +175,8 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         "playback_hz": timing.playback_hz,
         "largest_uneven_share": timing.uneven_share,
     }
-    repeated = [notice for notice in timing.notices if REPEATED in notice]
+    notices = [notice for notice in timing.notices if not any(words in notice for words in OF_PICTURES)]
+    repeated = [notice for notice in notices if REPEATED in notice]
     measured = f"{timing.frames} frames at {timing.rate_hz:.6g} frames/s"
     if timing.file_rate_hz is not None:
         measured += ", the rate that the file declares"
@@ -182,8 +189,8 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
     if repeated:
         advice = "the software filled in dropped frames; export the clip again, or exclude these frames (clip.exclude)"
         return Finding("timing", Verdict.BAD, f"{measured}. {repeated[0]}", advice, values)
-    if timing.uneven_share > MAX_UNEVEN_SHARE or timing.notices:
-        rest = " ".join(timing.notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
+    if timing.uneven_share > MAX_UNEVEN_SHARE or notices:
+        rest = " ".join(notices) or f"Steps between frames vary by {100 * timing.uneven_share:.2g} %."
         return Finding(
             "timing", Verdict.DOUBTFUL, f"{measured}. {rest}", "check whether these times are the camera's", values
         )
@@ -192,6 +199,22 @@ def _timing(timing: FrameTiming, exposure_s: float | None) -> Finding:
         measured += f"; the exposure is {1e6 * file_s:.4g} µs by the file and {1e6 * scene_s:.4g} µs by the scene"
         return Finding("timing", Verdict.DOUBTFUL, measured + ".", f"set clip.exposure_s = {file_s:.4g}", values)
     return Finding("timing", Verdict.GOOD, f"{measured}, evenly spaced.", "", values)
+
+
+def _pictures(timing: FrameTiming) -> tuple[Finding, ...]:
+    """What the reader changed in the pictures: their orientation, and the mosaic of a colour sensor."""
+    turned = [notice for notice in timing.notices if TURNED in notice]
+    stored = [notice for notice in timing.notices if AS_STORED in notice]
+    mosaics = [notice for notice in timing.notices if MOSAIC in notice]
+    advice = "check that [camera] and background show the frames as they are stored"
+    sharper = (
+        "edges are sharper with a monochrome camera, or in luminance that the camera's software has made of the colours"
+    )
+    return (
+        *(Finding("orientation", Verdict.GOOD, notice) for notice in turned),
+        *(Finding("orientation", Verdict.DOUBTFUL, notice, advice) for notice in stored),
+        *(Finding("mosaic", Verdict.DOUBTFUL, notice, sharper) for notice in mosaics),
+    )
 
 
 def _frame_faults(found: FrameTimes, measured: str, values: dict[str, float | None]) -> Finding:
@@ -359,6 +382,13 @@ def _shutter(found: Readout | None, stated_s: float) -> Finding:
     shown = f"the pictures suggest {found.readout_s:.2g}" if found.readout_s > least_s else "the pictures show none"
     advice = f"measure clip.readout_s, or leave it out for a global shutter; {shown}"
     return Finding("shutter", Verdict.DOUBTFUL, text, advice, values)
+
+
+def _second_die(found: SecondDie) -> Finding:
+    """A second die in view; it is there only if one was found."""
+    values: dict[str, float | None] = {"frames": float(found.frames), "searched": float(found.searched)}
+    measured, _, advice = found.notice.rstrip(".").partition(": ")
+    return Finding("second die", Verdict.DOUBTFUL, f"{measured}.", advice, values)
 
 
 def _corners(tracked_part: TrackedPart) -> Finding:

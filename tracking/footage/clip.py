@@ -70,12 +70,15 @@ class FillsFrames(Protocol):
         ...
 
 
-def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None) -> Clip:
+def open_clip(
+    path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None, as_stored: bool = False
+) -> Clip:
     """A clip of any format: video, numbered pictures, multi-page TIFF, Photron, Phantom.
 
     `path` is a video; a folder of numbered pictures, one of them (for the whole sequence) or a glob pattern; a TIFF; a .cih or
     .cihx header or its .mraw; a .cine. `fps` [1/s] is the recording rate, required where the file has only a playback rate.
-    `frame_range` (first, stop) restricts the frames; times still count from the file's first frame.
+    `frame_range` (first, stop) restricts the frames; times still count from the file's first frame. Frames of a video are turned
+    as it asks players to, unless `as_stored`.
 
     Raises FileNotFoundError where there is no such file, and ValueError for a file that is no film, for a rate that is missing
     or contradicts the file's, and for a range outside the film.
@@ -93,7 +96,9 @@ def open_clip(path: Path, *, fps: float | None = None, frame_range: tuple[int, i
         return open_cine(path, fps, frame_range)
     if is_photron(path):
         return open_photron(path, fps, frame_range)
-    return (open_pictures if _is_picture(path) else open_video)(path, fps, frame_range)
+    if _is_picture(path):
+        return open_pictures(path, fps, frame_range)
+    return open_video(path, fps, frame_range, as_stored=as_stored)
 
 
 def clip_files(path: Path) -> tuple[Path, ...]:

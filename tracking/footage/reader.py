@@ -29,6 +29,12 @@ MAX_FRAMES = 2**24
 """Most frames accepted: with more of them the times alone fill the memory."""
 REPEATED = "exact copies of the one before"
 """Words of the notice on repeated frames, by which others recognise it."""
+TURNED = "as the file asks players to"
+"""Words of the notice on turned frames."""
+AS_STORED = "as they are stored"
+"""Words of the notice on frames that are not shown as the file asks players to."""
+MOSAIC = "raw mosaic of a colour sensor"
+"""Words of the notice on frames with colour filters."""
 MAX_LISTED = 8
 """Most frame numbers that a notice lists."""
 
@@ -123,7 +129,8 @@ class Footage(ABC):
 
     def metadata(self) -> dict[str, Any]:
         """What the file declares; `record_rate_hz` and `exposure_s` are None where it does not declare them, and `time_stamps`
-        says whether it states the time of every frame."""
+        says whether it states the time of every frame. Of a video, `turned_deg` is the angle, counter-clockwise, by which its
+        frames are turned."""
         return {"record_rate_hz": None, "exposure_s": None, "time_stamps": False, **self._facts}
 
     def frame(self, index: int) -> Frame:

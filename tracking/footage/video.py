@@ -13,8 +13,10 @@ decides. A wrong choice changes grey levels by up to 20. RGB becomes luma with t
 Uneven timestamps that run at the recording rate and are fine enough show dropped frames, and are used as the frames' times; of
 coarser ones (a telephone's 1/600 s at 240 frames/s) the whole frame intervals between them are used.
 
-**What players change** is not done: frames are read as stored. A notice reports the rotation that a file asks for, and frames
-that the edit list of a trimmed film leaves out.
+**The display matrix** of a file says how players turn its frames. Quarter turns are done, as players and OpenCV do them, because
+calibrations are made on such pictures; `as_stored` leaves them out. A matrix [a b; c d] takes (x, y) to (a x + c y, b x + d y)
+with y down. Mirroring matrices and other angles are not followed. Every case has a notice, and so have frames that the edit
+list of a trimmed film leaves out.
 """
 
 from __future__ import annotations
@@ -32,9 +34,10 @@ import av
 import av.filter
 import cv2
 import numpy as np
+from av.sidedata.sidedata import Type as SideDataType
 from numpy.typing import NDArray
 
-from .reader import Footage, Frame, check_size, times_from_rate
+from .reader import AS_STORED, TURNED, Footage, Frame, check_size, times_from_rate
 
 REFUSED_FORMATS = {"tty", "concat", "hls", "dash", "image2", "imf", "webm_dash_manifest"}
 """Formats of FFmpeg that are not films: text, and lists that make it open other files."""
@@ -55,11 +58,15 @@ MAX_TICK_FRAMES = 0.2
 MAX_COUNTING_TICK_FRAMES = 0.45
 """Largest tick, in frames, of timestamps that tell how many frame intervals lie between two frames: both are rounded by half of
 one."""
+MAX_TURN_ERROR_DEG = 0.5
+"""Deviation from a quarter turn up to which a display matrix counts as one: its elements are stored to 1/65536."""
 
 
-def open_video(path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> Footage:
+def open_video(
+    path: Path, fps: float | None, frame_range: tuple[int, int] | None, *, as_stored: bool = False
+) -> Footage:
     """The clip in a container. Raises ValueError where FFmpeg finds none, or where fps is missing."""
-    return VideoClip(path, fps, frame_range)
+    return VideoClip(path, fps, frame_range, as_stored=as_stored)
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +100,9 @@ class VideoClip(Footage):
 
     in_any_order = False
 
-    def __init__(self, path: Path, fps: float | None, frame_range: tuple[int, int] | None) -> None:
+    def __init__(
+        self, path: Path, fps: float | None, frame_range: tuple[int, int] | None, *, as_stored: bool = False
+    ) -> None:
         self._container, self._video = _open(path)
         stream = self._video
         check_size(path, stream.codec_context.width, stream.codec_context.height)
@@ -108,14 +117,15 @@ class VideoClip(Footage):
         sample = self._decode(0)
         stream = self._video  # decoding may have opened the file anew
         facts = _facts(self._container, stream, sample)
-        turned = _rotation_notices(path, sample)
+        display = _display(sample)
+        self._quarter_turns = 0 if as_stored else display.quarter_turns or 0
         playback = f"only a playback rate ({facts['playback_fps']:g} frames/s)" if facts["playback_fps"] else "no rate"
         times = times_from_rate(path, fps, count, playback)
         time_base_s = float(stream.time_base or 0)
         times, notices, stamped = _times(
             path, times, np.asarray(np.sort(self._packets.time)[:count] * time_base_s, np.float64), time_base_s
         )
-        grey = _grey(sample, self._mono)
+        grey = self._upright(sample)
         super().__init__(
             path,
             width_px=grey.shape[1],
@@ -123,12 +133,12 @@ class VideoClip(Footage):
             bit_depth=_bit_depth(sample),
             file_times_s=times,
             frame_range=frame_range,
-            notices=self._truncation_notices(count) + turned + notices,
-            facts={**facts, "time_stamps": stamped},
+            notices=self._truncation_notices(count) + display.notices(path, grey, self._quarter_turns) + notices,
+            facts={**facts, "time_stamps": stamped, "turned_deg": 90 * self._quarter_turns},
         )
 
     def _read(self, number: int) -> Frame:
-        frame = _grey(self._decode(number), self._mono)
+        frame = self._upright(self._decode(number))
         if frame.shape != (self.height_px, self.width_px):
             h, w = frame.shape
             raise ValueError(
@@ -136,6 +146,13 @@ class VideoClip(Footage):
                 "cut the film where its size changes"
             )
         return frame
+
+    def _upright(self, decoded: av.VideoFrame) -> Frame:
+        """Grey levels of a frame, turned as the file asks players to."""
+        grey = _grey(decoded, self._mono)
+        if self._quarter_turns == 0:
+            return grey
+        return np.rot90(grey, self._quarter_turns).copy()
 
     def _decode(self, number: int) -> av.VideoFrame:
         """Decode up to frame `number`, from the key packet before it unless the decoder is nearer."""
@@ -284,15 +301,55 @@ def _hidden_frames(container: av.container.InputContainer, stream: av.VideoStrea
         return 0  # damaged; the caller counts what it has
 
 
-def _rotation_notices(path: Path, sample: av.VideoFrame) -> tuple[str, ...]:
-    """A notice where the file asks players to rotate its frames."""
-    degrees = round(sample.rotation)
-    if degrees % 360 == 0:
-        return ()
-    return (
-        f"{path.name}: the file asks players to rotate its frames by {degrees}°; they are read as stored, "
-        f"{sample.width} × {sample.height} px, and camera and background must be of stored frames.",
-    )
+@dataclass(frozen=True)
+class _Display:
+    """What a file asks players to do with its frames."""
+
+    turn_deg: float
+    """Counter-clockwise."""
+    mirrored: bool
+
+    @property
+    def quarter_turns(self) -> int | None:
+        """Number of quarter turns counter-clockwise, 0 to 3; None for a mirrored picture or another angle."""
+        turns = round(self.turn_deg / 90.0)
+        if self.mirrored or abs(self.turn_deg - 90.0 * turns) > MAX_TURN_ERROR_DEG:
+            return None
+        return turns % 4
+
+    def notices(self, path: Path, frame: Frame, turns_done: int) -> tuple[str, ...]:
+        """A notice where the file asks for a change; `frame` is one as it is used, after so many quarter turns."""
+        if self.quarter_turns == 0:
+            return ()
+        height, width = frame.shape
+        size = f"{width} × {height} px"
+        if turns_done:
+            return (
+                f"{path.name}: the frames are turned by {_turn_text(self.turn_deg)}, {TURNED}, to {size}; "
+                "camera and background must be of turned frames.",
+            )
+        asked = f"turn its frames by {_turn_text(self.turn_deg)}"
+        if self.mirrored:
+            asked = "mirror its frames"
+        return (
+            f"{path.name}: the file asks players to {asked}; the frames are used {AS_STORED}, {size}, and camera and background "
+            "must be of stored frames.",
+        )
+
+
+def _turn_text(turn_deg: float) -> str:
+    """`90° clockwise`; a half turn has no direction."""
+    size = f"{abs(turn_deg):.4g}°"
+    return size if abs(turn_deg) > 180.0 - MAX_TURN_ERROR_DEG else f"{size} {'counter-' * (turn_deg > 0)}clockwise"
+
+
+def _display(sample: av.VideoFrame) -> _Display:
+    """The turn and the mirroring of a frame's display matrix."""
+    stated = sample.side_data.get(SideDataType.DISPLAYMATRIX)
+    if stated is None:
+        return _Display(0.0, False)
+    (a, b), (c, d) = np.frombuffer(bytes(stated), np.int32).reshape(3, 3)[:2, :2].astype(float)
+    return _Display(float(np.degrees(np.arctan2(-b, a))), bool(a * d - b * c < 0.0))
 
 
 def _times(

@@ -248,7 +248,7 @@ def _poses_on_flights(view: View, throw: Throw, frames_s: Array) -> ClipPoses:
     """The poses that the flights give on every frame, as initial poses of a refinement: with a rolling shutter when the row of
     the die's centre is exposed."""
     out, times_s = ClipPoses.empty(len(frames_s)), frames_s
-    if view.readout_s > 0.0:
+    if view.readout_s != 0.0:
         for _ in range(DELAY_ITERATIONS):
             times_s = frames_s + view.exposure_delay_s(throw.poses(times_s)[0])
     position, quaternion = throw.poses(times_s)

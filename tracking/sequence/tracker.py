@@ -129,7 +129,7 @@ def track_clip(
         corners, sigma_px = radius_in_flight(view, source, track, corners)
         view, track = with_corner_radius(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
-    if view.readout_s > 0.0:
+    if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
     return TrackedClip(calibrated, result.marks, offsets, view.die, corners)
 

@@ -15,3 +15,4 @@ from .frame_times import FaultKind as FaultKind
 from .frame_times import FrameFault as FrameFault
 from .frame_times import FrameTimes as FrameTimes
 from .frame_times import find_frame_times as find_frame_times
+from .retimed_clip import clip_at_times as clip_at_times

@@ -12,10 +12,11 @@ from typing import Literal, get_args
 
 from ...model.die import Die
 from ..camera import Camera
-from ..footage import Clip, clip_at_times
+from ..footage import Clip
 from ..quality import STANDARD, Quality
 from ..sequence import NO_FACTS, Background, ClipFacts, Progress, TrackedClip, track_clip
 from .frame_times import FrameTimes, find_frame_times, joined
+from .retimed_clip import clip_at_times
 
 MAX_PASSES = 3
 """Most times that a clip is tracked: a step that hides beside another shows once that is corrected."""

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from diethrow.commands.clip.track import open_footage
+from diethrow.commands.clip.footage import open_footage
 from diethrow.files.plan import read_plan
 from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat

@@ -6,9 +6,10 @@ import struct
 from pathlib import Path
 
 import av
+import cv2
 import numpy as np
 import pytest
-from footage_files import noisy_frames, write_video
+from footage_files import noisy_frames, with_display_matrix, write_video
 from numpy.typing import NDArray
 
 from diethrow.tracking.footage.clip import Clip, open_clip
@@ -183,15 +184,47 @@ def test_frames_that_an_edit_list_leaves_out_are_counted_and_not_read(left_out: 
         np.testing.assert_array_equal(clip.frame(int(k)), frames[left_out + k])
 
 
-def test_a_rotation_that_the_file_asks_for_is_reported_and_not_done(tmp_path: Path) -> None:
+@pytest.mark.parametrize("turn_deg", [0, 90, 180, 270])
+def test_frames_are_turned_as_the_file_asks_players_to(turn_deg: int, tmp_path: Path) -> None:
     frames = noisy_frames(5)
-    content = bytearray(_mp4(tmp_path / "upright.mp4", frames).read_bytes())
-    # The matrix of a track header of version 0 follows 44 bytes behind its name.
-    begin = content.find(b"tkhd") + 44
-    assert content[begin + 32 : begin + 36] == b"\x40\0\0\0"
-    content[begin : begin + 36] = struct.pack(">9i", 0, 1 << 16, 0, -(1 << 16), 0, 0, 0, 0, 1 << 30)
-    path = tmp_path / "turned.mp4"
-    path.write_bytes(content)
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    path = with_display_matrix(_mp4(tmp_path / "x.mp4", frames), cos, -sin, sin, cos)
     clip = open_clip(path, fps=1500)
-    assert "rotate its frames by -90°; they are read as stored, 64 × 48 px" in clip.notices[0]
+    assert clip.metadata()["turned_deg"] == turn_deg
+    assert (clip.height_px, clip.width_px) == np.rot90(frames[0], turn_deg // 90).shape
+    # An independent reader: OpenCV turns frames as players do. Its grey levels have another range.
+    others = cv2.VideoCapture(str(path))
+    for frame in clip.frames():
+        found, other = others.read()
+        assert found
+        grey = cv2.cvtColor(other, cv2.COLOR_BGR2GRAY)
+        assert grey.shape == frame.shape
+        assert np.corrcoef(frame.ravel(), grey.ravel())[0, 1] > 0.99
+    others.release()
+    np.testing.assert_array_equal(clip.frame(3), np.rot90(frames[3], turn_deg // 90))
+    np.testing.assert_array_equal(open_clip(path, fps=1500, as_stored=True).frame(3), frames[3])
+    words = {0: "", 90: "90° counter-clockwise", 180: "180°", 270: "90° clockwise"}[turn_deg]
+    assert [f"turned by {words}, as the file asks" in notice for notice in clip.notices] == [True] * bool(turn_deg)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "words"),
+    [
+        ((-1, 0, 0, 1), "mirror its frames"),
+        ((0, 1, 1, 0), "mirror its frames"),
+        ((np.sqrt(0.75), 0.5, -0.5, np.sqrt(0.75)), "turn its frames by 30° clockwise"),
+    ],
+)
+def test_mirrored_and_tilted_displays_are_reported_and_not_followed(
+    matrix: tuple[float, float, float, float], words: str, tmp_path: Path
+) -> None:
+    frames = noisy_frames(5)
+    clip = open_clip(with_display_matrix(_mp4(tmp_path / "x.mp4", frames), *matrix), fps=1500)
+    assert f"asks players to {words}; the frames are used as they are stored, 64 × 48 px" in clip.notices[0]
     np.testing.assert_array_equal(clip.frame(3), frames[3])
+
+
+def test_stored_frames_have_a_notice_with_the_turn_that_is_left_out(tmp_path: Path) -> None:
+    path = with_display_matrix(_mp4(tmp_path / "x.mp4", noisy_frames(5)), 0, 1, -1, 0)
+    (notice,) = open_clip(path, fps=1500, as_stored=True).notices
+    assert "turn its frames by 90° clockwise; the frames are used as they are stored, 64 × 48 px" in notice

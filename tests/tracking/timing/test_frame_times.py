@@ -13,10 +13,9 @@ from replay_records import ArrayClip
 
 from diethrow.tracking.check.clip_quality import FrameTiming
 from diethrow.tracking.check.verdicts import Verdict, _timing
-from diethrow.tracking.footage import clip_at_times
 from diethrow.tracking.quality import FAST
 from diethrow.tracking.sequence import ClipFacts
-from diethrow.tracking.timing import ClipClock, FaultKind, TimedTracking, Timing, track_clip_in_time
+from diethrow.tracking.timing import ClipClock, FaultKind, TimedTracking, Timing, clip_at_times, track_clip_in_time
 
 Rows = NDArray[np.int64]
 ROOM = replace(studio(), noise_grey=2.0)

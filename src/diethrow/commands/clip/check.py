@@ -12,11 +12,12 @@ from ...files.scene import Scene, View
 from ...files.settings import SceneError
 from ...replay.pages import check_page
 from ...tracking.check import ClipQuality, Finding, TrackedPart, Verdict, judge, measure_clip_quality
-from ...tracking.footage import Clip, clip_in_light, level_grey, open_clip
+from ...tracking.footage import Clip, clip_in_light, level_grey
 from ...tracking.pose import ManualInitialisation
 from ...tracking.sequence import ClipFacts
 from ...tracking.timing import ClipClock, Timing
-from .track import check_scene, input_paths, open_background, open_footage
+from .footage import open_background, open_footage, open_frames, readout_of_frames, turned_deg
+from .track import check_scene, input_paths
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +68,27 @@ def check_clip(
 def _check(scene: Scene, timing: Timing, watch: Stopwatch) -> tuple[Check, list[Clip]]:
     views = scene.views()
     findings: list[Finding] = []
-    measured, clips = [], []
-    for k, view in enumerate(views):
-        with watch.stage("open"):
-            clips.append(open_footage(scene, view))
+    measured = []
+    with watch.stage("open"):
+        clips = [open_footage(scene, view) for view in views]
+        used = readout_of_frames(scene, clips)
+    for k, (view, clip) in enumerate(zip(views, clips, strict=True)):
         with watch.stage("check"):
             # An initial pose by hand was clicked in the first camera's picture.
-            measured.append(_measured(scene, view, clips[-1], timing, scene.start if k == 0 else None))
+            quality = _measured(used, view, clip, timing, scene.start if k == 0 else None)
+            measured.append(_by_rows_of_file(quality, clip))
         found = judge(measured[-1], scene.die, scene.clip.exposure_s, scene.rounding, scene.clip.readout_s)
         findings += found if len(views) == 1 else [replace(each, name=f"{each.name}, camera {k + 1}") for each in found]
     return Check(tuple(findings), tuple(measured)), clips
+
+
+def _by_rows_of_file(quality: ClipQuality, clip: Clip) -> ClipQuality:
+    """The same with the readout from the first row to the last of the file, where its frames are turned upside down."""
+    part = quality.tracked_part
+    if part is None or part.readout is None or turned_deg(clip) != 180:
+        return quality
+    readout = replace(part.readout, readout_s=-part.readout.readout_s)
+    return replace(quality, tracked_part=replace(part, readout=readout))
 
 
 def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: ManualInitialisation | None) -> ClipQuality:
@@ -84,9 +96,7 @@ def _measured(scene: Scene, view: View, clip: Clip, timing: Timing, start: Manua
     background, response = open_background(scene, view, clip), scene.clip.response
 
     def open_part(first: int, stop: int) -> Clip:
-        assert view.path is not None, "views() demands paths"
-        part = open_clip(view.path, fps=scene.clip.fps, frame_range=(first, stop))
-        return clip_in_light(part, response)
+        return clip_in_light(open_frames(scene, view, (first, stop), part_of=clip), response)
 
     try:
         exposure_s = scene.clip.exposure_s or clip.metadata().get("exposure_s")

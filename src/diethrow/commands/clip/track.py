@@ -13,35 +13,30 @@ from ...analysis import Progress, RunError, Tracking, silent
 from ...executors import one_thread
 from ...files.outputs import whole_folder
 from ...files.provenance import Inputs, Stopwatch, unchanged_inputs, write_provenance
-from ...files.scene import ClipSource, Scene, View
+from ...files.scene import Scene
 from ...files.settings import SceneError, refuse
 from ...files.throw_records import write_bounces, write_faces, write_track, write_vertices
 from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
+from ...tracking.check import find_second_die
 from ...tracking.footage import (
     WHOLE_CLIP,
     Clip,
     Decimation,
-    clip_at_times,
     clip_files,
     clip_in_light,
+    estimate_background,
     level_grey,
-    load_background,
-    open_clip,
-    picture_in_light,
-    shows_one_picture,
 )
 from ...tracking.quality import QUALITIES, STANDARD, Quality
 from ...tracking.sequence import ClipFacts
 from ...tracking.surface_marks import read_faces, with_numbers
 from ...tracking.throw import NoFlightError, flights_only, measure
-from ...tracking.timing import ClipClock, TimedTracking, Timing, track_clip_in_time
+from ...tracking.timing import ClipClock, TimedTracking, Timing, clip_at_times, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
-
-SAME_INTERVAL = 1e-3
-"""Share by which the rate of a file may differ from the scene's when times are compared with the frame interval."""
+from .footage import open_background, open_footage, readout_of_frames
 
 
 def track_only(
@@ -104,6 +99,7 @@ def track_scene(
     with watch.stage("open"):
         clips = [open_footage(scene, view) for view in views] if clips is None else clips
         backgrounds = [open_background(scene, view, clip) for view, clip in zip(views, clips, strict=True)]
+        scene = readout_of_frames(scene, clips)
     light = [clip_in_light(clip, scene.clip.response) for clip in clips]
     # One unit for all: the noise is that of the noisiest camera.
     unit_grey = max(level_grey(clip, scene.clip.response) for clip in clips)
@@ -121,6 +117,8 @@ def track_scene(
             clips = [clip_at_times(clip, times.times_s) for clip in clips]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
+        empty = estimate_background(light[0]) if backgrounds[0] is None else backgrounds[0]
+        second = find_second_die(light[0], followed.track, cameras[0], followed.die, empty, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
         unbiased, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
@@ -130,37 +128,8 @@ def track_scene(
         raise
     return Tracking(
         tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners,
-        times.renumbered(clips[0].first_frame, decimation.every),
+        times.renumbered(clips[0].first_frame, decimation.every), second,
     )  # fmt: skip
-
-
-def open_footage(scene: Scene, view: View) -> Clip:
-    """The clip of a view. Raises SceneError if it is unreadable or its frames do not have the camera's size."""
-    source: ClipSource = scene.clip
-    assert view.path is not None, "views() demands paths"
-    try:
-        clip = open_clip(view.path, fps=source.fps, frame_range=source.frame_range)
-    except (ValueError, OSError) as error:
-        raise SceneError(f"{scene.path}: clip.path = {view.path.name}: {error}") from error
-    camera = view.camera
-    if (clip.width_px, clip.height_px) != (camera.width_px, camera.height_px):
-        wanted = f"the frames of {view.path.name} have {clip.width_px} × {clip.height_px} px; wanted their own camera"
-        raise refuse(scene.path, "camera.width and camera.height", [camera.width_px, camera.height_px], wanted)
-    _check_times(scene, clip)
-    if shows_one_picture(clip):
-        wanted = f"all {len(clip)} frames of it are copies of one picture; wanted a film of a throw"
-        raise refuse(scene.path, "clip.path", view.path.name, wanted)
-    return clip
-
-
-def _check_times(scene: Scene, clip: Clip) -> None:
-    """Raises SceneError if the scene's exposure or readout is longer than the frame interval of a file that has its own rate."""
-    interval_s = float(np.median(np.diff(clip.times_s))) if len(clip) > 1 else np.inf
-    for name in ("exposure_s", "readout_s"):
-        value = getattr(scene.clip, name)
-        if value and value > interval_s * (1.0 + SAME_INTERVAL):
-            wanted = f"wanted seconds, at most the {interval_s:.4g} s between two frames of the file"
-            raise refuse(scene.path, f"clip.{name}", value, wanted)
 
 
 def input_paths(scene: Scene) -> tuple[Path, ...]:
@@ -177,18 +146,6 @@ def write_tracking(folder: Path, scene: Scene, tracking: Tracking) -> None:
     write_track(folder / "track_frames.csv", tracking.unbiased)
     write_bounces(folder / "bounces.csv", tracking.measured.impacts)
     write_faces(folder / "faces.csv", tracking.die.solid, tracking.face_numbers)
-
-
-def open_background(scene: Scene, view: View, clip: Clip) -> NDArray[np.float32] | None:
-    """The background picture of a view, in light where the scene gives a response; None without one.
-
-    Raises SceneError where it cannot be read, or does not fit."""
-    if view.background_path is None:
-        return None
-    try:
-        return picture_in_light(load_background(view.background_path, clip), clip, scene.clip.response)
-    except (ValueError, OSError) as error:
-        raise SceneError(f"{scene.path}: clip.background = {view.background_path.name}: {error}") from error
 
 
 def _decimated(

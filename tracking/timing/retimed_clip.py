@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip, FillsFrames, Frame
+from ..footage import Clip, FillsFrames, Frame
 
 
 def clip_at_times(clip: Clip, times_s: NDArray[np.float64]) -> Clip:
