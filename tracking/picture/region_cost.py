@@ -19,21 +19,25 @@ cost less. `pose_costs` says how this relates to the other costs of a pose.
 
 from __future__ import annotations
 
-from math import ceil, erfc, floor, isnan, log, log1p, sqrt
-from typing import Any
+from math import erfc, isnan, log, log1p, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...model.compiled import compiled, inner_no_memory, inner_nogil
-from .kernel_types import (
+from ..placed_die import (
     BACKGROUND_SHARE,
     CLEAR_PX,
     CONTOUR_PX,
     DIE_PX,
     EVIDENCE,
+    LAMP_PRIOR,
+    LEAST_LIGHT_PIVOT,
     LIGHT_TERMS,
+    NOTHING,
     PIXELS,
     ROBUST_COST,
+    SMALLEST_WINDOW_PX,
     CameraRig,
     FrameWindows,
     PictureModel,
@@ -41,23 +45,24 @@ from .kernel_types import (
     RefinementSettings,
     Shape,
     Workspace,
-    new_workspace,
-)
-from .projection import SMALLEST_WINDOW_PX, exposure_delay, place_die
-from .rounded_surface import (
-    NOTHING,
     ball_px,
     beyond_contour,
+    cholesky_factor,
     contour_segments,
+    exposure_delay,
     face_at,
+    fill_monomials,
     fill_ray,
     flat_faces,
+    motion_px,
+    new_workspace,
     number_of_parts,
     part_on_ray,
+    pixels_about,
+    place_die,
     rays_about_centre,
+    solve_factored,
 )
-from .small_matrices import cholesky_factor, solve_factored
-from .surface_light import LAMP_PRIOR, LEAST_LIGHT_PIVOT, fill_monomials
 
 SQUARED_SIGMAS_CUT = 16.0
 """Squared sigmas at which the misfit of a pixel is truncated."""
@@ -123,17 +128,17 @@ def region_cost(
             windows.corner[camera, 0] + windows.size[camera, 0],
             windows.corner[camera, 1] + windows.size[camera, 1],
         )
-        expected = _box(work.vertex_px, margin + ball_px(shape, rig, view, start.position), window)
+        expected = pixels_about(work.vertex_px, margin + ball_px(shape, rig, view, start.position), window)
         if not place_die(shape, rig, view, pose, work):
             return NO_COST
-        own = _box(work.vertex_px, margin + ball_px(shape, rig, view, pose.position), window)
+        own = pixels_about(work.vertex_px, margin + ball_px(shape, rig, view, pose.position), window)
         if min(own[2] - own[0], own[3] - own[1]) < SMALLEST_WINDOW_PX:
             continue
         if min(expected[2] - expected[0], expected[3] - expected[1]) < SMALLEST_WINDOW_PX:
             continue
         a, b, c, d = _box_cost(
-            windows.pixels[camera], model.backgrounds[camera], (window[0], window[1]), expected, own, shape, rig, view,
-            pose, model.settings, work,
+            windows.pixels[camera], model.backgrounds[camera], (window[0], window[1]), (expected, own),
+            PlacedDie(shape, rig, view, pose), model.settings, work,
         )  # fmt: skip
         score += a
         number += 1.0
@@ -170,38 +175,69 @@ def region_costs_in_box(
         pose = PoseState(positions[k], rotations[k], still, still)
         if place_die(shape, rig, first, pose, work):
             total, inside, other, _ = _box_cost(
-                image, model.backgrounds[0], (first, first), box, box, shape, rig, first, pose, model.settings, work
+                image,
+                model.backgrounds[0],
+                (first, first),
+                (box, box),
+                PlacedDie(shape, rig, first, pose),
+                model.settings,
+                work,
             )
             costs[k], differs[k] = total, other / max(inside, 1.0)
 
 
-@inner_no_memory
-def _box(vertex_px: Any, margin: float, window: Any) -> tuple[int, int, int, int]:
-    """The part (x0, y0, x1, y1; end exclusive) of a window with all vertices and a margin [px]."""
-    low_x, low_y, high_x, high_y = 1e9, 1e9, -1e9, -1e9
-    for i in range(vertex_px.shape[0]):
-        x, y = vertex_px[i, 0], vertex_px[i, 1]
-        low_x, low_y, high_x, high_y = min(low_x, x), min(low_y, y), max(high_x, x), max(high_y, y)
-    return (
-        max(floor(max(low_x - margin, -1e9)), window[0]),
-        max(floor(max(low_y - margin, -1e9)), window[1]),
-        min(ceil(min(high_x + margin, 1e9)) + 1, window[2]),
-        min(ceil(min(high_y + margin, 1e9)) + 1, window[3]),
-    )
+class Sample(NamedTuple):
+    """One pixel in so many of a box."""
+
+    image: Any
+    """Pixels of a window [grey]."""
+    background: Any
+    """(height, width) of the whole picture [grey]; pixels that are NaN do not count."""
+    x0: int
+    y0: int
+    """Of pixel [0, 0] of the image in the background."""
+    low_x: int
+    low_y: int
+    """Of the first pixel of the sample."""
+    stride: int
+
+
+class PlacedDie(NamedTuple):
+    """A die as a view shows it; its vertices are in the workspace."""
+
+    shape: Shape
+    rig: CameraRig
+    view_index: int
+    pose: PoseState
+
+
+class Seen(NamedTuple):
+    """What a sample shows of a placed die, filled in place."""
+
+    part: Any
+    """(rows, columns) part of the surface; NOTHING outside."""
+    share: Any
+    """(rows, columns) of the die behind each pixel."""
+    normal: Any
+    """(rows, columns, 3) in axes of the die; none of a sharp die."""
+    sums: Any
+    """(parts, 2 + LIGHT_TERMS) number of pixels, sum of their greys, and means of the monomials of their normals."""
+    grey: Any
+    """(parts,) [grey] brightness beyond that of the light."""
+    light: Any
+    """(LIGHT_TERMS,) coefficients of the light."""
 
 
 @inner_nogil
 def _box_cost(
-    image: Any, background: Any, corner: Any, expected: Any, own: Any, shape: Shape, rig: CameraRig, view: int,
-    pose: PoseState, settings: RefinementSettings, work: Workspace,
+    image: Any, background: Any, corner: Any, boxes: Any, die: PlacedDie, settings: RefinementSettings, work: Workspace
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Region cost over about as many pixels of the expected box as the settings say, number of pixels on the die, of those
     that differ from the background, and the sum over pixels of what the die costs more than the background alone.
 
-    The die is placed in the workspace, and lies in the box `own`. Pixel [0, 0] of the image is `corner` of the
-    background; pixels whose background is NaN do not count.
+    The `boxes` are the expected one, and that in which the die lies. Pixel [0, 0] of the image is `corner` of the background.
     """
-    (x0, y0), noise = corner, settings.noise_grey
+    (x0, y0), (expected, own), shape, noise = corner, boxes, die.shape, settings.noise_grey
     ex0, ey0, ex1, ey1 = expected
     low_x, low_y = min(ex0, own[0]), min(ey0, own[1])
     high_x, high_y = max(ex1, own[2]), max(ey1, own[3])
@@ -209,26 +245,16 @@ def _box_cost(
     # Of all pixels, every so many: other poses are asked on the same ones.
     low_x, low_y = low_x + (-low_x) % stride, low_y + (-low_y) % stride
     rows, columns = (high_y - low_y + stride - 1) // stride, (high_x - low_x + stride - 1) // stride
-    part, share = np.empty((rows, columns), np.int64), np.empty((rows, columns))
-    number_of = number_of_parts(shape)
-    sums, grey, light = np.zeros((number_of, 2 + LIGHT_TERMS)), np.zeros(number_of), np.zeros(LIGHT_TERMS)
-    normals, monomials = np.empty((rows, columns, 3) if shape.radius > 0.0 else (0, 0, 3)), np.zeros(LIGHT_TERMS)
-    _fill_parts(
-        image,
-        background,
-        (x0, y0, low_x, low_y, stride),
-        part,
-        share,
-        normals,
-        sums,
-        shape,
-        rig,
-        view,
-        pose,
-        settings,
-        work,
-    )
-    prior_cost = _fill_greys(image, (x0, y0, low_x, low_y, stride), part, share, sums, grey, light, shape, noise)
+    sample = Sample(image, background, x0, y0, low_x, low_y, stride)
+    parts = number_of_parts(shape)
+    seen = Seen(
+        np.empty((rows, columns), np.int64), np.empty((rows, columns)),
+        np.empty((rows, columns, 3) if shape.radius > 0.0 else (0, 0, 3)), np.zeros((parts, 2 + LIGHT_TERMS)),
+        np.zeros(parts), np.zeros(LIGHT_TERMS),
+    )  # fmt: skip
+    _fill_parts(sample, die, settings, seen, work)
+    prior_cost = _fill_greys(sample, shape, noise, seen)
+    monomials = np.zeros(LIGHT_TERMS)
     judged, inside, differs, gained, quiet = 0.0, 0.0, 0.0, prior_cost, 0.0
     iv = 1.0 / (noise * noise)
     for i in range(rows):
@@ -245,16 +271,16 @@ def _box_cost(
             if expects:
                 judged += 1.0
                 quiet += alone
-            w = share[i, j]
+            w = seen.share[i, j]
             if w < OUTSIDE_SHARE:
                 continue
             if w > 0.5:
                 inside += 1.0
                 differs += 1.0 if abs(difference) > DIFFERENT_SIGMAS * noise else 0.0
-            bright = grey[part[i, j]]
+            bright = seen.grey[seen.part[i, j]]
             if shape.radius > 0.0:
-                fill_monomials(normals[i, j, 0], normals[i, j, 1], normals[i, j, 2], monomials)
-                bright = max(bright + _brightness(light, monomials), 0.0)
+                fill_monomials(seen.normal[i, j, 0], seen.normal[i, j, 1], seen.normal[i, j, 2], monomials)
+                bright = max(bright + _brightness(seen.light, monomials), 0.0)
             on_die = FACE_SIGMAS**2 * noise * noise + (FACE_SHADING * bright) ** 2
             step = CONTOUR_SHARE * (bright - behind)
             v = w * w * on_die + (1.0 - w) ** 2 * noise * noise + 4.0 * w * (1.0 - w) * step * step
@@ -266,18 +292,18 @@ def _box_cost(
 
 @inner_nogil
 def _fill_parts(
-    image: Any, background: Any, grid: Any, part: Any, share: Any, normals: Any, sums: Any, shape: Shape, rig: CameraRig,
-    view: int,     pose: PoseState, settings: RefinementSettings, work: Workspace,
+    sample: Sample, die: PlacedDie, settings: RefinementSettings, seen: Seen, work: Workspace
 ) -> None:  # fmt: skip
-    """Fill the part of the surface that each pixel of a grid shows, the share of the die behind it, and its normal in axes of
-    the die, none of a sharp die; and for each part the number of its pixels, the sum of their greys, and the means of the
-    monomials of their normals (parts, 2 + LIGHT_TERMS)."""
-    x0, y0, low_x, low_y, stride = grid
+    """Fill what each pixel of a sample shows, and the sums over the pixels of each part."""
+    shape, rig, view, pose = die.shape, die.rig, die.view_index, die.pose
+    part, share, sums, low_x, low_y, stride = (
+        seen.part, seen.share, seen.sums, sample.low_x, sample.low_y, sample.stride
+    )  # fmt: skip
     lines, count = flat_faces(shape, rig, view, pose, work)
     segments, ball = contour_segments(shape, work), ball_px(shape, rig, view, pose.position)
     about, late = rays_about_centre(rig, view, pose.position), exposure_delay(rig, pose.position)
-    origin, direction, normal, monomials = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(LIGHT_TERMS)
-    exposed_px = _motion_px(rig, view, pose, about, settings.exposure_s)
+    ray, normal, monomials = np.zeros((2, 3)), np.zeros(3), np.zeros(LIGHT_TERMS)
+    exposed_px = motion_px(rig, view, pose, about, settings.exposure_s)
     widest = (
         sqrt(exposed_px[0] ** 2 + exposed_px[1] ** 2) + abs(exposed_px[2]) * max(part.shape[0], part.shape[1]) * stride
     )
@@ -289,7 +315,7 @@ def _fill_parts(
             x = low_x + j * stride
             part[i, j], share[i, j] = NOTHING, 0.0
             beyond, nx, ny = beyond_contour(segments, x, y, ball, band)
-            if beyond > band or isnan(background[y, x]):
+            if beyond > band or isnan(sample.background[y, x]):
                 continue
             moved = (exposed_px[0] - exposed_px[2] * (y - about[1])) * nx
             moved += (exposed_px[1] + exposed_px[2] * (x - about[0])) * ny
@@ -302,8 +328,8 @@ def _fill_parts(
             u, v = x - back * nx, y - back * ny
             k = face_at(lines, count, u, v)
             if k == NOTHING and shape.radius > 0.0:
-                fill_ray(rig, view, pose, about, late, u, v, origin, direction)
-                k = part_on_ray(shape, work.face_cosine, origin, direction, normal)
+                fill_ray(rig, view, pose, about, late, u, v, ray)
+                k = part_on_ray(shape, work.face_cosine, ray, normal)
             elif k != NOTHING:
                 for q in range(3):
                     normal[q] = shape.normals[k, q]
@@ -312,10 +338,10 @@ def _fill_parts(
             part[i, j], share[i, j] = k, w
             if shape.radius > 0.0:
                 for q in range(3):
-                    normals[i, j, q] = normal[q]
+                    seen.normal[i, j, q] = normal[q]
             if w > PURE_SHARE:
                 sums[k, 0] += 1.0
-                sums[k, 1] += image[y - y0, x - x0]
+                sums[k, 1] += sample.image[y - sample.y0, x - sample.x0]
                 if shape.radius > 0.0 and k >= nf:
                     fill_monomials(normal[0], normal[1], normal[2], monomials)
                     for q in range(LIGHT_TERMS):
@@ -328,40 +354,15 @@ def _fill_parts(
                 sums[k, 2 + q] /= max(sums[k, 0], 1.0)
 
 
-@inner_no_memory
-def _motion_px(rig: CameraRig, view: int, pose: PoseState, about: Any, exposure_s: float) -> tuple[float, float, float]:
-    """How far the centre moves in the picture within the exposure (x, y) [px], and how far the die turns in it [rad]."""
-    det = about[4] * about[7] - about[5] * about[6]
-    x, y, z, vx, vy, vz, turn = (
-        rig.translation[view, 0],
-        rig.translation[view, 1],
-        rig.translation[view, 2],
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-    )
-    for b in range(3):
-        x += rig.rotation[view, 0, b] * pose.position[b]
-        y += rig.rotation[view, 1, b] * pose.position[b]
-        z += rig.rotation[view, 2, b] * pose.position[b]
-        vx += rig.rotation[view, 0, b] * pose.velocity[b]
-        vy += rig.rotation[view, 1, b] * pose.velocity[b]
-        vz += rig.rotation[view, 2, b] * pose.velocity[b]
-        turn += rig.rotation[view, 2, b] * pose.omega[b]
-    da, db = (vx - x / z * vz) / z * exposure_s, (vy - y / z * vz) / z * exposure_s
-    return (about[7] * da - about[5] * db) / det, (about[4] * db - about[6] * da) / det, turn * exposure_s
-
-
 @inner_nogil
-def _fill_greys(
-    image: Any, grid: Any, part: Any, share: Any, sums: Any, grey: Any, light: Any, shape: Shape, noise: float
-) -> float:
-    """Fill the brightness (parts,) [grey] of each part, beyond that of the light (LIGHT_TERMS,) on its normals, and the light;
-    return what they cost. A sharp die has no light.
+def _fill_greys(sample: Sample, shape: Shape, noise: float, seen: Seen) -> float:
+    """Fill the brightness of each part beyond that of the light on its normals, and the light; return what they cost. A sharp die
+    has no light.
 
-    `sums` are those of `_fill_parts`; the first two columns become those without marks."""
-    x0, y0, low_x, low_y, stride = grid
+    The first two columns of the sums of `_fill_parts` become those without marks."""
+    part, share, sums, grey = seen.part, seen.share, seen.sums, seen.grey
+    image, x0, y0 = sample.image, sample.x0, sample.y0
+    low_x, low_y, stride = sample.low_x, sample.low_y, sample.stride
     number, total, nf = 0.0, 0.0, shape.normals.shape[0]
     for k in range(grey.shape[0]):
         number, total = number + sums[k, 0], total + sums[k, 1]
@@ -385,7 +386,7 @@ def _fill_greys(
             grey[k] = level
     if shape.radius == 0.0 or not level > 0.0:
         return 0.0
-    return _follow_light(sums, grey, light, level, noise)
+    return _follow_light(sums, grey, seen.light, level, noise)
 
 
 @inner_nogil

@@ -10,7 +10,7 @@ vertices.
 
 from __future__ import annotations
 
-from math import hypot, sqrt
+from math import ceil, floor, hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -76,6 +76,21 @@ def contour_segments(shape: Shape, work: Workspace) -> Any:
         row[5], row[6], row[7] = -sign * dy, sign * dx, sign * (dy * x - dx * y)
         count += 1
     return segments[:count]
+
+
+@inner_no_memory
+def pixels_about(vertex_px: Any, margin: float, window: Any) -> tuple[int, int, int, int]:
+    """The part (x0, y0, x1, y1; end exclusive) of a window with all vertices and a margin [px]."""
+    low_x, low_y, high_x, high_y = 1e9, 1e9, -1e9, -1e9
+    for i in range(vertex_px.shape[0]):
+        x, y = vertex_px[i, 0], vertex_px[i, 1]
+        low_x, low_y, high_x, high_y = min(low_x, x), min(low_y, y), max(high_x, x), max(high_y, y)
+    return (
+        max(floor(max(low_x - margin, -1e9)), window[0]),
+        max(floor(max(low_y - margin, -1e9)), window[1]),
+        min(ceil(min(high_x + margin, 1e9)) + 1, window[2]),
+        min(ceil(min(high_y + margin, 1e9)) + 1, window[3]),
+    )
 
 
 @inner_no_memory
@@ -186,9 +201,10 @@ def rays_about_centre(rig: CameraRig, view: int, pos: Any) -> Any:
 
 @inner_no_memory
 def fill_ray(
-    rig: CameraRig, view: int, pose: PoseState, about: Any, late: float, x: float, y: float, origin: Any, direction: Any
-) -> None:
-    """Fill origin (3,) [m] and direction (3,) of the ray of a pixel, in axes of the die as it stands when that row is exposed."""
+    rig: CameraRig, view: int, pose: PoseState, about: Any, late: float, x: float, y: float, ray: Any
+) -> None:  # fmt: skip
+    """Fill origin [m] and direction (2, 3) of the ray of a pixel, in axes of the die as it stands when that row is exposed."""
+    origin, direction = ray[0], ray[1]
     R, Rcw, tcw = pose.rotation, rig.rotation[view], rig.translation[view]
     dx, dy = x - about[0], y - about[1]
     a, b = about[2] + about[4] * dx + about[5] * dy, about[3] + about[6] * dx + about[7] * dy
@@ -213,9 +229,10 @@ def fill_ray(
 
 
 @inner_no_memory
-def part_on_ray(shape: Shape, face_cosine: Any, origin: Any, direction: Any, normal: Any) -> int:
-    """The strip or corner of a rounded die that a ray meets first, and in `normal` (3,) the normal there, all in axes of the
+def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, normal: Any) -> int:
+    """The strip or corner of a rounded die that a ray (2, 3) meets first, and in `normal` (3,) the normal there, in axes of the
     die; NOTHING if it meets none. Flat faces are not asked, nor what lies between two that are turned away."""
+    origin, direction = ray[0], ray[1]
     o0, o1, o2 = origin[0], origin[1], origin[2]
     d0, d1, d2 = direction[0], direction[1], direction[2]
     size = sqrt(d0 * d0 + d1 * d1 + d2 * d2)
@@ -261,3 +278,28 @@ def part_on_ray(shape: Shape, face_cosine: Any, origin: Any, direction: Any, nor
             nearest, part = t, nf + ne * STRIP_CELLS + i
             normal[0], normal[1], normal[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
     return part
+
+
+@inner_no_memory
+def motion_px(rig: CameraRig, view: int, pose: PoseState, about: Any, exposure_s: float) -> tuple[float, float, float]:
+    """How far the centre moves in the picture within the exposure (x, y) [px], and how far the die turns in it [rad]."""
+    det = about[4] * about[7] - about[5] * about[6]
+    x, y, z, vx, vy, vz, turn = (
+        rig.translation[view, 0],
+        rig.translation[view, 1],
+        rig.translation[view, 2],
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
+    for b in range(3):
+        x += rig.rotation[view, 0, b] * pose.position[b]
+        y += rig.rotation[view, 1, b] * pose.position[b]
+        z += rig.rotation[view, 2, b] * pose.position[b]
+        vx += rig.rotation[view, 0, b] * pose.velocity[b]
+        vy += rig.rotation[view, 1, b] * pose.velocity[b]
+        vz += rig.rotation[view, 2, b] * pose.velocity[b]
+        turn += rig.rotation[view, 2, b] * pose.omega[b]
+    da, db = (vx - x / z * vz) / z * exposure_s, (vy - y / z * vz) / z * exposure_s
+    return (about[7] * da - about[5] * db) / det, (about[4] * db - about[6] * da) / det, turn * exposure_s
