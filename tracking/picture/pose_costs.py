@@ -28,7 +28,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..placed_die import CLEAR_PX, CONTOUR_PX, EVIDENCE, LOG_NOISE, PIXELS, ROBUST_COST
+from .kernel_types import CLEAR_PX, CONTOUR_PX, EVIDENCE, LOG_NOISE, PIXELS, ROBUST_COST
 from .region_cost import (
     SHADOW_SQUARED_SIGMAS_CUT,
     SQUARED_SIGMAS_CUT,

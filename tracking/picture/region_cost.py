@@ -20,24 +20,20 @@ cost less. `pose_costs` says how this relates to the other costs of a pose.
 from __future__ import annotations
 
 from math import erfc, isnan, log, log1p, sqrt
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...model.compiled import compiled, inner_no_memory, inner_nogil
-from ..placed_die import (
+from .kernel_types import (
     BACKGROUND_SHARE,
     CLEAR_PX,
     CONTOUR_PX,
     DIE_PX,
     EVIDENCE,
-    LAMP_PRIOR,
-    LEAST_LIGHT_PIVOT,
     LIGHT_TERMS,
-    NOTHING,
     PIXELS,
     ROBUST_COST,
-    SMALLEST_WINDOW_PX,
     CameraRig,
     FrameWindows,
     PictureModel,
@@ -45,24 +41,25 @@ from ..placed_die import (
     RefinementSettings,
     Shape,
     Workspace,
+    new_workspace,
+)
+from .projection import SMALLEST_WINDOW_PX, exposure_delay, place_die
+from .rounded_surface import (
+    NOTHING,
     ball_px,
     beyond_contour,
-    cholesky_factor,
     contour_segments,
-    exposure_delay,
     face_at,
-    fill_monomials,
     fill_ray,
     flat_faces,
     motion_px,
-    new_workspace,
     number_of_parts,
     part_on_ray,
     pixels_about,
-    place_die,
     rays_about_centre,
-    solve_factored,
 )
+from .small_matrices import cholesky_factor, solve_factored
+from .surface_light import LAMP_PRIOR, LEAST_LIGHT_PIVOT, fill_monomials
 
 SQUARED_SIGMAS_CUT = 16.0
 """Squared sigmas at which the misfit of a pixel is truncated."""
@@ -137,8 +134,8 @@ def region_cost(
         if min(expected[2] - expected[0], expected[3] - expected[1]) < SMALLEST_WINDOW_PX:
             continue
         a, b, c, d = _box_cost(
-            windows.pixels[camera], model.backgrounds[camera], (window[0], window[1]), (expected, own),
-            PlacedDie(shape, rig, view, pose), model.settings, work,
+            windows.pixels[camera], model.backgrounds[camera], (window[0], window[1]), expected, own, shape, rig, view,
+            pose, model.settings, work,
         )  # fmt: skip
         score += a
         number += 1.0
@@ -175,69 +172,23 @@ def region_costs_in_box(
         pose = PoseState(positions[k], rotations[k], still, still)
         if place_die(shape, rig, first, pose, work):
             total, inside, other, _ = _box_cost(
-                image,
-                model.backgrounds[0],
-                (first, first),
-                (box, box),
-                PlacedDie(shape, rig, first, pose),
-                model.settings,
-                work,
+                image, model.backgrounds[0], (first, first), box, box, shape, rig, first, pose, model.settings, work
             )
             costs[k], differs[k] = total, other / max(inside, 1.0)
 
 
-class Sample(NamedTuple):
-    """One pixel in so many of a box."""
-
-    image: Any
-    """Pixels of a window [grey]."""
-    background: Any
-    """(height, width) of the whole picture [grey]; pixels that are NaN do not count."""
-    x0: int
-    y0: int
-    """Of pixel [0, 0] of the image in the background."""
-    low_x: int
-    low_y: int
-    """Of the first pixel of the sample."""
-    stride: int
-
-
-class PlacedDie(NamedTuple):
-    """A die as a view shows it; its vertices are in the workspace."""
-
-    shape: Shape
-    rig: CameraRig
-    view_index: int
-    pose: PoseState
-
-
-class Seen(NamedTuple):
-    """What a sample shows of a placed die, filled in place."""
-
-    part: Any
-    """(rows, columns) part of the surface; NOTHING outside."""
-    share: Any
-    """(rows, columns) of the die behind each pixel."""
-    normal: Any
-    """(rows, columns, 3) in axes of the die; none of a sharp die."""
-    sums: Any
-    """(parts, 2 + LIGHT_TERMS) number of pixels, sum of their greys, and means of the monomials of their normals."""
-    grey: Any
-    """(parts,) [grey] brightness beyond that of the light."""
-    light: Any
-    """(LIGHT_TERMS,) coefficients of the light."""
-
-
 @inner_nogil
 def _box_cost(
-    image: Any, background: Any, corner: Any, boxes: Any, die: PlacedDie, settings: RefinementSettings, work: Workspace
+    image: Any, background: Any, corner: Any, expected: Any, own: Any, shape: Shape, rig: CameraRig, view: int,
+    pose: PoseState, settings: RefinementSettings, work: Workspace,
 ) -> tuple[float, float, float, float]:  # fmt: skip
     """Region cost over about as many pixels of the expected box as the settings say, number of pixels on the die, of those
     that differ from the background, and the sum over pixels of what the die costs more than the background alone.
 
-    The `boxes` are the expected one, and that in which the die lies. Pixel [0, 0] of the image is `corner` of the background.
+    The die is placed in the workspace, and lies in the box `own`. Pixel [0, 0] of the image is `corner` of the
+    background; pixels whose background is NaN do not count.
     """
-    (x0, y0), (expected, own), shape, noise = corner, boxes, die.shape, settings.noise_grey
+    (x0, y0), noise = corner, settings.noise_grey
     ex0, ey0, ex1, ey1 = expected
     low_x, low_y = min(ex0, own[0]), min(ey0, own[1])
     high_x, high_y = max(ex1, own[2]), max(ey1, own[3])
@@ -245,16 +196,26 @@ def _box_cost(
     # Of all pixels, every so many: other poses are asked on the same ones.
     low_x, low_y = low_x + (-low_x) % stride, low_y + (-low_y) % stride
     rows, columns = (high_y - low_y + stride - 1) // stride, (high_x - low_x + stride - 1) // stride
-    sample = Sample(image, background, x0, y0, low_x, low_y, stride)
-    parts = number_of_parts(shape)
-    seen = Seen(
-        np.empty((rows, columns), np.int64), np.empty((rows, columns)),
-        np.empty((rows, columns, 3) if shape.radius > 0.0 else (0, 0, 3)), np.zeros((parts, 2 + LIGHT_TERMS)),
-        np.zeros(parts), np.zeros(LIGHT_TERMS),
-    )  # fmt: skip
-    _fill_parts(sample, die, settings, seen, work)
-    prior_cost = _fill_greys(sample, shape, noise, seen)
-    monomials = np.zeros(LIGHT_TERMS)
+    part, share = np.empty((rows, columns), np.int64), np.empty((rows, columns))
+    number_of = number_of_parts(shape)
+    sums, grey, light = np.zeros((number_of, 2 + LIGHT_TERMS)), np.zeros(number_of), np.zeros(LIGHT_TERMS)
+    normals, monomials = np.empty((rows, columns, 3) if shape.radius > 0.0 else (0, 0, 3)), np.zeros(LIGHT_TERMS)
+    _fill_parts(
+        image,
+        background,
+        (x0, y0, low_x, low_y, stride),
+        part,
+        share,
+        normals,
+        sums,
+        shape,
+        rig,
+        view,
+        pose,
+        settings,
+        work,
+    )
+    prior_cost = _fill_greys(image, (x0, y0, low_x, low_y, stride), part, share, sums, grey, light, shape, noise)
     judged, inside, differs, gained, quiet = 0.0, 0.0, 0.0, prior_cost, 0.0
     iv = 1.0 / (noise * noise)
     for i in range(rows):
@@ -271,16 +232,16 @@ def _box_cost(
             if expects:
                 judged += 1.0
                 quiet += alone
-            w = seen.share[i, j]
+            w = share[i, j]
             if w < OUTSIDE_SHARE:
                 continue
             if w > 0.5:
                 inside += 1.0
                 differs += 1.0 if abs(difference) > DIFFERENT_SIGMAS * noise else 0.0
-            bright = seen.grey[seen.part[i, j]]
+            bright = grey[part[i, j]]
             if shape.radius > 0.0:
-                fill_monomials(seen.normal[i, j, 0], seen.normal[i, j, 1], seen.normal[i, j, 2], monomials)
-                bright = max(bright + _brightness(seen.light, monomials), 0.0)
+                fill_monomials(normals[i, j, 0], normals[i, j, 1], normals[i, j, 2], monomials)
+                bright = max(bright + _brightness(light, monomials), 0.0)
             on_die = FACE_SIGMAS**2 * noise * noise + (FACE_SHADING * bright) ** 2
             step = CONTOUR_SHARE * (bright - behind)
             v = w * w * on_die + (1.0 - w) ** 2 * noise * noise + 4.0 * w * (1.0 - w) * step * step
@@ -292,17 +253,17 @@ def _box_cost(
 
 @inner_nogil
 def _fill_parts(
-    sample: Sample, die: PlacedDie, settings: RefinementSettings, seen: Seen, work: Workspace
+    image: Any, background: Any, grid: Any, part: Any, share: Any, normals: Any, sums: Any, shape: Shape, rig: CameraRig,
+    view: int,     pose: PoseState, settings: RefinementSettings, work: Workspace,
 ) -> None:  # fmt: skip
-    """Fill what each pixel of a sample shows, and the sums over the pixels of each part."""
-    shape, rig, view, pose = die.shape, die.rig, die.view_index, die.pose
-    part, share, sums, low_x, low_y, stride = (
-        seen.part, seen.share, seen.sums, sample.low_x, sample.low_y, sample.stride
-    )  # fmt: skip
+    """Fill the part of the surface that each pixel of a grid shows, the share of the die behind it, and its normal in axes of
+    the die, none of a sharp die; and for each part the number of its pixels, the sum of their greys, and the means of the
+    monomials of their normals (parts, 2 + LIGHT_TERMS)."""
+    x0, y0, low_x, low_y, stride = grid
     lines, count = flat_faces(shape, rig, view, pose, work)
     segments, ball = contour_segments(shape, work), ball_px(shape, rig, view, pose.position)
     about, late = rays_about_centre(rig, view, pose.position), exposure_delay(rig, pose.position)
-    ray, normal, monomials = np.zeros((2, 3)), np.zeros(3), np.zeros(LIGHT_TERMS)
+    origin, direction, normal, monomials = np.zeros(3), np.zeros(3), np.zeros(6), np.zeros(LIGHT_TERMS)
     exposed_px = motion_px(rig, view, pose, about, settings.exposure_s)
     widest = (
         sqrt(exposed_px[0] ** 2 + exposed_px[1] ** 2) + abs(exposed_px[2]) * max(part.shape[0], part.shape[1]) * stride
@@ -315,7 +276,7 @@ def _fill_parts(
             x = low_x + j * stride
             part[i, j], share[i, j] = NOTHING, 0.0
             beyond, nx, ny = beyond_contour(segments, x, y, ball, band)
-            if beyond > band or isnan(sample.background[y, x]):
+            if beyond > band or isnan(background[y, x]):
                 continue
             moved = (exposed_px[0] - exposed_px[2] * (y - about[1])) * nx
             moved += (exposed_px[1] + exposed_px[2] * (x - about[0])) * ny
@@ -328,8 +289,8 @@ def _fill_parts(
             u, v = x - back * nx, y - back * ny
             k = face_at(lines, count, u, v)
             if k == NOTHING and shape.radius > 0.0:
-                fill_ray(rig, view, pose, about, late, u, v, ray)
-                k = part_on_ray(shape, work.face_cosine, ray, normal)
+                fill_ray(rig, view, pose, about, late, u, v, origin, direction)
+                k = part_on_ray(shape, work.face_cosine, origin, direction, normal)
             elif k != NOTHING:
                 for q in range(3):
                     normal[q] = shape.normals[k, q]
@@ -338,10 +299,10 @@ def _fill_parts(
             part[i, j], share[i, j] = k, w
             if shape.radius > 0.0:
                 for q in range(3):
-                    seen.normal[i, j, q] = normal[q]
+                    normals[i, j, q] = normal[q]
             if w > PURE_SHARE:
                 sums[k, 0] += 1.0
-                sums[k, 1] += sample.image[y - sample.y0, x - sample.x0]
+                sums[k, 1] += image[y - y0, x - x0]
                 if shape.radius > 0.0 and k >= nf:
                     fill_monomials(normal[0], normal[1], normal[2], monomials)
                     for q in range(LIGHT_TERMS):
@@ -355,14 +316,14 @@ def _fill_parts(
 
 
 @inner_nogil
-def _fill_greys(sample: Sample, shape: Shape, noise: float, seen: Seen) -> float:
-    """Fill the brightness of each part beyond that of the light on its normals, and the light; return what they cost. A sharp die
-    has no light.
+def _fill_greys(
+    image: Any, grid: Any, part: Any, share: Any, sums: Any, grey: Any, light: Any, shape: Shape, noise: float
+) -> float:
+    """Fill the brightness (parts,) [grey] of each part, beyond that of the light (LIGHT_TERMS,) on its normals, and the light;
+    return what they cost. A sharp die has no light.
 
-    The first two columns of the sums of `_fill_parts` become those without marks."""
-    part, share, sums, grey = seen.part, seen.share, seen.sums, seen.grey
-    image, x0, y0 = sample.image, sample.x0, sample.y0
-    low_x, low_y, stride = sample.low_x, sample.low_y, sample.stride
+    `sums` are those of `_fill_parts`; the first two columns become those without marks."""
+    x0, y0, low_x, low_y, stride = grid
     number, total, nf = 0.0, 0.0, shape.normals.shape[0]
     for k in range(grey.shape[0]):
         number, total = number + sums[k, 0], total + sums[k, 1]
@@ -386,7 +347,7 @@ def _fill_greys(sample: Sample, shape: Shape, noise: float, seen: Seen) -> float
             grey[k] = level
     if shape.radius == 0.0 or not level > 0.0:
         return 0.0
-    return _follow_light(sums, grey, seen.light, level, noise)
+    return _follow_light(sums, grey, light, level, noise)
 
 
 @inner_nogil

@@ -13,20 +13,12 @@ from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, symmetry_rotations
 from ..camera import Camera
-from ..placed_die import (
-    SMALLEST_WINDOW_PX,
-    WINDOW_PX,
-    CameraRig,
-    FrameWindows,
-    LightPrior,
-    PictureModel,
-    RefinementSettings,
-    Shape,
-    unknown_light,
-)
 from ..quality import STANDARD, Quality
+from .kernel_types import CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
 from .occluders import OccluderMask, new_occluder_mask
+from .projection import SMALLEST_WINDOW_PX, WINDOW_PX
 from .segmentation import PixelNoise
+from .surface_light import LightPrior, unknown_light
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

@@ -29,7 +29,7 @@ from ..picture import (
     PoseRows,
     PoseState,
     Workspace,
-    add_edge_equations,
+    add_picture_equations,
     begin_light,
     cholesky_factor,
     crop_windows,
@@ -164,7 +164,7 @@ def refine_and_score(
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                add_edge_equations(view, windows, model, pose, sampling, work, equations)
+                add_picture_equations(view, windows, model, pose, sampling, work, equations)
         for a in range(PARAMETERS):
             for b in range(a):
                 H[b, a] = H[a, b]

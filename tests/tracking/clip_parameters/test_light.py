@@ -15,8 +15,8 @@ from rounded_dice import photograph_rounded
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
 from diethrow.tracking.clip_parameters.light import with_light
+from diethrow.tracking.picture.surface_light import LightPrior, normal_monomials
 from diethrow.tracking.picture.view import View
-from diethrow.tracking.placed_die.surface_light import LightPrior, normal_monomials
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 

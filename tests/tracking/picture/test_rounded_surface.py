@@ -15,10 +15,9 @@ from diethrow.model.die import inner_vertices
 from diethrow.model.die.solid import SHAPES
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.tracking.picture import with_corner_radius
-from diethrow.tracking.picture.view import View
-from diethrow.tracking.placed_die.kernel_types import STRIP_CELLS, CameraRig, PoseState, Shape, Workspace, new_workspace
-from diethrow.tracking.placed_die.projection import exposure_delay, place_die
-from diethrow.tracking.placed_die.rounded_surface import (
+from diethrow.tracking.picture.kernel_types import STRIP_CELLS, CameraRig, PoseState, Shape, Workspace, new_workspace
+from diethrow.tracking.picture.projection import exposure_delay, place_die
+from diethrow.tracking.picture.rounded_surface import (
     NOTHING,
     beyond_contour,
     contour_segments,
@@ -28,6 +27,7 @@ from diethrow.tracking.placed_die.rounded_surface import (
     part_on_ray,
     rays_about_centre,
 )
+from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose import pose_state
 
 Array = NDArray[np.float64]
@@ -44,14 +44,14 @@ def part_at(
     view = np.int64(0)
     place_die(shape, rig, view, pose, work)
     late = exposure_delay(rig, pose.position)
-    fill_ray(rig, view, pose, rays_about_centre(rig, view, pose.position), late, x, y, ray)
+    fill_ray(rig, view, pose, rays_about_centre(rig, view, pose.position), late, x, y, ray[0], ray[1])
     lines, count = flat_faces(shape, rig, view, pose, work)
     face = face_at(lines, count, x, y)
     if face != NOTHING:
         for q in range(3):
             normal[q] = shape.normals[face, q]
         return int(face)
-    return int(part_on_ray(shape, work.face_cosine, ray, normal))
+    return int(part_on_ray(shape, work.face_cosine, ray[0], ray[1], normal))
 
 
 @compiled
@@ -80,8 +80,8 @@ def test_a_ray_meets_the_rounded_body_where_the_normal_says(shape: str) -> None:
         pose = pose_state(position, R)
         centre = view.camera.project(position[None])[0]
         for x, y in centre + rng.uniform(-45.0, 45.0, (80, 2)):
-            ray, normal = np.zeros((2, 3)), np.zeros(3)
-            part = part_at(view.shape, view.rig, pose, x, y, ray, normal, work)
+            ray, hit = np.zeros((2, 3)), np.zeros(6)
+            part, normal = part_at(view.shape, view.rig, pose, x, y, ray, hit, work), hit[:3]
             if part == NOTHING:
                 continue
             nf, ne = len(solid.normals), len(view.shape.edges)

@@ -345,6 +345,8 @@ class Workspace(NamedTuple):
     """Of a rounded die."""
     tie: Any
     """(4,) information that ties the intensities of a stretch to the light."""
+    surface_point: Any
+    """(19,) of a point of a rounded surface: normal, middle of its ball, ray, brightness with derivatives, origin of the ray."""
 
 
 @inner_nogil
@@ -376,7 +378,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),
         np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
         np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, PARAMETERS)), np.zeros((views, nf + 1)),
-        np.zeros((views, nf + 2), np.int64), light, np.zeros(4),
+        np.zeros((views, nf + 2), np.int64), light, np.zeros(4), np.zeros(19),
     )  # fmt: skip
 
 

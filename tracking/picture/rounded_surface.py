@@ -55,9 +55,9 @@ def ball_px(shape: Shape, rig: CameraRig, view: int, pos: Any) -> float:
 
 @inner_nogil
 def contour_segments(shape: Shape, work: Workspace) -> Any:
-    """(edges, 8) the contour of the placed inner body: first end, direction, length [px], and its line a x + b y + c, positive
-    inside."""
-    segments, count = np.empty((shape.edges.shape[0], 8)), 0
+    """(edges, 10) the contour of the placed inner body: first end, direction, length [px], its line a x + b y + c, positive
+    inside, and the vertices at its ends."""
+    segments, count = np.empty((shape.edges.shape[0], 10)), 0
     mx, my, nv = 0.0, 0.0, work.vertex_px.shape[0]
     for i in range(nv):
         mx += work.vertex_px[i, 0] / nv
@@ -74,8 +74,36 @@ def contour_segments(shape: Shape, work: Workspace) -> Any:
         row = segments[count]
         row[0], row[1], row[2], row[3], row[4] = x, y, dx, dy, length
         row[5], row[6], row[7] = -sign * dy, sign * dx, sign * (dy * x - dx * y)
+        row[8], row[9] = i, k
         count += 1
     return segments[:count]
+
+
+@inner_no_memory
+def fill_nearest_contour(segments: Any, x: float, y: float, out: Any) -> None:
+    """Fill (5,) the distance [px] of a pixel from the contour of the inner body, positive outside; the direction away from the die
+    there; which segment is nearest; and the place on it, as a share of its length."""
+    least, nx, ny, which = 1e300, 0.0, 0.0, 0
+    for k in range(segments.shape[0]):
+        within = segments[k, 5] * x + segments[k, 6] * y + segments[k, 7]
+        if within < least:
+            least, nx, ny, which = within, -segments[k, 5], -segments[k, 6], k
+    distance = -least
+    if least < 0.0:
+        nearest = 1e300
+        for k in range(segments.shape[0]):
+            s = segments[k]
+            rx, ry = x - s[0], y - s[1]
+            t = min(max(rx * s[2] + ry * s[3], 0.0), s[4])
+            rx, ry = rx - t * s[2], ry - t * s[3]
+            d2 = rx * rx + ry * ry
+            if d2 < nearest:
+                nearest, nx, ny, which = d2, rx, ry, k
+        distance = sqrt(nearest)
+        nx, ny = nx / max(distance, 1e-9), ny / max(distance, 1e-9)
+    s = segments[which]
+    along = ((x - s[0]) * s[2] + (y - s[1]) * s[3]) / s[4]
+    out[0], out[1], out[2], out[3], out[4] = distance, nx, ny, which, min(max(along, 0.0), 1.0)
 
 
 @inner_no_memory
@@ -201,10 +229,9 @@ def rays_about_centre(rig: CameraRig, view: int, pos: Any) -> Any:
 
 @inner_no_memory
 def fill_ray(
-    rig: CameraRig, view: int, pose: PoseState, about: Any, late: float, x: float, y: float, ray: Any
-) -> None:  # fmt: skip
-    """Fill origin [m] and direction (2, 3) of the ray of a pixel, in axes of the die as it stands when that row is exposed."""
-    origin, direction = ray[0], ray[1]
+    rig: CameraRig, view: int, pose: PoseState, about: Any, late: float, x: float, y: float, origin: Any, direction: Any
+) -> None:
+    """Fill origin (3,) [m] and direction (3,) of the ray of a pixel, in axes of the die as it stands when that row is exposed."""
     R, Rcw, tcw = pose.rotation, rig.rotation[view], rig.translation[view]
     dx, dy = x - about[0], y - about[1]
     a, b = about[2] + about[4] * dx + about[5] * dy, about[3] + about[6] * dx + about[7] * dy
@@ -229,10 +256,10 @@ def fill_ray(
 
 
 @inner_no_memory
-def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, normal: Any) -> int:
-    """The strip or corner of a rounded die that a ray (2, 3) meets first, and in `normal` (3,) the normal there, in axes of the
-    die; NOTHING if it meets none. Flat faces are not asked, nor what lies between two that are turned away."""
-    origin, direction = ray[0], ray[1]
+def part_on_ray(shape: Shape, face_cosine: Any, origin: Any, direction: Any, hit: Any) -> int:
+    """The strip or corner of a rounded die that a ray meets first, and in `hit` (6,) the normal there and the middle of the ball
+    that it meets, all in axes of the die; NOTHING if it meets none. Flat faces are not asked, nor what lies between two that are
+    turned away."""
     o0, o1, o2 = origin[0], origin[1], origin[2]
     d0, d1, d2 = direction[0], direction[1], direction[2]
     size = sqrt(d0 * d0 + d1 * d1 + d2 * d2)
@@ -260,10 +287,11 @@ def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, normal: Any) -> int:
         nearest = t
         n0, n1 = w0 + t * d0 - s * a0, w1 + t * d1 - s * a1
         n2 = w2 + t * d2 - s * a2
-        normal[0], normal[1], normal[2] = n0 / radius, n1 / radius, n2 / radius
+        hit[0], hit[1], hit[2] = n0 / radius, n1 / radius, n2 / radius
+        hit[3], hit[4], hit[5] = p[0] + s * a0, p[1] + s * a1, p[2] + s * a2
         f, g = shape.normals[shape.edge_faces[e, 0]], shape.normals[shape.edge_faces[e, 1]]
         along = 1.0 - (f[0] * g[0] + f[1] * g[1] + f[2] * g[2])
-        turned = normal[0] * (g[0] - f[0]) + normal[1] * (g[1] - f[1]) + normal[2] * (g[2] - f[2])
+        turned = hit[0] * (g[0] - f[0]) + hit[1] * (g[1] - f[1]) + hit[2] * (g[2] - f[2])
         cell = int(STRIP_CELLS * 0.5 * (1.0 + turned / along))
         part = nf + e * STRIP_CELLS + min(max(cell, 0), STRIP_CELLS - 1)
     for i in range(shape.vertices.shape[0]):
@@ -276,7 +304,8 @@ def part_on_ray(shape: Shape, face_cosine: Any, ray: Any, normal: Any) -> int:
         t = -B - sqrt(disc)
         if t < nearest:
             nearest, part = t, nf + ne * STRIP_CELLS + i
-            normal[0], normal[1], normal[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
+            hit[0], hit[1], hit[2] = (w0 + t * d0) / radius, (w1 + t * d1) / radius, (w2 + t * d2) / radius
+            hit[3], hit[4], hit[5] = p[0], p[1], p[2]
     return part
 
 
