@@ -1,8 +1,8 @@
 """The expected picture of a die, and how well it agrees with the observed one.
 
 From a pose, the die's shape, the cameras and the background follow the pixels beside every visible edge:
-`add_picture_equations` compares them with a frame and adds the normal equations of the pose. The costs of a pose
-(`region_costs`, `region_cost`, `pose_cost`, `relative_costs`, `mirror_region_costs`; see `pose_costs`) judge it
+`add_edge_equations` compares them with a frame and adds the normal equations of the pose. The costs of a pose
+(`region_costs`, `region_cost`, `pose_cost`, `costs_with_edge_noise`, `mirror_region_costs`; see `pose_costs`) judge it
 as a whole. `View` holds everything about the scene that is the same on all frames, `PictureModel` the same for kernels.
 `projection` gives the outline and the edges of the placed die, `rounded_edge` those of rounded corners, `edge_equations` compares
 them with a frame. `segmentation` finds what differs from the background, `occluders` what stands before the die.
@@ -11,6 +11,7 @@ them with a frame. `segmentation` finds what differs from the background, `occlu
 estimates blur, light and corner radius. `tracking.surface_marks` shares the projection and the linear algebra.
 """
 
+from .edge_equations import add_edge_equations as add_edge_equations
 from .edge_stretch import BIWEIGHT_CUT as BIWEIGHT_CUT
 from .edge_stretch import NORMAL_MAD as NORMAL_MAD
 from .edge_stretch import update_shared_greys as update_shared_greys
@@ -19,7 +20,6 @@ from .kernel_types import BLUR as BLUR
 from .kernel_types import CLEAR_PX as CLEAR_PX
 from .kernel_types import CONTOUR as CONTOUR
 from .kernel_types import CONTOUR_PX as CONTOUR_PX
-from .kernel_types import DIE_PX as DIE_PX
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
 from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import PARAMETERS as PARAMETERS
@@ -42,9 +42,9 @@ from .kernel_types import new_workspace as new_workspace
 from .occluders import OCCLUDED_SHARE as OCCLUDED_SHARE
 from .occluders import OccluderMask as OccluderMask
 from .occluders import update_occluder_mask as update_occluder_mask
+from .pose_costs import costs_with_edge_noise as costs_with_edge_noise
 from .pose_costs import mirror_region_costs as mirror_region_costs
 from .pose_costs import region_costs as region_costs
-from .pose_costs import relative_costs as relative_costs
 from .projection import LEAST_DEPTH_M as LEAST_DEPTH_M
 from .projection import NARROW_WINDOW_PX as NARROW_WINDOW_PX
 from .projection import ROW_ITERATIONS as ROW_ITERATIONS
@@ -78,7 +78,6 @@ from .small_matrices import solve_factored as solve_factored
 from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
-from .surface_equations import add_picture_equations as add_picture_equations
 from .surface_light import LAMP_PRIOR as LAMP_PRIOR
 from .surface_light import SPHERE as SPHERE
 from .surface_light import LightPrior as LightPrior

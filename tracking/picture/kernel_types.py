@@ -32,7 +32,7 @@ CONTOUR = 6
 BLUR = 7
 """Column of the blur."""
 
-STATISTICS = 10
+STATISTICS = 8
 """Numbers that the kernels count beside the normal equations; their places follow."""
 ROBUST_COST = 0
 """Sum over edge pixels of the truncated cost, 0 to 1 each."""
@@ -50,10 +50,6 @@ LOG_NOISE = 6
 """Sum over edge pixels of the logarithm of the residual noise [grey]."""
 BACKGROUND_SHARE = 7
 """Share of the die's own pixels that show nothing but the background."""
-EVIDENCE = 8
-"""Region cost of the picture with the die, less that of the background alone: summed over pixels, not their mean."""
-DIE_PX = 9
-"""Number of pixels on the die."""
 
 
 class Shape(NamedTuple):
@@ -345,8 +341,6 @@ class Workspace(NamedTuple):
     """Of a rounded die."""
     tie: Any
     """(4,) information that ties the intensities of a stretch to the light."""
-    surface_point: Any
-    """(19,) of a point of a rounded surface: normal, middle of its ball, ray, brightness with derivatives, origin of the ray."""
 
 
 @inner_nogil
@@ -378,7 +372,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
         np.zeros((MAX_STRETCH_ROWS, PARAMETERS)), np.zeros((4, 4)), np.zeros((4, 4)), np.zeros((PARAMETERS, 4)), np.zeros(4),
         np.zeros(4), np.zeros(nf + 1), np.zeros((views, nf + 1, 5)), np.zeros((views, nf + 1, 2)),
         np.zeros((views, nf + 1, nf + 1)), np.zeros((views, nf + 1, PARAMETERS)), np.zeros((views, nf + 1)),
-        np.zeros((views, nf + 2), np.int64), light, np.zeros(4), np.zeros(19),
+        np.zeros((views, nf + 2), np.int64), light, np.zeros(4),
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@
 | `mirror_region_costs` | these before a mirror, to be added | dark pixels that neither die nor reflection covers |
 | `region_cost` (kernel) | one pose, all cameras | as `region_costs`, on the pose's own box |
 | `pose_cost` (kernel), `Pose.cost` | one refined pose | `region_cost`, and what the edges lack: clear steps, explained pixels |
-| `relative_costs` | refined poses of one picture | `pose_cost` against that of no die at all, and the noise that edges leave |
+| `costs_with_edge_noise` | refined poses | `pose_cost`, and the mean logarithm of the noise [grey] that edges leave |
 
 The unit is one truncated squared sigma per pixel. A clip's corner radius has a cost of its own, the robust likelihood
 of the edges alone (`tracking.clip_parameters.corner_radius`).
@@ -28,14 +28,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernel_types import CLEAR_PX, CONTOUR_PX, EVIDENCE, LOG_NOISE, PIXELS, ROBUST_COST
-from .region_cost import (
-    SHADOW_SQUARED_SIGMAS_CUT,
-    SQUARED_SIGMAS_CUT,
-    SUPPORT_COST,
-    UNEXPLAINED_COST,
-    region_costs_in_box,
-)
+from .kernel_types import LOG_NOISE, PIXELS
+from .region_cost import SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT, region_costs_in_box
 from .view import MIRRORED, Array, Image, View
 
 Box = tuple[int, int, int, int]
@@ -60,16 +54,10 @@ def region_costs(
     return costs, differs
 
 
-def relative_costs(statistics: Array, area_px: Array | float) -> Array:
-    """(n,) what n poses cost more than no die at all, from their statistics (n, STATISTICS): in the region, per pixel of an
-    area (n,) or of one area; in what edges lack; and in the mean logarithm of the noise [grey] that these leave.
-
-    Poses on one picture are compared with one area. An area of each would favour small dice that cover part of what they
-    explain."""
-    pixels = np.maximum(statistics[:, PIXELS], 1.0)
-    lacking = 1.0 - statistics[:, CLEAR_PX] / np.maximum(statistics[:, CONTOUR_PX], 1e-9)
-    edges = SUPPORT_COST * lacking + (UNEXPLAINED_COST * statistics[:, ROBUST_COST] + statistics[:, LOG_NOISE]) / pixels
-    return np.asarray(statistics[:, EVIDENCE] / np.maximum(area_px, 1.0) + edges)
+def costs_with_edge_noise(cost: Array, statistics: Array) -> Array:
+    """(n,) pose costs (n,) and the mean logarithm of the noise [grey] that the edges leave, from the statistics (n,
+    STATISTICS)."""
+    return np.asarray(cost + statistics[:, LOG_NOISE] / np.maximum(statistics[:, PIXELS], 1.0))
 
 
 def mirror_region_costs(

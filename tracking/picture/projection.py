@@ -247,6 +247,71 @@ def reach_of_die(shape: Shape) -> float:
 
 
 @inner_no_memory
+def place_outer(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Workspace) -> bool:
+    """Fill in the workspace the pixels of the sharp polyhedron of the flat faces, in place of those of the inner body.
+    False if a vertex lies behind the camera."""
+    pos, R = pose.position, pose.rotation
+    for i in range(shape.outer.shape[0]):
+        for a in range(3):
+            work.vertex_camera[i, a] = rig.translation[view, a]
+            for b in range(3):
+                arm = R[b, 0] * shape.outer[i, 0] + R[b, 1] * shape.outer[i, 1] + R[b, 2] * shape.outer[i, 2]
+                work.vertex_camera[i, a] += rig.rotation[view, a, b] * (pos[b] + arm)
+        if work.vertex_camera[i, 2] <= LEAST_DEPTH_M:
+            return False
+        work.vertex_px[i, 0], work.vertex_px[i, 1] = project_point(
+            rig.matrix[view],
+            rig.distortion[view],
+            work.vertex_camera[i, 0],
+            work.vertex_camera[i, 1],
+            work.vertex_camera[i, 2],
+            work.J,
+        )
+    if rig.row_s[view] != 0.0:
+        late = exposure_delay(rig, pos)
+        for i in range(shape.outer.shape[0]):
+            for b in range(3):
+                work.vertex_arm[i, b] = (
+                    R[b, 0] * shape.outer[i, 0] + R[b, 1] * shape.outer[i, 1] + R[b, 2] * shape.outer[i, 2]
+                )
+            _move_vertex(rig, view, pose, late, i, work)
+    return True
+
+
+@inner_no_memory
+def rounded_contour(shape: Shape, rig: CameraRig, view: int, pos: Any, work: Workspace) -> tuple[int, float]:
+    """Fill in the workspace's hull the outline of a rounded die's inner body as placed. Return the number of its lines,
+    and how far beyond them the contour lies in the picture [px]; 0 for a sharp die, whose faces end there."""
+    if shape.radius == 0.0:
+        return 0, 0.0
+    depth = rig.translation[view, 2]
+    for b in range(3):
+        depth += rig.rotation[view, 2, b] * pos[b]
+    return outline_hull(shape, work), shape.radius * rig.matrix[view, 0, 0] / depth
+
+
+@inner_no_memory
+def face_lines(shape: Shape, work: Workspace, f: int, lines: Any) -> int:
+    """Fill the half-planes a x + b y + c >= 0 of a placed face; return their number."""
+    mx, my, count = 0.0, 0.0, 0
+    for j in range(shape.face_edges.shape[1]):
+        e = shape.face_edges[f, j]
+        if e < 0:
+            break
+        i, k = shape.edges[e, 0], shape.edges[e, 1]
+        a, b = work.vertex_px[i, 1] - work.vertex_px[k, 1], work.vertex_px[k, 0] - work.vertex_px[i, 0]
+        lines[j, 0], lines[j, 1], lines[j, 2] = a, b, -(a * work.vertex_px[i, 0] + b * work.vertex_px[i, 1])
+        mx += 0.5 * (work.vertex_px[i, 0] + work.vertex_px[k, 0])
+        my += 0.5 * (work.vertex_px[i, 1] + work.vertex_px[k, 1])
+        count += 1
+    for j in range(count):
+        if lines[j, 0] * mx / count + lines[j, 1] * my / count + lines[j, 2] < 0.0:
+            for q in range(3):
+                lines[j, q] = -lines[j, q]
+    return count
+
+
+@inner_no_memory
 def scale_px(rig: CameraRig, pos: Any) -> float:
     """Pixels per metre at a point, in the nearest view."""
     best = 0.0

@@ -91,14 +91,14 @@ _POWERS = [
 
 
 def normal_monomials(normals: Array) -> Array:
-    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of `fill_monomials`: k is at most 1,
+    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of `_fill_monomials`: k is at most 1,
     since z² is 1 - x² - y²."""
     x, y, z = normals.T
     return np.stack([x**i * y**j * z**k for i, j, k in _POWERS], axis=1)
 
 
 @inner_no_memory
-def fill_monomials(x: float, y: float, z: float, out: Any) -> None:
+def _fill_monomials(x: float, y: float, z: float, out: Any) -> None:
     """Fill the monomials (LIGHT_TERMS,) of a normal; the first is 1."""
     k, a = np.int64(0), 1.0
     for i in range(LIGHT_DEGREE + 1):
@@ -171,9 +171,9 @@ def fill_strip_rows(n0: Any, end: Any, angle: float, interior: bool, mean: Any, 
     The normal turns from n0 towards `end` by `angle` [rad]."""
     rows, here, course, left = light.rows, light.monomials, light.course, light.left
     kind = 1 if interior else 0
-    fill_monomials(n0[0], n0[1], n0[2], rows[0])
+    _fill_monomials(n0[0], n0[1], n0[2], rows[0])
     c, s = cos(angle), sin(angle)
-    fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], rows[1])
+    _fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], rows[1])
     near_grey, far_grey = _inner(rows[0], mean), _inner(rows[1], mean)
     far_share = 1.0 if interior else 0.0
     for k in range(LIGHT_TERMS):
@@ -185,7 +185,7 @@ def fill_strip_rows(n0: Any, end: Any, angle: float, interior: bool, mean: Any, 
     for j in range(1, STRIP_CELLS):
         u = j / STRIP_CELLS
         c, s = cos(u * angle), sin(u * angle)
-        fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], here)
+        _fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], here)
         near, far = 1.0 - far_share * u, far_share * u
         first, second = _PROJECTION[kind, 0, j], _PROJECTION[kind, 1, j]
         for k in range(LIGHT_TERMS):

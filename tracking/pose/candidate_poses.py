@@ -205,7 +205,7 @@ def _search(view: View, images: Image, blob: Blob, box: Box) -> list[tuple[float
     places, turns = np.array([p.position_m for p in poses]), np.array([p.rotation for p in poses])
     costs, differs = _region_costs(view, images[0], box, places, turns, JUDGED_PIXELS)
     return [
-        (float(cost) + SUPPORT_COST * (1.0 - pose.support) + UNEXPLAINED_COST * pose.unexplained + pose.log_noise, pose)
+        (float(cost) + SUPPORT_COST * (1.0 - pose.support) + UNEXPLAINED_COST * pose.unexplained, pose)
         for cost, share, pose in zip(costs, differs, poses, strict=True)
         if share > LEAST_DIFFERING_SHARE and pose.support > LEAST_SUPPORT
     ]

@@ -14,12 +14,11 @@ from ..footage import FrameSource
 from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
-    DIE_PX,
     PARAMETERS,
     STATISTICS,
     PoseRows,
     View,
-    relative_costs,
+    costs_with_edge_noise,
     shares_in_view,
 )
 from ..throw import ENOUGH_FRAMES
@@ -84,18 +83,9 @@ class ClipPoses:
         return np.asarray(self.statistics[:, CLEAR_PX] / np.maximum(self.statistics[:, CONTOUR_PX], 1e-9))
 
     @property
-    def area_px(self) -> Array:
-        """(n,) pixels that show the die."""
-        return np.asarray(self.statistics[:, DIE_PX])
-
-    def relative_cost(self, area_px: Array | float) -> Array:
-        """(n,) see `relative_costs`; comparable between poses on the same frames with the same areas (n,)."""
-        return relative_costs(self.statistics, area_px)
-
-    def explain_better(self, others: ClipPoses) -> Mask:
-        """(n,) whether each pose explains its picture better than another one of the same frame."""
-        area_px = np.maximum(self.area_px, others.area_px)
-        return np.asarray(self.relative_cost(area_px) < others.relative_cost(area_px))
+    def cost_with_edge_noise(self) -> Array:
+        """(n,) see `costs_with_edge_noise`."""
+        return costs_with_edge_noise(self.cost, self.statistics)
 
     def put(self, k: int, pose: Pose, motion: Array) -> None:
         """Write the pose of one frame."""

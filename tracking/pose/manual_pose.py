@@ -96,7 +96,7 @@ def manual_initial_pose(view: View, image: Image, start: ManualInitialisation) -
             f"start.frame = {start.frame}: the picture shows {100 * best:.0f} % of the contour of a {view.die.solid.name} "
             f"there, wanted at least {100 * LEAST_SUPPORT:.0f} %; check the frame's number, and the pose or clicks"
         )
-    pose = min(confirmed, key=lambda each: each.relative_cost(confirmed[0].area_px))
+    pose = min(confirmed, key=lambda each: each.cost)
     return _labelled_as_given(view, pose, start)
 
 

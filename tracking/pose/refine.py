@@ -11,7 +11,6 @@ from ..picture import (
     CLEAR_PX,
     CONTOUR,
     CONTOUR_PX,
-    DIE_PX,
     LOG_NOISE,
     PIXELS,
     ROBUST_COST,
@@ -22,9 +21,9 @@ from ..picture import (
     RefinementSettings,
     View,
     Workspace,
+    costs_with_edge_noise,
     new_equations,
     new_workspace,
-    relative_costs,
     whole_frame_windows,
 )
 from .refine_kernels import isotropic_prior, refine_and_score
@@ -66,20 +65,16 @@ class Pose:
     log_noise: float
     """Mean logarithm of the noise [grey] that the edge model leaves."""
     cost: float
-    """Pose cost, see `tracking.picture.pose_costs`: how well a picture is explained, not which pose explains it better."""
+    """Pose cost, see `tracking.picture.pose_costs`; comparable between poses of one frame only."""
     H: Array
     """(8, 8) normal equations of pose, contour error and blur."""
     statistics: Array
     """(STATISTICS,) counts of the kernels, see `ROBUST_COST` and those beside it."""
 
     @property
-    def area_px(self) -> float:
-        """Pixels that show the die."""
-        return float(self.statistics[DIE_PX])
-
-    def relative_cost(self, area_px: float) -> float:
-        """See `relative_costs`; comparable between poses on one frame with one area."""
-        return float(relative_costs(self.statistics[None], area_px)[0])
+    def cost_with_edge_noise(self) -> float:
+        """See `costs_with_edge_noise`."""
+        return float(costs_with_edge_noise(np.array([self.cost]), self.statistics[None])[0])
 
     @property
     def covariance(self) -> Array | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...model.compiled import compiled, inner_no_memory
 from ..picture import (
+    BACKGROUND_SHARE,
     CLEAR_PX,
     CONTOUR_PX,
     LEAST_DEPTH_M,
@@ -29,7 +30,7 @@ from ..picture import (
     PoseRows,
     PoseState,
     Workspace,
-    add_picture_equations,
+    add_edge_equations,
     begin_light,
     cholesky_factor,
     crop_windows,
@@ -164,7 +165,7 @@ def refine_and_score(
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                add_picture_equations(view, windows, model, pose, sampling, work, equations)
+                add_edge_equations(view, windows, model, pose, sampling, work, equations)
         for a in range(PARAMETERS):
             for b in range(a):
                 H[b, a] = H[a, b]
@@ -201,7 +202,8 @@ def refine_and_score(
     cost = 0.0
     if settings.region_pixels > 0:
         pose = PoseState(p, Q, start.velocity, start.omega)
-        region = region_cost(windows, model, start, pose, REGION_MARGIN_PX, work, statistics)
+        region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
+        statistics[BACKGROUND_SHARE] = 1.0 - differs
         cost = pose_cost(region, statistics)
     return p, Q, cost
 

@@ -133,8 +133,7 @@ def _chi2_ratio(view: View, source: FrameSource, poses: ClipPoses, other: ClipPo
     covered = both[run].sum() >= MIN_COVERAGE * poses.known[run].sum()
     if not covered or both.sum() < MOTION_FRAMES:
         return np.inf
-    ours, theirs = (one.relative_cost(poses.area_px)[both].mean() for one in (poses, other))
-    if theirs > ours + REVERSAL_MISFIT:
+    if other.cost_with_edge_noise[both].mean() > poses.cost_with_edge_noise[both].mean() + REVERSAL_MISFIT:
         return np.inf
     rows = np.flatnonzero(both)[:: WINDOW // 2]
     ours, theirs = (float(np.median(_reduced_chi2(as_track(view, source, one, both), rows))) for one in (poses, other))
@@ -153,9 +152,7 @@ def _reversal(view: View, source: FrameSource, poses: ClipPoses, k: int) -> Pose
         return None
     picture, here = np.asarray(source.frame(k), np.float32), (poses.position_m[k], poses.rotation[k])
     pose = refine_pose(view, picture, pose_state(here[0], rotation), coarse=2, roughly=True)
-    area_px = float(poses.area_px[k])
-    ours = float(poses.relative_cost(area_px)[k])
-    if pose.covariance is None or pose.relative_cost(area_px) > ours + REVERSAL_MISFIT:
+    if pose.covariance is None or pose.cost_with_edge_noise > poses.cost_with_edge_noise[k] + REVERSAL_MISFIT:
         return None
     return None if same_picture(view, here, (pose.position_m, pose.rotation)) else pose
 
@@ -208,7 +205,7 @@ def _merged(view: View, poses: ClipPoses, other: ClipPoses, run: slice) -> ClipP
     inside = np.zeros(len(poses.known), bool)
     inside[run] = True
     # Beyond the run either may be right: the one of lower cost is taken.
-    rows = np.flatnonzero(other.known & (inside | ~poses.known | other.explain_better(poses)))
+    rows = np.flatnonzero(other.known & (inside | ~poses.known | (other.cost < poses.cost)))
     out = poses.copy()
     out.known[inside] = False
     out.take(rows, other)

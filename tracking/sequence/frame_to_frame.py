@@ -291,7 +291,6 @@ class FrameTracker:
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
-        area_px = 0.0
         tight = motion_prior(P, self.view.settings)
         others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
         for start, coarse, prior in ((expected, 1, tight), *((s, c, None) for s, c in others)):
@@ -299,8 +298,7 @@ class FrameTracker:
             pose = refine_pose(self.view, image, initial, coarse=coarse, prior=prior, roughly=True, work=self._work)
             if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX:
                 continue
-            area_px = max(area_px, pose.area_px)
-            if best is None or pose.relative_cost(area_px) < best[0].relative_cost(area_px) - LEAST_IMPROVEMENT:
+            if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
                 best = pose, start
             if best[0].cost < self.usual_cost + SMALL_EXCESS_COST:
                 break

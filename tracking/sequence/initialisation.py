@@ -124,8 +124,6 @@ class Hypothesis:
     """Of the frames since the initial pose."""
     score: Score
     """At the last stage at which any hypothesis moved as a die does."""
-    area_px: float
-    """Of the die on the first frame, the same for all hypotheses that are compared."""
     competitors: int = 0
     """Other poses that are as good at the end, or uneven with a smaller misfit."""
 
@@ -266,7 +264,7 @@ def initial_pose_by_hand(
             "excluded"
         )
     pose = manual_initial_pose(view, np.asarray(source.frame(k)[0], np.float32), by_hand)
-    hypothesis = _new_hypothesis(view, source, k, pose, unused, _rate_px_s(view, source, k, unused), pose.area_px)
+    hypothesis = _new_hypothesis(view, source, k, pose, unused, _rate_px_s(view, source, k, unused))
     return _on_clip(hypothesis, source, k, unused)
 
 
@@ -294,8 +292,10 @@ def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hy
     """The hypothesis on frame k that the frames after it support best; None if they support none."""
     left = min(STAGES[-1], len(source) - k)
     image, rate_px_s = np.asarray(source.frame(k), np.float32), _rate_px_s(view, source, k, unused)
-    poses = [_moving(view, image, pose, rate_px_s) for _, pose in pose_candidates(view, image)]
-    hypotheses = [_new_hypothesis(view, source, k, pose, unused, rate_px_s, poses[0].area_px) for pose in poses]
+    hypotheses = [
+        _new_hypothesis(view, source, k, _moving(view, image, pose, rate_px_s), unused, rate_px_s)
+        for _, pose in pose_candidates(view, image)
+    ]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
         # Past an impact no hypothesis moves evenly: of those still on the die, the one that led before it has won.
@@ -330,7 +330,7 @@ def _winner(
         back = best.tracker.backwards_tracker()
         best.poses.known[:last] = False
         back.track(np.stack([source.frame(k + row) for row in range(last)]), source.times_s[k:], 0, best.poses)
-        best.score = _score(view, best.poses, best.area_px, source.times_s[k:], 0, last + 1)
+        best.score = _score(view, best.poses, source.times_s[k:], 0, last + 1)
     return best
 
 
@@ -368,16 +368,14 @@ def _moving(view: View, image: Image, pose: Pose, rate_px_s: Array) -> Pose:
     return refine_pose(view, image, pose_state(pose.position_m, pose.rotation, velocity_m_s, np.zeros(3)))
 
 
-def _new_hypothesis(
-    view: View, source: FrameSource, k: int, pose: Pose, unused: Mask, rate_px_s: Array, area_px: float
-) -> Hypothesis:
+def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused: Mask, rate_px_s: Array) -> Hypothesis:
     """A hypothesis that has not been tracked yet."""
     poses = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     poses.put(0, pose, np.zeros(6))
     tracker = FrameTracker.from_pose(
         view, pose, source.times_s[k:], 0, unused[k:], velocity_m_s=_velocity_m_s(view, pose, rate_px_s)
     )
-    return Hypothesis(tracker, poses, Score(pose.relative_cost(area_px)), area_px)
+    return Hypothesis(tracker, poses, Score(pose.cost_with_edge_noise))
 
 
 def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> Score | None:
@@ -392,13 +390,13 @@ def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int,
     # An initial pose that was a little off takes some frames to converge, and a wrong one may become right when the die shows
     # another face: the recent motion counts.
     since = stage // 2 if stage > FULL_STAGE else 0
-    whole = _score(view, poses, hypothesis.area_px, times_s, 0, stage)
-    return whole if whole.unevenness < EVEN else _score(view, poses, hypothesis.area_px, times_s, since, stage)
+    whole = _score(view, poses, times_s, 0, stage)
+    return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
 
 
-def _score(view: View, poses: ClipPoses, area_px: float, times_s: Array, since: int, until: int) -> Score:
-    """The score of poses from row `since` to before `until`, relative to an area of the picture."""
-    misfit = float(poses.relative_cost(area_px)[since:until][poses.known[since:until]].mean())
+def _score(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> Score:
+    """The score of poses from row `since` to before `until`."""
+    misfit = float(poses.cost_with_edge_noise[since:until][poses.known[since:until]].mean())
     return Score(misfit, _unevenness(view, poses, times_s, since, until), since, until)
 
 

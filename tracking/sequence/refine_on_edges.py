@@ -97,7 +97,7 @@ class EdgeRefinement:
         poses = attempts[0].poses(count)
         for attempt in attempts[1:]:
             other = attempt.poses(count)
-            poses.take(np.flatnonzero(other.known & (~poses.known | other.explain_better(poses))), other)
+            poses.take(np.flatnonzero(other.known & (~poses.known | (other.cost < poses.cost))), other)
         return with_labels_of_flights(view, poses, reference, tracked)
 
     def _differ_from(self, flights: ClipPoses) -> Mask:

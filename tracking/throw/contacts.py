@@ -70,11 +70,7 @@ REBOUND_SIGMAS = 2.0
 NEAR_SHARE = 0.1
 """Height above the lowest vertex, as a share of the spread of heights, up to which a vertex may be the one that strikes."""
 CLEAR_SHARE = 0.03
-"""Height above the table, as a share of an edge, from which a motion has touched nothing, if one motion explains the frames about
-a link nearly as well as two. If it does not, the height is off: by as much as TABLE_REACH and HEIGHT_SIGMAS."""
-HEIGHT_SIGMAS = 3.0
-"""Standard errors of the height of a single frame by which the height of a flight may be off besides: what its frames share is
-about as large."""
+"""Height above the table, as a share of an edge, from which a motion has touched nothing."""
 TOUCH_SAMPLES = 200
 """Instants at which the height of a motion is evaluated to find its first touch: some twenty frames at most lie between."""
 CLEAR_SAMPLES = 24
@@ -499,13 +495,8 @@ def _without_link(observations: WeightedPoses, chain: FlightChain, k: int, prior
 
 def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
     """The chain without open links at which nothing can have struck: the motion before, continued to the first inlier of the next
-    flight, stays clear of the table.
-
-    A link that explains much stays near the table: a small die far away is seen a millimetre too high all along its flight. It
-    stays anywhere if most frames lie off the one motion that would be left."""
+    flight, stays clear of the table."""
     impacts = _vertex_impacts(die)
-    sigma_m = float(np.median(np.linalg.norm(np.linalg.inv(observations.whitener)[:, 2], axis=1)))
-    off_m = TABLE_REACH * die.solid.edge_m + HEIGHT_SIGMAS * sigma_m
     for k, link in reversed(list(enumerate(chain.links))):
         if not link.is_open or not impacts:
             continue
@@ -515,12 +506,10 @@ def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, d
         lowest = min(_height(chain.flights[k].at(float(t)), impacts) for t in times)
         if lowest - chain.table_m < CLEAR_SHARE * die.solid.edge_m:
             continue
-        trial = _without_link(observations, chain, k, priors)
-        explains_much = trial.cost > chain.cost + PLAIN_FACTOR * LEAST_GAIN
-        is_known = bool(trial.inlier_share(observations.time_s)[k] > KNOWN_FLIGHT_SHARE)
-        if explains_much and (lowest - chain.table_m < off_m or not is_known):
-            continue
-        chain = priors.refit(observations, trial, trial.links, _error_model_of(observations, trial))
+        starts = [flight.start for j, flight in enumerate(chain.flights) if j != k + 1]
+        links = [other for j, other in enumerate(chain.links) if j != k]
+        chain = priors.fit(observations, starts, links, chain.errors)
+        chain = priors.refit(observations, chain, chain.links, _error_model_of(observations, chain))
     return chain
 
 

@@ -60,14 +60,11 @@ def test_edges_distinguish_a_reversal_better_than_the_picture_as_a_whole() -> No
         assert other is not None
         true = refine_pose(view, picture, pose_state(position, state.rotation), coarse=0)
         wrong = refine_pose(view, picture, pose_state(position, other), coarse=2)
-        area_px = true.area_px
-        noise = wrong.log_noise - true.log_noise
-        both = wrong.relative_cost(area_px) - true.relative_cost(area_px)
-        gaps.append((both - noise, both))
-    whole, with_noise = np.array(gaps).T
+        gaps.append((wrong.cost - true.cost, wrong.cost_with_edge_noise - true.cost_with_edge_noise))
+    whole, both = np.array(gaps).T
     assert len(gaps) > 10
-    assert with_noise.min() > 0.0
-    assert np.median(with_noise - whole) > 0.1
+    assert both.min() > 0.0
+    assert np.median(both - whole) > 0.1
 
 
 def spinning_triangle(seed: int = 1) -> tuple[View, FrameSource, Flight]:
