@@ -29,7 +29,7 @@ from diethrow.executors import Processes, cores
 from diethrow.files.scene import read_scene
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.tracking.clip_parameters import BLUR_FRAMES, estimate_lens_blur, with_light
-from diethrow.tracking.footage import FrameSource, clip_in_light, level_grey
+from diethrow.tracking.footage import FrameSource, clip_in_light, estimate_background, level_grey
 from diethrow.tracking.picture import PixelNoise, View, make_view, pixel_noise
 from diethrow.tracking.pose import ClipPoses, pose_state, refine_pose
 
@@ -105,7 +105,7 @@ def view_of(folder: Path) -> tuple[View, FrameSource]:
     source = FrameSource([clip])
     frames = [np.asarray(clip.frame(int(k)), np.float32) for k in np.linspace(0, len(clip) - 1, FRAMES).astype(int)]
     if background is None:
-        background = np.median(frames, axis=0).astype(np.float32)
+        background = estimate_background(clip)
     noise: PixelNoise = pixel_noise(frames, background, unit_grey)
     exposure_s, readout_s = scene.clip.exposure_s, scene.clip.readout_s
     view = make_view(

@@ -11,6 +11,8 @@ from .background import load_background as load_background
 from .background import shows_one_picture as shows_one_picture
 from .cine import is_cine as is_cine
 from .clip import Clip as Clip
+from .clip import DerivedClip as DerivedClip
+from .clip import FillingDerivedClip as FillingDerivedClip
 from .clip import FillsFrames as FillsFrames
 from .clip import clip_files as clip_files
 from .clip import open_clip as open_clip

@@ -70,6 +70,52 @@ class FillsFrames(Protocol):
         ...
 
 
+class DerivedClip:
+    """A `Clip` made of another one: every frame passes through `_changed`, and all else is as of the other."""
+
+    def __init__(self, clip: Clip) -> None:
+        self._clip = clip
+        self.width_px, self.height_px, self.bit_depth = clip.width_px, clip.height_px, clip.bit_depth
+        self.times_s, self.first_frame = clip.times_s, clip.first_frame
+
+    def _changed(self, frame: Frame) -> Frame:
+        return frame
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """Those of the file."""
+        return self._clip.notices
+
+    def __len__(self) -> int:
+        return len(self._clip)
+
+    def frame(self, index: int) -> Frame:
+        """One frame; raises as the clip does."""
+        return self._changed(self._clip.frame(index))
+
+    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
+        """Frames `start` to `stop` in order; raises as the clip does."""
+        return map(self._changed, self._clip.frames(start, stop))
+
+    def metadata(self) -> dict[str, Any]:
+        """What the file declares."""
+        return self._clip.metadata()
+
+
+class FillingDerivedClip(DerivedClip):
+    """The same of a clip that writes into given memory, which the derived one then has to do as well (`fill`)."""
+
+    @property
+    def _filling(self) -> FillsFrames:
+        assert isinstance(self._clip, FillsFrames)
+        return self._clip
+
+    @property
+    def in_any_order(self) -> bool:
+        """As of the clip."""
+        return self._filling.in_any_order
+
+
 def open_clip(
     path: Path, *, fps: float | None = None, frame_range: tuple[int, int] | None = None, as_stored: bool = False
 ) -> Clip:

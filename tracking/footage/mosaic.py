@@ -18,7 +18,6 @@ coloured die 15 poses of 66 were wrong with it, and 3 of 63 with the filter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,7 +25,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip, FillsFrames, Frame
+from .clip import Clip, DerivedClip, FillingDerivedClip, FillsFrames, Frame
 from .reader import MOSAIC
 
 Array = NDArray[np.float64]
@@ -106,47 +105,28 @@ def has_mosaic(clip: Clip) -> bool:
     return bool(clip.metadata().get("mosaic"))
 
 
-class _SmoothedClip:
+class _SmoothedClip(DerivedClip):
     """A `Clip` whose frames are another's, smoothed."""
 
     def __init__(self, clip: Clip, notice: str) -> None:
-        self._clip, self._notice = clip, notice
-        self.width_px, self.height_px, self.bit_depth = clip.width_px, clip.height_px, clip.bit_depth
-        self.times_s, self.first_frame = clip.times_s, clip.first_frame
+        super().__init__(clip)
+        self._notice = notice
+
+    def _changed(self, frame: Frame) -> Frame:
+        return smoothed(frame)
 
     @property
     def notices(self) -> tuple[str, ...]:
         """Those of the file, and that on the mosaic."""
         return (*self._clip.notices, self._notice)
 
-    def __len__(self) -> int:
-        return len(self._clip)
-
-    def frame(self, index: int) -> Frame:
-        """One frame; raises as the clip does."""
-        return smoothed(self._clip.frame(index))
-
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """Frames `start` to `stop` in order; raises as the clip does."""
-        return map(smoothed, self._clip.frames(start, stop))
-
     def metadata(self) -> dict[str, Any]:
         """What the file declares."""
         return {**self._clip.metadata(), "mosaic": True}
 
 
-class _FillingSmoothedClip(_SmoothedClip):
+class _FillingSmoothedClip(_SmoothedClip, FillingDerivedClip):
     """The same of a clip that writes into given memory; a pixel outside the boxes is not smoothed."""
-
-    def __init__(self, clip: Clip, notice: str) -> None:
-        super().__init__(clip, notice)
-        assert isinstance(clip, FillsFrames)
-        self._filling: FillsFrames = clip
-
-    @property
-    def in_any_order(self) -> bool:
-        """As of the clip."""
-        return self._filling.in_any_order
 
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
         """Write the frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""

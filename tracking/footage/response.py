@@ -10,13 +10,10 @@ file is 5 of them under sRGB. A clip with a linear response is not mapped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
-from .clip import Clip, FillsFrames, Frame
+from .clip import Clip, DerivedClip, FillingDerivedClip, FillsFrames, Frame
 
 Response = str | float | None
 """`linear`, `srgb` or an exponent (grey = light ** exponent); None if it is not known, which counts as linear."""
@@ -94,54 +91,24 @@ def _full_scale(bit_depth: int) -> int:
     return int(2 ** min(bit_depth + EXTRA_BITS, MAX_BITS) - 1)
 
 
-class _LightClip:
+class _LightClip(DerivedClip):
     """A `Clip` whose frames are another's, mapped by a table."""
 
     def __init__(self, clip: Clip, response: Response) -> None:
-        self._clip, self._table = clip, light_table(clip.bit_depth, response)
-        self.width_px, self.height_px = clip.width_px, clip.height_px
+        super().__init__(clip)
+        self._table = light_table(clip.bit_depth, response)
         self.bit_depth = min(clip.bit_depth + EXTRA_BITS, MAX_BITS)
-        self.times_s, self.first_frame = clip.times_s, clip.first_frame
 
-    @property
-    def notices(self) -> tuple[str, ...]:
-        """Those of the file."""
-        return self._clip.notices
-
-    def __len__(self) -> int:
-        return len(self._clip)
-
-    def frame(self, index: int) -> Frame:
-        """One frame; raises as the clip does."""
-        return np.asarray(self._table[self._clip.frame(index)])
-
-    def frames(self, start: int = 0, stop: int | None = None) -> Iterator[Frame]:
-        """Frames `start` to `stop` in order; raises as the clip does."""
-        for frame in self._clip.frames(start, stop):
-            yield np.asarray(self._table[frame])
-
-    def metadata(self) -> dict[str, Any]:
-        """What the file declares."""
-        return self._clip.metadata()
+    def _changed(self, frame: Frame) -> Frame:
+        return np.asarray(self._table[frame])
 
 
-class _FillingLightClip(_LightClip):
+class _FillingLightClip(_LightClip, FillingDerivedClip):
     """The same of a clip that writes into given memory; a pixel outside the boxes is not mapped."""
-
-    def __init__(self, clip: Clip, response: Response) -> None:
-        super().__init__(clip, response)
-        assert isinstance(clip, FillsFrames)
-        self._filling: FillsFrames = clip
-        self._dtype = np.uint8 if clip.bit_depth <= BYTE_BITS else np.uint16
-
-    @property
-    def in_any_order(self) -> bool:
-        """As of the clip."""
-        return self._filling.in_any_order
 
     def fill(self, start: int, out: Frame, boxes: NDArray[np.int64] | None = None) -> None:
         """Write the frames from `start` on into `out` (n, height, width), at least the pixels of `boxes` (n, 4) of each."""
-        raw = np.empty(out.shape, self._dtype)
+        raw = np.empty(out.shape, np.uint8 if self._clip.bit_depth <= BYTE_BITS else np.uint16)
         self._filling.fill(start, raw, boxes)
         for k, picture in enumerate(out):
             x0, y0, x1, y1 = (0, 0, self.width_px, self.height_px) if boxes is None else boxes[k].tolist()
