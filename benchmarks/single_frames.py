@@ -1,13 +1,13 @@
 """What one picture says of a pose: `python benchmarks/single_frames.py [--clips 48] [--seed 1]`.
 
-Frames of the random clips of `population.py` are refined from their true poses, once without any knowledge of the light on
-the die and once with that of the clip (`with_light`). What a refinement loses from the truth, no search or tracking recovers
-on that frame; a track has smaller errors, since many frames share its flights. NEES is the squared error in the stated
-covariance, 5.35 where that is honest.
+Frames of the random clips of `population.py` are refined from their true poses, once by the edges of the die alone, with
+the light of the clip (`with_light`), and once as frames are tracked: well-rounded dice by their whole surface. What a
+refinement loses from the truth, no search or tracking recovers on that frame; a track has smaller errors, since many frames
+share its flights. NEES is the squared error in the stated covariance, 5.35 where that is honest.
 
-A row for each kind of clip: frames; frames without a pose; then, without and with the light, the median and the 90th
-percentile of the rotation error [deg], the medians of the errors across and along the line of sight [mm], and the median NEES.
-Clips are rendered where they are missing in `--cache`.
+A row for each kind of clip: frames; frames without a pose; then, by edges and as tracked, the median and the 90th
+percentile of the rotation error [deg], the medians of the errors across and along the line of sight [mm], and the median
+NEES. Clips are rendered where they are missing in `--cache`.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ HEADS = (
     "kind",
     "frames",
     "none",
-    "free: rotation",
+    "edges: rotation",
     "lateral",
     "depth",
     "NEES",
-    "lit: rotation",
+    "tracked: rotation",
     "lateral",
     "depth",
     "NEES",
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], Array]:
-    """The kinds of a clip, and (2, frames, 4) errors without and with the light: rotation [deg], across and along the line of
+    """The kinds of a clip, and (2, frames, 4) errors by edges and as tracked: rotation [deg], across and along the line of
     sight [mm], squared in the stated covariance; NaN where a frame gave no pose."""
     folder, draw = clips / f"{number:04d}", draw_clip(seed, number)
     if not folder.exists():
@@ -87,11 +87,12 @@ def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], A
     view, source = view_of(folder)
     poses = true_poses(folder, view, len(source))
     lit = with_light(view, source.frame, poses)
-    blur_px = estimate_lens_blur(lit, poses.sample(source.frame, poses.known, BLUR_FRAMES))
+    as_tracked = view if view.shows_surface(np.median(poses.position_m[poses.known], axis=0)) else lit
+    blur_px = estimate_lens_blur(as_tracked, poses.sample(source.frame, poses.known, BLUR_FRAMES))
     known = np.flatnonzero(poses.known)
     rows = known[np.unique(np.linspace(0, len(known) - 1, FRAMES).astype(int))]
-    views = [replace(one, blur_px=blur_px) for one in (view, lit)]
-    return draw.kinds, np.array([[frame_errors(one, source, poses, int(k)) for k in rows] for one in views])
+    ways = [(replace(lit, blur_px=blur_px), True), (replace(as_tracked, blur_px=blur_px), False)]
+    return draw.kinds, np.array([[frame_errors(*way, source, poses, int(k)) for k in rows] for way in ways])
 
 
 def view_of(folder: Path) -> tuple[View, FrameSource]:
@@ -130,12 +131,11 @@ def true_poses(folder: Path, view: View, count: int) -> ClipPoses:
     return poses
 
 
-def frame_errors(view: View, source: FrameSource, poses: ClipPoses, k: int) -> Array:
+def frame_errors(view: View, edges_alone: bool, source: FrameSource, poses: ClipPoses, k: int) -> Array:
     """(4,) errors of the pose of one frame."""
     p, R, motion = poses.position_m[k], poses.rotation[k], poses.motion[k]
-    pose = refine_pose(
-        view, np.asarray(source.frame(k), np.float32), pose_state(p, R, motion[:3], motion[3:]), coarse=0
-    )
+    image, start = np.asarray(source.frame(k), np.float32), pose_state(p, R, motion[:3], motion[3:])
+    pose = refine_pose(view, image, start, coarse=0, edges_alone=edges_alone)
     covariance = pose.covariance
     if covariance is None:
         return np.full(4, np.nan)

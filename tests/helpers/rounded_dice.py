@@ -20,8 +20,9 @@ Array = NDArray[np.float64]
 
 GLOSS_POWER = 80.0
 """Exponent of the cosine between the normal and the bisector of light and view: a highlight ten degrees wide."""
-MARCHES = 40
-"""Steps along a ray: those that graze a bevel are the slowest, and are within a thousandth of a pixel then."""
+MARCHES = 300
+"""Steps along a ray: those that graze a face are the slowest. With 40 of them contours beyond a face seen at ten degrees lay a
+seventh of a pixel too far inside."""
 NEAR_M = 1e-7
 
 

@@ -296,7 +296,12 @@ def _free_poses(view: View) -> RefinementSettings:
     """Settings of a refinement with a free pose and strips of any shade, whatever is known of the light."""
     free = strips_of_any_shade(len(view.rig.camera))
     return view.settings._replace(
-        fine_steps=FREE_STEPS, min_gain=FREE_LAST_GAIN, region_pixels=0, strip_prior_share=FREE_STRIP_SHARE, light=free
+        fine_steps=FREE_STEPS,
+        min_gain=FREE_LAST_GAIN,
+        region_pixels=0,
+        strip_prior_share=FREE_STRIP_SHARE,
+        light=free,
+        whole_surface=False,
     )
 
 

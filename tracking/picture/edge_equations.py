@@ -39,11 +39,11 @@ from typing import Any
 import numpy as np
 
 from ...model.compiled import inner_no_memory
-from .edge_stretch import Stretch, add_stretch, eliminate_shared_greys
-from .kernel_types import (
+from ..placed_die import (
     BLUR,
     CONTOUR,
     MAX_STRETCH_PIXELS,
+    NO_LIGHT,
     PARAMETERS,
     STRIP_CELLS,
     EdgeSampling,
@@ -52,21 +52,26 @@ from .kernel_types import (
     PictureModel,
     PoseState,
     Workspace,
-)
-from .projection import (
     camera_point,
+    clear_light,
+    eliminate_light,
     exposure_delay,
+    fill_rounded_basis,
+    fill_sharp_basis,
+    fill_strip_lines,
+    fill_strip_rows,
+    fill_strip_slopes,
     neighbour_edges,
     outline_hull,
     place_die,
     project_point,
     reach_of_die,
     room_beside,
+    strip_turn,
     turned_within,
     within_hull,
 )
-from .rounded_edge import fill_rounded_basis, fill_sharp_basis, fill_strip_lines, fill_strip_slopes, strip_turn
-from .surface_light import NO_LIGHT, clear_light, eliminate_light, fill_strip_rows
+from .edge_stretch import Stretch, add_stretch, eliminate_shared_greys
 
 STRETCH_PX = 24.0
 """Length of edge that shares its intensities: short enough for shading and shadow to be constant along it."""

@@ -29,22 +29,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...model.compiled import inner_fast_sums_no_memory, inner_no_memory
-from .kernel_types import (
+from ..placed_die import (
     BLUR,
     CLEAR_PX,
     CONTOUR_PX,
+    FACE_EDGES,
     LOG_NOISE,
     PARAMETERS,
     PIXELS,
     ROBUST_COST,
     STRETCHES,
+    TAIL_DEGREES,
     WEIGHT_SUM,
     NormalEquations,
     RefinementSettings,
     Workspace,
+    add_stretch_to_light,
+    cholesky_factor,
+    fill_expected,
+    solve_factored,
 )
-from .small_matrices import cholesky_factor, solve_factored
-from .surface_light import FACE_EDGES, TAIL_DEGREES, add_stretch_to_light, fill_expected
 
 FEWEST_PIXELS = 12
 """Pixels of a stretch below which its intensities and its noise are not estimated."""

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import inner_no_memory
-from .kernel_types import FrameWindows, PictureModel, PoseState, Workspace
-from .projection import outline_hull, place_die, within_hull
+from ..placed_die import FrameWindows, PictureModel, PoseState, Workspace, outline_hull, place_die, within_hull
 
 OCCLUDED_SHARE = 0.04
 """Share of the die's pixels that show nothing but the background from which occluders are looked for."""

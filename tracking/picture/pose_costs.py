@@ -6,6 +6,7 @@
 | `mirror_region_costs` | these before a mirror, to be added | dark pixels that neither die nor reflection covers |
 | `region_cost` (kernel) | one pose, all cameras | as `region_costs`, on the pose's own box |
 | `pose_cost` (kernel), `Pose.cost` | one refined pose | `region_cost`, and what the edges lack: clear steps, explained pixels |
+| `Pose.cost` of a whole surface (`surface_equations`) | one refined pose | every pixel against the drawn one; clear steps |
 | `costs_with_edge_noise` | refined poses | `pose_cost`, and the mean logarithm of the noise [grey] that edges leave |
 
 The unit is one truncated squared sigma per pixel. A clip's corner radius has a cost of its own, the robust likelihood
@@ -28,7 +29,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .kernel_types import LOG_NOISE, PIXELS
+from ..placed_die import LOG_NOISE, PIXELS
 from .region_cost import SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT, region_costs_in_box
 from .view import MIRRORED, Array, Image, View
 

@@ -12,21 +12,26 @@ from typing import Any
 
 import numpy as np
 
-from ...model.compiled import compiled, inner_nogil
-from .kernel_types import (
+from ...model.compiled import compiled, inner_no_memory, inner_nogil
+from ..placed_die import (
     CLEAR_PX,
     CONTOUR_PX,
     PIXELS,
     ROBUST_COST,
+    SMALLEST_WINDOW_PX,
     FrameWindows,
     PictureModel,
     PoseState,
     RefinementSettings,
     Shape,
     Workspace,
+    face_lines,
     new_workspace,
+    place_die,
+    place_outer,
+    rounded_contour,
+    within_hull,
 )
-from .projection import SMALLEST_WINDOW_PX, face_lines, place_die, place_outer, rounded_contour, within_hull
 
 SQUARED_SIGMAS_CUT = 16.0
 """Squared sigmas at which the misfit of a pixel is truncated."""
@@ -94,10 +99,14 @@ def region_cost(
 @inner_nogil
 def pose_cost(region: float, statistics: Any) -> float:
     """The pose cost: the region cost, and what the edges of the refined pose lack."""
-    cost = region
-    lacking = 1.0 - statistics[CLEAR_PX] / max(statistics[CONTOUR_PX], 1e-9)
-    cost += SUPPORT_COST * lacking + UNEXPLAINED_COST * statistics[ROBUST_COST] / max(statistics[PIXELS], 1.0)
-    return cost
+    unexplained = statistics[ROBUST_COST] / max(statistics[PIXELS], 1.0)
+    return region + clear_steps_cost(statistics) + UNEXPLAINED_COST * unexplained
+
+
+@inner_no_memory
+def clear_steps_cost(statistics: Any) -> float:
+    """Cost of a contour of which a part shows no clear step."""
+    return SUPPORT_COST * (1.0 - statistics[CLEAR_PX] / max(statistics[CONTOUR_PX], 1e-9))
 
 
 @compiled(nogil=True)

@@ -13,12 +13,21 @@ from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, symmetry_rotations
 from ..camera import Camera
+from ..placed_die import (
+    LEAST_ROUNDED_PX,
+    SMALLEST_WINDOW_PX,
+    WINDOW_PX,
+    CameraRig,
+    FrameWindows,
+    LightPrior,
+    PictureModel,
+    RefinementSettings,
+    Shape,
+    unknown_light,
+)
 from ..quality import STANDARD, Quality
-from .kernel_types import CameraRig, FrameWindows, PictureModel, RefinementSettings, Shape
 from .occluders import OccluderMask, new_occluder_mask
-from .projection import SMALLEST_WINDOW_PX, WINDOW_PX
 from .segmentation import PixelNoise
-from .surface_light import LightPrior, unknown_light
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -134,6 +143,7 @@ class View:
             rounding_grey=self.rounding_grey,
             strip_prior_share=STRIP_SHARE,
             light=self.light,
+            whole_surface=True,
         )
 
     @property
@@ -146,6 +156,12 @@ class View:
             line_stride=quality.tracking_line_stride,
             strip_prior_share=TRACKED_STRIP_SHARE,
         )
+
+    def shows_surface(self, position_m: Array) -> bool:
+        """Whether pictures of the die at a place (3,) are compared pixel by pixel, since its bevels are wider than the blur
+        (`surface_equations`)."""
+        depth_m = float(self.camera.rotation[2] @ (position_m - self.camera.centre_m))
+        return not self.mirror and self.shape.radius * self.camera.matrix[0, 0] > LEAST_ROUNDED_PX * depth_m
 
     def exposure_delay_s(self, positions_m: Array) -> Array:
         """(...,) [s] from the time of a frame to the exposure of the row in which the first camera sees each of some points

@@ -256,7 +256,7 @@ def _refined_trials(view: View, images: Image, positions_m: Array, rotations: Ar
         poses = [
             refine_pose(
                 first, images, pose_state(positions_m[k], rotations[k]), coarse=COARSE_STEPS, prior=prior, roughly=True,
-                work=work,
+                edges_alone=True, work=work,
             )
             for k in rows
         ]  # fmt: skip
@@ -264,7 +264,12 @@ def _refined_trials(view: View, images: Image, positions_m: Array, rotations: Ar
             return poses
         return [
             refine_pose(
-                view, images, pose_state(pose.position_m, pose.rotation), coarse=ALL_CAMERAS_COARSE_STEPS, work=work
+                view,
+                images,
+                pose_state(pose.position_m, pose.rotation),
+                coarse=ALL_CAMERAS_COARSE_STEPS,
+                edges_alone=True,
+                work=work,
             )
             for pose in poses
             if pose.covariance is not None

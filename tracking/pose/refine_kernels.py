@@ -31,9 +31,12 @@ from ..picture import (
     PoseState,
     Workspace,
     add_edge_equations,
+    add_picture_equations,
     begin_light,
     cholesky_factor,
+    clear_steps_cost,
     crop_windows,
+    keep_light,
     new_equations,
     new_workspace,
     pose_cost,
@@ -165,7 +168,10 @@ def refine_and_score(
         pose = PoseState(p, Q, start.velocity, start.omega)
         for view in range(rig.camera.shape[0]):
             if rig.weight[view] > 0.0 and windows.size[rig.camera[view], 0] > 0:
-                add_edge_equations(view, windows, model, pose, sampling, work, equations)
+                if fine and settings.whole_surface:
+                    add_picture_equations(view, windows, model, pose, sampling, work, equations)
+                else:
+                    add_edge_equations(view, windows, model, pose, sampling, work, equations)
         for a in range(PARAMETERS):
             for b in range(a):
                 H[b, a] = H[a, b]
@@ -202,10 +208,29 @@ def refine_and_score(
     cost = 0.0
     if settings.region_pixels > 0:
         pose = PoseState(p, Q, start.velocity, start.omega)
-        region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
+        region, differs = _surface_cost(work) if settings.whole_surface else (-1.0, 0.0)
+        if region >= 0.0:
+            cost = region + clear_steps_cost(statistics)
+        else:
+            region, differs = region_cost(windows, model, pose, REGION_MARGIN_PX, work)
+            cost = pose_cost(region, statistics)
         statistics[BACKGROUND_SHARE] = 1.0 - differs
-        cost = pose_cost(region, statistics)
     return p, Q, cost
+
+
+@inner_no_memory
+def _surface_cost(work: Workspace) -> tuple[float, float]:
+    """The region cost of the whole surface as the last step compared it, and the share of the die's pixels that differ from the
+    background; -1 where edges were compared."""
+    total, pixels, inside, differs = 0.0, 0.0, 0.0, 0.0
+    for view in range(work.light.surface_cost.shape[0]):
+        total += work.light.surface_cost[view, 0]
+        pixels += work.light.surface_cost[view, 1]
+        inside += work.light.surface_cost[view, 2]
+        differs += work.light.surface_cost[view, 3]
+    if pixels == 0.0:
+        return -1.0, 0.0
+    return total / pixels, differs / max(inside, 1.0)
 
 
 @inner_no_memory
@@ -236,7 +261,7 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
     work, equations = new_workspace(shape, rig), new_equations()
     statistics = equations.statistics
     moved, reach = np.zeros(3), reach_of_die(shape)
-    loose = isotropic_prior(settings.loose_m, settings.loose_rad)
+    loose, A = isotropic_prior(settings.loose_m, settings.loose_rad), np.zeros((6, 6))
     for k in range(which.shape[0]):
         rows.H[k] = 0.0
         if isnan(rows.position[k, 0]):
@@ -259,11 +284,15 @@ def refine_frames(frames: Any, which: Any, model: PictureModel, rows: PoseRows) 
                 equations,
             )
             store_frame(k, p, Q, cost, equations, rows)
+            seen = (
+                statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX] and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX
+            )
+            if seen and settings.whole_surface:
+                for a in range(6):
+                    for b in range(6):
+                        A[a, b] = equations.H[a, b] + loose[a, b]
+                keep_light(work.light, A)
             rotation_log(turn_from(R, Q), moved)
             turned = sqrt(moved[0] ** 2 + moved[1] ** 2 + moved[2] ** 2)
-            if (
-                _most_moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX
-                and statistics[CLEAR_PX] > WELL_SEEN * statistics[CONTOUR_PX]
-                and statistics[CONTOUR_PX] > LEAST_CONTOUR_PX
-            ):
+            if seen and _most_moved_px(rig, start, p - start, reach * turned, reach) < COARSE_RESTART_PX:
                 break

@@ -38,6 +38,7 @@ from ..pose import (
     pose_state,
     power_of_two,
     refine_pose,
+    same_picture,
     seen_distance_m,
 )
 from ..throw import SMALL_MOVE_REACH, SMALL_TURN_RAD
@@ -85,6 +86,13 @@ SMALL_EXCESS_COST = 0.05
 """Cost above the usual up to which a hypothesis ends the search for a better one."""
 LEAST_IMPROVEMENT = 0.02
 """Cost by which a later hypothesis must be better: it departs further from the prediction."""
+SURFACE_EXCESS_SHARE = 0.25
+"""Cost above the usual, as a share of it, up to which a pose is right beyond doubt if the whole surface is compared: it
+varies with the faces in view."""
+SURFACE_TRIALS = 10
+"""Hypotheses whose pose is refined on the whole surface of a well-rounded die, of those refined on its edges."""
+SAME_TRIAL_EDGES = 0.05
+"""Distance of corners, in edges, within which two of these are one."""
 CLEAR_SUPPORT = 0.8
 """Share of the contour with a clear step that shows a die beyond doubt: a rod in front of it takes away more."""
 LOST_FRAMES = 2
@@ -291,18 +299,55 @@ class FrameTracker:
     def _best_hypothesis(self, image: NDArray[np.float32], expected: State, P: Array) -> tuple[Pose, State] | None:
         """The pose that explains the picture best, and the initial state that led to it."""
         best: tuple[Pose, State] | None = None
-        tight = motion_prior(P, self.view.settings)
-        others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
-        for start, coarse, prior in ((expected, 1, tight), *((s, c, None) for s, c in others)):
-            initial = pose_state(start.position_m, start.rotation, start.velocity_m_s, start.omega_rad_s)
-            pose = refine_pose(self.view, image, initial, coarse=coarse, prior=prior, roughly=True, work=self._work)
-            if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX:
-                continue
+        for pose, start in self._trials(image, expected, P):
             if best is None or pose.cost < best[0].cost - LEAST_IMPROVEMENT:
                 best = pose, start
             if best[0].cost < self.usual_cost + SMALL_EXCESS_COST:
                 break
         return best
+
+    def _trials(self, image: NDArray[np.float32], expected: State, P: Array) -> Iterator[tuple[Pose, State]]:
+        """Refined poses with the states that led to them: where the motion leads, then the hypotheses. Where the whole surface of
+        the die is compared, those that explain its edges best are refined further."""
+        first = self._refined(image, expected, 1, motion_prior(P, self.view.settings))
+        if first is not None:
+            yield first, expected
+        others = islice(self._other_states(expected), self.view.quality.max_hypotheses)
+        on_edges = self.view.shows_surface(expected.position_m)
+        found = ((self._refined(image, s, c, None, on_edges), s) for s, c in others)
+        trials = ((pose, state) for pose, state in found if pose is not None)
+        if not on_edges:
+            yield from trials
+            return
+        tried: list[Pose] = []
+        for pose, state in sorted(trials, key=lambda trial: trial[0].cost):
+            here = pose.position_m, pose.rotation
+            if any(same_picture(self.view, here, (p.position_m, p.rotation), SAME_TRIAL_EDGES) for p in tried):
+                continue
+            tried.append(pose)
+            start = replace(state, position_m=pose.position_m, quaternion=quat_from_matrix(pose.rotation))
+            refined = self._refined(image, start, 0, None)
+            if refined is not None:
+                yield refined, state
+            if len(tried) == SURFACE_TRIALS:
+                return
+
+    def _refined(
+        self, image: NDArray[np.float32], start: State, coarse: int, prior: Array | None, edges_alone: bool = False
+    ) -> Pose | None:
+        """A pose refined from a state; None if the picture does not determine it."""
+        initial = pose_state(start.position_m, start.rotation, start.velocity_m_s, start.omega_rad_s)
+        pose = refine_pose(
+            self.view,
+            image,
+            initial,
+            coarse=coarse,
+            prior=prior,
+            roughly=True,
+            edges_alone=edges_alone,
+            work=self._work,
+        )
+        return None if pose.covariance is None or pose.contour_px < LEAST_CONTOUR_PX else pose
 
     def _is_acceptable(self, pose: Pose) -> bool:
         """Whether the picture by itself supports a pose."""
@@ -330,7 +375,9 @@ class FrameTracker:
             return False
         is_clear = pose.support > CLEAR_SUPPORT
         if not high:
-            return is_clear or pose.cost < self.usual_cost + SMALL_EXCESS_COST
+            whole = self.view.shows_surface(pose.position_m)
+            allowed = SURFACE_EXCESS_SHARE * self.usual_cost if whole else SMALL_EXCESS_COST
+            return is_clear or pose.cost < self.usual_cost + allowed
         return is_clear and self.misses >= LOST_FRAMES and pose.cost < self.usual_cost + ACCEPTED_EXCESS_COST
 
     def _is_high(self, expected: State, P: Array) -> bool:

@@ -30,7 +30,7 @@ from ..picture import (
     refinement_boxes,
     shares_in_view,
 )
-from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, weak_prior
+from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_prior
 from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
 from .labelling import with_labels_of_flights
 from .motion_filter import DELAY_ITERATIONS
@@ -46,7 +46,7 @@ SECOND_START_RAD = np.radians(1.5)
 SECOND_START_REACH = 0.1
 """The same for the distance, in circumradii."""
 MAX_SHIFT_REACH = 0.5
-"""Largest displacement by a refinement, in circumradii."""
+"""Largest displacement by a refinement, in circumradii, as the camera sees it."""
 MAX_TURN_RAD = np.radians(6.0)
 """Largest rotation [rad] by a refinement."""
 PRIOR_SHARES = (0.01, 0.1, 1.0)
@@ -227,7 +227,7 @@ class _Attempt:
     def _are_accepted(self, covariance: Array) -> Mask:
         """(n,) whether the pixels support a refined pose, whose covariances are (n, 6, 6): it stayed near its initial pose, shows
         enough of the contour, and is determined."""
-        distance = np.linalg.norm(self.position_m - self._start.position_m[self.rows], axis=1)
+        distance = _seen_distances_m(self._view, self.position_m, self._start.position_m[self.rows])
         angle = angle_between(self.rotation, self._start.rotation[self.rows])
         contour_px = self._found.statistics[:, CONTOUR_PX]
         support = self._found.statistics[:, CLEAR_PX] / np.maximum(contour_px, 1e-9)
@@ -237,6 +237,13 @@ class _Attempt:
         has_support = support >= np.where(whole, MIN_SUPPORT, MIN_SUPPORT_CUT)
         is_visible = (contour_px >= LEAST_CONTOUR_PX) & has_support
         return np.asarray(is_near & is_visible & (sigma_rad < KNOWN_RAD))
+
+
+def _seen_distances_m(view: View, there_m: Array, here_m: Array) -> Array:
+    """(n,) how far the die's farthest points move across the line of sight between places (n, 3): how far away a small die is,
+    its picture says only within centimetres."""
+    steps = zip(here_m, there_m - here_m, strict=True)
+    return np.array([seen_distance_m(view.rig, place, step, view.reach_m) for place, step in steps])
 
 
 def _are_singular(covariance: Array) -> Mask:

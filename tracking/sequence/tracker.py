@@ -196,7 +196,10 @@ def _refined(
     view: View, source: FrameSource, poses: ClipPoses, throw: Throw | None, usable: Mask, report: _Reporter
 ) -> tuple[View, ClockOffsets, MarkRefinement]:
     """The poses refined on edges, and on marks if the quality asks for it, with the view and the clock offsets used."""
-    view = with_light(with_reflections(view), source.frame, poses)
+    view = with_reflections(view)
+    if not view.shows_surface(np.median(poses.position_m[poses.known], axis=0)):
+        # Whole surfaces show the light by themselves, on bevels that bear no marks.
+        view = with_light(view, source.frame, poses)
     view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
     count, offsets = len(source), ClockOffsets.none(len(source.clips))
     report.at_least(count)

@@ -15,8 +15,8 @@ from rounded_dice import photograph_rounded
 from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import State
 from diethrow.tracking.clip_parameters.light import with_light
-from diethrow.tracking.picture.surface_light import LightPrior, normal_monomials
 from diethrow.tracking.picture.view import View
+from diethrow.tracking.placed_die.surface_light import LightPrior, normal_monomials
 from diethrow.tracking.pose.clip_poses import ClipPoses
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 
@@ -80,7 +80,7 @@ def test_known_light_reduces_the_errors_of_a_rounded_die(gloss_grey: float) -> N
     aside, turned, squared = [], [], []
     for view in (plain, light):
         poses = [
-            refine_pose(view, image, pose_state(one.position_m, one.rotation), coarse=0)
+            refine_pose(view, image, pose_state(one.position_m, one.rotation), coarse=0, edges_alone=True)
             for image, one in zip(shown, at, strict=True)
         ]
         moved = np.array([pose.position_m - one.position_m for pose, one in zip(poses, at, strict=True)])

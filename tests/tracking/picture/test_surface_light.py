@@ -15,16 +15,16 @@ from scipy.special import ndtr
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.model.throw import State
-from diethrow.tracking.picture.kernel_types import LIGHT_TERMS, STRIP_CELLS, Workspace, new_equations, new_workspace
-from diethrow.tracking.picture.rounded_edge import fill_rounded_basis, fill_strip_slopes
-from diethrow.tracking.picture.surface_light import (
+from diethrow.tracking.picture.view import whole_frame_windows
+from diethrow.tracking.placed_die.kernel_types import LIGHT_TERMS, STRIP_CELLS, Workspace, new_equations, new_workspace
+from diethrow.tracking.placed_die.rounded_edge import fill_rounded_basis, fill_strip_slopes
+from diethrow.tracking.placed_die.surface_light import (
     STRIP_NODES,
     fill_strip_rows,
     keep_light,
     kept_light,
     normal_monomials,
 )
-from diethrow.tracking.picture.view import whole_frame_windows
 from diethrow.tracking.pose.refine import pose_state, weak_prior
 from diethrow.tracking.pose.refine_kernels import refine_and_score
 

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner_no_memory
-from .kernel_types import CONTOUR, LIGHT_DEGREE, LIGHT_TERMS, STRIP_CELLS, LightSpace, Workspace
+from .kernel_types import CONTOUR, LIGHT_DEGREE, LIGHT_TERMS, PARAMETERS, STRIP_CELLS, LightSpace, Workspace
 from .small_matrices import cholesky_factor, solve_factored
 
 Array = NDArray[np.float64]
@@ -91,14 +91,14 @@ _POWERS = [
 
 
 def normal_monomials(normals: Array) -> Array:
-    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of `_fill_monomials`: k is at most 1,
+    """(n, LIGHT_TERMS) the products xⁱ yʲ zᵏ of normals (n, 3), in the order of `fill_monomials`: k is at most 1,
     since z² is 1 - x² - y²."""
     x, y, z = normals.T
     return np.stack([x**i * y**j * z**k for i, j, k in _POWERS], axis=1)
 
 
 @inner_no_memory
-def _fill_monomials(x: float, y: float, z: float, out: Any) -> None:
+def fill_monomials(x: float, y: float, z: float, out: Any) -> None:
     """Fill the monomials (LIGHT_TERMS,) of a normal; the first is 1."""
     k, a = np.int64(0), 1.0
     for i in range(LIGHT_DEGREE + 1):
@@ -171,9 +171,9 @@ def fill_strip_rows(n0: Any, end: Any, angle: float, interior: bool, mean: Any, 
     The normal turns from n0 towards `end` by `angle` [rad]."""
     rows, here, course, left = light.rows, light.monomials, light.course, light.left
     kind = 1 if interior else 0
-    _fill_monomials(n0[0], n0[1], n0[2], rows[0])
+    fill_monomials(n0[0], n0[1], n0[2], rows[0])
     c, s = cos(angle), sin(angle)
-    _fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], rows[1])
+    fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], rows[1])
     near_grey, far_grey = _inner(rows[0], mean), _inner(rows[1], mean)
     far_share = 1.0 if interior else 0.0
     for k in range(LIGHT_TERMS):
@@ -185,7 +185,7 @@ def fill_strip_rows(n0: Any, end: Any, angle: float, interior: bool, mean: Any, 
     for j in range(1, STRIP_CELLS):
         u = j / STRIP_CELLS
         c, s = cos(u * angle), sin(u * angle)
-        _fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], here)
+        fill_monomials(c * n0[0] + s * end[0], c * n0[1] + s * end[1], c * n0[2] + s * end[2], here)
         near, far = 1.0 - far_share * u, far_share * u
         first, second = _PROJECTION[kind, 0, j], _PROJECTION[kind, 1, j]
         for k in range(LIGHT_TERMS):
@@ -282,6 +282,10 @@ def begin_light(known: LightPrior, light: LightSpace) -> None:
     for view in range(light.level.shape[0]):
         light.solved[view] = 0
         light.sums[view, 0], light.sums[view, 1] = 0.0, 0.0
+        for a in range(4):
+            light.surface_cost[view, a] = 0.0
+        for f in range(light.part_deviation.shape[1]):
+            light.part_deviation[view, f], light.part_matrix[view, f, f] = 0.0, 0.0
         level, deviation, kept = known.level[view], known.deviation[view], False
         if level == 0.0:
             level, kept = light.kept_level[view], True
@@ -356,6 +360,7 @@ def update_light(light: LightSpace, step: Any) -> None:
             solve_factored(light.factor[view], LIGHT_TERMS, y, y)
             for i in range(LIGHT_TERMS):
                 light.mean[view, i] += y[i]
+            _update_deviations(view, light, step, y)
         elif light.level[view] == 0.0 and light.sums[view, 0] > 0.0:
             level = light.sums[view, 1] / light.sums[view, 0]
             if level > 0.0:
@@ -365,6 +370,24 @@ def update_light(light: LightSpace, step: Any) -> None:
                     light.prior_mean[view, i] = light.mean[view, i]
                     for k in range(LIGHT_TERMS):
                         light.information[view, i, k] = LAMP_PRIOR[i, k] / (level * level)
+
+
+@inner_no_memory
+def _update_deviations(view: int, light: LightSpace, step: Any, change: Any) -> None:
+    """Update what the parts of the surface deviate from the light after a step (6,) of the pose and a change (LIGHT_TERMS,)
+    of the light."""
+    parts, left = light.part_matrix.shape[1], light.part_right[view]
+    if not light.part_matrix[view, 0, 0] > 0.0:
+        return
+    for f in range(parts):
+        coupling = light.part_coupling[view, f]
+        for a in range(CONTOUR):
+            left[f] -= coupling[a] * step[a]
+        for i in range(LIGHT_TERMS):
+            left[f] -= coupling[PARAMETERS + i] * change[i]
+    solve_factored(light.part_matrix[view], parts, left, left)
+    for f in range(parts):
+        light.part_deviation[view, f] += left[f]
 
 
 @compiled(nogil=True)

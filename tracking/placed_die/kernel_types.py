@@ -147,6 +147,8 @@ class RefinementSettings(NamedTuple):
     edge, where no light is assumed."""
     light: Any
     """What is known of the light before a frame is looked at, a `surface_light.LightPrior`."""
+    whole_surface: bool
+    """Whether steps at the lens blur compare all pixels of a well-rounded die, or the edges alone."""
 
 
 class PictureModel(NamedTuple):
@@ -258,6 +260,17 @@ class LightSpace(NamedTuple):
     """(STRIP_CELLS + 1,) [grey] brightness at the nodes of a strip."""
     left: Any
     """(STRIP_CELLS + 1,) [grey] what the four basis functions leave of it."""
+    surface_cost: Any
+    """(views, 4) of the whole surface compared last: sum of truncated squared sigmas, pixels of that sum, pixels of the die
+    alone, and how many of them differ from the background; all 0 where edges were compared."""
+    part_deviation: Any
+    """(views, parts) [grey] what each part of the surface deviates from the light, after the last step."""
+    part_matrix: Any
+    """(views, parts, parts) [1/grey²] Cholesky factor of the normal matrix of these; 0 where nothing is known of them."""
+    part_coupling: Any
+    """(views, parts, PARAMETERS + LIGHT_TERMS) coupling of the parameters and the light to them."""
+    part_right: Any
+    """(views, parts) right side."""
 
 
 class Workspace(NamedTuple):
@@ -280,8 +293,8 @@ class Workspace(NamedTuple):
     strip_lines: Any
     """(STRIP_CELLS + 1,) [px] signed distances of the lines of a rounded strip."""
     strip_slopes: Any
-    """(STRIP_CELLS + 1, 5) [1/px] changes of slope, at each of these lines, of the four basis functions and of what they leave
-    of the brightness."""
+    """(STRIP_CELLS + 1, 5) [1/px] changes of slope, at each of these lines, of the four basis functions and of what they
+    leave of the brightness."""
     strip_jump: Any
     """(5,) jumps of these at the last line."""
     strip_end: Any
@@ -344,7 +357,7 @@ class Workspace(NamedTuple):
 
 
 @inner_nogil
-def _new_light_space(views: int) -> LightSpace:
+def _new_light_space(views: int, parts: int) -> LightSpace:
     """Of pictures of which nothing is known."""
     n = LIGHT_TERMS
     return LightSpace(
@@ -352,7 +365,8 @@ def _new_light_space(views: int) -> LightSpace:
         np.zeros((views, 2)), np.zeros((views, n, n)), np.zeros((views, n, n)), np.zeros((views, n, PARAMETERS)),
         np.zeros((views, n)), np.zeros(views, np.int64), np.zeros(views), np.zeros((views, n)), np.zeros((views, n, n)),
         np.zeros((4, n)), np.zeros(4), np.zeros(2), np.zeros((4, 4)), np.zeros(n), np.zeros(n),
-        np.zeros(STRIP_CELLS + 1), np.zeros(STRIP_CELLS + 1),
+        np.zeros(STRIP_CELLS + 1), np.zeros(STRIP_CELLS + 1), np.zeros((views, 4)), np.zeros((views, parts)),
+        np.zeros((views, parts, parts)), np.zeros((views, parts, PARAMETERS + n)), np.zeros((views, parts)),
     )  # fmt: skip
 
 
@@ -361,7 +375,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
     """An empty workspace for dice of this shape."""
     nv, ne, nf = shape.vertices.shape[0], shape.edges.shape[0], shape.normals.shape[0]
     views, most = rig.camera.shape[0], MAX_STRETCH_PIXELS
-    light = _new_light_space(views if shape.radius > 0.0 else 0)
+    light = _new_light_space(views if shape.radius > 0.0 else 0, nf + ne + nv)
     return Workspace(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(STRIP_CELLS + 1),

@@ -1,0 +1,106 @@
+"""The die as placed before a camera: where its vertices, faces and contour lie in the picture, which part of its surface a
+pixel shows, and how bright that is under one light.
+
+`projection` places the die and gives windows. `rounded_surface` gives the parts of a rounded die's surface and its contour,
+`surface_light` their brightness, and `surface_picture` draws all that; `rounded_edge` is the picture of one edge.
+`kernel_types` holds the records that kernels of pictures pass to each other, `small_matrices` their linear algebra.
+`tracking.picture` compares all that with the pixels of a frame.
+"""
+
+from .kernel_types import BACKGROUND_SHARE as BACKGROUND_SHARE
+from .kernel_types import BLUR as BLUR
+from .kernel_types import CLEAR_PX as CLEAR_PX
+from .kernel_types import CONTOUR as CONTOUR
+from .kernel_types import CONTOUR_PX as CONTOUR_PX
+from .kernel_types import LIGHT_DEGREE as LIGHT_DEGREE
+from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
+from .kernel_types import LOG_NOISE as LOG_NOISE
+from .kernel_types import MAX_STRETCH_PIXELS as MAX_STRETCH_PIXELS
+from .kernel_types import PARAMETERS as PARAMETERS
+from .kernel_types import PIXELS as PIXELS
+from .kernel_types import ROBUST_COST as ROBUST_COST
+from .kernel_types import STATISTICS as STATISTICS
+from .kernel_types import STRETCHES as STRETCHES
+from .kernel_types import STRIP_CELLS as STRIP_CELLS
+from .kernel_types import WEIGHT_SUM as WEIGHT_SUM
+from .kernel_types import CameraRig as CameraRig
+from .kernel_types import EdgeSampling as EdgeSampling
+from .kernel_types import FrameWindows as FrameWindows
+from .kernel_types import NormalEquations as NormalEquations
+from .kernel_types import PictureModel as PictureModel
+from .kernel_types import PoseRows as PoseRows
+from .kernel_types import PoseState as PoseState
+from .kernel_types import RefinementSettings as RefinementSettings
+from .kernel_types import Shape as Shape
+from .kernel_types import Workspace as Workspace
+from .kernel_types import new_equations as new_equations
+from .kernel_types import new_workspace as new_workspace
+from .projection import LEAST_DEPTH_M as LEAST_DEPTH_M
+from .projection import NARROW_WINDOW_PX as NARROW_WINDOW_PX
+from .projection import ROW_ITERATIONS as ROW_ITERATIONS
+from .projection import SMALLEST_WINDOW_PX as SMALLEST_WINDOW_PX
+from .projection import WINDOW_PX as WINDOW_PX
+from .projection import camera_point as camera_point
+from .projection import crop_windows as crop_windows
+from .projection import exposure_delay as exposure_delay
+from .projection import face_lines as face_lines
+from .projection import neighbour_edges as neighbour_edges
+from .projection import outline_hull as outline_hull
+from .projection import pixel_of_ray as pixel_of_ray
+from .projection import place_die as place_die
+from .projection import place_outer as place_outer
+from .projection import project_point as project_point
+from .projection import reach_of_die as reach_of_die
+from .projection import room_beside as room_beside
+from .projection import rounded_contour as rounded_contour
+from .projection import scale_px as scale_px
+from .projection import turned_within as turned_within
+from .projection import within_hull as within_hull
+from .rounded_edge import fill_rounded_basis as fill_rounded_basis
+from .rounded_edge import fill_sharp_basis as fill_sharp_basis
+from .rounded_edge import fill_strip_lines as fill_strip_lines
+from .rounded_edge import fill_strip_slopes as fill_strip_slopes
+from .rounded_edge import strip_turn as strip_turn
+from .rounded_surface import LEAST_ROUNDED_PX as LEAST_ROUNDED_PX
+from .rounded_surface import NOTHING as NOTHING
+from .rounded_surface import ball_px as ball_px
+from .rounded_surface import contour_segments as contour_segments
+from .rounded_surface import fill_nearest_contour as fill_nearest_contour
+from .rounded_surface import number_of_parts as number_of_parts
+from .rounded_surface import pixels_about as pixels_about
+from .small_matrices import cholesky_factor as cholesky_factor
+from .small_matrices import inverse_positive as inverse_positive
+from .small_matrices import product as product
+from .small_matrices import rotation_exp as rotation_exp
+from .small_matrices import rotation_log as rotation_log
+from .small_matrices import solve_factored as solve_factored
+from .small_matrices import solve_positive as solve_positive
+from .small_matrices import turn as turn
+from .small_matrices import turn_from as turn_from
+from .surface_light import DEVIATION_SHARE as DEVIATION_SHARE
+from .surface_light import FACE_EDGES as FACE_EDGES
+from .surface_light import LAMP_PRIOR as LAMP_PRIOR
+from .surface_light import LEAST_LIGHT_PIVOT as LEAST_LIGHT_PIVOT
+from .surface_light import NO_LIGHT as NO_LIGHT
+from .surface_light import SPHERE as SPHERE
+from .surface_light import TAIL_DEGREES as TAIL_DEGREES
+from .surface_light import LightPrior as LightPrior
+from .surface_light import add_stretch_to_light as add_stretch_to_light
+from .surface_light import begin_light as begin_light
+from .surface_light import clear_light as clear_light
+from .surface_light import eliminate_light as eliminate_light
+from .surface_light import fill_expected as fill_expected
+from .surface_light import fill_monomials as fill_monomials
+from .surface_light import fill_strip_rows as fill_strip_rows
+from .surface_light import keep_light as keep_light
+from .surface_light import kept_light as kept_light
+from .surface_light import normal_monomials as normal_monomials
+from .surface_light import strips_of_any_shade as strips_of_any_shade
+from .surface_light import unknown_light as unknown_light
+from .surface_light import update_light as update_light
+from .surface_picture import SurfaceGrid as SurfaceGrid
+from .surface_picture import blur_of_pixels as blur_of_pixels
+from .surface_picture import draw_surface as draw_surface
+from .surface_picture import fill_blurred_row as fill_blurred_row
+from .surface_picture import fill_changes as fill_changes
+from .surface_picture import new_surface_grid as new_surface_grid

@@ -1,0 +1,545 @@
+"""The picture that a pose of a rounded die predicts, pixel by pixel, and how it changes with the pose.
+
+A pixel shows the blurred light of the die, and what the die leaves of the background:
+
+    I = [w B] + (1 - [w]) γ G
+
+with w = 1 within the contour and 0 outside, B the brightness of the part of the surface behind the pixel, by its normal and
+with what that part deviates from the light, G the background and γ its shade. The brackets are the blur by lens, motion and
+pixel: of the product, since near the contour the surface turns away and its brightness changes within a pixel. w and w B
+are drawn on a grid of half pixels (`draw_surface`). Pieces that the contour crosses count by the part of them within it, at
+its middle. A die that moves by more than NODE_PX within the exposure is drawn at several instants.
+
+**Derivatives.** A point of the surface moves in the picture by u (`fill_changes`), and takes its brightness along, which
+changes as its normal turns. On the contour the points that are seen change, but at right angles to it they move as the body
+does. So
+
+    dI = -(∇[w B] - γ G ∇[w]) · u + [w dB/dn · (δθ × n)],
+
+with the gradients of the drawn pictures. Those by the coefficients of the light are [w m(n)], m the monomials of the
+normal.
+"""
+
+from __future__ import annotations
+
+from math import ceil, exp, isnan, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...model.compiled import inner_no_memory, inner_nogil
+from .kernel_types import LIGHT_DEGREE, LIGHT_TERMS, CameraRig, EdgeSampling, PictureModel, PoseState, Shape, Workspace
+from .projection import place_die, project_point, reach_of_die
+from .rounded_surface import (
+    NOTHING,
+    ball_px,
+    contour_segments,
+    face_at,
+    fill_nearest_contour,
+    fill_ray,
+    flat_faces,
+    motion_px,
+    part_on_ray,
+    rays_about_centre,
+)
+from .small_matrices import turn
+from .surface_light import fill_monomials
+
+NODE_PX = 1.2
+"""Motion within the exposure [px] that one drawn instant stands for."""
+MOST_NODES = 8
+"""Most instants: motion beyond that is blurred by a Gaussian between them."""
+FAR_BLURS = 3.0
+"""Distance from the contour, in blurs, up to which pixels show both die and background."""
+CLOSE_PX = 1.5
+"""Distance from the contour up to which it may cross a pixel."""
+TURNING_PX = 3.0
+"""Depth within the contour up to which a bevel turns away so fast that its brightness changes within a pixel."""
+WITHIN_FACE_PX = 0.4
+"""A pixel this far within a flat face shows nothing else."""
+INWARD_PX = 0.5
+"""A pixel on or outside the contour gets the derivatives of the point that lies this far inside it."""
+BLUR_REACH = 2.6
+"""Half-width of the window of the blur, in blurs."""
+WIDEST_BLUR = 12
+"""Largest half-width of that window [half pixels]: blur beyond it is cut off."""
+LEAST_VARIANCE_PX2 = 0.04
+"""Least variance of the blur: a grid of half pixels shows no less."""
+PIXEL_VARIANCE_PX2 = 1.0 / 12.0
+"""Variance of a pixel."""
+LEAST_SHARE = 1e-4
+"""Least share of a pixel that is counted."""
+
+
+class SurfaceGrid(NamedTuple):
+    """What the pixels of a box show, and how that changes with the pose."""
+
+    x0: int
+    y0: int
+    """Of the first pixel."""
+    part: Any
+    """(rows, columns) of the surface, of pixels beside the contour that of the nearest point inside; NOTHING farther
+    outside."""
+    side: Any
+    """(rows, columns) segment of the contour that is nearest; NOTHING where a pixel is not used."""
+    share: Any
+    """(rows, columns) [w], of the die behind the pixel."""
+    glow: Any
+    """(rows, columns) [w B] in grey."""
+    bright: Any
+    """(rows, columns) B at the pixel or the nearest point inside [grey]."""
+    beyond: Any
+    """(rows, columns, 5) distance from the contour [px], direction away from the die, -dw/dd [1/px], and dw/dσ [1/px]."""
+    flow: Any
+    """(rows, columns, 2, 6) how the point of the surface moves in the picture with the pose [px/m, px/rad]."""
+    slope: Any
+    """(rows, columns, 3 + LIGHT_TERMS) derivatives of its B by the rotation vector [grey/rad], and by the light."""
+    gradient: Any
+    """(rows, columns, 4) of [w B] and [w], by column and by row."""
+    covered: Any
+    """(2 rows, 2 columns) w on the grid of half pixels."""
+    shining: Any
+    """(2 rows, 2 columns) w B on it."""
+    moved: Any
+    """(2 rows, 2 columns, 2) w times the distance from the middle of a piece to that of the part within the contour [px]."""
+
+
+@inner_nogil
+def new_surface_grid(box: Any) -> SurfaceGrid:
+    """The grid of a box x0, y0, x1, y1 (end exclusive)."""
+    rows, columns = box[3] - box[1], box[2] - box[0]
+    return SurfaceGrid(
+        box[0], box[1], np.full((rows, columns), NOTHING), np.full((rows, columns), NOTHING), np.zeros((rows, columns)),
+        np.zeros((rows, columns)), np.zeros((rows, columns)), np.zeros((rows, columns, 5)),
+        np.zeros((rows, columns, 2, 6)), np.zeros((rows, columns, 3 + LIGHT_TERMS)), np.zeros((rows, columns, 4)),
+        np.zeros((2 * rows, 2 * columns)), np.zeros((2 * rows, 2 * columns)), np.zeros((2 * rows, 2 * columns, 2)),
+    )  # fmt: skip
+
+
+# --- light of the surface
+
+
+@inner_no_memory
+def _brightness(mean: Any, R: Any, n: Any) -> float:
+    """The polynomial of the light at a normal (3,) in axes of the die."""
+    x = R[0, 0] * n[0] + R[0, 1] * n[1] + R[0, 2] * n[2]
+    y = R[1, 0] * n[0] + R[1, 1] * n[1] + R[1, 2] * n[2]
+    z = R[2, 0] * n[0] + R[2, 1] * n[1] + R[2, 2] * n[2]
+    total, k, a = 0.0, np.int64(0), 1.0
+    for i in range(LIGHT_DEGREE + 1):
+        b = a
+        for j in range(LIGHT_DEGREE + 1 - i):
+            total += mean[k] * b
+            k += 1
+            if i + j < LIGHT_DEGREE:
+                total += mean[k] * b * z
+                k += 1
+            b *= y
+        a *= x
+    return total
+
+
+@inner_no_memory
+def _brightness_and_gradient(mean: Any, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """The same at a normal in world axes, and its gradient."""
+    total, gx, gy, gz = 0.0, 0.0, 0.0, 0.0
+    k, a, da = np.int64(0), 1.0, 0.0
+    for i in range(LIGHT_DEGREE + 1):
+        b, db = 1.0, 0.0
+        for j in range(LIGHT_DEGREE + 1 - i):
+            c = mean[k]
+            k += 1
+            if i + j < LIGHT_DEGREE:
+                gz += mean[k] * a * b
+                c += mean[k] * z
+                k += 1
+            total += c * a * b
+            gx += c * da * b
+            gy += c * a * db
+            db = db * y + b
+            b *= y
+        da = da * x + a
+        a *= x
+    return total, gx, gy, gz
+
+
+# --- what a pose predicts
+
+
+@inner_nogil
+def draw_surface(
+    view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, background: Any, work: Workspace, grid: SurfaceGrid
+) -> None:  # fmt: skip
+    """Fill share and glow of the pixels that `fill_changes` has found to be used."""
+    rig, shape = model.rig, model.shape
+    exposed = motion_px(rig, view, pose, rays_about_centre(rig, view, pose.position), model.settings.exposure_s)
+    radius_px = reach_of_die(shape) * ball_px(shape, rig, view, pose.position) / shape.radius
+    widest = sqrt(exposed[0] ** 2 + exposed[1] ** 2) + _turned_rad(pose, model.settings.exposure_s) * radius_px
+    nodes = min(max(ceil(widest / NODE_PX), 1), MOST_NODES)
+    step, before = np.zeros(3), np.zeros(3)
+    for k in range(nodes):
+        dt = ((k + 0.5) / nodes - 0.5) * model.settings.exposure_s
+        for b in range(3):
+            step[b] = pose.omega[b] * dt
+            before[b] = pose.position[b] + pose.velocity[b] * dt
+        then = PoseState(before, turn(pose.rotation, step), pose.velocity, pose.omega)
+        if place_die(shape, rig, view, then, work):
+            _draw_instant(view, model, then, 1.0 / nodes, work, grid)
+    _blur(model, sampling.blur_px, (exposed[0] / nodes, exposed[1] / nodes), grid)
+
+
+@inner_no_memory
+def _turned_rad(pose: PoseState, exposure_s: float) -> float:
+    return sqrt(pose.omega[0] ** 2 + pose.omega[1] ** 2 + pose.omega[2] ** 2) * exposure_s
+
+
+@inner_nogil
+def _draw_instant(
+    view: int, model: PictureModel, pose: PoseState, weight: float, work: Workspace, grid: SurfaceGrid
+) -> None:
+    """Add w and w B of one instant of the exposure on the grid of half pixels."""
+    rig, shape, light, R = model.rig, model.shape, work.light, pose.rotation
+    segments, about = contour_segments(shape, work), rays_about_centre(rig, view, pose.position)
+    lines, count = flat_faces(shape, rig, view, pose, work)
+    ball, near, hit, ray = ball_px(shape, rig, view, pose.position), np.zeros(5), np.zeros(6), np.zeros((2, 3))
+    mean, deviation, nf = light.mean[view], light.part_deviation[view], shape.normals.shape[0]
+    of_face = np.zeros(nf)
+    for f in range(nf):
+        of_face[f] = _brightness(mean, R, shape.normals[f]) + deviation[f]
+    for i in range(grid.part.shape[0]):
+        y = float(grid.y0 + i)
+        for j in range(grid.part.shape[1]):
+            x = float(grid.x0 + j)
+            fill_nearest_contour(segments, x, y, near)
+            d = near[0] - ball
+            if d > CLOSE_PX:
+                continue
+            f, room = _face_with_room(lines, count, x, y)
+            if f != NOTHING and room > WITHIN_FACE_PX:
+                _add_quarters(grid, i, j, weight, of_face[f])
+                continue
+            if d > -CLOSE_PX:
+                d = near[0] - _ball_beyond_px(model, view, segments, near, work)
+            elif d < -TURNING_PX and f == NOTHING:
+                fill_ray(rig, view, pose, about, x, y, ray)
+                f = part_on_ray(shape, work.face_cosine, ray, hit)
+                if f != NOTHING:
+                    _add_quarters(grid, i, j, weight, _brightness(mean, R, hit) + deviation[f])
+                continue
+            for quarter in range(4):
+                a, b = quarter // 2, quarter % 2
+                du, dv = 0.5 * b - 0.25, 0.5 * a - 0.25
+                beyond = d + du * near[1] + dv * near[2]
+                inside, back = _part_within(beyond, near[1], near[2])
+                if inside == 0.0:
+                    continue
+                u, v = x + du - back * near[1], y + dv - back * near[2]
+                f = face_at(lines, count, u, v)
+                value = 0.0
+                if f != NOTHING:
+                    value = of_face[f]
+                else:
+                    fill_ray(rig, view, pose, about, u, v, ray)
+                    f = part_on_ray(shape, work.face_cosine, ray, hit)
+                    if f == NOTHING:
+                        # By rounding the ray just misses the limb that it should graze.
+                        fill_ray(rig, view, pose, about, u - 0.1 * near[1], v - 0.1 * near[2], ray)
+                        f = part_on_ray(shape, work.face_cosine, ray, hit)
+                        if f == NOTHING:
+                            continue
+                    value = _brightness(mean, R, hit) + deviation[f]
+                grid.covered[2 * i + a, 2 * j + b] += weight * inside
+                grid.shining[2 * i + a, 2 * j + b] += weight * inside * value
+                grid.moved[2 * i + a, 2 * j + b, 0] -= weight * inside * back * near[1]
+                grid.moved[2 * i + a, 2 * j + b, 1] -= weight * inside * back * near[2]
+
+
+@inner_no_memory
+def _part_within(beyond: float, nx: float, ny: float) -> tuple[float, float]:
+    """The share of a square of half a pixel within a line at right angles to (nx, ny), whose middle lies `beyond` pixels outside
+    it, and how far within the middle that of this part lies [px].
+
+    Along the normal the square is a trapezoid: the sum of two boxes."""
+    a, b = 0.5 * max(abs(nx), abs(ny)), max(0.5 * min(abs(nx), abs(ny)), 1e-9)
+    reach = 0.5 * (a + b)
+    outside = abs(beyond)
+    if outside >= reach:
+        return (0.0, 0.0) if beyond > 0.0 else (1.0, 0.0)
+    q = min(reach - outside, b)
+    share, moment = q * q / (2.0 * a * b), (reach * q * q / 2.0 - q * q * q / 3.0) / (a * b)
+    if outside < reach - b:
+        half = reach - b
+        share += (half - outside) / a
+        moment += (half * half - outside * outside) / (2.0 * a)
+    # By symmetry the moments of both parts are opposite.
+    share = share if beyond > 0.0 else 1.0 - share
+    return share, moment / share
+
+
+@inner_no_memory
+def _add_quarters(grid: SurfaceGrid, i: int, j: int, weight: float, value: float) -> None:
+    """Add a pixel that shows the die alone, of one brightness."""
+    for a in range(2):
+        for b in range(2):
+            grid.covered[2 * i + a, 2 * j + b] += weight
+            grid.shining[2 * i + a, 2 * j + b] += weight * value
+
+
+@inner_no_memory
+def _face_with_room(lines: Any, count: Any, x: float, y: float) -> tuple[int, float]:
+    """The flat face at a pixel, NOTHING where there is none, and how far within it the pixel lies [px]."""
+    for f in range(count.shape[0]):
+        least = 1e300 if count[f] > 0 else -1.0
+        for k in range(count[f]):
+            least = min(least, lines[f, k, 0] * x + lines[f, k, 1] * y + lines[f, k, 2])
+            if least < 0.0:
+                break
+        if least >= 0.0:
+            return f, least
+    return NOTHING, 0.0
+
+
+@inner_nogil
+def _blur(model: PictureModel, blur_px: float, exposed: Any, grid: SurfaceGrid) -> None:
+    """Blur w and w B onto the pixels in use."""
+    lens = max(blur_px**2, LEAST_VARIANCE_PX2)
+    xx, yy = lens + exposed[0] ** 2 / 12.0, lens + exposed[1] ** 2 / 12.0
+    xy = exposed[0] * exposed[1] / 12.0
+    half = min(ceil(2.0 * BLUR_REACH * sqrt(max(xx, yy))), WIDEST_BLUR)
+    det, weight, total = xx * yy - xy * xy, np.zeros((2 * half, 2 * half)), 0.0
+    for a in range(2 * half):
+        v = 0.5 * (a - half) + 0.25
+        for b in range(2 * half):
+            u = 0.5 * (b - half) + 0.25
+            weight[a, b] = exp(-0.5 * (yy * u * u - 2.0 * xy * u * v + xx * v * v) / det)
+            total += weight[a, b]
+    for a in range(2 * half):
+        for b in range(2 * half):
+            weight[a, b] /= total
+    rows, columns = grid.part.shape
+    flat = half // 2 + 1
+    nf = model.shape.normals.shape[0]
+    for i in range(rows):
+        for j in range(columns):
+            if grid.side[i, j] == NOTHING:
+                continue
+            if _same_about(grid.part, i, j, flat, nf):
+                grid.share[i, j] = grid.covered[2 * i, 2 * j]
+                grid.glow[i, j] = grid.shining[2 * i, 2 * j]
+                continue
+            share, glow, share_x, glow_x, share_y, glow_y = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            first, last = max(0, half - 2 * j - 1), min(2 * half, 2 * columns + half - 2 * j - 1)
+            for a in range(max(0, half - 2 * i - 1), min(2 * half, 2 * rows + half - 2 * i - 1)):
+                by, covered, shining = weight[a], grid.covered[2 * i + 1 + a - half], grid.shining[2 * i + 1 + a - half]
+                at, moved = 2 * j + 1 - half, grid.moved[2 * i + 1 + a - half]
+                across = 0.5 * (a - half) + 0.25
+                for b in range(first, last):
+                    along = 0.5 * (b - half) + 0.25
+                    w = covered[at + b]
+                    if w == 0.0:
+                        continue
+                    x, y, t = (yy * along - xy * across) / det, (xx * across - xy * along) / det, by[b]
+                    dx, dy = moved[at + b, 0], moved[at + b, 1]
+                    if dx != 0.0 or dy != 0.0:
+                        dx, dy = dx / w, dy / w
+                        t *= 1.0 - x * dx - y * dy
+                        x, y = x + (yy * dx - xy * dy) / det, y + (xx * dy - xy * dx) / det
+                    s, g = t * w, t * shining[at + b]
+                    share += s
+                    glow += g
+                    share_x += x * s
+                    glow_x += x * g
+                    share_y += y * s
+                    glow_y += y * g
+            grid.share[i, j], grid.glow[i, j] = share, glow
+            out = grid.gradient[i, j]
+            out[0], out[1], out[2], out[3] = glow_x, glow_y, share_x, share_y
+
+
+@inner_no_memory
+def _same_about(part: Any, i: int, j: int, flat: int, faces: int) -> bool:
+    """Whether a pixel and those about it show one flat face, or nothing of the die."""
+    k = part[i, j]
+    if k >= faces:
+        return False
+    for a in range(-1, 2):
+        for b in range(-1, 2):
+            y, x = i + a * flat, j + b * flat
+            if not (0 <= y < part.shape[0] and 0 <= x < part.shape[1]) or part[y, x] != k:
+                return False
+    return True
+
+
+# --- how that changes
+
+
+@inner_nogil
+def fill_changes(
+    view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, background: Any, work: Workspace, grid: SurfaceGrid
+) -> int:  # fmt: skip
+    """Fill which pixels are used, which part of the placed die they show, and the derivatives of that; return the number of
+    sides of the contour."""
+    rig, shape, light = model.rig, model.shape, work.light
+    segments, about = contour_segments(shape, work), rays_about_centre(rig, view, pose.position)
+    lines, count = flat_faces(shape, rig, view, pose, work)
+    exposed = motion_px(rig, view, pose, about, model.settings.exposure_s)
+    ball, blur_px = ball_px(shape, rig, view, pose.position), sampling.blur_px
+    near, hit, ray, point = np.zeros(5), np.zeros(6), np.zeros((2, 3)), np.zeros(3)
+    turned = abs(exposed[2]) * 0.5 * max(grid.part.shape[0], grid.part.shape[1])
+    widest = sqrt(exposed[0] ** 2 + exposed[1] ** 2) + turned
+    far = FAR_BLURS * sqrt(blur_px * blur_px + widest * widest / 12.0)
+    for i in range(grid.part.shape[0]):
+        y = float(grid.y0 + i)
+        for j in range(grid.part.shape[1]):
+            x = float(grid.x0 + j)
+            if isnan(background[grid.y0 + i, grid.x0 + j]):
+                continue
+            fill_nearest_contour(segments, x, y, near)
+            d, nx, ny = near[0] - ball, near[1], near[2]
+            if d > sampling.band_px + far:
+                continue
+            out = grid.beyond[i, j]
+            if d > -far - 1.0:
+                moved = (exposed[0] - exposed[2] * (y - about[1])) * nx + (
+                    exposed[1] + exposed[2] * (x - about[0])
+                ) * ny
+                sigma = sqrt(blur_px * blur_px + moved * moved / 12.0)
+                d = near[0] - _ball_beyond_px(model, view, segments, near, work)
+                density = exp(-0.5 * (d / sigma) ** 2) / (sigma * 2.5066282746310002)
+                out[3], out[4] = density, d / sigma * density * blur_px / sigma
+            out[0], out[1], out[2] = d, nx, ny
+            grid.side[i, j] = int(near[3])
+            if d > far:
+                continue
+            inward = max(d + INWARD_PX, 0.0)
+            u, v = x - inward * nx, y - inward * ny
+            f = face_at(lines, count, u, v)
+            fill_ray(rig, view, pose, about, u, v, ray)
+            if f == NOTHING:
+                f = part_on_ray(shape, work.face_cosine, ray, hit)
+                if f == NOTHING:
+                    continue
+                for q in range(3):
+                    point[q] = hit[3 + q] + shape.radius * hit[q]
+            else:
+                _fill_point_of_face(shape, f, ray, hit, point)
+            _fill_flow(rig, view, pose, point, work.J, grid.flow[i, j])
+            grid.bright[i, j] = light.part_deviation[view, f]
+            grid.bright[i, j] += _fill_brightness(pose.rotation, hit, light.mean[view], grid.slope[i, j])
+            grid.part[i, j] = f
+    return int(segments.shape[0])
+
+
+@inner_no_memory
+def _ball_beyond_px(model: PictureModel, view: int, segments: Any, near: Any, work: Workspace) -> float:
+    """How far the contour at a pixel lies beyond that of the inner body [px]: the ball as seen there, in that direction."""
+    k, along = int(near[3]), near[4]
+    iA, iB = int(segments[k, 8]), int(segments[k, 9])
+    zA, zB = work.vertex_camera[iA, 2], work.vertex_camera[iB, 2]
+    s, J = along * zA / ((1.0 - along) * zB + along * zA), work.J
+    cx = work.vertex_camera[iA, 0] + s * (work.vertex_camera[iB, 0] - work.vertex_camera[iA, 0])
+    cy = work.vertex_camera[iA, 1] + s * (work.vertex_camera[iB, 1] - work.vertex_camera[iA, 1])
+    project_point(model.rig.matrix[view], model.rig.distortion[view], cx, cy, zA + s * (zB - zA), J)
+    squared = 0.0
+    for b in range(3):
+        squared += (near[1] * J[0, b] + near[2] * J[1, b]) ** 2
+    return model.shape.radius * sqrt(squared)
+
+
+@inner_no_memory
+def _fill_point_of_face(shape: Shape, f: int, ray: Any, hit: Any, point: Any) -> None:
+    """Fill the normal (3,) of a flat face, and where a ray meets it (3,) [m], in axes of the die."""
+    toward, away = 0.0, shape.offsets[f] + shape.radius
+    for q in range(3):
+        hit[q] = shape.normals[f, q]
+        toward += hit[q] * ray[1, q]
+        away -= hit[q] * ray[0, q]
+    for q in range(3):
+        point[q] = ray[0, q] + away / toward * ray[1, q]
+
+
+@inner_no_memory
+def _fill_flow(rig: CameraRig, view: int, pose: PoseState, point: Any, J: Any, flow: Any) -> None:
+    """Fill (2, 6) how a point (3,) of the die, in its axes, moves in the picture with the pose."""
+    R, Rcw = pose.rotation, rig.rotation[view]
+    r0 = R[0, 0] * point[0] + R[0, 1] * point[1] + R[0, 2] * point[2]
+    r1 = R[1, 0] * point[0] + R[1, 1] * point[1] + R[1, 2] * point[2]
+    r2 = R[2, 0] * point[0] + R[2, 1] * point[1] + R[2, 2] * point[2]
+    p0, p1, p2 = pose.position[0] + r0, pose.position[1] + r1, pose.position[2] + r2
+    x = rig.translation[view, 0] + Rcw[0, 0] * p0 + Rcw[0, 1] * p1 + Rcw[0, 2] * p2
+    y = rig.translation[view, 1] + Rcw[1, 0] * p0 + Rcw[1, 1] * p1 + Rcw[1, 2] * p2
+    z = rig.translation[view, 2] + Rcw[2, 0] * p0 + Rcw[2, 1] * p1 + Rcw[2, 2] * p2
+    project_point(rig.matrix[view], rig.distortion[view], x, y, z, J)
+    for q in range(2):
+        out = flow[q]
+        for b in range(3):
+            out[b] = J[q, 0] * Rcw[0, b] + J[q, 1] * Rcw[1, b] + J[q, 2] * Rcw[2, b]
+        out[3], out[4], out[5] = r1 * out[2] - r2 * out[1], r2 * out[0] - r0 * out[2], r0 * out[1] - r1 * out[0]
+
+
+@inner_no_memory
+def _fill_brightness(R: Any, n: Any, mean: Any, slope: Any) -> float:
+    """Fill (3 + LIGHT_TERMS,) the derivatives of the brightness at a normal (3,) in axes of the die, by the rotation vector
+    and the light; return the brightness."""
+    x = R[0, 0] * n[0] + R[0, 1] * n[1] + R[0, 2] * n[2]
+    y = R[1, 0] * n[0] + R[1, 1] * n[1] + R[1, 2] * n[2]
+    z = R[2, 0] * n[0] + R[2, 1] * n[1] + R[2, 2] * n[2]
+    total, gx, gy, gz = _brightness_and_gradient(mean, x, y, z)
+    slope[0], slope[1], slope[2] = y * gz - z * gy, z * gx - x * gz, x * gy - y * gx
+    fill_monomials(x, y, z, slope[3:])
+    return total
+
+
+@inner_nogil
+def blur_of_pixels(view: int, model: PictureModel, pose: PoseState, blur_px: float) -> Any:
+    """(2 n + 1, 2 n + 1) the blur on the grid of whole pixels, of sum 1."""
+    about = rays_about_centre(model.rig, view, pose.position)
+    exposed = motion_px(model.rig, view, pose, about, model.settings.exposure_s)
+    lens = max(blur_px**2 - PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2)
+    xx, yy = lens + exposed[0] ** 2 / 12.0, lens + exposed[1] ** 2 / 12.0
+    xy = exposed[0] * exposed[1] / 12.0
+    half = min(ceil(BLUR_REACH * sqrt(max(xx, yy))), WIDEST_BLUR // 2)
+    det, weight, total = xx * yy - xy * xy, np.zeros((2 * half + 1, 2 * half + 1)), 0.0
+    for a in range(-half, half + 1):
+        for b in range(-half, half + 1):
+            weight[a + half, b + half] = exp(-0.5 * (yy * b * b - 2.0 * xy * a * b + xx * a * a) / det)
+            total += weight[a + half, b + half]
+    for a in range(2 * half + 1):
+        for b in range(2 * half + 1):
+            weight[a, b] /= total
+    return weight
+
+
+@inner_no_memory
+def fill_blurred_row(grid: SurfaceGrid, i: int, j: int, weight: Any, row: Any, parts: Any, shares: Any) -> int:
+    """Fill (3 + LIGHT_TERMS,) the blurred derivatives of w B at a pixel by rotation and light, the parts (n,) that it shows
+    and their shares (n,) of it; return how many these are."""
+    half, count = weight.shape[0] // 2, 0
+    for q in range(row.shape[0]):
+        row[q] = 0.0
+    for a in range(max(-half, -i), min(half, grid.part.shape[0] - 1 - i) + 1):
+        for b in range(max(-half, -j), min(half, grid.part.shape[1] - 1 - j) + 1):
+            y, x = i + a, j + b
+            f = grid.part[y, x]
+            if f == NOTHING:
+                continue
+            w = grid.covered[2 * y, 2 * x] + grid.covered[2 * y, 2 * x + 1]
+            w = (
+                0.25
+                * weight[a + half, b + half]
+                * (w + grid.covered[2 * y + 1, 2 * x] + grid.covered[2 * y + 1, 2 * x + 1])
+            )
+            if w < LEAST_SHARE:
+                continue
+            for q in range(row.shape[0]):
+                row[q] += w * grid.slope[y, x, q]
+            k = 0
+            while k < count and parts[k] != f:
+                k += 1
+            if k == count:
+                if count == parts.shape[0]:
+                    continue
+                parts[k], shares[k] = f, 0.0
+                count += 1
+            shares[k] += w
+    return count
