@@ -147,7 +147,7 @@ def add_surface_equations(
             return
     grid = new_surface_grid(box)
     sides = fill_changes(view, model, pose, sampling, background, work, grid)
-    draw_surface(view, model, pose, sampling, background, work, grid)
+    draw_surface(view, model, pose, sampling, work, grid)
     shades, residual = np.ones(sides), np.zeros(grid.part.shape)
     corner = (wx, wy)
     _solve_deviations(image, background, corner, grid, (view, model.settings.noise_grey), work, shades)

@@ -12,7 +12,6 @@ from .kernel_types import BLUR as BLUR
 from .kernel_types import CLEAR_PX as CLEAR_PX
 from .kernel_types import CONTOUR as CONTOUR
 from .kernel_types import CONTOUR_PX as CONTOUR_PX
-from .kernel_types import LIGHT_DEGREE as LIGHT_DEGREE
 from .kernel_types import LIGHT_TERMS as LIGHT_TERMS
 from .kernel_types import LOG_NOISE as LOG_NOISE
 from .kernel_types import MAX_STRETCH_PIXELS as MAX_STRETCH_PIXELS
@@ -66,7 +65,6 @@ from .rounded_surface import NOTHING as NOTHING
 from .rounded_surface import ball_px as ball_px
 from .rounded_surface import contour_segments as contour_segments
 from .rounded_surface import fill_nearest_contour as fill_nearest_contour
-from .rounded_surface import number_of_parts as number_of_parts
 from .rounded_surface import pixels_about as pixels_about
 from .small_matrices import cholesky_factor as cholesky_factor
 from .small_matrices import inverse_positive as inverse_positive
@@ -80,7 +78,6 @@ from .small_matrices import turn_from as turn_from
 from .surface_light import DEVIATION_SHARE as DEVIATION_SHARE
 from .surface_light import FACE_EDGES as FACE_EDGES
 from .surface_light import LAMP_PRIOR as LAMP_PRIOR
-from .surface_light import LEAST_LIGHT_PIVOT as LEAST_LIGHT_PIVOT
 from .surface_light import NO_LIGHT as NO_LIGHT
 from .surface_light import SPHERE as SPHERE
 from .surface_light import TAIL_DEGREES as TAIL_DEGREES
@@ -90,7 +87,6 @@ from .surface_light import begin_light as begin_light
 from .surface_light import clear_light as clear_light
 from .surface_light import eliminate_light as eliminate_light
 from .surface_light import fill_expected as fill_expected
-from .surface_light import fill_monomials as fill_monomials
 from .surface_light import fill_strip_rows as fill_strip_rows
 from .surface_light import keep_light as keep_light
 from .surface_light import kept_light as kept_light

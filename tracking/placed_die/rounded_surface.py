@@ -35,12 +35,6 @@ MISSED = 1e300
 """Distance along a ray that meets nothing."""
 
 
-@inner_nogil
-def number_of_parts(shape: Shape) -> int:
-    """How many parts the surface of a rounded die has."""
-    return shape.normals.shape[0] + shape.edges.shape[0] + shape.vertices.shape[0]
-
-
 @inner_no_memory
 def ball_px(shape: Shape, rig: CameraRig, view: int, pos: Any) -> float:
     """Radius [px] of the ball in a view: how far the contour lies beyond that of the inner body."""

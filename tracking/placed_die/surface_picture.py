@@ -168,8 +168,8 @@ def _brightness_and_gradient(mean: Any, x: float, y: float, z: float) -> tuple[f
 
 @inner_nogil
 def draw_surface(
-    view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, background: Any, work: Workspace, grid: SurfaceGrid
-) -> None:  # fmt: skip
+    view: int, model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Workspace, grid: SurfaceGrid
+) -> None:
     """Fill share and glow of the pixels that `fill_changes` has found to be used."""
     rig, shape = model.rig, model.shape
     exposed = motion_px(rig, view, pose, rays_about_centre(rig, view, pose.position), model.settings.exposure_s)
@@ -190,6 +190,7 @@ def draw_surface(
 
 @inner_no_memory
 def _turned_rad(pose: PoseState, exposure_s: float) -> float:
+    """How far the die turns within the exposure."""
     return sqrt(pose.omega[0] ** 2 + pose.omega[1] ** 2 + pose.omega[2] ** 2) * exposure_s
 
 

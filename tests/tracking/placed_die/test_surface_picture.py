@@ -80,7 +80,7 @@ def draw(model: PictureModel, pose: PoseState, sampling: EdgeSampling, work: Wor
     place_die(model.shape, model.rig, view, pose, work)
     grid = new_surface_grid(box)
     fill_changes(view, model, pose, sampling, background, work, grid)
-    draw_surface(view, model, pose, sampling, background, work, grid)
+    draw_surface(view, model, pose, sampling, work, grid)
     blur = blur_of_pixels(view, model, pose, sampling.blur_px)
     slope, parts, shares = np.zeros(3 + LIGHT_TERMS), np.zeros(8, np.int64), np.zeros(8)
     for i in range(out.grey.shape[0]):
