@@ -29,8 +29,6 @@ from ..placed_die import (
     CLEAR_PX,
     CONTOUR,
     CONTOUR_PX,
-    DEVIATION_SHARE,
-    LAMP_PRIOR,
     LEAST_ROUNDED_PX,
     LIGHT_TERMS,
     LOG_NOISE,
@@ -59,6 +57,7 @@ from ..placed_die import (
     fill_blurred_row,
     fill_changes,
     fill_nearest_contour,
+    lamps_anywhere,
     new_surface_grid,
     pixels_about,
     place_die,
@@ -92,6 +91,10 @@ STEP_PX = 1.5
 """Distance from the contour, beyond a blur, at which a clear step is looked for on both sides."""
 CLEAR_PART = 0.3
 """Share of the predicted step that must be seen for it to be clear."""
+LEAST_NOISE_GREY = 0.5
+"""Least noise that these weights assume."""
+WITHIN_DIE_PX = 2.0
+"""Depth within the contour from which pixels give the mean grey of the die."""
 LEAST_PX = 30.0
 """Pixels of bevels and contour below which nothing is said."""
 LARGEST_RESIDUAL_GREY = 1e9
@@ -161,22 +164,16 @@ def _begin_light(
 ) -> None:
     """Begin with the mean grey of the die, and lamps anywhere."""
     ball, background = ball_px(model.shape, model.rig, view, pose.position), model.backgrounds[model.rig.camera[view]]
-    segments, light, total, number, near = contour_segments(model.shape, work), work.light, 0.0, 0.0, np.zeros(5)
+    segments, total, number, near = contour_segments(model.shape, work), 0.0, 0.0, np.zeros(5)
     for y in range(box[1], box[3], 2):
         for x in range(box[0], box[2], 2):
             fill_nearest_contour(segments, float(x), float(y), near)
-            if near[0] < ball - 2.0 and not isnan(background[y, x]):
+            if near[0] < ball - WITHIN_DIE_PX and not isnan(background[y, x]):
                 total += image[y - window[1], x - window[0]]
                 number += 1.0
     if number == 0.0 or not total > 0.0:
         return
-    level = total / number
-    light.level[view], light.deviation[view] = level, DEVIATION_SHARE * level
-    for i in range(LIGHT_TERMS):
-        light.mean[view, i] = level if i == 0 else 0.0
-        light.prior_mean[view, i] = light.mean[view, i]
-        for k in range(LIGHT_TERMS):
-            light.information[view, i, k] = LAMP_PRIOR[i, k] / (level * level)
+    lamps_anywhere(view, work.light, total / number)
 
 
 @inner_nogil
@@ -188,11 +185,10 @@ def _solve_deviations(
     What the deviations change is added to the glow of pixels."""
     (wx, wy), (view, noise_grey), light = corner, of_clip, work.light
     level, deviation, before = light.level[view], DEVIATION_FACTOR * light.deviation[view], light.part_deviation[view]
-    noise2 = max(noise_grey, 0.5) ** 2
+    noise2 = max(noise_grey, LEAST_NOISE_GREY) ** 2
     v = noise2 + (GRAIN_SHARE * level) ** 2
-    change, first = np.zeros(before.shape[0]), True
-    for k in range(len(change)):
-        first = first and light.part_matrix[view, k, k] == 0.0
+    # After the first step of a picture the equations have solved for the deviations, together with the pose.
+    change, first = np.zeros(before.shape[0]), light.part_matrix[view, 0, 0] == 0.0
     for _ in range(REWEIGHTINGS):
         sums, number = np.zeros(len(change)), np.zeros(len(change))
         top, bottom = np.zeros(len(shades)), np.zeros(len(shades))

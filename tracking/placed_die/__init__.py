@@ -75,7 +75,6 @@ from .small_matrices import solve_factored as solve_factored
 from .small_matrices import solve_positive as solve_positive
 from .small_matrices import turn as turn
 from .small_matrices import turn_from as turn_from
-from .surface_light import DEVIATION_SHARE as DEVIATION_SHARE
 from .surface_light import FACE_EDGES as FACE_EDGES
 from .surface_light import LAMP_PRIOR as LAMP_PRIOR
 from .surface_light import NO_LIGHT as NO_LIGHT
@@ -90,6 +89,7 @@ from .surface_light import fill_expected as fill_expected
 from .surface_light import fill_strip_rows as fill_strip_rows
 from .surface_light import keep_light as keep_light
 from .surface_light import kept_light as kept_light
+from .surface_light import lamps_anywhere as lamps_anywhere
 from .surface_light import normal_monomials as normal_monomials
 from .surface_light import strips_of_any_shade as strips_of_any_shade
 from .surface_light import unknown_light as unknown_light

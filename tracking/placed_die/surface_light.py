@@ -364,12 +364,18 @@ def update_light(light: LightSpace, step: Any) -> None:
         elif light.level[view] == 0.0 and light.sums[view, 0] > 0.0:
             level = light.sums[view, 1] / light.sums[view, 0]
             if level > 0.0:
-                light.level[view], light.deviation[view] = level, DEVIATION_SHARE * level
-                for i in range(LIGHT_TERMS):
-                    light.mean[view, i] = level if i == 0 else 0.0
-                    light.prior_mean[view, i] = light.mean[view, i]
-                    for k in range(LIGHT_TERMS):
-                        light.information[view, i, k] = LAMP_PRIOR[i, k] / (level * level)
+                lamps_anywhere(view, light, level)
+
+
+@inner_no_memory
+def lamps_anywhere(view: int, light: LightSpace, level: float) -> None:
+    """Begin with a mean brightness [grey], and lamps in unknown directions."""
+    light.level[view], light.deviation[view] = level, DEVIATION_SHARE * level
+    for i in range(LIGHT_TERMS):
+        light.mean[view, i] = level if i == 0 else 0.0
+        light.prior_mean[view, i] = light.mean[view, i]
+        for k in range(LIGHT_TERMS):
+            light.information[view, i, k] = LAMP_PRIOR[i, k] / (level * level)
 
 
 @inner_no_memory

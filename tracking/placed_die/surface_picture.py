@@ -303,20 +303,9 @@ def _face_with_room(lines: Any, count: Any, x: float, y: float) -> tuple[int, fl
 @inner_nogil
 def _blur(model: PictureModel, blur_px: float, exposed: Any, grid: SurfaceGrid) -> None:
     """Blur w and w B onto the pixels in use."""
-    lens = max(blur_px**2, LEAST_VARIANCE_PX2)
-    xx, yy = lens + exposed[0] ** 2 / 12.0, lens + exposed[1] ** 2 / 12.0
-    xy = exposed[0] * exposed[1] / 12.0
+    xx, yy, xy = _variances(max(blur_px**2, LEAST_VARIANCE_PX2), exposed)
     half = min(ceil(2.0 * BLUR_REACH * sqrt(max(xx, yy))), WIDEST_BLUR)
-    det, weight, total = xx * yy - xy * xy, np.zeros((2 * half, 2 * half)), 0.0
-    for a in range(2 * half):
-        v = 0.5 * (a - half) + 0.25
-        for b in range(2 * half):
-            u = 0.5 * (b - half) + 0.25
-            weight[a, b] = exp(-0.5 * (yy * u * u - 2.0 * xy * u * v + xx * v * v) / det)
-            total += weight[a, b]
-    for a in range(2 * half):
-        for b in range(2 * half):
-            weight[a, b] /= total
+    det, weight = xx * yy - xy * xy, _window(2 * half, 0.5, (xx, yy, xy))
     rows, columns = grid.part.shape
     flat = half // 2 + 1
     nf = model.shape.normals.shape[0]
@@ -496,17 +485,32 @@ def blur_of_pixels(view: int, model: PictureModel, pose: PoseState, blur_px: flo
     """(2 n + 1, 2 n + 1) the blur on the grid of whole pixels, of sum 1."""
     about = rays_about_centre(model.rig, view, pose.position)
     exposed = motion_px(model.rig, view, pose, about, model.settings.exposure_s)
-    lens = max(blur_px**2 - PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2)
-    xx, yy = lens + exposed[0] ** 2 / 12.0, lens + exposed[1] ** 2 / 12.0
-    xy = exposed[0] * exposed[1] / 12.0
-    half = min(ceil(BLUR_REACH * sqrt(max(xx, yy))), WIDEST_BLUR // 2)
-    det, weight, total = xx * yy - xy * xy, np.zeros((2 * half + 1, 2 * half + 1)), 0.0
-    for a in range(-half, half + 1):
-        for b in range(-half, half + 1):
-            weight[a + half, b + half] = exp(-0.5 * (yy * b * b - 2.0 * xy * a * b + xx * a * a) / det)
-            total += weight[a + half, b + half]
-    for a in range(2 * half + 1):
-        for b in range(2 * half + 1):
+    variances = _variances(max(blur_px**2 - PIXEL_VARIANCE_PX2, PIXEL_VARIANCE_PX2), exposed)
+    half = min(ceil(BLUR_REACH * sqrt(max(variances[0], variances[1]))), WIDEST_BLUR // 2)
+    return _window(2 * half + 1, 1.0, variances)
+
+
+@inner_no_memory
+def _variances(lens: float, exposed: Any) -> tuple[float, float, float]:
+    """Of the blur by lens and motion [px²]: along rows, along columns, and the covariance of both. `exposed` is the motion within
+    the exposure (x, y) [px]."""
+    x, y = exposed[0], exposed[1]
+    return lens + x**2 / 12.0, lens + y**2 / 12.0, x * y / 12.0
+
+
+@inner_nogil
+def _window(size: int, spacing_px: float, variances: Any) -> Any:
+    """(size, size) a Gaussian about the middle, of sum 1."""
+    xx, yy, xy = variances
+    det, weight, total = xx * yy - xy * xy, np.zeros((size, size)), 0.0
+    for a in range(size):
+        v = spacing_px * (a - 0.5 * (size - 1))
+        for b in range(size):
+            u = spacing_px * (b - 0.5 * (size - 1))
+            weight[a, b] = exp(-0.5 * (yy * u * u - 2.0 * xy * u * v + xx * v * v) / det)
+            total += weight[a, b]
+    for a in range(size):
+        for b in range(size):
             weight[a, b] /= total
     return weight
 
