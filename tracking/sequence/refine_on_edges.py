@@ -1,4 +1,4 @@
-"""Refinement of all frames on their edges, from the poses that the flights give.
+"""Refinement of all frames on their edges, or on the whole surface of a well-rounded die, from the poses that the flights give.
 
 That recovers frames that tracking lost or got wrong. Where the tracked pose lies elsewhere, a frame is refined from there as
 well, and the better result is kept. The poses are those of single frames: nothing is smoothed."""
