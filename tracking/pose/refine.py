@@ -140,14 +140,13 @@ def refine_pose(
     edges_alone: bool = False,
     work: Workspace | None = None,
 ) -> Pose:
-    """The pose near an initial one, `start`, that explains the edges of a frame best.
+    """The pose near an initial one, `start`, that explains a frame best, by its edges or its whole surface.
 
     `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
     the number of steps at larger blurs before those at the lens blur. `prior` is the (6, 6) information of the prior
     about the initial pose, the loose one of the view if it is None. `roughly` stops where the view's quality says, not
-    at convergence. `edges_alone` compares the
-    edges of a well-rounded die instead of its whole surface, which takes a small part of the time: for many trials, the
-    best of which are refined once more.
+    at convergence. `edges_alone` compares the edges of a well-rounded die instead of its whole surface, which takes a
+    small part of the time: for many trials, the best of which are refined once more.
     """
     converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
     settings = view.tracking_settings if roughly else converged
