@@ -30,7 +30,7 @@ from ..placed_die import (
     place_die,
     place_outer,
     rounded_contour,
-    within_hull,
+    within_rounded_outline,
 )
 
 SQUARED_SIGMAS_CUT = 16.0
@@ -140,8 +140,7 @@ def _box_cost(
     those that differ from the background.
 
     Pixel [0, 0] of the image is `corner` of the background; pixels whose background is NaN do not count. No face
-    reaches beyond the `outline` of the inner body: so many lines of the hull, widened by so many pixels. Corners of the
-    outline stay sharp.
+    reaches farther beyond the `outline` of the inner body, so many lines of the hull, than so many pixels.
     """
     (x0, y0), (low_x, low_y, high_x, high_y), (contour, ball_px) = corner, box, outline
     noise, samples = settings.noise_grey, settings.region_pixels
@@ -167,7 +166,9 @@ def _box_cost(
                         hit = False
                         break
                 if hit:
-                    if isnan(background[y, x]) or (contour > 0 and not within_hull(work.hull, contour, x, y, ball_px)):
+                    if isnan(background[y, x]):
+                        break
+                    if contour > 0 and not within_rounded_outline(work.hull, contour, x, y, ball_px):
                         break
                     label[i, j] = f
                     total[f] += image[y - y0, x - x0]

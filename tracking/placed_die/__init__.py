@@ -55,6 +55,7 @@ from .projection import rounded_contour as rounded_contour
 from .projection import scale_px as scale_px
 from .projection import turned_within as turned_within
 from .projection import within_hull as within_hull
+from .projection import within_rounded_outline as within_rounded_outline
 from .rounded_edge import fill_rounded_basis as fill_rounded_basis
 from .rounded_edge import fill_sharp_basis as fill_sharp_basis
 from .rounded_edge import fill_strip_lines as fill_strip_lines

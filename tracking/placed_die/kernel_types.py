@@ -300,7 +300,7 @@ class Workspace(NamedTuple):
     strip_end: Any
     """(3,) direction towards which the normal turns on a strip."""
     hull: Any
-    """(edges, 3) lines of an outline."""
+    """(edges, 5) lines (a, b, c) of an outline, and the ends of its edge on each, as values of b x - a y."""
     basis: Any
     """(4, MAX_STRETCH_PIXELS) φ: what each pixel gets of each intensity of a stretch."""
     basis_slope: Any
@@ -379,7 +379,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
     return Workspace(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(STRIP_CELLS + 1),
-        np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 3)),
+        np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)),
         np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
         np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
         np.zeros(MAX_STRETCH_ROWS, np.int64),

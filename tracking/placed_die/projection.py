@@ -10,7 +10,7 @@ some tenths of a millisecond: exp is expanded to the second order, and gravity m
 
 from __future__ import annotations
 
-from math import hypot, sqrt
+from math import hypot, inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -165,8 +165,8 @@ def place_die(shape: Shape, rig: CameraRig, view: int, pose: PoseState, work: Wo
 
 @inner_no_memory
 def outline_hull(shape: Shape, work: Workspace) -> int:
-    """Fill in the workspace's hull the lines (a, b, c) of the outline of the placed die, a x + b y + c > 0 inside;
-    return their number.
+    """Fill in the workspace's hull the lines (a, b, c) of the outline of the placed die, a x + b y + c > 0 inside, with the
+    ends of their edges; return their number.
 
     The outline is that of the inner body: margins of the caller cover the radius of a rounded die.
     """
@@ -186,6 +186,9 @@ def outline_hull(shape: Shape, work: Workspace) -> int:
         if a * mx + b * my + c < 0.0:
             a, b, c = -a, -b, -c
         work.hull[count, 0], work.hull[count, 1], work.hull[count, 2] = a, b, c
+        first = b * work.vertex_px[i, 0] - a * work.vertex_px[i, 1]
+        last = b * work.vertex_px[j, 0] - a * work.vertex_px[j, 1]
+        work.hull[count, 3], work.hull[count, 4] = min(first, last), max(first, last)
         count += 1
     return count
 
@@ -197,6 +200,21 @@ def within_hull(hull: Any, count: int, x: float, y: float, margin: float) -> boo
         if hull[k, 0] * x + hull[k, 1] * y + hull[k, 2] < -margin:
             return False
     return count > 0
+
+
+@inner_no_memory
+def within_rounded_outline(hull: Any, count: int, x: float, y: float, radius: float) -> bool:
+    """Whether a pixel lies inside the outline of an inner body or no farther than a radius [px] from it."""
+    nearest_squared = inf
+    for k in range(count):
+        d = hull[k, 0] * x + hull[k, 1] * y + hull[k, 2]
+        if d < -radius:
+            return False
+        if d < 0.0:
+            along = hull[k, 1] * x - hull[k, 0] * y
+            beyond = max(hull[k, 3] - along, along - hull[k, 4], 0.0)
+            nearest_squared = min(nearest_squared, d * d + beyond * beyond)
+    return count > 0 and (nearest_squared == inf or nearest_squared <= radius * radius)
 
 
 @inner_no_memory

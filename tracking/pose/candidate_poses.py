@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Solid
+from ...model.die import Die, Solid, inner_vertices
 from ...model.rotations import matrix_from_quat
 from ..footage import Decimation
 from ..picture import (
@@ -90,6 +90,8 @@ SAME_POSE_EDGES = 0.05
 """Distance of corners, in edges, below which two poses are the same."""
 LIT_SHARE = 0.2
 """A region of which a smaller share is not shadow shows no die."""
+LEAST_AREA_M2 = 1e-12
+"""Least area by which a centroid is divided: the inner polyhedron of a ball is a point."""
 SIZE_PRIOR_REACH = 1.5
 """Standard deviation of the prior on a trial's position, in the die's reach: the region's area gives the distance to a
 fifth."""
@@ -219,11 +221,7 @@ def _trials(view: View, blob: Blob) -> tuple[Array, Array]:
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     ray = camera.rotation.T @ _ray(camera.matrix, blob.centre_px)
     line_of_sight = ray / np.linalg.norm(ray)
-    # The visible faces of a convex body project to its silhouette, each by its area and slant.
-    areas, middles = _face_areas(solid)
-    shares = np.maximum(-(solid.normals @ np.swapaxes(rotations, 1, 2)) @ line_of_sight, 0.0) * areas
-    silhouette_m2 = shares.sum(1)
-    middle = np.einsum("nij,nj->ni", rotations, shares @ middles / silhouette_m2[:, None])
+    silhouette_m2, middle = _silhouettes(view.die, rotations, line_of_sight)
     aside = middle - np.outer(middle @ line_of_sight, line_of_sight)
     depth = focal * np.sqrt(silhouette_m2 / blob.area_px)
     places = np.concatenate([camera.centre_m + np.outer(depth * factor, ray) - aside for factor in DISTANCE_FACTORS])
@@ -314,9 +312,31 @@ def _ray(matrix: Array, pixel: Array) -> Array:
     return np.asarray(np.linalg.solve(matrix, np.array([pixel[0], pixel[1], 1.0])))
 
 
-def _face_areas(solid: Solid) -> tuple[Array, Array]:
-    """(faces,) areas [m²] and (faces, 3) centroids [m], those of their corners."""
-    corners = [solid.vertices[list(face)] for face in solid.faces]
+def _silhouettes(die: Die, rotations: Array, line_of_sight: Array) -> tuple[Array, Array]:
+    """Areas (n,) [m²] of the silhouettes of a die in orientations (n, 3, 3), seen from afar along a unit vector (3,), and their
+    centroids (n, 3) [m] from the centre of the die.
+
+    The visible faces of the inner polyhedron project to its silhouette, each by its area and slant; the balls that roll over it
+    widen that by the corner radius r all round, to A + P r + π r² with its perimeter P (Steiner). The centroid is that of A."""
+    solid, r = die.solid, die.corner_radius_m
+    inner = inner_vertices(solid, r)
+    areas, middles = _face_areas(inner, solid)
+    facing = -(solid.normals @ np.swapaxes(rotations, 1, 2)) @ line_of_sight
+    shares = np.maximum(facing, 0.0) * areas
+    silhouette_m2 = shares.sum(1)
+    middle = np.einsum("nij,nj->ni", rotations, shares @ middles / np.maximum(silhouette_m2, LEAST_AREA_M2)[:, None])
+    if r == 0.0:
+        return silhouette_m2, middle
+    along = rotations @ (inner[solid.edges[:, 1]] - inner[solid.edges[:, 0]]).T
+    lengths = np.linalg.norm(np.cross(along, line_of_sight, axisa=1), axis=2)
+    is_outline = (facing > 0.0)[:, solid.edge_faces].sum(axis=2) == 1
+    return silhouette_m2 + r * (lengths * is_outline).sum(1) + np.pi * r**2, middle
+
+
+def _face_areas(vertices: Array, solid: Solid) -> tuple[Array, Array]:
+    """(faces,) areas [m²] and (faces, 3) centroids [m] of the faces of a solid whose corners lie at these vertices (v, 3); the
+    centroids are those of their corners."""
+    corners = [vertices[list(face)] for face in solid.faces]
     fans = [np.cross(c[1:-1] - c[0], c[2:] - c[0]) for c in corners]
     areas = [0.5 * float(np.linalg.norm(fan, axis=1).sum()) for fan in fans]
     return np.array(areas), np.array([c.mean(0) for c in corners])

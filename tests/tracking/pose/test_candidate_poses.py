@@ -10,17 +10,25 @@ import footage_of_throws
 import numpy as np
 import pytest
 from footage_of_throws import DICE, REACH_M, photograph, still, studio
+from random_throws import random_quaternion
+from scipy.spatial import ConvexHull
 
 from diethrow.model.die.die import Die
-from diethrow.model.die.solid import SHAPES
+from diethrow.model.die.solid import SHAPES, inner_vertices
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
-from diethrow.model.rotations import quat_from_matrix, quat_from_rotvec, rotvec_from_quat
+from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, rotvec_from_quat
 from diethrow.model.throw.motion import State
 from diethrow.tracking.picture import PixelNoise
 from diethrow.tracking.picture.pose_costs import mirror_region_costs
 from diethrow.tracking.picture.segmentation import Blob, differs_from_background, largest_blob
 from diethrow.tracking.picture.view import make_view
-from diethrow.tracking.pose.candidate_poses import DISTANCE_FACTORS, _trials, die_blobs, pose_candidates
+from diethrow.tracking.pose.candidate_poses import (
+    DISTANCE_FACTORS,
+    _silhouettes,
+    _trials,
+    die_blobs,
+    pose_candidates,
+)
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
 
@@ -42,6 +50,23 @@ def test_an_initial_pose_is_found_up_to_the_symmetry_of_the_die(shape: str) -> N
     assert off[best] < 0.5
     # Depth is determined worst: a fifth of a pixel in 80 is a 400th of 40 cm.
     assert np.linalg.norm(found[best][1].position_m - state.position_m) < 0.1 * REACH_M
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
+def test_silhouettes_of_rounded_dice_have_the_area_of_their_outline(shape: str, share: float) -> None:
+    die = DICE[shape]
+    die = replace(die, corner_radius_m=share * die.solid.inradius)
+    rotations = matrix_from_quat(np.array([random_quaternion(np.random.default_rng(seed)) for seed in range(8)]))
+    sight = np.array([0.3, 0.5, -0.8]) / np.linalg.norm([0.3, 0.5, -0.8])
+    across = np.linalg.svd(sight[None])[2][1:]
+    angle = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
+    circle = die.corner_radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    areas, _ = _silhouettes(die, rotations, sight)
+    for rotation, area in zip(rotations, areas, strict=True):
+        corners = inner_vertices(die.solid, die.corner_radius_m) @ rotation.T @ across.T
+        # Qhull calls the area of a plane figure its volume.
+        assert area == pytest.approx(ConvexHull((corners[:, None] + circle).reshape(-1, 2)).volume, rel=5e-4)
 
 
 def test_an_empty_table_shows_no_die() -> None:
