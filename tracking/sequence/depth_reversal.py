@@ -14,13 +14,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import inversion_rotation, nearest_equivalent_rotation
+from ...model.die import inversion_rotation
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, pose_state, refine_pose, same_picture
 from ..throw import UNMODELLED_SHARE, fit_flights, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
+from .labelling import with_labels_continued
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -105,7 +106,7 @@ def _corrected_once(view: View, source: FrameSource, poses: ClipPoses, unused: M
             if other_ratio < ratio:
                 ratio, best = other_ratio, other
         if best is not poses:
-            poses = _merged(view, poses, best, run)
+            poses = _merged(view, poses, best, run, source.times_s)
     return poses
 
 
@@ -199,7 +200,7 @@ def _reduced_chi2(track: Track, rows: NDArray[np.int64]) -> Array:
     return np.asarray(chi2 / (6.0 * np.array([len(window) for window in windows]) - 12.0))
 
 
-def _merged(view: View, poses: ClipPoses, other: ClipPoses, run: slice) -> ClipPoses:
+def _merged(view: View, poses: ClipPoses, other: ClipPoses, run: slice, times_s: Array) -> ClipPoses:
     """The poses with those of the other, and none on frames of the run that the other lost. The labelling of each part continues
     that of the frames before."""
     inside = np.zeros(len(poses.known), bool)
@@ -210,9 +211,5 @@ def _merged(view: View, poses: ClipPoses, other: ClipPoses, run: slice) -> ClipP
     out.known[inside] = False
     out.take(rows, other)
     for k in (int(rows[0]), int(rows[-1]) + 1):
-        before, after = np.flatnonzero(out.known[:k]), k + np.flatnonzero(out.known[k:])
-        if len(before) and len(after):
-            there, here = out.rotation[before[-1]], out.rotation[after[0]]
-            relabelling = here.T @ nearest_equivalent_rotation(here, there, view.symmetries)
-            out.rotation[k:] = out.rotation[k:] @ relabelling
+        out = with_labels_continued(view, out, times_s, k)
     return out

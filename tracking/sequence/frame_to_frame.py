@@ -99,6 +99,8 @@ LOST_FRAMES = 2
 """Frames without a pose after which a die high above the table may be found off its path: the motion was wrong."""
 FASTEST_FACTOR = 1.5
 """Speed of the die's points after an impact over that before, at the most: no impact gives energy."""
+FASTEST_FACTOR_BACKWARDS = 4.0
+"""Speed before an impact over that after, at the most: one that takes more energy leaves too little for another bounce."""
 SEARCH_EVERY = 6
 """Frames without a pose until a new initial pose is searched."""
 BACKWARDS_MISSES = 3
@@ -371,7 +373,8 @@ class FrameTracker:
         dt = expected.time_s - float(self.clock[0])
         speed = float(np.linalg.norm(expected.velocity_m_s)) + reach * float(np.linalg.norm(expected.omega_rad_s))
         moved = float(np.linalg.norm(pose.position_m - self.motion[:3]))
-        if moved > FASTEST_FACTOR * speed * abs(dt) + far_m:
+        fastest = FASTEST_FACTOR_BACKWARDS if self.backwards else FASTEST_FACTOR
+        if moved > fastest * speed * abs(dt) + far_m:
             return False
         is_clear = pose.support > CLEAR_SUPPORT
         if not high:
@@ -390,8 +393,7 @@ class FrameTracker:
         pose, the expected one, and rotations about the last."""
         time_s = expected.time_s
         last = _state(float(self.clock[0]), self.motion, self.rotation)
-        if not self.backwards:
-            yield from ((state, 3) for state in _after_impacts(self.view.die, last, time_s))
+        yield from ((state, 3) for state in _beyond_impacts(self.view.die, last, time_s))
         yield State(time_s, last.position_m, last.quaternion, last.velocity_m_s, last.omega_rad_s), 4
         yield expected, 4
         half = Flight(last, np.inf).at(0.5 * (last.time_s + time_s)).position_m
@@ -476,22 +478,24 @@ def _initial_covariance(view: View, pose: Pose, frame_s: float, reach: float, ra
     return P
 
 
-def _after_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
-    """States of the die after an impact between the last frame and this one: smooth impacts with several restitutions on each
-    corner that could reach the table."""
+def _beyond_impacts(die: Die, last: State, time_s: float) -> Iterator[State]:
+    """States of the die on the other side of an impact between the last frame and this one, which lies after it or, of a tracker
+    that runs backwards, before it: smooth impacts with several restitutions on each corner that could reach the table."""
     dt = time_s - last.time_s
     corners = last.rotation @ die.solid.vertices.T
     heights = corners[2] + last.position_m[2]
-    sink = np.minimum(last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2], 0.0) * dt
+    sink = np.minimum((last.velocity_m_s[2] + np.cross(last.omega_rad_s, corners.T)[:, 2]) * dt, 0.0)
     edge = die.solid.edge_m
     for i in np.flatnonzero(heights + SINK_FACTOR * sink < TOUCH_SHARE * edge):
         arm = corners[:, i]
         normal = last.velocity_m_s[2] + np.cross(last.omega_rad_s, arm)[2]
-        if normal >= 0:
+        if normal * dt >= 0:
             continue
         lever = np.cross(arm, [0.0, 0.0, 1.0])
         for chi in TRIAL_RESTITUTIONS:
-            impulse = -(1.0 + chi) * normal / (1.0 / die.mass_kg + lever @ lever / die.inertia_kg_m2)
+            # After an impact the corner has chi times the normal velocity of before, and opposite.
+            ratio = chi if dt > 0.0 else 1.0 / chi
+            impulse = -(1.0 + ratio) * normal / (1.0 / die.mass_kg + lever @ lever / die.inertia_kg_m2)
             velocity = last.velocity_m_s + np.array([0.0, 0.0, impulse / die.mass_kg])
             omega = last.omega_rad_s + impulse * lever / die.inertia_kg_m2
             for share in TRIAL_SHARES:

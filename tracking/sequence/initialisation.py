@@ -38,7 +38,10 @@ from ..pose import (
     seen_distance_m,
     weak_prior,
 )
+from ..throw import TABLE_REACH
+from .acceptance import HEIGHT_SIGMAS
 from .frame_to_frame import FrameTracker
+from .motion_filter import lowest_m
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -146,13 +149,18 @@ Candidate = tuple[int, Hypothesis]
 
 
 def find_initial_pose(
-    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None] = lambda frame: None
+    view: View,
+    source: FrameSource,
+    unused: Mask,
+    report: Callable[[int], None] = lambda frame: None,
+    *,
+    guess: bool = True,
 ) -> tuple[FrameTracker, ClipPoses] | None:
     """A tracker from the first frame that shows the die whole, and its poses so far; None if no die is found.
 
-    Frames that are `unused` (n,) are skipped; `report` is called with each frame examined. If no hypothesis is accepted with the
-    lens blur of the view, the search is repeated with a smaller one; and on the first frame if others are accepted only because
-    they agree."""
+    Frames that are `unused` (n,) are skipped, and the tracker skips them as well; `report` is called with each frame examined. If
+    no hypothesis is accepted with the lens blur of the view, the search is repeated with a smaller one; and on the first frame if
+    others are accepted only because they agree. If none is accepted then, the likeliest is returned if a `guess` is wanted."""
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
     found, uncertain = _search(view, source, unused, report)
     if found is not None and not found[1].is_certain:
@@ -163,7 +171,7 @@ def find_initial_pose(
         uncertain += others
     if found is not None:
         return _on_clip(found[1], source, found[0], unused)
-    if not uncertain:
+    if not uncertain or not guess:
         return None
     k, chosen = min(uncertain, key=lambda pair: (pair[1].competitors, -pair[1].support))
     return _on_clip(chosen, source, k, unused)
@@ -225,12 +233,12 @@ def _candidate_frames(view: View, source: FrameSource, unused: Mask, report: Cal
     """
     # Three frames fit wrong hypotheses as well: 200 frames a second of a die that turns ten degrees a frame gave poses 45 degrees
     # off, with standard errors of a tenth of a degree, on the last three. A clip of fewer frames than are wanted is all there is.
-    last = len(source) - min(FULL_STAGE, len(source))
+    enough = min(FULL_STAGE, len(source))
     tried, k, least_px, small = 0, 0, 0.0, []
-    while k <= last:
+    while k <= len(source) - enough:
         report(k)
-        image = np.asarray(source.frame(k), np.float32)
-        blobs = [] if unused[k] else die_blobs(view, image[0])
+        seen = _frames_ahead(unused, k) >= enough
+        blobs = die_blobs(view, np.asarray(source.frame(k)[0], np.float32)) if seen else []
         if blobs and blobs[0].area_px >= least_px:
             tried += 1
             yield k
@@ -241,6 +249,14 @@ def _candidate_frames(view: View, source: FrameSource, unused: Mask, report: Cal
             small += [k] if blobs else []
             k += 1
     yield from small[:: 1 + len(small) // MAX_FIRST_FRAMES]
+
+
+def _frames_ahead(unused: Mask, k: int) -> int:
+    """Frames from k on over which a hypothesis can be tracked: up to the second that is unused; none if k is."""
+    ends = k + np.flatnonzero(unused[k:])[:2]
+    if unused[k]:
+        return 0
+    return int(ends[1] if len(ends) == 2 else len(unused)) - k
 
 
 def _usual_area_px(view: View, source: FrameSource) -> float:
@@ -271,15 +287,12 @@ def initial_pose_by_hand(
 def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) -> tuple[FrameTracker, ClipPoses]:
     """The tracker and poses of a hypothesis that began on frame k, with rows of the clip.
 
-    Of a hypothesis that is not certain the last frames are kept, and, if others agreed with it or the die had shown most of
-    itself, the frames before them up to the first of excessive cost. The remaining frames are tracked again from there."""
+    Of a hypothesis that is not certain the last frames are kept, over which its motion is even. It may have begun as another and
+    changed on the way: the frames before are tracked again from there."""
     poses, tracker = ClipPoses.empty(len(source)), hypothesis.tracker
     rows = np.flatnonzero(hypothesis.poses.known)
     if not hypothesis.is_certain:
-        cost, end = hypothesis.poses.cost[rows], max(len(rows) - FULL_STAGE, 0)
-        excessive = np.flatnonzero(cost[:end] > np.median(cost[end:]) + REJECTION_MISFIT)
-        is_unchanged = hypothesis.competitors == 0 and hypothesis.score.since == 0
-        rows = rows[(excessive[-1] + 1 if len(excessive) else 0) if is_unchanged else end :]
+        rows = rows[-FULL_STAGE:]
     poses.take(k + rows, hypothesis.poses, rows)
     tracker.next_frame, tracker.unused = k + tracker.next_frame, unused
     return tracker, poses
@@ -290,7 +303,7 @@ def _on_clip(hypothesis: Hypothesis, source: FrameSource, k: int, unused: Mask) 
 
 def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hypothesis | None:
     """The hypothesis on frame k that the frames after it support best; None if they support none."""
-    left = min(STAGES[-1], len(source) - k)
+    left = min(STAGES[-1], _frames_ahead(unused, k))
     image, rate_px_s = np.asarray(source.frame(k), np.float32), _rate_px_s(view, source, k, unused)
     hypotheses = [
         _new_hypothesis(view, source, k, _moving(view, image, pose, rate_px_s), unused, rate_px_s)
@@ -379,19 +392,27 @@ def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused:
 
 
 def _tracked_to(hypothesis: Hypothesis, view: View, source: FrameSource, k: int, stage: int) -> Score | None:
-    """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way."""
+    """The score of a hypothesis, tracked up to so many frames; None if the die was lost on the way, or went into the table."""
     tracker, poses, times_s = hypothesis.tracker, hypothesis.poses, source.times_s[k:]
     for j in range(tracker.next_frame, stage):
         tracker.track(source.frame(k + j)[None], times_s, j, poses)
         if tracker.misses > 1:
             return None
-    if poses.known[:stage].sum() < stage - 1:
+    if poses.known[:stage].sum() < stage - 1 or _is_below_table(tracker):
         return None
     # An initial pose that was a little off takes some frames to converge, and a wrong one may become right when the die shows
     # another face: the recent motion counts.
     since = stage // 2 if stage > FULL_STAGE else 0
     whole = _score(view, poses, times_s, 0, stage)
     return whole if whole.unevenness < EVEN else _score(view, poses, times_s, since, stage)
+
+
+def _is_below_table(tracker: FrameTracker) -> bool:
+    """Whether the die lies clearly below the table where it was tracked to. A picture that shows several ways to draw the same
+    outline, as of a tetrahedron that turns a face or a corner to the camera, may put it there."""
+    lowest = float(lowest_m(tracker.view.shape, tracker.motion[:3], tracker.rotation))
+    sigma_m = float(np.sqrt(max(tracker.P[2, 2], 0.0)))
+    return lowest < -max(TABLE_REACH * tracker.view.die.solid.edge_m, HEIGHT_SIGMAS * sigma_m)
 
 
 def _score(view: View, poses: ClipPoses, times_s: Array, since: int, until: int) -> Score:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import nearest_equivalent_rotation
-from ...model.rotations import angle_between, matrix_from_quat
+from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
 from ...model.throw import Throw
 from ..picture import View
 from ..pose import ClipPoses
@@ -45,6 +45,23 @@ def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: 
         end = throw.impacts[k + 1].time_s if k + 1 < len(throw.impacts) else np.inf
         inside = (times_s > impact.time_s) & (times_s <= end)
         rotation[inside] = rotation[inside] @ relabelling
+    return replace(poses, rotation=rotation)
+
+
+def with_labels_continued(view: View, poses: ClipPoses, times_s: Array, k: int) -> ClipPoses:
+    """The poses with those from row `k` on in the labelling that rotates least from the poses before, each continued with its own
+    spin to midway between the two."""
+    before, after = np.flatnonzero(poses.known[:k]), k + np.flatnonzero(poses.known[k:])
+    if not len(before) or not len(after):
+        return poses
+    last, first = int(before[-1]), int(after[0])
+    half_s = 0.5 * float(times_s[first] - times_s[last])
+    there, here = (
+        matrix_from_quat(quat_from_rotvec(step_s * poses.motion[row, 3:])) @ poses.rotation[row]
+        for row, step_s in ((last, half_s), (first, -half_s))
+    )
+    rotation = poses.rotation.copy()
+    rotation[k:] = rotation[k:] @ (here.T @ nearest_equivalent_rotation(here, there, view.symmetries))
     return replace(poses, rotation=rotation)
 
 

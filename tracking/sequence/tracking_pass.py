@@ -1,4 +1,5 @@
-"""The tracking pass: from the initial pose to both ends of the clip, repeated for a die whose corners turn out to be rounded."""
+"""The tracking pass: from the initial pose to both ends of the clip, from another wherever the die was lost, and all of it again
+for a die whose corners turn out to be rounded."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import matrix_from_quat
+from ...model.rotations import matrix_from_quat, quat_from_rotvec
 from ..clip_parameters import (
     BLUR_FRAMES,
     RADIUS_FRAMES,
@@ -24,16 +25,19 @@ from ..clip_parameters import (
     sample_in_flight,
 )
 from ..footage import FrameSource
-from ..picture import View, with_corner_radius
+from ..picture import View, share_in_view, with_corner_radius
 from ..pose import ClipPoses, ManualInitialisation, as_track, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
 from .depth_reversal import correct_depth_reversals
-from .frame_to_frame import BACKWARDS_MISSES
-from .initialisation import find_initial_pose, initial_pose_by_hand
+from .frame_to_frame import BACKWARDS_MISSES, FrameTracker
+from .initialisation import FULL_STAGE, find_initial_pose, initial_pose_by_hand
+from .labelling import with_labels_continued
 
 Mask = NDArray[np.bool_]
 
+LEAST_RESUMED_FRAMES = FULL_STAGE
+"""Frames without a pose from which on an initial pose is looked for among them: as many as show whether one is right."""
 MAX_RADIUS_TRIALS = 3
 """Most tracking passes with an estimated radius of the corners."""
 SAME_RADIUS = 0.1
@@ -109,16 +113,62 @@ def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     tracker, poses = found
     view = replace(view, blur_px=estimate_lens_blur(view, poses.sample(source.frame, poses.known, BLUR_FRAMES)))
     tracker.view = replace(tracker.view, blur_px=view.blur_px)
-    first_known = int(np.flatnonzero(poses.known)[0])
+    _track_both_ways(tracker, task, poses)
+    # The tracker's view contains the occluders that it found.
+    poses = _resumed(tracker.view, task, poses)
+    return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
+
+
+def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses) -> None:
+    """Track the die from its first poses to the end of the clip, and back to where it came in."""
+    source, first_known = task.source, int(np.flatnonzero(poses.known)[0])
     back = tracker.backwards_tracker()
-    tracker.track_to_end(source, poses, task.report, all_frames=not view.quality.second_pass)
+    tracker.track_to_end(source, poses, task.report, all_frames=not tracker.view.quality.second_pass)
     for block in source.blocks_backwards(first_known):
         with block:
             back.track(block.frames, source.times_s, block.first, poses)
         if back.misses > BACKWARDS_MISSES:
             break
-    # The tracker's view contains the occluders that it found.
-    return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
+
+
+def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
+    """The poses with those of ranges in which the die was lost while it was wholly in view. In each an initial pose is looked for
+    as in a clip by itself: past several impacts in a row nothing is left of the motion before them."""
+    source, given_up = task.source, np.zeros(len(poses.known), bool)
+    while (lost := _first_lost_range(view, source, poses, task.unused | given_up)) is not None:
+        elsewhere = np.ones(len(given_up), bool)
+        elsewhere[lost] = False
+        found = find_initial_pose(view, source, task.unused | elsewhere, task.report, guess=False)
+        given_up[lost] = True
+        if found is None:
+            continue
+        tracker, others = found
+        _track_both_ways(tracker, task, others)
+        rows = np.flatnonzero(others.known)
+        poses.take(rows, others, rows)
+        for k in (int(rows[0]), int(rows[-1]) + 1):
+            poses = with_labels_continued(view, poses, source.times_s, k)
+    return poses
+
+
+def _first_lost_range(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> slice | None:
+    """The first range of frames without a pose that is long enough for an initial pose, beside a frame from which the die moves
+    on wholly in view."""
+    without = ~poses.interpolated().known & ~unused
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], without, [False]])))
+    for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        beside = [(k, step) for k, step in ((begin - 1, 1), (end, -1)) if 0 <= k < len(unused) and poses.known[k]]
+        if end - begin >= LEAST_RESUMED_FRAMES and any(_stays_in_view(view, source, poses, *one) for one in beside):
+            return slice(begin, end)
+    return None
+
+
+def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, step: int) -> bool:
+    """Whether the die on row k is still wholly in view `step` rows later, by its motion on row k."""
+    velocity_m_s, omega_rad_s = poses.motion[k, :3], poses.motion[k, 3:]
+    dt = float(source.times_s[k + step] - source.times_s[k])
+    turn = matrix_from_quat(quat_from_rotvec(dt * omega_rad_s))
+    return share_in_view(view, poses.position_m[k] + dt * velocity_m_s, turn @ poses.rotation[k]) == 1.0
 
 
 # --- rounded corners ---------------------------------------------------------------------------------------------------

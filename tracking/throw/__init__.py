@@ -14,6 +14,7 @@ from .flight_chain import vertex_impact_equations as vertex_impact_equations
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
+from .flight_segmentation import TABLE_REACH as TABLE_REACH
 from .flight_segmentation import decimation_factor as decimation_factor
 from .flight_segmentation import rows_without_outliers as rows_without_outliers
 from .flights import WeightedPoses as WeightedPoses

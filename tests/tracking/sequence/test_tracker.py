@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 from replay_records import ArrayClip
 
 from diethrow.model.laws import SmoothImpact
-from diethrow.model.rotations import quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
+from diethrow.model.rotations import angle_between, quat_conjugate, quat_from_matrix, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
 from diethrow.model.world import GRAVITY_M_S2
 from diethrow.tracking.footage.background import estimate_background
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture import PixelNoise
-from diethrow.tracking.picture.view import make_view, share_in_view
+from diethrow.tracking.picture.view import View, make_view, share_in_view
 from diethrow.tracking.pose.clip_poses import ClipPoses, longest_stride
 from diethrow.tracking.pose.refine import pose_state, refine_pose
 from diethrow.tracking.sequence.frame_to_frame import FrameTracker, widest_sigma
 from diethrow.tracking.sequence.initialisation import find_initial_pose
 from diethrow.tracking.sequence.motion_filter import predict_motion
 from diethrow.tracking.sequence.tracker import ClipFacts, NoDieError, track_clip
+from diethrow.tracking.sequence.tracking_pass import TrackingTask, _resumed
 from diethrow.tracking.throw.flight_segmentation import decimation_factor
 from diethrow.tracking.throw.measurement import measure_throw
 from diethrow.tracking.throw.smoothing import smooth
@@ -162,6 +163,59 @@ def test_without_its_readout_time_a_rolling_shutter_is_tracked_worse() -> None:
     unknown, _ = tracked_with(0.0, rolling_clip())
     with_key, without = (np.nanmedian(np.linalg.norm(e[:, 3:], axis=1)) for e in (known, unknown))
     assert without > 2.0 * with_key
+
+
+SEEN_FROM = 36
+
+
+def seen_late(first: int) -> tuple[View, FrameSource, FrameTracker, ClipPoses, Throw]:
+    """A fast cube, and a tracker that knows its poses on some frames from `first` on, behind both bounces."""
+    throw = fast_cube()
+    assert [bounce.time_s * FPS < first - 1 for bounce in throw.bounces] == [True, True]
+    source, view = FrameSource([film(ROOM, CUBE, throw, FRAMES)]), ROOM.view(CUBE)
+    begun = find_initial_pose(view, source, np.arange(FRAMES) < first)
+    assert begun is not None
+    tracker, poses = begun
+    assert np.flatnonzero(poses.known)[0] == first
+    tracker.unused = np.zeros(FRAMES, bool)
+    return view, source, tracker, poses, throw
+
+
+def off_m(poses: ClipPoses, throw: Throw) -> Array:
+    """(n,) distance of tracked positions from the true ones."""
+    return np.asarray(np.linalg.norm(poses.position_m - throw.poses(np.arange(FRAMES) / FPS)[0], axis=1))
+
+
+def test_tracking_backwards_goes_through_an_impact() -> None:
+    _, source, tracker, poses, throw = seen_late(SEEN_FROM)
+    back = tracker.backwards_tracker()
+    for block in source.blocks_backwards(SEEN_FROM):
+        with block:
+            back.track(block.frames, source.times_s, block.first, poses)
+    assert poses.known[:SEEN_FROM].all()
+    assert off_m(poses, throw)[:SEEN_FROM].max() < 1e-3
+
+
+def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
+    view, source, tracker, poses, throw = seen_late(SEEN_FROM)
+    tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
+    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
+    resumed = _resumed(view, task, poses)
+    assert resumed.known.all()
+    assert off_m(resumed, throw)[resumed.known].max() < 1e-3
+    turned = angle_between(resumed.rotation[:-1], resumed.rotation[1:])[resumed.known[:-1] & resumed.known[1:]]
+    # 60 rad/s at 1500 frames a second are 2.3 degrees a frame: no face takes the place of another.
+    assert turned.max() < np.radians(10.0)
+
+
+def test_tracking_does_not_resume_where_the_die_had_left_the_picture() -> None:
+    view, source, _, poses, _ = seen_late(SEEN_FROM)
+    poses.motion[SEEN_FROM, :3] = -100.0 * view.camera.rotation[0]
+    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
+    last = int(np.flatnonzero(poses.known)[-1])
+    poses.motion[last, :3] = 100.0 * view.camera.rotation[0]
+    before = poses.known.copy()
+    assert np.array_equal(_resumed(view, task, poses).known, before)
 
 
 TIMES_FASTER = 6
