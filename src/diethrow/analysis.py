@@ -66,6 +66,8 @@ class Tracking:
     """Times of the frames, and the faults that the motion shows in those of the file."""
     second_die: SecondDie | None = None
     """A second die in view of the first camera."""
+    doubts: tuple[str, ...] = ()
+    """Sentences that name frames whose poses contradict each other."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -83,6 +85,7 @@ class Tracking:
             *((self.corners.notice,) if self.corners is not None else ()),
             *((self.second_die.notice,) if self.second_die is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
+            *self.doubts,
             *fall_notices(measure_fall(self.frames, self.measured)),
         )
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, lowest_face
-from ...model.rotations import cross_matrix
+from ...model.rotations import cross_matrix, matrix_from_quat
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
@@ -32,8 +32,8 @@ from .contacts import (
     resolve_contacts,
 )
 from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
-from .flight_segmentation import MIN_FRAMES, decimation_factor, rows_without_outliers, segment_flights
-from .flights import WeightedPoses
+from .flight_segmentation import MIN_FRAMES, TABLE_REACH, decimation_factor, rows_without_outliers, segment_flights
+from .flights import WeightedPoses, rms_residuals
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
 from .shared_bias import CONTOUR_UNDETERMINED_PX, shared_bias_jacobian, shared_bias_sigma, without_shared_bias
 from .smoothing import smooth
@@ -82,6 +82,7 @@ class MeasuredThrow:
     the covariances of `throw`."""
     throw_without_shared_errors: Throw
     """The throw with covariances that do not contain these."""
+    die: Die
 
     @property
     def independent_frames(self) -> Track:
@@ -95,18 +96,60 @@ class MeasuredThrow:
         return smooth(self.frames_on_table, self.throw_without_shared_errors, self.shared_covariance, self.unexplained)
 
     @property
-    def unexplained(self) -> NDArray[np.bool_]:
-        """(track rows,) the frames at unresolved contacts that lie on neither flight, and those of flights that are not
-        believed."""
-        out, inliers = np.zeros(len(self.frames), bool), np.flatnonzero(self.chain.weights > 0.0)
-        time_s = self.frames.time_s[self.rows]
-        for part, believed in zip(self.chain.parts(time_s), _believed(time_s, self.chain), strict=True):
-            out[self.rows[part]] = not believed
-        for link in self.chain.links:
-            at = np.searchsorted(time_s[inliers], link.time_s)
-            if link.is_open and 0 < at < len(inliers):
-                out[self.rows[inliers[at - 1] + 1 : inliers[at]]] = True
+    def scatter(self) -> Array:
+        """(track rows,) for each frame that of its flight: the rms distance of the frames on the flight from it, in standard
+        errors that their pictures state. NaN for frames that belong to no flight."""
+        out, time_s = np.full(len(self.frames), np.nan), self.frames.time_s
+        used = weighted_poses(self.frames, self.rows, UNMODELLED_SHARE)
+        which = np.searchsorted(self.chain.link_times_s, time_s, side="right")
+        for k, part in enumerate(self.chain.parts(used.time_s)):
+            inliers = np.arange(part.start, part.stop)[self.chain.weights[part] > 0.0]
+            if len(inliers) >= MIN_FRAMES:
+                residuals = rms_residuals(used.rows(inliers), self.chain.flights[k].start)
+                out[which == k] = np.sqrt(np.mean(residuals**2))
         return out
+
+    @property
+    def unexplained(self) -> NDArray[np.bool_]:
+        """(track rows,) frames that no flight explains: those of flights that are not believed; those that lie on neither flight
+        beside a contact that is not resolved; and those off the first or last flight, beyond all that lie on it, where the table
+        is so near that a contact may lie between."""
+        out, time_s = np.zeros(len(self.frames), bool), self.frames.time_s
+        used_s = time_s[self.rows]
+        for part, believed in zip(self.chain.parts(used_s), _believed(used_s, self.chain), strict=True):
+            out[self.rows[part]] = not believed
+        doubtful = [impact.time_s for impact in self.throw.impacts if impact.contact in ("unresolved", "held")]
+        for at_s in (
+            *self._ends_near_table(),
+            *self.chain.link_times_s[[link.is_open for link in self.chain.links]],
+            *doubtful,
+        ):
+            out[self._off_flights_about(at_s)] = True
+        return out
+
+    def _off_flights_about(self, at_s: float) -> NDArray[np.int64]:
+        """Rows of the frames in flight between the last that lies on its flight before an instant and the first after it; none
+        if these are neighbours among the frames that were used."""
+        time_s, tracked = self.frames.time_s, np.flatnonzero(self.frames.tracked)
+        held_s = min((impact.time_s for impact in self.throw.impacts if impact.contact == "held"), default=np.inf)
+        tracked = tracked[time_s[tracked] < held_s]
+        on_flight = np.searchsorted(tracked, self.rows[self.chain.weights > 0.0])
+        after = int(np.searchsorted(time_s[tracked[on_flight]], at_s))
+        begin = int(on_flight[after - 1]) + 1 if after > 0 else 0
+        end = int(on_flight[after]) if after < len(on_flight) else len(tracked)
+        every = int(np.median(np.diff(np.searchsorted(tracked, self.rows)))) if len(self.rows) > 1 else 1
+        return tracked[begin:end] if end - begin >= every else tracked[:0]
+
+    def _ends_near_table(self) -> list[float]:
+        """-inf and inf if the first or the last flight, continued over frames that do not lie on it, comes near the table."""
+        found = []
+        for end_s in (-np.inf, np.inf):
+            rows = self._off_flights_about(end_s)
+            p, q = self.throw_without_shared_errors.poses(self.frames.time_s[rows])
+            heights = p[:, 2] + (matrix_from_quat(q) @ self.die.solid.vertices.T)[:, 2].min(axis=1)
+            if len(rows) and heights.min() < TABLE_REACH * self.die.solid.edge_m:
+                found.append(end_s)
+        return found
 
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:
@@ -141,7 +184,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     chain, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
     flights = chain.flights
     shared_covariance = _shared_covariance(track, bias_jacobian, sigma, use, flying)
-    straight = without_shared_bias(track, bias_jacobian[:, :, : len(chain.shared)], chain.shared)
+    # A chain none of whose flights is believed knows nothing of the errors that frames share.
+    shared = chain.shared if _believed(track.time_s[use[:flying]], chain).any() else np.zeros_like(chain.shared)
+    straight = without_shared_bias(track, bias_jacobian[:, :, : len(shared)], shared)
     resting = straight
     if flying < len(use):
         if camera is not None and determines_table_height(chain):
@@ -151,7 +196,7 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
         flights, impacts = _with_supported_motion(flights, impacts, poses, last_s, die)
     own = Throw(flights, impacts)
     throw = _with_shared_covariance(own, track.time_s[use[:flying]], shared_covariance[use[:flying]])
-    return MeasuredThrow(throw, straight, resting, chain, use[:flying], shared_covariance, own)
+    return MeasuredThrow(throw, straight, resting, chain, use[:flying], shared_covariance, own, die)
 
 
 def _usable_rows(track: Track, die: Die, every: int) -> NDArray[np.int64]:

@@ -52,7 +52,8 @@ def fit_track(
     frames = read_track(track_path)
     paths = (scene.path, track_path, *if_there(covariance_path(track_path)))
     with one_thread(), whole_folder(out, force=force, inputs=paths) as folder, unchanged_inputs(paths) as inputs:
-        frames, measured, smoothed = find_impacts(frames, track_path, die, None, progress, watch)
+        found = find_impacts(frames, track_path, die, None, progress, watch)
+        frames, measured, notices = found.independent, found.throw, (*smoothed_notices(track_path), *found.doubts)
         fit = run_fit(frames, measured, die, progress, watch, intervals, table)
         write_vertices(folder / "vertices.csv", die.solid)
         write_bounces(folder / "bounces.csv", measured.impacts)
@@ -60,19 +61,19 @@ def fit_track(
         record = Record(
             title=track_path.stem,
             die=die,
-            track=smoothed,
+            track=found.smoothed,
             measured=measured,
             fps=rate_hz(frames),
             fit=fit,
             simulated=simulated if fit.throw else None,
             estimates=estimate_sequentially(frames, measured, die, fit, progress, watch, table),
-            notices=smoothed_notices(track_path),
+            notices=notices,
         )
         record_replay(folder, record, progress, watch)
         write_origin(folder, scene, command, inputs, watch)
         account = ReportDetails(frames=frames, origin=read_json(folder / "provenance.json"))
         write_pages(folder, record, account, PLAIN, progress, watch)
-    return Analysis(Path(out), smoothed, measured, fit, smoothed_notices(track_path), watch.seconds)
+    return Analysis(Path(out), found.smoothed, measured, fit, notices, watch.seconds)
 
 
 def run_fit(

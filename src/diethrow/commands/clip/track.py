@@ -20,7 +20,7 @@ from ...fitting.throw import IntervalMethod
 from ...model.die import Die
 from ...model.throw import Throw
 from ...tracking.camera import Camera
-from ...tracking.check import find_second_die
+from ...tracking.check import doubtful_frame_notices, find_second_die
 from ...tracking.footage import (
     WHOLE_CLIP,
     Clip,
@@ -37,6 +37,20 @@ from ...tracking.throw import NoFlightError, flights_only, measure
 from ...tracking.timing import ClipClock, TimedTracking, Timing, clip_at_times, track_clip_in_time
 from ...tracking.track import ABSENT, LOST, Track
 from .footage import open_background, open_footage, readout_of_frames
+
+
+@dataclass(frozen=True, eq=False)
+class FoundThrow:
+    """What the poses of single frames show."""
+
+    independent: Track
+    """The frames without the error that they share, with covariances for a fit that takes them as independent."""
+    throw: Throw
+    """The flights and the impacts between them."""
+    smoothed: Track
+    """All frames, those in flight smoothed."""
+    doubts: tuple[str, ...]
+    """Sentences that name frames whose poses contradict each other."""
 
 
 def track_only(
@@ -120,15 +134,15 @@ def track_scene(
         empty = estimate_background(light[0]) if backgrounds[0] is None else backgrounds[0]
         second = find_second_die(light[0], followed.track, cameras[0], followed.die, empty, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
-        unbiased, measured, smoothed = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
+        found = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
         # A truncated clip may be the reason why no die is found.
         for notice in (notice for clip in clips for notice in clip.notices):
             error.add_note(notice)
         raise
     return Tracking(
-        tuple(clips), cameras, die, faces, frames, unbiased, measured, smoothed, followed.offsets, followed.corners,
-        times.renumbered(clips[0].first_frame, decimation.every), second,
+        tuple(clips), cameras, die, faces, frames, found.independent, found.throw, found.smoothed, followed.offsets,
+        followed.corners, times.renumbered(clips[0].first_frame, decimation.every), second, found.doubts,
     )  # fmt: skip
 
 
@@ -213,8 +227,8 @@ def _follow(
 
 def find_impacts(
     frames: Track, source: Path, die: Die, camera: Camera | None, progress: Progress, watch: Stopwatch
-) -> tuple[Track, Throw, Track]:
-    """The frames without the error that they share, the flights that they show, and all with those in flight smoothed."""
+) -> FoundThrow:
+    """The flights that the frames show and the impacts between them. Raises RunError if there is no flight."""
     _demand_a_die(frames, source, die)
     with watch.stage("bounces"):
         progress("Finding the bounces", 0, 0)
@@ -222,7 +236,9 @@ def find_impacts(
             found = measure(frames, die, camera)
         except NoFlightError as error:
             raise RunError(f"{source}: {error}") from error
-        return found.independent_frames, flights_only(found.throw), found.smoothed_frames
+        smoothed = found.smoothed_frames
+        notices = doubtful_frame_notices(found, smoothed)
+        return FoundThrow(found.independent_frames, flights_only(found.throw), smoothed, notices)
 
 
 def _demand_a_die(frames: Track, source: Path, die: Die) -> None:

@@ -1,0 +1,97 @@
+"""Names the frames whose poses contradict each other or the laws that every throw obeys.
+
+A wrong pose, such as the depth reversal of the die, agrees with its picture and states a small standard error. Other frames and
+the table show that it is wrong:
+
+- no flight explains it (`MeasuredThrow.unexplained`);
+- its flight explains its frames worse than their own errors allow;
+- it lies below the table, or its flight has more energy than the one before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...model.die import Die, inner_vertices
+from ...model.rotations import matrix_from_quat
+from ...model.throw import Flight, energy_J
+from ...model.world import GRAVITY_M_S2
+from ..throw import MeasuredThrow
+from ..track import Track
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MAX_SCATTER = 4.0
+"""Scatter of the frames of a flight about it, in stated standard errors, beyond which they are named. It reached 3.5 on random
+clips with right poses (`benchmarks/population.py`), whose covariances are then scaled up by it."""
+MAX_DEPTH_SHARE = 0.15
+"""Depth of the lowest point below the table, as a share of an edge, beyond which frames are named: half a per cent of the
+distance to the camera is as much."""
+MAX_ENERGY_GAIN = 0.05
+"""Gain of energy at a bounce, as a share, beyond which the flights beside it are named."""
+SIGMAS = 5.0
+"""The same two in standard errors."""
+JOINED_FRAMES = 3
+"""Ranges of frames that lie no farther apart are named as one."""
+DOUBT = "some of these poses are wrong, or the [camera] is"
+
+
+def doubtful_frame_notices(found: MeasuredThrow, smoothed: Track) -> tuple[str, ...]:
+    """A sentence for each kind of contradiction, with the frames that it is about, whose poses are those of `smoothed`."""
+    scatter, below_m = found.scatter, _below_table_m(smoothed, found.die)
+    lowest_mm, widest = 1e3 * below_m.max(initial=0.0), np.nanmax(scatter, initial=0.0)
+    kinds = (
+        (found.unexplained, "No flight explains {}: what is said of them rests on single pictures."),
+        (
+            scatter > MAX_SCATTER,
+            f"The poses of {{}} scatter {widest:.0f} times as much about their flight as they state: {DOUBT}.",
+        ),
+        (below_m > 0.0, f"The die is up to {lowest_mm:.1f} mm below the table on {{}}: {DOUBT}."),
+        (_gaining_energy(found, smoothed), f"The die gains energy at a bounce in {{}}: {DOUBT}."),
+    )
+    return tuple(
+        sentence.format(_ranges(smoothed.frame[doubtful & smoothed.tracked]))
+        for doubtful, sentence in kinds
+        if (doubtful & smoothed.tracked).any()
+    )
+
+
+def _ranges(frames: NDArray[np.int64]) -> str:
+    """Frame numbers (n,) in words, as "frames 3 to 5 and frame 9"."""
+    parts = np.split(frames, np.flatnonzero(np.diff(frames) > JOINED_FRAMES) + 1)
+    texts = [f"frame {each[0]}" if len(each) == 1 else f"frames {each[0]} to {each[-1]}" for each in parts]
+    return " and ".join([", ".join(texts[:-1]), texts[-1]] if len(texts) > 1 else texts)
+
+
+def _below_table_m(track: Track, die: Die) -> Array:
+    """(n,) depth [m] of the lowest point below the table; 0 where it is not clearly below."""
+    below, rows = np.zeros(len(track)), np.flatnonzero(track.tracked)
+    inner = inner_vertices(die.solid, die.corner_radius_m)
+    turned = matrix_from_quat(track.quaternion[rows]) @ inner.T
+    depth = die.corner_radius_m - (turned[:, 2].min(axis=1) + track.position_m[rows, 2])
+    clear = np.maximum(MAX_DEPTH_SHARE * die.solid.edge_m, SIGMAS * np.sqrt(track.covariance[rows, 2, 2]))
+    below[rows] = np.where(depth > clear, depth, 0.0)
+    return below
+
+
+def _gaining_energy(found: MeasuredThrow, track: Track) -> Mask:
+    """(n,) frames of the flights beside bounces at which the die gains energy."""
+    out = np.zeros(len(track), bool)
+    which = found.throw.flights_at(track.time_s)
+    for k, (before, after) in enumerate(zip(found.throw.flights[:-1], found.throw.flights[1:], strict=True)):
+        if before.covariance is None or after.covariance is None:
+            continue
+        (first_J, first_sigma_J), (next_J, next_sigma_J) = (_energy(found.die, flight) for flight in (before, after))
+        if next_J - first_J > max(MAX_ENERGY_GAIN * first_J, SIGMAS * float(np.hypot(first_sigma_J, next_sigma_J))):
+            out |= (which == k) | (which == k + 1)
+    return out
+
+
+def _energy(die: Die, flight: Flight) -> tuple[float, float]:
+    """Energy [J] of a flight with a covariance, and its standard error, for which the die counts as a spherical top."""
+    v, w = flight.start.velocity_m_s, flight.start.omega_rad_s
+    weight = np.array([0.0, 0.0, die.mass_kg * GRAVITY_M_S2])
+    slope = np.concatenate([weight, np.zeros(3), die.mass_kg * v, die.inertia_kg_m2 * w])
+    return energy_J(die, flight.start), float(np.sqrt(max(slope @ flight.covariance @ slope, 0.0)))
