@@ -149,18 +149,13 @@ Candidate = tuple[int, Hypothesis]
 
 
 def find_initial_pose(
-    view: View,
-    source: FrameSource,
-    unused: Mask,
-    report: Callable[[int], None] = lambda frame: None,
-    *,
-    guess: bool = True,
+    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None] = lambda frame: None
 ) -> tuple[FrameTracker, ClipPoses] | None:
     """A tracker from the first frame that shows the die whole, and its poses so far; None if no die is found.
 
     Frames that are `unused` (n,) are skipped, and the tracker skips them as well; `report` is called with each frame examined. If
     no hypothesis is accepted with the lens blur of the view, the search is repeated with a smaller one; and on the first frame if
-    others are accepted only because they agree. If none is accepted then, the likeliest is returned if a `guess` is wanted."""
+    others are accepted only because they agree. If none is accepted then, the likeliest is returned."""
     sharper = replace(view, blur_px=SHARPER * view.blur_px)
     found, uncertain = _search(view, source, unused, report)
     if found is not None and not found[1].is_certain:
@@ -171,10 +166,18 @@ def find_initial_pose(
         uncertain += others
     if found is not None:
         return _on_clip(found[1], source, found[0], unused)
-    if not uncertain or not guess:
+    if not uncertain:
         return None
     k, chosen = min(uncertain, key=lambda pair: (pair[1].competitors, -pair[1].support))
     return _on_clip(chosen, source, k, unused)
+
+
+def find_lost_die(
+    view: View, source: FrameSource, unused: Mask, report: Callable[[int], None]
+) -> tuple[FrameTracker, ClipPoses] | None:
+    """As `find_initial_pose`, where the lens blur is known and a die need not be in view: None unless a pose is accepted."""
+    found, _ = _search(view, source, unused, report)
+    return _on_clip(found[1], source, found[0], unused) if found is not None else None
 
 
 def _search(

@@ -31,7 +31,7 @@ from ..throw import NoFlightError, measure
 from ..track import Track
 from .depth_reversal import correct_depth_reversals
 from .frame_to_frame import BACKWARDS_MISSES, FrameTracker
-from .initialisation import FULL_STAGE, find_initial_pose, initial_pose_by_hand
+from .initialisation import FULL_STAGE, find_initial_pose, find_lost_die, initial_pose_by_hand
 from .labelling import with_labels_continued
 
 Mask = NDArray[np.bool_]
@@ -138,7 +138,7 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     while (lost := _first_lost_range(view, source, poses, task.unused | given_up)) is not None:
         elsewhere = np.ones(len(given_up), bool)
         elsewhere[lost] = False
-        found = find_initial_pose(view, source, task.unused | elsewhere, task.report, guess=False)
+        found = find_lost_die(view, source, task.unused | elsewhere, task.report)
         given_up[lost] = True
         if found is None:
             continue
