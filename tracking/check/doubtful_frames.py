@@ -23,9 +23,9 @@ from ..track import Track
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MAX_SCATTER = 4.0
-"""Scatter of the frames of a flight about it, in stated standard errors, beyond which they are named. It reached 3.5 on random
-clips with right poses (`benchmarks/population.py`), whose covariances are then scaled up by it."""
+MAX_SCATTER = 10.0
+"""Scatter of the frames of a flight about it, in stated standard errors, beyond which they are named. Covariances are scaled up
+by it. It reached 8 on clips of well-rounded dice with right poses, and 7 to 78 on random clips with wrong ones."""
 MAX_DEPTH_SHARE = 0.15
 """Depth of the lowest point below the table, as a share of an edge, beyond which frames are named: half a per cent of the
 distance to the camera is as much."""
