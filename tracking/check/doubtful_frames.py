@@ -13,19 +13,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.die import Die, inner_vertices
-from ...model.rotations import matrix_from_quat
+from ...model.die import Die
 from ...model.throw import Flight, energy_J
 from ...model.world import GRAVITY_M_S2
-from ..throw import MeasuredThrow
+from ..throw import MeasuredThrow, lowest_heights_m
 from ..track import Track
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-MAX_SCATTER = 10.0
-"""Scatter of the frames of a flight about it, in stated standard errors, beyond which they are named. Covariances are scaled up
-by it. It reached 8 on clips of well-rounded dice with right poses, and 7 to 78 on random clips with wrong ones."""
+MAX_RESIDUAL_SIGMAS = 10.0
+"""Residual standard deviation of the frames of a flight, in stated standard errors, beyond which they are named. Covariances are
+scaled up by it. On a few clips of well-rounded dice with right poses it reached 8, on random clips with wrong ones 7 to 78."""
 MAX_DEPTH_SHARE = 0.15
 """Depth of the lowest point below the table, as a share of an edge, beyond which frames are named: half a per cent of the
 distance to the camera is as much."""
@@ -40,13 +39,13 @@ DOUBT = "some of these poses are wrong, or the [camera] is"
 
 def doubtful_frame_notices(found: MeasuredThrow, smoothed: Track) -> tuple[str, ...]:
     """A sentence for each kind of contradiction, with the frames that it is about, whose poses are those of `smoothed`."""
-    scatter, below_m = found.scatter, _below_table_m(smoothed, found.die)
-    lowest_mm, widest = 1e3 * below_m.max(initial=0.0), np.nanmax(scatter, initial=0.0)
+    residual_sigmas, below_m = found.residual_sigmas, _below_table_m(smoothed, found.die)
+    lowest_mm, largest = 1e3 * below_m.max(initial=0.0), np.nanmax(residual_sigmas, initial=0.0)
     kinds = (
         (found.unexplained, "No flight explains {}: what is said of them rests on single pictures."),
         (
-            scatter > MAX_SCATTER,
-            f"The poses of {{}} scatter {widest:.0f} times as much about their flight as they state: {DOUBT}.",
+            residual_sigmas > MAX_RESIDUAL_SIGMAS,
+            f"The poses of {{}} differ from their flight by {largest:.0f} times the errors that they state: {DOUBT}.",
         ),
         (below_m > 0.0, f"The die is up to {lowest_mm:.1f} mm below the table on {{}}: {DOUBT}."),
         (_gaining_energy(found, smoothed), f"The die gains energy at a bounce in {{}}: {DOUBT}."),
@@ -68,9 +67,7 @@ def _ranges(frames: NDArray[np.int64]) -> str:
 def _below_table_m(track: Track, die: Die) -> Array:
     """(n,) depth [m] of the lowest point below the table; 0 where it is not clearly below."""
     below, rows = np.zeros(len(track)), np.flatnonzero(track.tracked)
-    inner = inner_vertices(die.solid, die.corner_radius_m)
-    turned = matrix_from_quat(track.quaternion[rows]) @ inner.T
-    depth = die.corner_radius_m - (turned[:, 2].min(axis=1) + track.position_m[rows, 2])
+    depth = -lowest_heights_m(die, track.position_m[rows], track.quaternion[rows])
     clear = np.maximum(MAX_DEPTH_SHARE * die.solid.edge_m, SIGMAS * np.sqrt(track.covariance[rows, 2, 2]))
     below[rows] = np.where(depth > clear, depth, 0.0)
     return below

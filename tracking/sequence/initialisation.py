@@ -256,10 +256,10 @@ def _candidate_frames(view: View, source: FrameSource, unused: Mask, report: Cal
 
 def _frames_ahead(unused: Mask, k: int) -> int:
     """Frames from k on over which a hypothesis can be tracked: up to the second that is unused; none if k is."""
-    ends = k + np.flatnonzero(unused[k:])[:2]
     if unused[k]:
         return 0
-    return int(ends[1] if len(ends) == 2 else len(unused)) - k
+    missing = np.flatnonzero(unused[k:])
+    return int(missing[1]) if len(missing) > 1 else len(unused) - k
 
 
 def _usual_area_px(view: View, source: FrameSource) -> float:

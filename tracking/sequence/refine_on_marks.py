@@ -39,7 +39,7 @@ Mask = NDArray[np.bool_]
 
 MAX_CONTRADICTION = 12.6
 """Squared sigmas of six numbers above which marks and edges do not show the same motion: chance gives more in one case of twenty.
-Highlights that wander over glossy faces, and the blur of long exposures, bias marks."""
+On one random clip, of a glossy die exposed for half the time, marks that contradicted the edges by 15 moved it by 1.2 mm."""
 LEAST_GAIN = 0.0
 """Least gain of the marks (`_gain`): marks and edges together must determine the flights as well as edges alone. When standard
 errors half as large were required, dice of 20 px an edge were refined without their marks, and were off by 0.46° instead of

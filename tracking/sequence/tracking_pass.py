@@ -10,7 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from ...model.rotations import matrix_from_quat, quat_from_rotvec
+from ...model.rotations import matrix_from_quat, quat_from_matrix
+from ...model.throw import Flight, State
 from ..clip_parameters import (
     BLUR_FRAMES,
     RADIUS_FRAMES,
@@ -165,10 +166,10 @@ def _first_lost_range(view: View, source: FrameSource, poses: ClipPoses, unused:
 
 def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, step: int) -> bool:
     """Whether the die on row k is still wholly in view `step` rows later, by its motion on row k."""
-    velocity_m_s, omega_rad_s = poses.motion[k, :3], poses.motion[k, 3:]
-    dt = float(source.times_s[k + step] - source.times_s[k])
-    turn = matrix_from_quat(quat_from_rotvec(dt * omega_rad_s))
-    return share_in_view(view, poses.position_m[k] + dt * velocity_m_s, turn @ poses.rotation[k]) == 1.0
+    here, then = source.times_s[[k, k + step]].tolist()
+    rotation, (velocity_m_s, omega_rad_s) = quat_from_matrix(poses.rotation[k]), np.split(poses.motion[k], 2)
+    ahead = Flight(State(here, poses.position_m[k], rotation, velocity_m_s, omega_rad_s), np.inf).at(then)
+    return share_in_view(view, ahead.position_m, ahead.rotation) == 1.0
 
 
 # --- rounded corners ---------------------------------------------------------------------------------------------------

@@ -37,6 +37,7 @@ from .rest import SupportedMotion as SupportedMotion
 from .rest import first_supported_row as first_supported_row
 from .rest import flights_only as flights_only
 from .rest import frames_in_flight as frames_in_flight
+from .rest import lowest_heights_m as lowest_heights_m
 from .shared_bias import CONTOUR_SHARE as CONTOUR_SHARE
 from .shared_bias import CONTOUR_SIGMA_PX as CONTOUR_SIGMA_PX
 from .shared_bias import LATERAL_SHARE as LATERAL_SHARE

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices
-from ...model.rotations import angle_between, matrix_from_quat
+from ...model.rotations import angle_between
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from ..covariance import scaled_inverse
@@ -25,6 +25,7 @@ from .error_model import estimate_error_model
 from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH
 from .flights import ErrorModel, WeightedPoses, fit_flight, rms_residuals
+from .rest import lowest_heights_m
 
 Array = NDArray[np.float64]
 
@@ -362,7 +363,6 @@ def _with_links_at_first_touch(
 ) -> FlightChain:
     """The chain with each open link at the instant of the first of its contacts: where the motion before, continued from its last
     inlier, comes down to the table. If it does not before the next flight begins, the link stays where it is."""
-    inner = inner_vertices(die.solid, die.corner_radius_m)
     parts = chain.parts(observations.time_s)
     links = list(chain.links)
     for k, link in enumerate(chain.links):
@@ -375,8 +375,7 @@ def _with_links_at_first_touch(
             float(observations.time_s[before[-1]]), float(observations.time_s[behind[0]]), TOUCH_SAMPLES
         )
         p, q = Flight(chain.flights[k].start, np.inf).poses(times)
-        heights = (matrix_from_quat(q) @ inner.T)[:, 2].min(1) + p[:, 2] - die.corner_radius_m - chain.table_m
-        below = np.flatnonzero(heights < 0.0)
+        below = np.flatnonzero(lowest_heights_m(die, p, q) < chain.table_m)
         if len(below):
             links[k] = replace(link, time_s=float(times[below[0]]))
     has_moved = any(a.time_s != b.time_s for a, b in zip(links, chain.links, strict=True))

@@ -96,9 +96,9 @@ class MeasuredThrow:
         return smooth(self.frames_on_table, self.throw_without_shared_errors, self.shared_covariance, self.unexplained)
 
     @property
-    def scatter(self) -> Array:
-        """(track rows,) for each frame that of its flight: the rms distance of the frames on the flight from it, in standard
-        errors that their pictures state. NaN for frames that belong to no flight."""
+    def residual_sigmas(self) -> Array:
+        """(track rows,) for each frame the residual standard deviation of its flight: the rms distance of the frames on it, in
+        standard errors that their pictures state. NaN for frames that belong to no flight."""
         out, time_s = np.full(len(self.frames), np.nan), self.frames.time_s
         used = weighted_poses(self.frames, self.rows, UNMODELLED_SHARE)
         which = np.searchsorted(self.chain.link_times_s, time_s, side="right")
@@ -118,13 +118,13 @@ class MeasuredThrow:
         used_s = time_s[self.rows]
         for part, believed in zip(self.chain.parts(used_s), _believed(used_s, self.chain), strict=True):
             out[self.rows[part]] = not believed
-        doubtful = [impact.time_s for impact in self.throw.impacts if impact.contact in ("unresolved", "held")]
-        for at_s in (
-            *self._ends_near_table(),
-            *self.chain.link_times_s[[link.is_open for link in self.chain.links]],
-            *doubtful,
-        ):
-            out[self._off_flights_about(at_s)] = True
+        for impact in self.throw.impacts:
+            if impact.contact in ("unresolved", "held"):
+                out[self._off_flights_about(impact.time_s)] = True
+        for end_s in (-np.inf, np.inf):
+            rows = self._off_flights_about(end_s)
+            if self._may_touch_table(rows):
+                out[rows] = True
         return out
 
     def _off_flights_about(self, at_s: float) -> NDArray[np.int64]:
@@ -140,16 +140,11 @@ class MeasuredThrow:
         every = int(np.median(np.diff(np.searchsorted(tracked, self.rows)))) if len(self.rows) > 1 else 1
         return tracked[begin:end] if end - begin >= every else tracked[:0]
 
-    def _ends_near_table(self) -> list[float]:
-        """-inf and inf if the first or the last flight, continued over frames that do not lie on it, comes near the table."""
-        found = []
-        for end_s in (-np.inf, np.inf):
-            rows = self._off_flights_about(end_s)
-            p, q = self.throw_without_shared_errors.poses(self.frames.time_s[rows])
-            heights = p[:, 2] + (matrix_from_quat(q) @ self.die.solid.vertices.T)[:, 2].min(axis=1)
-            if len(rows) and heights.min() < TABLE_REACH * self.die.solid.edge_m:
-                found.append(end_s)
-        return found
+    def _may_touch_table(self, rows: NDArray[np.int64]) -> bool:
+        """Whether the flights, continued over some rows of the track, come near the table there."""
+        p, q = self.throw_without_shared_errors.poses(self.frames.time_s[rows])
+        heights = p[:, 2] + (matrix_from_quat(q) @ self.die.solid.vertices.T)[:, 2].min(axis=1)
+        return bool((heights < TABLE_REACH * self.die.solid.edge_m).any())
 
 
 def measure_throw(track: Track, die: Die, camera: Camera | None = None, *, every: int = 1) -> Throw:

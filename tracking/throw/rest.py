@@ -153,8 +153,7 @@ def _deviation_from_level(observations: WeightedPoses, die: Die) -> Array | None
     """(n,) [m] distance of the lowest point, by a running median, from its height at the end; None if that is not the table's."""
     if len(observations) < MIN_LEVEL_FRAMES:
         return None
-    corners = matrix_from_quat(observations.quaternion) @ inner_vertices(die.solid, die.corner_radius_m).T
-    heights = corners[:, 2].min(1) + observations.position_m[:, 2] - die.corner_radius_m
+    heights = lowest_heights_m(die, observations.position_m, observations.quaternion)
     level = float(np.median(heights[-MIN_LEVEL_FRAMES:]))
     if abs(level) > TABLE_REACH * die.solid.edge_m:
         return None
@@ -283,6 +282,12 @@ def frames_in_flight(track: Track, throw: Throw) -> Track:
     poses stay as they are."""
     behind = track.tracked & (track.time_s > flights_only(throw).flights[-1].end_s)
     return replace(track, status=np.where(behind, LOST, track.status)) if behind.any() else track
+
+
+def lowest_heights_m(die: Die, positions_m: Array, quaternions: Array) -> Array:
+    """(n,) [m] heights above z = 0 of the lowest points of a die at positions (n, 3) and orientations (n, 4)."""
+    corners = matrix_from_quat(quaternions) @ inner_vertices(die.solid, die.corner_radius_m).T
+    return np.asarray(corners[:, 2].min(1) + positions_m[:, 2] - die.corner_radius_m)
 
 
 def resting_vertices(die: Die, rotation: Array) -> tuple[int, ...]:

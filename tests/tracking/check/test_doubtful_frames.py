@@ -73,9 +73,9 @@ def test_a_throw_backwards_in_time_gains_energy() -> None:
     assert notice.startswith(f"The die gains energy at a bounce in frames 0 to {len(track) - 1}:")
 
 
-def test_frames_that_scatter_far_more_than_they_state_are_named() -> None:
+def test_frames_that_differ_from_their_flight_far_more_than_they_state_are_named() -> None:
     throw, rng = thrown(7)
     track = seen(throw, rng, stated=0.05)
     (notice,) = notices(track)
-    assert f"The poses of frames 0 to {len(track) - 1} scatter " in notice
-    assert 12 <= int(notice.split(" scatter ")[1].split()[0]) <= 20
+    assert f"The poses of frames 0 to {len(track) - 1} differ from their flight by " in notice
+    assert 12 <= int(notice.split(" by ")[1].split()[0]) <= 20

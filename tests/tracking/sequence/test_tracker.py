@@ -168,15 +168,15 @@ def test_without_its_readout_time_a_rolling_shutter_is_tracked_worse() -> None:
 SEEN_FROM = 36
 
 
-def seen_late(first: int) -> tuple[View, FrameSource, FrameTracker, ClipPoses, Throw]:
-    """A fast cube, and a tracker that knows its poses on some frames from `first` on, behind both bounces."""
+def seen_late() -> tuple[View, FrameSource, FrameTracker, ClipPoses, Throw]:
+    """A fast cube, and a tracker that knows its poses on some frames from SEEN_FROM on, behind both bounces."""
     throw = fast_cube()
-    assert [bounce.time_s * FPS < first - 1 for bounce in throw.bounces] == [True, True]
+    assert [bounce.time_s * FPS < SEEN_FROM - 1 for bounce in throw.bounces] == [True, True]
     source, view = FrameSource([film(ROOM, CUBE, throw, FRAMES)]), ROOM.view(CUBE)
-    begun = find_initial_pose(view, source, np.arange(FRAMES) < first)
+    begun = find_initial_pose(view, source, np.arange(FRAMES) < SEEN_FROM)
     assert begun is not None
     tracker, poses = begun
-    assert np.flatnonzero(poses.known)[0] == first
+    assert np.flatnonzero(poses.known)[0] == SEEN_FROM
     tracker.unused = np.zeros(FRAMES, bool)
     return view, source, tracker, poses, throw
 
@@ -187,7 +187,7 @@ def off_m(poses: ClipPoses, throw: Throw) -> Array:
 
 
 def test_tracking_backwards_goes_through_an_impact() -> None:
-    _, source, tracker, poses, throw = seen_late(SEEN_FROM)
+    _, source, tracker, poses, throw = seen_late()
     back = tracker.backwards_tracker()
     for block in source.blocks_backwards(SEEN_FROM):
         with block:
@@ -197,7 +197,7 @@ def test_tracking_backwards_goes_through_an_impact() -> None:
 
 
 def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
-    view, source, tracker, poses, throw = seen_late(SEEN_FROM)
+    view, source, tracker, poses, throw = seen_late()
     tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
     task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
     resumed = _resumed(view, task, poses)
@@ -209,7 +209,7 @@ def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
 
 
 def test_tracking_does_not_resume_where_the_die_had_left_the_picture() -> None:
-    view, source, _, poses, _ = seen_late(SEEN_FROM)
+    view, source, _, poses, _ = seen_late()
     poses.motion[SEEN_FROM, :3] = -100.0 * view.camera.rotation[0]
     task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
     last = int(np.flatnonzero(poses.known)[-1])
