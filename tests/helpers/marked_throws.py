@@ -13,6 +13,7 @@ from throws import true_throw
 
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.picture import View
 from diethrow.tracking.surface_marks.learning import frames_to_learn_from, learn_marks
 from diethrow.tracking.surface_marks.textures import SurfaceMarks
 from diethrow.tracking.throw.flight_chain import VertexImpact
@@ -83,10 +84,10 @@ def learned(film: dict[int, Image], common: Array) -> tuple[SurfaceMarks | None,
     return learned_from(film, track, throw), track, throw
 
 
-def learned_from(film: dict[int, Image], track: Track, throw: Throw) -> SurfaceMarks | None:
+def learned_from(film: dict[int, Image], track: Track, throw: Throw, view: View = VIEW) -> SurfaceMarks | None:
     rows = frames_to_learn_from(track, throw)
     return learn_marks(
-        VIEW, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, (), saturation_grey=255.0
+        view, ((int(k), film[int(k)]) for k in rows if k in film), track, throw, (), saturation_grey=255.0
     )
 
 

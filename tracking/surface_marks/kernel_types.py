@@ -30,8 +30,6 @@ a small mark in much noise does not determine it."""
 WARPS = 9
 """Parameters of a texture's misplacement on its face: shift (2), linear map (4), the two perspective terms of a
 plane, and blur. Pose errors common to all frames warp the learned texture in the first eight ways."""
-SHARED_PARAMETERS = 1
-"""Parameters common to all faces and frames: the lens blur."""
 STEEP_SHARE = 0.3
 """Share of the steepest slope on a face from which a pixel counts as steep."""
 FLAT_DECIMATION = 3
@@ -39,10 +37,6 @@ FLAT_DECIMATION = 3
 NEGLIGIBLE_BLUR_TEXEL2 = 0.02
 """Variance [texel²] of a frame's blur relative to its texture below which it is neglected: a texture's own is about
 one."""
-LENS_BLUR_RATIO = 1.15
-"""Ratio of the lens blurs in the difference quotient by lens blur. The analytic derivative rests on the texture's
-curvature at one place and thus on its noise, which all frames that it was learned from share: it overestimated blurs
-by a quarter."""
 STENCIL_BLUR_TEXEL2 = 2.0
 """Largest variance [texel²] that a stencil of three adjacent values blurs by, in several passes. Larger variances use
 values twice as far apart from four times as much on, four times as far apart from sixteen times, and so on, each
@@ -193,13 +187,13 @@ class Workspace(NamedTuple):
     ray: Any
     """(2, most)"""
     by_blur: Any
-    """(2, most) derivatives of the texture by its own variance [1/texel²] and by the lens blur [1/px]."""
+    """Derivative of the texture by its own variance [1/texel²]."""
     derivatives: Any
-    """(6 + WARPS + SHARED_PARAMETERS, most) of the grey levels by all parameters."""
+    """(6 + WARPS, most) of the grey levels by all parameters."""
     weighted: Any
     """(most,) one of them, times its weight."""
     blurred: Any
-    """(4, n, n) textures that are being blurred."""
+    """(2, n, n) textures that are being blurred."""
     line: Any
     """(2, most) face coordinates of the pixels of one image row [texel]."""
 
@@ -209,6 +203,6 @@ def new_workspace(most: int, side: int) -> Workspace:
     """Scratch arrays for `most` pixels of a face, and textures of `side` texels a side."""
     return Workspace(
         np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most), np.empty(most),
-        np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty((2, most)),
-        np.empty((6 + WARPS + SHARED_PARAMETERS, most)), np.empty(most), np.empty((4, side, side)), np.empty((2, most)),
+        np.empty(most), np.empty(most, np.int64), np.empty((2, most)), np.empty((2, most)), np.empty(most),
+        np.empty((6 + WARPS, most)), np.empty(most), np.empty((4, side, side)), np.empty((2, most)),
     )  # fmt: skip

@@ -11,8 +11,8 @@ the clip itself, in four steps:
 2. **Signal** (`textures`). Two textures of independent noise show where there are marks.
 3. **Adjustment** (`bundle_adjustment`). Textures placed by the poses that they are to improve contain the error that
    all those poses share. It shows when the die turns: a misplaced texture does not follow the rotation of a rigid
-   body about its centre. Flights that meet at their impacts, the warps of every face's texture and the lens blur are
-   adjusted together, with edges as weak observations; then the textures are learned again from the adjusted flights.
+   body about its centre. Flights that meet at their impacts and the warps of every face's texture are adjusted together,
+   with edges as weak observations; then the textures are learned again from the adjusted flights.
    Scale, and with it distance, comes from the known distance of the faces from the centre of rotation, from gravity,
    and from the table that the die's corners hit.
 4. **Refinement** (`pose_refinement`). Single frames are refined on marks and edges.

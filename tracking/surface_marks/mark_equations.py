@@ -39,7 +39,6 @@ from .kernel_types import (
     FIRST_GRADIENT,
     FLAT_DECIMATION,
     LEAST_VIEW_COSINE,
-    LENS_BLUR_RATIO,
     LIGHT_COEFFICIENTS,
     LIGHT_GRADIENT_SIGMA,
     MOST_OCCLUDED,
@@ -47,7 +46,6 @@ from .kernel_types import (
     OVERRELAXATION,
     POSE_PARAMETERS,
     REFINING_ITERATIONS,
-    SHARED_PARAMETERS,
     TEXTURE_KNOWN,
     WARPS,
     WITHOUT_WARPS,
@@ -59,7 +57,7 @@ from .kernel_types import (
     Workspace,
     new_workspace,
 )
-from .texture_blur import blur_on_face, blur_texture, relative_blur, spline_laplacian, spline_value, spline_with_slopes
+from .texture_blur import blur_on_face, blur_texture, relative_blur, spline_laplacian, spline_with_slopes
 
 GAUSS_NEWTON_STEPS = 4
 """Most steps of a refinement; from a flight the first one comes within a hundredth of a pixel of the solution."""
@@ -77,8 +75,8 @@ class MarkEquations(NamedTuple):
     g: Any
     """(6,) right side."""
     warps: Any
-    """(faces, WARPS + SHARED_PARAMETERS, 6 + WARPS + SHARED_PARAMETERS + 1) for the warps of each face's texture and
-    the lens blur [px], the rows of their normal matrix: by pose (6), by themselves, and the right side."""
+    """(faces, WARPS, 6 + WARPS + 1) for the warps of each face's texture, the rows of their normal matrix: by pose (6),
+    by themselves, and the right side."""
     stats: Any
     """(faces, 3) pixels in view, pixels used, and noise [grey]."""
 
@@ -116,7 +114,7 @@ def mark_equations(
     g[:] = 0.0
     if with_warps:
         warps[:] = 0.0
-    N = 6 + WARPS + SHARED_PARAMETERS if with_warps else 6
+    N = 6 + WARPS if with_warps else 6
     stats[:] = 0.0
     K, Rcw, tcw, texel = optics.matrix, optics.rotation, optics.translation, faces.texel
     position, R, velocity, omega = frame.pose
@@ -127,7 +125,7 @@ def mark_equations(
     E, origin = np.zeros((3, 3)), np.zeros(3)
     most = corners.shape[1]
     px, planes = np.zeros((most, 2)), np.zeros((most, 3))
-    relative, added, lens_blur, motion = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    relative, lens_blur, motion = np.zeros(3), np.zeros(3), np.zeros(3)
     grey, texture, steep = workspace.grey, workspace.texture, workspace.steep
     slope, ray, by_blur, line = workspace.slope, workspace.ray, workspace.by_blur, workspace.line
     c, A = np.zeros(LIGHT_COEFFICIENTS), np.zeros((LIGHT_COEFFICIENTS, LIGHT_COEFFICIENTS))
@@ -165,11 +163,6 @@ def mark_equations(
             left, right = min(left, px[i, 0]), max(right, px[i, 0])
         if relative_blur(lens_blur, motion, optics.blur, texture_blur, texel, relative) >= NEGLIGIBLE_BLUR_TEXEL2:
             coefficients = workspace.blurred[blur_texture(coefficients, relative, workspace.blurred)]
-        if with_warps:
-            relative_blur(lens_blur, motion, LENS_BLUR_RATIO * optics.blur, texture_blur, texel, added)
-            for k in range(3):
-                added[k] -= relative[k]
-            blurrier = workspace.blurred[2 + blur_texture(coefficients, added, workspace.blurred[2:])]
         stride = 1 + max(int((last - first + 1) * (right - left)), 0) // len(grey)
         # S⁻¹ is applied to rays and centre rather than S to the die, see `row_on_face`.
         for i in range(3):
@@ -208,8 +201,7 @@ def mark_equations(
                 slope[0, m], slope[1, m] = gx / texel, gy / texel
                 steep[m] = hypot(gx, gy)
                 if with_warps:
-                    by_blur[0, m] = 0.5 * spline_laplacian(coefficients, x, y)
-                    by_blur[1, m] = (spline_value(blurrier, x, y) - level) / ((LENS_BLUR_RATIO - 1.0) * optics.blur)
+                    by_blur[m] = 0.5 * spline_laplacian(coefficients, x, y)
                 ray[0, m], ray[1, m] = optics.rays[v, u, 0], optics.rays[v, u, 1]
                 m += 1
         stats[f, 0] = m
@@ -258,7 +250,7 @@ def mark_equations(
             for h in range(6):
                 H[k, h] += face_H[k, h]
         if with_warps:
-            for k in range(WARPS + SHARED_PARAMETERS):
+            for k in range(WARPS):
                 for h in range(N):
                     warps[f, k, h] = face_H[6 + k, h]
                 warps[f, k, N] = face_g[6 + k]
@@ -295,7 +287,7 @@ def _fill_by_pose(m: int, c: Any, E: Any, offset: float, unit: float, workspace:
 
 @inner_fast_sums
 def _fill_by_warps(m: int, c: Any, unit: float, workspace: Workspace) -> None:
-    """Derivatives of m grey levels by the warps of the texture and the lens blur."""
+    """Derivatives of m grey levels by the warps of the texture."""
     by = workspace.derivatives
     for i in range(m):
         x, y = workspace.a[i], workspace.b[i]
@@ -305,7 +297,7 @@ def _fill_by_warps(m: int, c: Any, unit: float, workspace: Workspace) -> None:
         by[6, i], by[7, i] = -ga, -gb
         by[8, i], by[9, i], by[10, i], by[11, i] = -ga * a, -ga * b, -gb * a, -gb * b
         by[12, i], by[13, i] = -radial * a, -radial * b
-        by[14, i], by[15, i] = contrast * workspace.by_blur[0, i], contrast * workspace.by_blur[1, i]
+        by[14, i] = contrast * workspace.by_blur[i]
 
 
 @inner_fast_sums

@@ -48,18 +48,6 @@ def spline_with_slopes(coef: Any, x: float, y: float) -> tuple[float, float, flo
 
 
 @inner_no_memory
-def spline_value(coef: Any, x: float, y: float) -> float:
-    """Value of a cubic B-spline surface; x runs along columns [texel]."""
-    j, i = floor(x), floor(y)
-    bx, by = _weights_along(x - j), _weights_along(y - i)
-    v = 0.0
-    for k in range(4):
-        row = coef[i - 1 + k]
-        v += by[k] * (row[j - 1] * bx[0] + row[j] * bx[1] + row[j + 1] * bx[2] + row[j + 2] * bx[3])
-    return v
-
-
-@inner_no_memory
 def spline_laplacian(coef: Any, x: float, y: float) -> float:
     """Sum of the second derivatives by x and by y [1/texel²] of a cubic B-spline surface."""
     j, i = floor(x), floor(y)

@@ -98,8 +98,6 @@ class SurfaceMarks:
     """(height, width, 2) undistorted camera rays x/z, y/z of the pixels."""
     saturation_grey: float
     """Grey level from which pixels are left out."""
-    blur_px: float
-    """Lens blur (standard deviation) estimated on the marks: neither bevels nor shade beside an edge affect it."""
     texture_blur_m2: Array
     """(faces, 2, 3) blur of each texture: variances aa, ab, bb in the mean of its frames, of a lens blur of one pixel
     and of the motion."""
@@ -214,7 +212,6 @@ def unlearned_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: T
         frame_counts=np.zeros(faces, np.int64),
         rays=pixel_rays(view.camera),
         saturation_grey=float(saturation_grey),
-        blur_px=view.blur_px,
         texture_blur_m2=np.zeros((faces, 2, 3)),
         variance_factor=1.0,
         contour_m=PRIOR_CONTOUR_SHARE * view.die.solid.edge_m,
@@ -351,7 +348,7 @@ def optics_of(view: View, marks: SurfaceMarks) -> Optics:
     camera = view.camera
     return Optics(
         marks.rays, camera.matrix, camera.distortion, camera.rotation, camera.translation_m, float(view.exposure_s),
-        float(marks.blur_px), float(view.rig.row_s[0]),
+        float(view.blur_px), float(view.rig.row_s[0]),
     )  # fmt: skip
 
 
@@ -361,6 +358,6 @@ def faces_of(view: View, marks: SurfaceMarks, cut: float) -> Faces:
     learned = np.asarray(np.isfinite(marks.texture).any(axis=(1, 2)))
     return Faces(
         grid.axes, grid.offsets, grid.corners, grid.counts, learned, marks.texture_blur_m2, marks.coefficients, marks.marked,
-        marks.noise_grey, MARGIN_BLURS * marks.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
+        marks.noise_grey, MARGIN_BLURS * view.blur_px + 0.5, float(grid.texel_m), float(marks.saturation_grey),
         float(view.settings.noise_floor_grey), float(cut),
     )  # fmt: skip
