@@ -12,13 +12,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
 from ..footage import Frames, FrameSource, Rows
 from ..picture import View
 from ..pose import ClipPoses, as_track, contour_bias_jacobians, wholly_in_view
-from ..surface_marks import CHI2_MEDIAN, FramePoses, FrameRefinement, SurfaceMarks, frames_to_learn_from, learn_marks
+from ..surface_marks import (
+    CHI2_MEDIAN,
+    FramePoses,
+    FrameRefinement,
+    SurfaceMarks,
+    contour_covariance,
+    frames_to_learn_from,
+    learn_marks,
+)
 from ..throw import (
     MeasuredThrow,
     NoFlightError,
@@ -40,6 +49,12 @@ Mask = NDArray[np.bool_]
 MAX_CONTRADICTION = 12.6
 """Squared sigmas of six numbers above which marks and edges do not show the same motion: chance gives more in one case of twenty.
 On one random clip, of a glossy die exposed for half the time, marks that contradicted the edges by 15 moved it by 1.2 mm."""
+LEAST_PLACEMENT_SHARE = 1e-5
+"""Least common error of the placement of marks that is considered, over the die's edge: a thousandth of a pixel."""
+MOST_PLACEMENT_SHARE = 0.3
+"""Largest common error of the placement of marks that is considered, over the die's edge."""
+LOG_LENGTH_TOLERANCE = 0.01
+"""Relative accuracy of that error."""
 LEAST_GAIN = 0.0
 """Least gain of the marks (`_gain`): marks and edges together must determine the flights as well as edges alone. When standard
 errors half as large were required, dice of 20 px an edge were refined without their marks, and were off by 0.46° instead of
@@ -100,6 +115,7 @@ def refine_on_marks(
     marks = _learned(source, view, found, variance)
     if marks is None or len(source.clips) > 1 or not _are_useful(marks, found, every * decimation):
         return MarkRefinement(edges.completed(refinement, report), marks, None)
+    marks = with_placement_error(view, marks, found)
     flights = Throw(marks.flights, flights_only(found.throw).impacts)
     to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
     poses = edges.completed(refinement.along(to_the_end), report)
@@ -172,8 +188,8 @@ def _refine_rows(source: FrameSource, rows: Rows, frames: FrameRefinement, repor
 
 def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
     """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges."""
+    both = _learned_flights(marks, found)
     learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
-    both = [(found.throw.flights[k], marks.flights[k]) for k in learned]
     unshared = [found.throw_without_shared_errors.flights[k] for k in learned]
     return _contradiction(both) <= MAX_CONTRADICTION and _gain(both, unshared, every) >= LEAST_GAIN
 
@@ -183,17 +199,60 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
 
     Two measurements of one motion must agree. If they do not, the marks were learned in the wrong places: many small faces, each
     seen for a short time, can shift against each other without a change of the pictures."""
-    squared = []
+    _, differences, covariances = _differences(both)
+    return _median_square(differences, covariances) if len(differences) else 0.0
+
+
+def with_placement_error(view: View, marks: SurfaceMarks, found: MeasuredThrow) -> SurfaceMarks:
+    """Marks that state as a common error of their placement what contradicts the edges: the length with which the flights by
+    marks and by edges lie as far apart as both state. The errors of edges were estimated before, on parts of the flights."""
+    positions, differences, covariances = _differences(_learned_flights(marks, found))
+    if not len(differences):
+        return marks
+    unit = contour_covariance(view, positions, 1.0)
+
+    def excess(log_length: float) -> float:
+        return _median_square(differences, covariances + np.exp(2.0 * log_length) * unit) - CHI2_MEDIAN
+
+    # Where the largest length does not suffice, it is stated.
+    least, most = np.log(np.array([LEAST_PLACEMENT_SHARE, MOST_PLACEMENT_SHARE]) * view.die.solid.edge_m)
+    if excess(least) <= 0.0:
+        return marks
+    log_length = most if excess(most) >= 0.0 else brentq(excess, least, most, xtol=LOG_LENGTH_TOLERANCE)
+    return replace(marks, placement_m=float(np.exp(log_length)))
+
+
+def _median_square(differences: Array, covariances: Array) -> float:
+    """Median over rows of the squared differences (n, 6) in the sigmas of their covariances (n, 6, 6)."""
+    return float(
+        np.median(np.einsum("ni,ni->n", differences, np.linalg.solve(covariances, differences[..., None])[..., 0]))
+    )
+
+
+def _learned_flights(marks: SurfaceMarks, found: MeasuredThrow) -> list[tuple[Flight, Flight]]:
+    """Flights by edges and by marks of those that marks were learned from."""
+    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
+    return [(found.throw.flights[k], marks.flights[k]) for k in learned]
+
+
+def _differences(both: Sequence[tuple[Flight, Flight]]) -> tuple[Array, Array, Array]:
+    """Half-way through each flight whose end is known: the position by marks (n, 3), the pose by marks minus that by edges (n, 6)
+    and the covariance of that difference (n, 6, 6)."""
+    positions, differences, covariances = [], [], []
     for by_edges, by_marks in both:
         if by_edges.covariance is None or by_marks.covariance is None or not np.isfinite(by_edges.end_s):
             continue
         t = 0.5 * (by_edges.start.time_s + by_edges.end_s)
         a, b = by_edges.at(t), by_marks.at(t)
-        difference = np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)])
         M, N = transition_matrix(by_edges, t)[:6], transition_matrix(by_marks, t)[:6]
-        C = M @ by_edges.covariance @ M.T + N @ by_marks.covariance @ N.T
-        squared.append(float(difference @ np.linalg.solve(C, difference)))
-    return float(np.median(squared)) if squared else 0.0
+        positions.append(b.position_m)
+        differences.append(np.concatenate([b.position_m - a.position_m, rotation_between(a.quaternion, b.quaternion)]))
+        covariances.append(M @ by_edges.covariance @ M.T + N @ by_marks.covariance @ N.T)
+    return (
+        np.array(positions).reshape(-1, 3),
+        np.array(differences).reshape(-1, 6),
+        np.array(covariances).reshape(-1, 6, 6),
+    )
 
 
 def _gain(both: Sequence[tuple[Flight, Flight]], unshared: Sequence[Flight], every: int) -> float:

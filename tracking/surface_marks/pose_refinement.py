@@ -141,15 +141,15 @@ def edge_information(view: View, marks: SurfaceMarks, edges: FramePoses, sharing
 def shared_covariances(view: View, marks: SurfaceMarks, flight: int, times_s: Array) -> Array:
     """(n, 6, 6) covariance that all frames share, of the poses at `times_s` (n,) on a flight.
 
-    It comes from the uncertain placement of the textures, and from PLACEMENT_PX and PLACEMENT_SHARE, which no frame
-    shows. It adds to the covariance of any fit of many frames, because it does not shrink with their number. NaN in a
-    flight from which nothing was learned.
+    It comes from the uncertain placement of the textures, from what contradicts the edges (`placement_m`), and from
+    PLACEMENT_PX and PLACEMENT_SHARE, which no frame shows. It adds to the covariance of any fit of many frames, because
+    it does not shrink with their number. NaN in a flight from which nothing was learned.
     """
     M = transition_matrices(marks.flights[flight], times_s)[:, :6]
     position_m, _ = marks.flights[flight].poses(times_s)
     pixels_m = PLACEMENT_PX / view.camera.matrix[0, 0] * np.linalg.norm(position_m - view.camera.centre_m, axis=1)
-    placement_m = np.hypot(pixels_m, PLACEMENT_SHARE * view.die.corner_radius_m)
-    placement = placement_m[:, None, None] ** 2 * contour_covariance(view, position_m, 1.0)
+    placement_m2 = pixels_m**2 + (PLACEMENT_SHARE * view.die.corner_radius_m) ** 2 + marks.placement_m**2
+    placement = placement_m2[:, None, None] * contour_covariance(view, position_m, 1.0)
     return np.asarray(M @ marks.shared_covariance[flight] @ np.swapaxes(M, 1, 2) + placement)
 
 

@@ -106,6 +106,9 @@ class SurfaceMarks:
     contour_m: float
     """Bias of the edges relative to the edge model, beyond the error of single frames, as one length: the poses by
     edges have a common error of this size over the die's (see `bundle_adjustment.contour_covariance`)."""
+    placement_m: float
+    """Common error of the placement of marks, as one length like `contour_m`: what contradicts the edges beyond all stated
+    errors; 0 where nothing does."""
     flights: tuple[Flight, ...]
     """The adjusted flights; their covariance includes the uncertain placement of the textures."""
     shared_covariance: tuple[Array, ...]
@@ -215,6 +218,7 @@ def unlearned_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: T
         texture_blur_m2=np.zeros((faces, 2, 3)),
         variance_factor=1.0,
         contour_m=PRIOR_CONTOUR_SHARE * view.die.solid.edge_m,
+        placement_m=0.0,
         flights=throw.flights,
         shared_covariance=tuple(np.full((12, 12), np.nan) for _ in throw.flights),
     )
