@@ -193,12 +193,12 @@ def _normal_equations(
             rows = of_marks.warps[f]
             if not rows.any():
                 continue
-            s = slice(at, at + WARPS)
+            w = slice(at, at + WARPS)
             cross = M.T @ rows[:, :6].T / factor
-            A[c, s] += cross
-            A[s, c] += cross.T
-            A[s, s] += rows[:, 6:-1] / factor
-            y[s] += rows[:, -1] / factor
+            A[c, w] += cross
+            A[w, c] += cross.T
+            A[w, w] += rows[:, 6:-1] / factor
+            y[w] += rows[:, -1] / factor
     for i, impact in enumerate(impacts):
         J, gap = _impact_equations(marks.flights, impact)
         s = layout.of_impact(i, impact)
