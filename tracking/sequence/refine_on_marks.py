@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
@@ -24,9 +23,11 @@ from ..surface_marks import (
     FramePoses,
     FrameRefinement,
     SurfaceMarks,
+    common_length_m,
     contour_covariance,
     frames_to_learn_from,
     learn_marks,
+    median_square,
 )
 from ..throw import (
     MeasuredThrow,
@@ -53,8 +54,6 @@ LEAST_PLACEMENT_SHARE = 1e-5
 """Least common error of the placement of marks that is considered, over the die's edge: a thousandth of a pixel."""
 MOST_PLACEMENT_SHARE = 0.3
 """Largest common error of the placement of marks that is considered, over the die's edge."""
-LOG_LENGTH_TOLERANCE = 0.01
-"""Relative accuracy of that error."""
 LEAST_GAIN = 0.0
 """Least gain of the marks (`_gain`): marks and edges together must determine the flights as well as edges alone. When standard
 errors half as large were required, dice of 20 px an edge were refined without their marks, and were off by 0.46° instead of
@@ -115,7 +114,7 @@ def refine_on_marks(
     marks = _learned(source, view, found, variance)
     if marks is None or len(source.clips) > 1 or not _are_useful(marks, found, every * decimation):
         return MarkRefinement(edges.completed(refinement, report), marks, None)
-    marks = with_placement_error(view, marks, found)
+    marks = with_placement_error(view, marks, found.throw)
     flights = Throw(marks.flights, flights_only(found.throw).impacts)
     to_the_end = replace(found.throw, flights=(*marks.flights, *found.throw.flights[len(marks.flights) :]))
     poses = edges.completed(refinement.along(to_the_end), report)
@@ -183,14 +182,13 @@ def _refine_rows(source: FrameSource, rows: Rows, frames: FrameRefinement, repor
     refine_blocks(source, boxes, jobs, report)
 
 
-# --- whether marks are used --------------------------------------------------------------------------------------------
+# --- how far marks and edges agree ---------------------------------------------------------------------------------------
 
 
 def _are_useful(marks: SurfaceMarks, found: MeasuredThrow, every: int) -> bool:
     """Whether marks show the same motion as edges, and determine it as well. One frame in `every` was refined on edges."""
-    both = _learned_flights(marks, found)
-    learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
-    unshared = [found.throw_without_shared_errors.flights[k] for k in learned]
+    both = _learned_flights(marks, found.throw)
+    unshared = [by_edges for by_edges, _ in _learned_flights(marks, found.throw_without_shared_errors)]
     return _contradiction(both) <= MAX_CONTRADICTION and _gain(both, unshared, every) >= LEAST_GAIN
 
 
@@ -200,39 +198,23 @@ def _contradiction(both: Sequence[tuple[Flight, Flight]]) -> float:
     Two measurements of one motion must agree. If they do not, the marks were learned in the wrong places: many small faces, each
     seen for a short time, can shift against each other without a change of the pictures."""
     _, differences, covariances = _differences(both)
-    return _median_square(differences, covariances) if len(differences) else 0.0
+    return median_square(differences, covariances) if len(differences) else 0.0
 
 
-def with_placement_error(view: View, marks: SurfaceMarks, found: MeasuredThrow) -> SurfaceMarks:
-    """Marks that state as a common error of their placement what contradicts the edges: the length with which the flights by
-    marks and by edges lie as far apart as both state. The errors of edges were estimated before, on parts of the flights."""
-    positions, differences, covariances = _differences(_learned_flights(marks, found))
+def with_placement_error(view: View, marks: SurfaceMarks, by_edges: Throw) -> SurfaceMarks:
+    """Marks that state as a common error of their placement what contradicts the edges, beyond all errors stated before."""
+    positions, differences, covariances = _differences(_learned_flights(marks, by_edges))
     if not len(differences):
         return marks
-    unit = contour_covariance(view, positions, 1.0)
-
-    def excess(log_length: float) -> float:
-        return _median_square(differences, covariances + np.exp(2.0 * log_length) * unit) - CHI2_MEDIAN
-
-    # Where the largest length does not suffice, it is stated.
-    least, most = np.log(np.array([LEAST_PLACEMENT_SHARE, MOST_PLACEMENT_SHARE]) * view.die.solid.edge_m)
-    if excess(least) <= 0.0:
-        return marks
-    log_length = most if excess(most) >= 0.0 else brentq(excess, least, most, xtol=LOG_LENGTH_TOLERANCE)
-    return replace(marks, placement_m=float(np.exp(log_length)))
+    edge, unit = view.die.solid.edge_m, contour_covariance(view, positions, 1.0)
+    least_m, most_m = LEAST_PLACEMENT_SHARE * edge, MOST_PLACEMENT_SHARE * edge
+    return replace(marks, placement_m=common_length_m(differences, covariances, unit, least_m, most_m))
 
 
-def _median_square(differences: Array, covariances: Array) -> float:
-    """Median over rows of the squared differences (n, 6) in the sigmas of their covariances (n, 6, 6)."""
-    return float(
-        np.median(np.einsum("ni,ni->n", differences, np.linalg.solve(covariances, differences[..., None])[..., 0]))
-    )
-
-
-def _learned_flights(marks: SurfaceMarks, found: MeasuredThrow) -> list[tuple[Flight, Flight]]:
+def _learned_flights(marks: SurfaceMarks, by_edges: Throw) -> list[tuple[Flight, Flight]]:
     """Flights by edges and by marks of those that marks were learned from."""
     learned = np.flatnonzero([np.isfinite(shared).all() for shared in marks.shared_covariance])
-    return [(found.throw.flights[k], marks.flights[k]) for k in learned]
+    return [(by_edges.flights[k], marks.flights[k]) for k in learned]
 
 
 def _differences(both: Sequence[tuple[Flight, Flight]]) -> tuple[Array, Array, Array]:

@@ -6,7 +6,9 @@ reads the numbers on the learned textures, from which the commands label the fac
 """
 
 from .bundle_adjustment import CHI2_MEDIAN as CHI2_MEDIAN
+from .bundle_adjustment import common_length_m as common_length_m
 from .bundle_adjustment import contour_covariance as contour_covariance
+from .bundle_adjustment import median_square as median_square
 from .face_numbers import FaceNumbers as FaceNumbers
 from .face_numbers import read_faces as read_faces
 from .face_numbers import with_numbers as with_numbers

@@ -187,7 +187,7 @@ class Workspace(NamedTuple):
     ray: Any
     """(2, most)"""
     by_blur: Any
-    """Derivative of the texture by its own variance [1/texel²]."""
+    """(most,) derivative of the texture by its own variance [1/texel²]."""
     derivatives: Any
     """(6 + WARPS, most) of the grey levels by all parameters."""
     weighted: Any

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -33,12 +31,10 @@ from throws import impact_at
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Impact, Throw
-from diethrow.tracking.sequence.refine_on_marks import with_placement_error
 from diethrow.tracking.surface_marks.learning import frames_to_learn_from
 from diethrow.tracking.surface_marks.pose_refinement import FramePoses, FrameRefinement
 from diethrow.tracking.surface_marks.texture_blur import blur_texture
 from diethrow.tracking.surface_marks.textures import SurfaceMarks, pixel_rays
-from diethrow.tracking.throw import MeasuredThrow
 
 Array = NDArray[np.float64]
 
@@ -253,17 +249,3 @@ def test_no_blur_leaves_a_texture_as_it_is() -> None:
     texture = np.random.default_rng(1).normal(size=(9, 9))
     scratch = np.full((2, 9, 9), np.nan)
     assert np.array_equal(scratch[blurred(texture, np.zeros(3), scratch)], texture)
-
-
-@pytest.mark.parametrize("sigma_m", [1e-6, 1e-3], ids=["contradicting", "agreeing"])
-def test_what_contradicts_the_edges_is_a_common_error_of_the_marks(sigma_m: float) -> None:
-    # The flights by edges lie 0.05 mm beside those by marks. Only a difference that the covariances leave open adds nothing.
-    marks, sideways_m = learned_marks()[0], 5e-5
-    covariance = np.diag([sigma_m**2] * 3 + [1e-8] * 3 + [1e-10] * 3 + [1e-6] * 3)
-    by_marks = replace(marks.flights[0], covariance=covariance)
-    start = replace(by_marks.start, position_m=by_marks.start.position_m + sideways_m * STUDIO.camera.rotation[0])
-    found = SimpleNamespace(throw=Throw((replace(by_marks, start=start),), ()))
-    placed = with_placement_error(VIEW, replace(marks, flights=(by_marks,)), cast(MeasuredThrow, found))
-    # The median of chi-square with six is 2.31 squared.
-    expected = sideways_m / 2.31 if sigma_m < sideways_m else 0.0
-    assert placed.placement_m == pytest.approx(expected, rel=0.05)
