@@ -9,6 +9,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from ...model.rotations import matrix_from_quat, quat_from_matrix
 from ...model.throw import Flight, State
@@ -27,18 +28,30 @@ from ..clip_parameters import (
 )
 from ..footage import FrameSource
 from ..picture import View, share_in_view, with_corner_radius
-from ..pose import ClipPoses, ManualInitialisation, as_track, wholly_in_view
+from ..pose import ClipPoses, ManualInitialisation, as_track, same_picture, wholly_in_view
 from ..throw import NoFlightError, measure
 from ..track import Track
 from .depth_reversal import correct_depth_reversals
 from .frame_to_frame import BACKWARDS_MISSES, FrameTracker
-from .initialisation import FULL_STAGE, find_initial_pose, find_lost_die, initial_pose_by_hand
+from .initialisation import AGREEMENT_EDGES, FULL_STAGE, find_initial_pose, find_lost_die, initial_pose_by_hand
 from .labelling import with_labels_continued
 
 Mask = NDArray[np.bool_]
 
 LEAST_RESUMED_FRAMES = FULL_STAGE
-"""Frames without a pose from which on an initial pose is looked for among them: as many as show whether one is right."""
+"""Frames without a pose that explains them from which on an initial pose is looked for among them: as many as show whether one
+is right."""
+UNEXPLAINED_RATIO = 1.6
+"""Cost over the median of the clip from which poses do not explain their pictures, if it lies UNEXPLAINED_EXCESS_COST above as
+well: a median over LEAST_RESUMED_FRAMES frames, of which those beside an impact may be a few."""
+UNEXPLAINED_EXCESS_COST = 1.0
+"""Excess over that median; tracking itself measures costs from those of the frames before, and follows a wrong pose as these
+grow."""
+SMALLER_COST = 0.1
+"""Mean cost by which other poses must explain pictures better to replace those that do not."""
+JOINED_COST = 0.15
+"""Mean cost by which poses that continue these may be worse than the poses beside, which do not: single frames hardly distinguish
+a die from its depth reversal, and the motion does."""
 MAX_RADIUS_TRIALS = 3
 """Most tracking passes with an estimated radius of the corners."""
 SAME_RADIUS = 0.1
@@ -120,8 +133,9 @@ def track_once(view: View, task: TrackingTask) -> tuple[View, ClipPoses]:
     return tracker.view, correct_depth_reversals(tracker.view, source, poses, task.unused)
 
 
-def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses) -> None:
-    """Track the die from its first poses to the end of the clip, and back to where it came in."""
+def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses) -> FrameTracker:
+    """Track the die from its first poses to the end of the clip, and back to where it came in. Returns the tracker that went
+    back."""
     source, first_known = task.source, int(np.flatnonzero(poses.known)[0])
     back = tracker.backwards_tracker()
     tracker.track_to_end(source, poses, task.report, all_frames=not tracker.view.quality.second_pass)
@@ -130,11 +144,13 @@ def _track_both_ways(tracker: FrameTracker, task: TrackingTask, poses: ClipPoses
             back.track(block.frames, source.times_s, block.first, poses)
         if back.misses > BACKWARDS_MISSES:
             break
+    return back
 
 
 def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
-    """The poses with those of ranges in which the die was lost while it was wholly in view. In each an initial pose is looked for
-    as in a clip by itself: past several impacts in a row nothing is left of the motion before them."""
+    """The poses with those of ranges in which the die was lost while it was wholly in view, or in which the poses do not explain
+    the pictures. In each an initial pose is looked for as in a clip by itself: past several impacts in a row nothing is left of
+    the motion before them."""
     source, given_up = task.source, np.zeros(len(poses.known), bool)
     while (lost := _first_lost_range(view, source, poses, task.unused | given_up)) is not None:
         elsewhere = np.ones(len(given_up), bool)
@@ -144,7 +160,15 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
         if found is None:
             continue
         tracker, others = found
-        _track_both_ways(tracker, task, others)
+        back = _track_both_ways(tracker, task, others)
+        before = poses.known[lost]
+        if before.any() and not _explain_better(others, poses, np.arange(lost.start, lost.stop)):
+            continue
+        poses.known[lost] = False
+        if others.known[lost.stop - 1]:
+            _track_on(tracker, task, others, poses, lost.stop, 1)
+        if others.known[lost.start]:
+            _track_on(back, task, others, poses, lost.start - 1, -1)
         rows = np.flatnonzero(others.known)
         poses.take(rows, others, rows)
         for k in (int(rows[0]), int(rows[-1]) + 1):
@@ -152,16 +176,57 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
     return poses
 
 
+def _track_on(
+    tracker: FrameTracker, task: TrackingTask, others: ClipPoses, poses: ClipPoses, row: int, step: int
+) -> None:
+    """Track on from a row, forwards or backwards by `step`, until the poses found are those that are there, or explain the
+    pictures worse: before a die was lost it may have been followed wrongly."""
+    tracker.unused, tracker.next_frame = task.unused, row
+    while tracker.misses == 0:
+        rows = row + step * np.arange(LEAST_RESUMED_FRAMES)
+        rows = rows[(rows >= 0) & (rows < len(poses.known))]
+        for k in rows.tolist():
+            tracker.track(task.source.frame(k)[None], task.source.times_s, k, others)
+        if _agree(tracker.view, others, poses, rows) or not _explain_better(others, poses, rows, -JOINED_COST):
+            others.known[rows] = False
+            break
+        row += step * LEAST_RESUMED_FRAMES
+
+
+def _agree(view: View, others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64]) -> bool:
+    """Whether others draw the same die as the poses on the last of some rows that both have."""
+    both = rows[others.known[rows] & poses.known[rows]]
+    drawn = [(one.position_m[both[-1]], one.rotation[both[-1]]) for one in (others, poses) if len(both)]
+    return len(drawn) == 2 and same_picture(view, *drawn, AGREEMENT_EDGES)
+
+
+def _explain_better(others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64], by: float = SMALLER_COST) -> bool:
+    """Whether others explain the pictures on some rows better than the poses by a mean cost, on the rows that both have."""
+    both = rows[others.known[rows] & poses.known[rows]]
+    return len(both) > 0 and bool(others.cost[both].mean() < poses.cost[both].mean() - by)
+
+
 def _first_lost_range(view: View, source: FrameSource, poses: ClipPoses, unused: Mask) -> slice | None:
-    """The first range of frames without a pose that is long enough for an initial pose, beside a frame from which the die moves
-    on wholly in view."""
-    without = ~poses.interpolated().known & ~unused
+    """The first range of frames without a pose, or with poses that do not explain them, that is long enough for an initial pose,
+    beside a frame from which the die moves on wholly in view."""
+    without = (~poses.interpolated().known | _unexplained(poses)) & ~unused
     edges = np.flatnonzero(np.diff(np.concatenate([[False], without, [False]])))
     for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         beside = [(k, step) for k, step in ((begin - 1, 1), (end, -1)) if 0 <= k < len(unused) and poses.known[k]]
         if end - begin >= LEAST_RESUMED_FRAMES and any(_stays_in_view(view, source, poses, *one) for one in beside):
             return slice(begin, end)
     return None
+
+
+def _unexplained(poses: ClipPoses) -> Mask:
+    """(n,) frames whose poses, with those beside them, explain the pictures far worse than the poses of this clip usually do."""
+    known = np.flatnonzero(poses.known)
+    out = np.zeros(len(poses.known), bool)
+    cost = poses.cost[known]
+    usual = float(np.median(cost)) if len(known) else 0.0
+    near = median_filter(cost, LEAST_RESUMED_FRAMES, mode="nearest") if len(known) else cost
+    out[known] = near > max(UNEXPLAINED_RATIO * usual, usual + UNEXPLAINED_EXCESS_COST)
+    return out
 
 
 def _stays_in_view(view: View, source: FrameSource, poses: ClipPoses, k: int, step: int) -> bool:

@@ -208,6 +208,31 @@ def test_tracking_resumes_where_the_die_was_lost_in_view() -> None:
     assert turned.max() < np.radians(10.0)
 
 
+def whole_track() -> tuple[View, TrackingTask, ClipPoses, Throw]:
+    """A fast cube tracked through all its frames."""
+    view, source, tracker, poses, throw = seen_late()
+    tracker.track_to_end(source, poses, lambda frame: None, all_frames=True)
+    task = TrackingTask(source, np.zeros(FRAMES, bool), None, lambda frame: None)
+    return view, task, _resumed(view, task, poses), throw
+
+
+def test_poses_that_do_not_explain_their_pictures_are_replaced_with_those_beside_them_that_explain_them_worse() -> None:
+    view, task, poses, throw = whole_track()
+    usual = float(np.median(poses.cost))
+    for rows, excess in ((slice(40, 56), usual + 2.0), (slice(32, 40), 0.5)):
+        poses.position_m[rows] += np.array([3e-3, 0.0, 0.0])
+        poses.cost[rows] += excess
+    again = _resumed(view, task, poses.copy())
+    assert again.known.all()
+    assert off_m(again, throw).max() < 1e-3
+
+
+def test_poses_that_explain_their_pictures_stay_as_they_are() -> None:
+    view, task, poses, _ = whole_track()
+    poses.cost[40:56] *= 1.3
+    assert np.array_equal(_resumed(view, task, poses.copy()).position_m, poses.position_m)
+
+
 def test_tracking_does_not_resume_where_the_die_had_left_the_picture() -> None:
     view, source, _, poses, _ = seen_late()
     poses.motion[SEEN_FROM, :3] = -100.0 * view.camera.rotation[0]
