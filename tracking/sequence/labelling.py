@@ -1,7 +1,8 @@
 """Consistent labelling: a symmetric die draws the same picture with its faces permuted.
 
 Tracking labels each frame like the frame before. Flights determine the labelling better where tracking lost the die for some
-frames, or got one wrong. Beside unresolved contacts a "flight" may be none, and its labelling means nothing."""
+frames, or got one wrong. Beside unresolved contacts a "flight" may be none, and its labelling means nothing: there the marks on
+the faces decide, where they tell one labelling from all others."""
 
 from __future__ import annotations
 
@@ -13,11 +14,15 @@ from numpy.typing import NDArray
 from ...model.die import nearest_equivalent_rotation
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec
 from ...model.throw import Throw
+from ..footage import FrameSource
 from ..picture import View
-from ..pose import ClipPoses
+from ..pose import ClipPoses, as_track, exposure_times_s, wholly_in_view
+from ..surface_marks import labels_by_marks
 
 Array = NDArray[np.float64]
 
+FRAMES_PER_GROUP = 40
+"""Frames from which the marks are learned that one labelling shows: the noise of their mean is a sixth of one frame's."""
 OFF_FLIGHT_RAD = 0.2
 """Angle [rad] from its flight, in every labelling, beyond which the flight does not determine the labelling of a frame."""
 
@@ -46,6 +51,28 @@ def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: 
         inside = (times_s > impact.time_s) & (times_s <= end)
         rotation[inside] = rotation[inside] @ relabelling
     return replace(poses, rotation=rotation)
+
+
+def with_labels_of_marks(view: View, source: FrameSource, poses: ClipPoses, throw: Throw) -> ClipPoses:
+    """The poses with one labelling throughout, by the marks on the faces, where contacts are not resolved or frames have no pose;
+    between these tracking labels each frame like the frame before. Returns `poses` itself if no label changed."""
+    times_s = exposure_times_s(view, source, poses)
+    open_s = np.array([impact.time_s for impact in throw.impacts if impact.contact == "unresolved"])
+    is_lost = ~poses.interpolated().known
+    groups = np.searchsorted(open_s, times_s) + np.cumsum(is_lost & ~np.append(False, is_lost[:-1]))
+    track = as_track(view, source, poses, wholly_in_view(view, poses))
+    rows = np.flatnonzero(track.tracked)
+    groups = np.unique(groups, return_inverse=True)[1]
+    chosen = [
+        mine[np.unique(np.linspace(0, len(mine) - 1, min(len(mine), FRAMES_PER_GROUP)).astype(int))]
+        for k in range(int(groups.max()) + 1)
+        if len(mine := rows[groups[rows] == k])
+    ]
+    images = ((int(k), source.frame(int(k))[0]) for mine in chosen for k in mine)
+    labels = np.array(labels_by_marks(view, images, track, poses.motion, groups))
+    if np.allclose(labels, np.eye(3)):
+        return poses
+    return replace(poses, rotation=poses.rotation @ labels[groups])
 
 
 def with_labels_continued(view: View, poses: ClipPoses, times_s: Array, k: int) -> ClipPoses:

@@ -36,7 +36,7 @@ from ..quality import STANDARD, Quality
 from ..surface_marks import SurfaceMarks
 from ..throw import NoFlightError, decimation_factor, measure_throw, with_calibrated_covariance
 from ..track import ABSENT, LOST, Track
-from .labelling import with_consistent_labels
+from .labelling import with_consistent_labels, with_labels_of_marks
 from .refine_on_edges import EdgeRefinement
 from .refine_on_marks import MarkRefinement, refine_on_marks
 from .tracking_pass import NoDieError as NoDieError
@@ -120,6 +120,9 @@ def track_clip(
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
         throw = _measured(view, source, poses)
+        if throw is not None and quality.marks and len(clips) == 1:
+            before, poses = poses, with_labels_of_marks(view, source, poses, throw)
+            throw = throw if poses is before else _measured(view, source, poses)
     if quality.second_pass:
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:

@@ -196,8 +196,11 @@ def _track_on(
 def _agree(view: View, others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64]) -> bool:
     """Whether others draw the same die as the poses on the last of some rows that both have."""
     both = rows[others.known[rows] & poses.known[rows]]
-    drawn = [(one.position_m[both[-1]], one.rotation[both[-1]]) for one in (others, poses) if len(both)]
-    return len(drawn) == 2 and same_picture(view, *drawn, AGREEMENT_EDGES)
+    if not len(both):
+        return False
+    k = int(both[-1])
+    here, there = ((one.position_m[k], one.rotation[k]) for one in (others, poses))
+    return same_picture(view, here, there, AGREEMENT_EDGES)
 
 
 def _explain_better(others: ClipPoses, poses: ClipPoses, rows: NDArray[np.int64], by: float = SMALLER_COST) -> bool:

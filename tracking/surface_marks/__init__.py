@@ -13,6 +13,7 @@ from .face_numbers import FaceNumbers as FaceNumbers
 from .face_numbers import read_faces as read_faces
 from .face_numbers import with_numbers as with_numbers
 from .learning import frames_to_learn_from as frames_to_learn_from
+from .learning import labels_by_marks as labels_by_marks
 from .learning import learn_marks as learn_marks
 from .pose_refinement import FramePoses as FramePoses
 from .pose_refinement import FrameRefinement as FrameRefinement

@@ -26,14 +26,29 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
+from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import BIWEIGHT_CUT, View, outline_box
 from ..throw import VertexImpact
 from ..track import Track
 from .bundle_adjustment import adjust_flights, impact_constraints
 from .pose_refinement import WINDOW_PX
-from .textures import FEWEST_FRAMES, FrameWindow, SurfaceMarks, face_grid, unlearned_marks, with_learned_textures
+from .textures import (
+    FEWEST_FRAMES,
+    FEWEST_MARKED_TEXELS,
+    FaceGrid,
+    FlightPoses,
+    FrameWindow,
+    SurfaceMarks,
+    face_grid,
+    flight_poses,
+    unlearned_marks,
+    with_learned_textures,
+)
+
+Array = NDArray[np.float64]
 
 LEARNED_FRAMES = 120
 """Most frames that are learned from: the noise of the texture is then a tenth of one frame's, and the cost does not
@@ -62,6 +77,13 @@ NEAR_IMPACT_FRAMES = 1.0
 """Frames from an impact within which a frame is not learned from: its exposure may straddle the impact."""
 FEWEST_OF_A_FLIGHT = 2
 """Frames in view below which a flight is not learned from."""
+SAME_MARKS_CORRELATION = 0.5
+"""Correlation of two textures of the die from which they show the same marks."""
+DISTINCT_UNEXPLAINED = 0.7
+"""Variance of a texture that one labelling leaves unexplained, over that of any other, at which it is believed at the most. Faces
+of four, five and six pips have a correlation of 0.8, and the right ones of 0.97."""
+LEAST_SHARED = 0.5
+"""Texels in common over the most that any labelling has below which a labelling is not compared: few agree by chance."""
 
 
 def frames_to_learn_from(track: Track, throw: Throw) -> NDArray[np.int64]:
@@ -100,11 +122,11 @@ def learn_marks(
     windows = _windows(view, images, track, throw)
     if len(windows) < 2 * FEWEST_FRAMES:
         return None
-    grid = face_grid(view, windows, throw)
+    grid = face_grid(view, flight_poses(windows, throw.flights).position_m)
     impacts = impact_constraints(windows, throw, vertex_impacts)
     half = _every_second(windows)
-    marks = unlearned_marks(view, grid, saturation_grey, throw)
-    marks = with_learned_textures(view, half, throw.flights, marks, CUTS[0])
+    marks = unlearned_marks(view, grid, saturation_grey, throw.flights)
+    marks = with_learned_textures(view, half, flight_poses(half, throw.flights), marks, CUTS[0])
     converged = False
     for cut in CUTS:
         wide = cut > BIWEIGHT_CUT
@@ -120,7 +142,8 @@ def learn_marks(
             impacts = [impact for impact in impacts if not discarded[list(impact.flights)].any()]
             if len(windows) < 2 * FEWEST_FRAMES:
                 return None
-        marks = with_learned_textures(view, half if wide else windows, marks.flights, marks, cut)
+        some = half if wide else windows
+        marks = with_learned_textures(view, some, flight_poses(some, marks.flights), marks, cut)
         converged = bool(moved_sigmas.max() < CONVERGED_SIGMAS)
         if converged and not wide:
             break
@@ -142,21 +165,117 @@ def _windows(view: View, images: Iterable[tuple[int, NDArray[Any]]], track: Trac
     """Windows round the die on the frames of flights that have FEWEST_OF_A_FLIGHT of them."""
     windows = []
     for row, image in images:
-        time_s = float(track.time_s[row])
-        flight = throw.flight_at(time_s)
-        state = throw.flights[flight].at(time_s)
-        box = outline_box(view, state.position_m, state.rotation, WINDOW_PX)
-        if box is None or not track.tracked[row]:
-            continue
-        x0, y0, x1, y1 = box
-        window = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
-        edges = track.position_m[row], track.quaternion[row], track.covariance[row]
-        windows.append(FrameWindow(time_s, flight, x0, y0, window, *edges))
+        flight = throw.flight_at(float(track.time_s[row]))
+        state = throw.flights[flight].at(float(track.time_s[row]))
+        window = _window(view, track, row, image, flight, state.position_m, state.rotation)
+        if window is not None and track.tracked[row]:
+            windows.append(window)
     counts = np.bincount([window.flight for window in windows], minlength=len(throw.flights))
     return [window for window in windows if counts[window.flight] >= FEWEST_OF_A_FLIGHT]
+
+
+def _window(
+    view: View, track: Track, row: int, image: NDArray[Any], flight: int, position_m: Array, rotation: Array
+) -> FrameWindow | None:
+    """The window round the die at a pose, with the pose by edges; None if it is out of view."""
+    box = outline_box(view, position_m, rotation, WINDOW_PX)
+    if box is None:
+        return None
+    x0, y0, x1, y1 = box
+    pixels = np.ascontiguousarray(image[y0:y1, x0:x1], np.float32)
+    edges = track.position_m[row], track.quaternion[row], track.covariance[row]
+    return FrameWindow(float(track.time_s[row]), flight, x0, y0, pixels, *edges)
 
 
 def _every_second(windows: list[FrameWindow]) -> list[FrameWindow]:
     """Every second window, and all of short flights: enough for the rounds with wide cuts, in half the time."""
     counts = np.bincount([window.flight for window in windows])
     return [window for i, window in enumerate(windows) if i % 2 == 0 or counts[window.flight] <= SHORT_FLIGHT]
+
+
+# --- the labelling of flights ------------------------------------------------------------------------------------------
+
+
+def labels_by_marks(
+    view: View, images: Iterable[tuple[int, NDArray[Any]]], track: Track, rates: Array, groups: NDArray[np.int64]
+) -> list[Array]:
+    """For each group of frames the rotation (3, 3) in body axes, a symmetry of the die, after which its faces show the marks that
+    groups before it showed; that of the group before where the marks do not tell.
+
+    `images` are pairs of a row of `track` and its whole frame (height, width). `rates` (n, 6) are velocity [m/s] and spin [rad/s]
+    on each row; `groups` (n,) its group, from 0 on, within which one labelling holds."""
+    windows: list[FrameWindow] = []
+    rows: list[int] = []
+    for row, image in images:
+        rotation = matrix_from_quat(track.quaternion[row])
+        window = _window(view, track, row, image, int(groups[row]), track.position_m[row], rotation)
+        if window is not None:
+            windows.append(window)
+            rows.append(row)
+    labels: list[Array] = [np.eye(3)]
+    if not rows:
+        return labels * (int(groups.max()) + 1)
+    shown: Array | None = None
+    grid = face_grid(view, track.position_m[rows])
+    for k in range(int(groups.max()) + 1):
+        mine = [i for i, window in enumerate(windows) if window.flight == k]
+        found, texture = None, None
+        if len(mine) >= FEWEST_FRAMES:
+            texture = _texture_of(view, grid, [windows[i] for i in mine], track, rates, np.array(rows)[mine])
+        if texture is not None and shown is not None:
+            found = _same_marks(grid, shown, texture, view.symmetries)
+        labels.append(labels[-1] if found is None else found)
+        if texture is not None and (shown is None or found is not None):
+            turned = _relabelled(grid, texture, labels[-1])
+            shown = turned if shown is None else np.where(np.isfinite(shown), shown, turned)
+    return labels[1:]
+
+
+def _texture_of(
+    view: View, grid: FaceGrid, windows: list[FrameWindow], track: Track, rates: Array, rows: NDArray[np.int64]
+) -> Array | None:
+    """The texture (faces, n, n) of frames with their own poses, NaN where nothing is known; None if no face has marks."""
+    turned, n = matrix_from_quat(track.quaternion[rows]), len(rows)
+    poses = FlightPoses(track.position_m[rows], turned, rates[rows, :3], rates[rows, 3:], np.zeros((n, 6, 0)))
+    marks = with_learned_textures(view, windows, poses, unlearned_marks(view, grid, np.inf, ()), CUTS[0])
+    return marks.texture if len(marks.marked_faces) else None
+
+
+def _same_marks(grid: FaceGrid, shown: Array, texture: Array, symmetries: Array) -> Array | None:
+    """The symmetry after which a texture (faces, n, n) shows the marks of another; None if none is clearly better than all
+    others."""
+    turned = [_relabelled(grid, texture, symmetry) for symmetry in symmetries]
+    common = np.array([(np.isfinite(shown) & np.isfinite(one)).sum() for one in turned])
+    enough = common >= max(LEAST_SHARED * common.max(), FEWEST_MARKED_TEXELS)
+    found = np.array([_correlation(shown, one) if use else -1.0 for one, use in zip(turned, enough, strict=True)])
+    order = np.argsort(-found)
+    best, next_best = found[order[:2]].tolist()
+    if best < SAME_MARKS_CORRELATION or 1.0 - best**2 > DISTINCT_UNEXPLAINED * (1.0 - max(next_best, 0.0) ** 2):
+        return None
+    return np.asarray(symmetries[order[0]], float)
+
+
+def _relabelled(grid: FaceGrid, texture: Array, symmetry: Array) -> Array:
+    """A texture (faces, n, n) on the faces of a die that is labelled anew: what lay at S x in body axes lies at x, for a symmetry
+    S (3, 3). Texels outside what is known are NaN."""
+    half, out = 0.5 * (grid.size - 1), np.full_like(texture, np.nan)
+    b, a = np.mgrid[0 : grid.size, 0 : grid.size] - half
+    for f, axes in enumerate(grid.axes):
+        other = int(np.argmax(grid.axes[:, 2] @ (symmetry @ axes[2])))
+        if not np.isfinite(texture[other]).any():
+            continue
+        turn = grid.axes[other, :2] @ symmetry @ axes[:2].T
+        columns, rows = (turn[i, 0] * a + turn[i, 1] * b + half for i in (0, 1))
+        out[f] = map_coordinates(texture[other], [rows, columns], order=1, mode="constant", cval=np.nan)
+    return out
+
+
+def _correlation(one: Array, other: Array) -> float:
+    """Correlation of two textures (faces, n, n) over what both show, each face about its mean."""
+    products = np.zeros(3)
+    for a, b in zip(one, other, strict=True):
+        both = np.isfinite(a) & np.isfinite(b)
+        if both.sum() > 1:
+            p, q = a[both] - a[both].mean(), b[both] - b[both].mean()
+            products += p @ q, p @ p, q @ q
+    return float(products[0] / np.sqrt(max(products[1] * products[2], 1e-300)))

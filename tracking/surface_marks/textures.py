@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
-from ...model.throw import Flight, Throw
+from ...model.throw import Flight
 from ..camera import Camera
 from ..picture import THREADS, PoseState, View
 from ..throw import transition_matrices
@@ -167,11 +167,10 @@ def flight_poses(windows: list[FrameWindow], flights: tuple[Flight, ...]) -> Fli
     return out
 
 
-def face_grid(view: View, windows: list[FrameWindow], throw: Throw) -> FaceGrid:
-    """Grids with texels of TEXEL_PX at the median distance."""
+def face_grid(view: View, positions_m: Array) -> FaceGrid:
+    """Grids with texels of TEXEL_PX at the median distance of positions (n, 3) of the die."""
     solid, camera = view.die.solid, view.camera
-    positions = np.array([throw.flights[window.flight].at(window.time_s).position_m for window in windows])
-    depth = positions @ camera.rotation[2] + camera.translation_m[2]
+    depth = positions_m @ camera.rotation[2] + camera.translation_m[2]
     focal = float(np.sqrt(camera.matrix[0, 0] * camera.matrix[1, 1]))
     texel = TEXEL_PX * float(np.median(depth)) / focal
     axes = face_axes(solid)
@@ -202,7 +201,7 @@ def pixel_rays(camera: Camera) -> NDArray[np.float32]:
     return camera.rays(np.stack([columns, rows], axis=-1)).astype(np.float32)
 
 
-def unlearned_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: Throw) -> SurfaceMarks:
+def unlearned_marks(view: View, grid: FaceGrid, saturation_grey: float, flights: tuple[Flight, ...]) -> SurfaceMarks:
     """Surface marks of which nothing is known yet."""
     faces = len(grid.axes)
     shape = (faces, grid.size, grid.size)
@@ -219,15 +218,15 @@ def unlearned_marks(view: View, grid: FaceGrid, saturation_grey: float, throw: T
         variance_factor=1.0,
         contour_m=PRIOR_CONTOUR_SHARE * view.die.solid.edge_m,
         placement_m=0.0,
-        flights=throw.flights,
-        shared_covariance=tuple(np.full((12, 12), np.nan) for _ in throw.flights),
+        flights=flights,
+        shared_covariance=tuple(np.full((12, 12), np.nan) for _ in flights),
     )
 
 
 def with_learned_textures(
-    view: View, windows: list[FrameWindow], flights: tuple[Flight, ...], marks: SurfaceMarks, cut: float
+    view: View, windows: list[FrameWindow], poses: FlightPoses, marks: SurfaceMarks, cut: float
 ) -> SurfaceMarks:
-    """The textures learned again from the poses of `flights`; known textures say what a face should look like."""
+    """The textures learned again from the `poses` of the windows; known textures say what a face should look like."""
     grid = marks.grid
     faces = len(grid.axes)
     shape = (faces, grid.size, grid.size)
@@ -236,7 +235,6 @@ def with_learned_textures(
     count = np.zeros((2, *shape), np.int32)
     blur, blur_weight = np.zeros((faces, 2, 3)), np.zeros(faces)
     frame_counts = np.zeros(faces, np.int64)
-    poses = flight_poses(windows, flights)
     facing = _view_cosines(view, grid, poses)
     optics, face_records = optics_of(view, marks), faces_of(view, marks, cut)
 

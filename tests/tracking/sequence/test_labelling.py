@@ -7,15 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from footage_of_throws import DICE, FPS, studio
+from marked_throws import FRAMES as MARKED_FRAMES
+from marked_throws import VIEW as MARKED_VIEW
+from marked_throws import marked_film, tossed
 from random_throws import random_quaternion
+from replay_records import ArrayClip
 
 from diethrow.model.die.solid import SHAPES
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
 from diethrow.model.rotations import matrix_from_quat, quat_from_matrix, quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
+from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View
 from diethrow.tracking.pose.clip_poses import ClipPoses
-from diethrow.tracking.sequence.labelling import with_consistent_labels, with_labels_of_flights
+from diethrow.tracking.sequence.labelling import (
+    with_consistent_labels,
+    with_labels_of_flights,
+    with_labels_of_marks,
+)
 
 FRAMES, STRUCK = 24, 11.5
 """Frames of a die that spins, and when it strikes the table, in frames."""
@@ -90,3 +99,26 @@ def test_a_frame_is_labelled_like_its_flight_or_if_that_is_off_like_the_tracked_
     unknown = replace(first, known=np.zeros(FRAMES, bool))
     nearest = nearest_equivalent_rotation(refined.rotation, astray.rotation, view.symmetries)
     assert with_labels_of_flights(view, refined, astray, unknown).rotation == pytest.approx(nearest, abs=1e-12)
+
+
+def tossed_and_seen() -> tuple[FrameSource, ClipPoses]:
+    """A marked cube with its true poses."""
+    clip = ArrayClip(np.array([marked_film()[k] for k in range(MARKED_FRAMES)]), np.arange(MARKED_FRAMES) / FPS)
+    seen, (position_m, quaternion) = ClipPoses.empty(MARKED_FRAMES), tossed().poses(clip.times_s)
+    seen.known[:], seen.position_m[:], seen.rotation[:] = True, position_m, matrix_from_quat(quaternion)
+    seen.motion[:], seen.H[:] = tossed().rates(clip.times_s), 1e6 * np.eye(seen.H.shape[1])
+    return FrameSource([clip]), seen
+
+
+@pytest.mark.parametrize("lost", [0, 6])
+def test_marks_carry_the_labelling_through_a_contact_or_a_gap_that_leaves_it_open(lost: int) -> None:
+    source, seen = tossed_and_seen()
+    seen.known[45 : 45 + lost] = False
+    other = relabelled(MARKED_VIEW, seen, slice(45, MARKED_FRAMES), 7)
+    middle_s = 44.5 / FPS if lost == 0 else np.inf
+    nothing = np.full(3, np.nan)
+    unresolved = Impact(middle_s, "unresolved", (), nothing[:2], nothing, np.nan, np.nan, np.nan, np.nan, 0, 0)
+    throw = Throw((replace(tossed(), end_s=middle_s), replace(tossed(), end_s=np.inf)), (unresolved,))
+    found = with_labels_of_marks(MARKED_VIEW, source, other, throw)
+    assert found.rotation[seen.known] == pytest.approx(seen.rotation[seen.known], abs=1e-12)
+    assert with_labels_of_marks(MARKED_VIEW, source, seen, throw) is seen

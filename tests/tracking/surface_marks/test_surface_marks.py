@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from footage_of_throws import FPS, Image
 from marked_throws import (
+    COMMON,
     CUBE,
     FRAMES,
     SIGMA,
@@ -31,7 +32,7 @@ from throws import impact_at
 from diethrow.model.compiled import compiled
 from diethrow.model.rotations import angle_between, matrix_from_quat, quat_from_matrix, rotation_between
 from diethrow.model.throw.motion import Impact, Throw
-from diethrow.tracking.surface_marks.learning import frames_to_learn_from
+from diethrow.tracking.surface_marks.learning import frames_to_learn_from, labels_by_marks
 from diethrow.tracking.surface_marks.pose_refinement import FramePoses, FrameRefinement
 from diethrow.tracking.surface_marks.texture_blur import blur_texture
 from diethrow.tracking.surface_marks.textures import SurfaceMarks, pixel_rays
@@ -249,3 +250,29 @@ def test_no_blur_leaves_a_texture_as_it_is() -> None:
     texture = np.random.default_rng(1).normal(size=(9, 9))
     scratch = np.full((2, 9, 9), np.nan)
     assert np.array_equal(scratch[blurred(texture, np.zeros(3), scratch)], texture)
+
+
+GROUPS = (np.arange(FRAMES) >= FRAMES // 2).astype(np.int64)
+"""Two halves of the film, within each of which one labelling holds."""
+
+
+def labels_of_second_half(film: dict[int, Image], symmetry: Array) -> Array:
+    """The labels found of the second half, whose faces were labelled anew by a symmetry of the die."""
+    track = edges_track(tossed(), COMMON)
+    rotation = matrix_from_quat(track.quaternion)
+    rotation[GROUPS == 1] = rotation[GROUPS == 1] @ symmetry
+    track = replace(track, quaternion=quat_from_matrix(rotation))
+    images = ((k, film[k]) for k in range(0, FRAMES, 2))
+    first, second = labels_by_marks(VIEW, images, track, tossed().rates(np.arange(FRAMES) / FPS), GROUPS)
+    assert np.array_equal(first, np.eye(3))
+    return second
+
+
+@pytest.mark.parametrize("k", [0, 5, 11, 17, 23])
+def test_marks_tell_how_a_die_was_labelled_anew(k: int) -> None:
+    symmetry = VIEW.symmetries[k]
+    assert symmetry @ labels_of_second_half(marked_film(), symmetry) == pytest.approx(np.eye(3))
+
+
+def test_a_plain_die_keeps_its_labels() -> None:
+    assert np.array_equal(labels_of_second_half(filmed(()), VIEW.symmetries[5]), np.eye(3))
