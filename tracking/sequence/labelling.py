@@ -18,13 +18,12 @@ from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, as_track, exposure_times_s, wholly_in_view
 from ..surface_marks import labels_by_marks
+from ..throw import OFF_FLIGHT_RAD
 
 Array = NDArray[np.float64]
 
 FRAMES_PER_GROUP = 40
 """Frames from which the marks are learned that one labelling shows: the noise of their mean is a sixth of one frame's."""
-OFF_FLIGHT_RAD = 0.2
-"""Angle [rad] from its flight, in every labelling, beyond which the flight does not determine the labelling of a frame."""
 
 
 def with_consistent_labels(view: View, poses: ClipPoses, throw: Throw, times_s: Array) -> ClipPoses:

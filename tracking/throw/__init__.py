@@ -25,6 +25,7 @@ from .flights import perturbed as perturbed
 from .flights import pose_jacobian as pose_jacobian
 from .flights import transition_matrices as transition_matrices
 from .flights import transition_matrix as transition_matrix
+from .measurement import OFF_FLIGHT_RAD as OFF_FLIGHT_RAD
 from .measurement import UNMODELLED_SHARE as UNMODELLED_SHARE
 from .measurement import MeasuredThrow as MeasuredThrow
 from .measurement import NoFlightError as NoFlightError

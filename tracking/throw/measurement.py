@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import Die, inner_vertices, lowest_face
-from ...model.rotations import cross_matrix, matrix_from_quat
+from ...model.rotations import angle_between, cross_matrix, matrix_from_quat
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
@@ -53,6 +53,8 @@ FEW_OUTLIERS = 0.05
 """Share of frames on no flight up to which a chain leaves no doubt: some lie beside impacts."""
 BELIEVED_SHARE = 0.5
 """Share of its frames above which a flight is believed."""
+OFF_FLIGHT_RAD = 0.2
+"""Angle [rad] from a flight at which a frame does not lie on it, whatever the errors of its pose, nor takes its labelling."""
 DRAWS = 2000
 """Random draws behind the interval of a restitution."""
 SEED = 20120404
@@ -115,8 +117,8 @@ class MeasuredThrow:
         beside a contact that is not resolved; and those off the first or last flight, beyond all that lie on it, where the table
         is so near that a contact may lie between."""
         out, time_s = np.zeros(len(self.frames), bool), self.frames.time_s
-        used_s = time_s[self.rows]
-        for part, believed in zip(self.chain.parts(used_s), _believed(used_s, self.chain), strict=True):
+        used_s, used_q = time_s[self.rows], self.frames.quaternion[self.rows]
+        for part, believed in zip(self.chain.parts(used_s), _believed(used_s, used_q, self.chain), strict=True):
             out[self.rows[part]] = not believed
         for impact in self.throw.impacts:
             if impact.contact in ("unresolved", "held"):
@@ -180,7 +182,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     flights = chain.flights
     shared_covariance = _shared_covariance(track, bias_jacobian, sigma, use, flying)
     # A chain none of whose flights is believed knows nothing of the errors that frames share.
-    shared = chain.shared if _believed(track.time_s[use[:flying]], chain).any() else np.zeros_like(chain.shared)
+    in_flight = use[:flying]
+    believed = _believed(track.time_s[in_flight], track.quaternion[in_flight], chain)
+    shared = chain.shared if believed.any() else np.zeros_like(chain.shared)
     straight = without_shared_bias(track, bias_jacobian[:, :, : len(shared)], shared)
     resting = straight
     if flying < len(use):
@@ -224,7 +228,8 @@ def _flights_and_impacts(
         ahead = slice(0, flying)
         some = weighted_poses(track, use[ahead][:: decimation_factor(track, die, use[ahead])])
         chain = _resolved_chain(some, observations.rows(ahead), die, priors)
-        impacts = _impacts(chain, _believed(observations.time_s[ahead], chain), die, limit_s)
+        believed = _believed(observations.time_s[ahead], observations.quaternion[ahead], chain)
+        impacts = _impacts(chain, believed, die, limit_s)
         low_row = max(low, MIN_FRAMES)
         low_s = float(observations.time_s[low_row]) if low_row < flying else np.inf
         certain = _count_to_last_rebound(impacts, low_s)
@@ -416,10 +421,18 @@ def _with_supported_motion(
     return (*flights[:-1], replace(flights[-1], end_s=begin), supported), (*impacts, held)
 
 
-def _believed(time_s: Array, chain: FlightChain) -> NDArray[np.bool_]:
-    """(flights,) whether more than BELIEVED_SHARE of a flight's frames, at instants (n,), lie on it. Otherwise the frames may
-    show another contact or a rolling die, and the flight is where the fit had to put it."""
-    return ~(chain.inlier_share(time_s) <= BELIEVED_SHARE)
+def _believed(time_s: Array, quaternion: Array, chain: FlightChain) -> NDArray[np.bool_]:
+    """(flights,) whether more than BELIEVED_SHARE of a flight's frames, at instants (n,) with orientations (n, 4), lie on it.
+    Otherwise the frames may show another contact or a rolling die, and the flight is where the fit had to put it.
+
+    Frames that lie on no flight make the errors of all seem large, and may then all lie within these errors: what no error of a
+    pose comes to does not."""
+    believed = np.ones(len(chain.flights), bool)
+    for k, part in enumerate(chain.parts(time_s)):
+        if len(time_s[part]):
+            off_rad = angle_between(quaternion[part], chain.flights[k].poses(time_s[part])[1])
+            believed[k] = ((chain.weights[part] > 0.0) & (off_rad < OFF_FLIGHT_RAD)).mean() > BELIEVED_SHARE
+    return believed
 
 
 def _impacts(chain: FlightChain, believed: NDArray[np.bool_], die: Die, limit_s: float) -> tuple[Impact, ...]:

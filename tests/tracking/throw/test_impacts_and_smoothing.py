@@ -270,3 +270,17 @@ def test_a_track_without_a_pose_is_smoothed_to_itself() -> None:
     _, track, found = bounced()
     empty = replace(track, status=np.full(len(track), ABSENT, dtype="<U7"))
     assert smooth(empty, found) is empty
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_flight_through_frames_of_two_labellings_is_not_believed(seed: int) -> None:
+    """High above the table no impact explains the change, and one flight has to pass through all frames: that its errors come out
+    as large as the change makes none of them lie on it."""
+    throw, rng = free_flight(seed)
+    track = seen(throw, rng)
+    quaternion, half = track.quaternion.copy(), len(track) // 2
+    quaternion[half:] = quat_multiply(quaternion[half:], quat_from_rotvec([0.0, 0.0, np.pi / 2]))
+    high = track.position_m + np.array([0.0, 0.0, 0.2])
+    found = measure(replace(track, quaternion=quaternion, position_m=high), CUBE)
+    assert found.unexplained[track.tracked].all()
+    np.testing.assert_array_equal(found.smoothed_frames.position_m[track.tracked], high[track.tracked])
