@@ -43,8 +43,8 @@ LEAST_RESUMED_FRAMES = FULL_STAGE
 is right."""
 UNEXPLAINED_RATIO = 1.6
 """Cost over the median of the clip from which poses do not explain their pictures, if it lies UNEXPLAINED_EXCESS_COST above as
-well: a median over LEAST_RESUMED_FRAMES frames, of which those beside an impact may be a few. Right poses of 38 random clips came
-to 1.5 at the most; wrong ones that were followed to the end of a clip rose to 3."""
+well: a median over LEAST_RESUMED_FRAMES frames, of which those beside an impact may be a few. Right poses of 39 random clips came
+to 1.5 at the most; wrong ones that were followed to the end of one of these clips rose to 3."""
 UNEXPLAINED_EXCESS_COST = 1.0
 """Excess over that median; tracking itself measures costs from those of the frames before, and follows a wrong pose as these
 grow."""
@@ -162,8 +162,7 @@ def _resumed(view: View, task: TrackingTask, poses: ClipPoses) -> ClipPoses:
             continue
         tracker, others = found
         back = _track_both_ways(tracker, task, others)
-        before = poses.known[lost]
-        if before.any() and not _explain_better(others, poses, np.arange(lost.start, lost.stop)):
+        if poses.known[lost].any() and not _explain_better(others, poses, np.arange(lost.start, lost.stop)):
             continue
         poses.known[lost] = False
         if others.known[lost.stop - 1]:

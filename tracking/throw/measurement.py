@@ -425,8 +425,8 @@ def _believed(time_s: Array, quaternion: Array, chain: FlightChain) -> NDArray[n
     """(flights,) whether more than BELIEVED_SHARE of a flight's frames, at instants (n,) with orientations (n, 4), lie on it.
     Otherwise the frames may show another contact or a rolling die, and the flight is where the fit had to put it.
 
-    Frames that lie on no flight make the errors of all seem large, and may then all lie within these errors: what no error of a
-    pose comes to does not."""
+    Frames of another flight, or of another labelling, make the errors of all frames seem large; all may then lie within these
+    errors, though their orientation is not that of the flight."""
     believed = np.ones(len(chain.flights), bool)
     for k, part in enumerate(chain.parts(time_s)):
         if len(time_s[part]):

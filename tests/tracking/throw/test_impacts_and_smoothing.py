@@ -274,8 +274,8 @@ def test_a_track_without_a_pose_is_smoothed_to_itself() -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_flight_through_frames_of_two_labellings_is_not_believed(seed: int) -> None:
-    """High above the table no impact explains the change, and one flight has to pass through all frames: that its errors come out
-    as large as the change makes none of them lie on it."""
+    """High above the table no impact explains the change, and one flight has to pass through all frames. Their errors then seem
+    as large as the change; nevertheless the frames keep their own poses."""
     throw, rng = free_flight(seed)
     track = seen(throw, rng)
     quaternion, half = track.quaternion.copy(), len(track) // 2
