@@ -214,14 +214,21 @@ def test_the_command_lists_failures_and_ends_with_status_1(scenes: list[Path], d
 
 def test_the_death_of_a_process_fails_only_its_own_call() -> None:
     with Processes(2) as processes:
-        slow, pid = processes.submit(time.sleep, 0.5), processes.submit(os.getpid).result()
-        hit = processes.submit(time.sleep, 60)
-        time.sleep(0.2)
-        os.kill(pid, signal.SIGKILL)
+        other = processes.submit(time.sleep, 0.5)
+        # The call kills its own process: which of the two executes it depends on how fast they start.
+        killed = processes.submit(signal.raise_signal, signal.SIGKILL)
         with pytest.raises(WorkerLostError, match="SIGKILL"):
-            hit.result(timeout=20)
-        assert slow.result(timeout=20) is None
-        assert processes.submit(os.getpid).result(timeout=20) != pid
+            killed.result(timeout=60)
+        assert other.result(timeout=60) is None
+        assert all(call.result(timeout=60) for call in [processes.submit(os.getpid) for _ in range(4)])
+
+
+def test_a_new_process_replaces_a_dead_one() -> None:
+    with Processes(1) as processes:
+        pid = processes.submit(os.getpid).result()
+        with pytest.raises(WorkerLostError, match="SIGKILL"):
+            processes.submit(signal.raise_signal, signal.SIGKILL).result(timeout=60)
+        assert processes.submit(os.getpid).result(timeout=60) != pid
 
 
 def test_a_failing_call_raises_its_error_and_the_process_survives() -> None:
