@@ -1,4 +1,5 @@
-"""What all frames of a clip share, estimated from its pictures: light, lens blur, corner radius, clock offsets.
+"""What all frames of a clip share, estimated from its pictures: empty scene, light, lens blur, corner radius,
+clock offsets.
 
 The tracker in `sequence` estimates them between its passes and gives them to the model of the picture; `check` reports them.
 """
@@ -15,6 +16,8 @@ from .corner_radius import is_rounded as is_rounded
 from .corner_radius import radius_by_free_poses as radius_by_free_poses
 from .corner_radius import radius_on_flights as radius_on_flights
 from .corner_radius import sample_in_flight as sample_in_flight
+from .empty_scene import EmptyScene as EmptyScene
+from .empty_scene import empty_scene as empty_scene
 from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
 from .lens_blur import estimate_lens_blur as estimate_lens_blur
 from .light import with_light as with_light

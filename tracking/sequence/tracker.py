@@ -1,7 +1,8 @@
 """From a clip to a track: the die is found and tracked through its impacts, and every frame's pose is refined.
 
 1. Tracking (`tracking_pass`): from the first frame that shows the whole die, forwards to the end and backwards to where it came
-   in. Then the impacts are found, each flight is fitted, and the lens blur is estimated; the light as well for a rounded die.
+   in; again if the background was estimated and turns out to show the die (`empty_scene`). Then impacts are found, each flight
+   is fitted, and the lens blur is estimated; the light as well for a rounded die.
 2. Refinement on edges (`refine_on_edges`): every frame, along its flight.
 3. Refinement on surface marks (`refine_on_marks`): once more, on what is printed on the faces.
 
@@ -25,6 +26,7 @@ from ..clip_parameters import (
     ClockOffsets,
     CornerRadius,
     CornerRounding,
+    empty_scene,
     estimate_clock_offsets,
     estimate_lens_blur,
     with_light,
@@ -74,6 +76,9 @@ class ClipFacts:
 
 
 NO_FACTS = ClipFacts()
+MOST_CHANGED = 0.02
+"""Share of the pixels behind the die whose background turns out to be another one, beyond which the clip is tracked again: one
+of random clips without such pictures of the die in it has .004, those with have .1 and more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,6 +94,8 @@ class TrackedClip:
     """With the radius of its corners as estimated, if that was wanted."""
     corners: CornerRadius | None
     """That radius with its standard error; None if it was given, or the corners look sharp."""
+    background: Background
+    """(height, width) what the first camera sees without the die, given or estimated."""
 
 
 def track_clip(
@@ -109,13 +116,14 @@ def track_clip(
     clips = list(clip) if isinstance(clip, Sequence) else [clip]
     cameras = [camera] if isinstance(camera, Camera) else list(camera)
     source = FrameSource(clips)
-    view = _view_of(clips, cameras, die, background, facts, quality)
+    given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
+    given += [None] * (len(clips) - len(given))
+    view = _view_of(clips, cameras, die, given, facts, quality)
     report = _Reporter(progress, (1 + quality.second_pass + quality.marks) * len(source))
     unused = np.zeros(len(source), bool)
     unused[list(excluded_rows(facts.excluded, source.first_frame, len(source)))] = True
-    view, poses, corners = track_rounded(
-        view, TrackingTask(source, unused, facts.start, report.at_least), facts.rounding
-    )
+    task = TrackingTask(source, unused, facts.start, report.at_least)
+    empty, (view, poses, corners) = _track_before_empty_scene(view, task, facts.rounding, given)
     throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
@@ -134,7 +142,7 @@ def track_clip(
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
-    return TrackedClip(calibrated, result.marks, offsets, view.die, corners)
+    return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty)
 
 
 # --- the view of the scene ---------------------------------------------------------------------------------------------
@@ -144,13 +152,11 @@ def _view_of(
     clips: list[Clip],
     cameras: list[Camera],
     die: Die,
-    background: Background | Sequence[Background | None] | None,
+    given: Sequence[Background | None],
     facts: ClipFacts,
     quality: Quality,
 ) -> View:
     """The scene as the refinement needs it, with the noise of the still background."""
-    given = [background] if background is None or isinstance(background, np.ndarray) else list(background)
-    given += [None] * (len(clips) - len(given))
     pictures, noises = [], []
     for one, camera, picture in zip(clips, cameras, given, strict=True):
         _check_sizes(one, camera, picture)
@@ -181,6 +187,22 @@ def _check_sizes(clip: Clip, camera: Camera, background: Background | None) -> N
             f"the background is {background.shape[1]} × {background.shape[0]} pixels and the clip "
             f"{clip.width_px} × {clip.height_px}: give a frame of this clip without the die"
         )
+
+
+def _track_before_empty_scene(
+    view: View, task: TrackingTask, rounding: CornerRounding, given: Sequence[Background | None]
+) -> tuple[Background, tuple[View, ClipPoses, CornerRadius | None]]:
+    """The background of the first camera, and the result of `track_rounded`. Where backgrounds were estimated and the poses show
+    that the die is part of them, the clip is tracked again before better ones. Raises NoDieError if no die was found."""
+    found = track_rounded(view, task, rounding)
+    if all(picture is not None for picture in given):
+        return view.background, found
+    scene = empty_scene(view, task.source, found[1])
+    if scene.changed_share <= MOST_CHANGED:
+        return view.background, found
+    is_given = np.array([picture is not None for picture in given])[:, None, None]
+    view = replace(view, backgrounds=np.where(is_given, view.backgrounds, scene.backgrounds))
+    return view.background, track_rounded(view, task, rounding)
 
 
 # --- refinement --------------------------------------------------------------------------------------------------------

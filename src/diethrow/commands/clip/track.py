@@ -27,7 +27,6 @@ from ...tracking.footage import (
     Decimation,
     clip_files,
     clip_in_light,
-    estimate_background,
     level_grey,
 )
 from ...tracking.quality import QUALITIES, STANDARD, Quality
@@ -131,8 +130,7 @@ def track_scene(
             clips = [clip_at_times(clip, times.times_s) for clip in clips]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
-        empty = estimate_background(light[0]) if backgrounds[0] is None else backgrounds[0]
-        second = find_second_die(light[0], followed.track, cameras[0], followed.die, empty, unit_grey)
+        second = find_second_die(light[0], followed.track, cameras[0], followed.die, followed.background, unit_grey)
         frames = replace(followed.track, frame=decimation.frame_numbers(followed.track.frame))
         found = find_impacts(frames, scene.path, die, cameras[0], progress, watch)
     except RunError as error:
