@@ -3,7 +3,7 @@
 On a die with wide bevels little of the surface is flat, corners are balls, and a contour lies beside a surface whose
 brightness changes over a few pixels. The edges of such a die taken one by one (`edge_stretch`) leave the brightness beside
 each of them free, which hides where it is. Here one light is on all of the picture (`placed_die.surface_picture`), with a
-deviation δ of each part of the surface and a shade γ of the background beside each side of the contour. Both are solved for
+deviation δ of each part of the surface and a shade γ of the background beside each piece of the contour. Both are solved for
 at each step, by pixels that show them alone, and δ is eliminated from the equations. The coefficients of the light are
 unknowns of the picture, eliminated as those of edges are.
 
@@ -149,9 +149,9 @@ def add_surface_equations(
         if not light.level[view] > 0.0:
             return
     grid = new_surface_grid(box)
-    sides = fill_changes(view, model, pose, sampling, background, work, grid)
+    pieces = fill_changes(view, model, pose, sampling, background, work, grid)
     draw_surface(view, model, pose, sampling, work, grid)
-    shades, residual = np.ones(sides), np.zeros(grid.part.shape)
+    shades, residual = np.ones(pieces), np.zeros(grid.part.shape)
     corner = (wx, wy)
     _solve_deviations(image, background, corner, grid, (view, model.settings.noise_grey), work, shades)
     if _fill_residuals(image, background, corner, grid, shades, residual):
@@ -181,7 +181,7 @@ def _solve_deviations(
     image: Any, background: Any, corner: Any, grid: SurfaceGrid, of_clip: Any, work: Workspace, shades: Any
 ) -> None:
     """Solve for the deviation of each part of the surface from the light, by pixels that show it alone, and for the shade
-    (sides,) of the background beside each side of the contour, with Cauchy's weights: marks may cover half of a flat face.
+    (pieces,) of the background beside each piece of the contour, with Cauchy's weights: marks may cover half of a flat face.
     What the deviations change is added to the glow of pixels."""
     (wx, wy), (view, noise_grey), light = corner, of_clip, work.light
     level, deviation, before = light.level[view], DEVIATION_FACTOR * light.deviation[view], light.part_deviation[view]
