@@ -35,7 +35,7 @@ from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH, decimation_factor, rows_without_outliers, segment_flights
 from .flights import WeightedPoses, rms_residuals
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
-from .shared_bias import CONTOUR_UNDETERMINED_PX, shared_bias_jacobian, shared_bias_sigma, without_shared_bias
+from .shared_bias import shared_bias_jacobian, shared_bias_sigma, undetermined_bias_sigma, without_shared_bias
 from .smoothing import smooth
 
 Array = NDArray[np.float64]
@@ -163,10 +163,10 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     use = _usable_rows(track, die, every)
     bias_jacobian = np.zeros((len(track), 6, 0))
     observations = weighted_poses(track, use, UNMODELLED_SHARE)
-    prior = sigma = np.zeros(0)
+    prior = sigma = undetermined = np.zeros(0)
     if camera is not None:
         bias_jacobian = shared_bias_jacobian(track, camera, die)
-        sigma = shared_bias_sigma(track, camera, die)
+        sigma, undetermined = shared_bias_sigma(track, camera, die), undetermined_bias_sigma(track, camera, die)
         observations, prior = observations.with_bias_jacobian(bias_jacobian[use, :, :1]), sigma[:1]
     # The test for free fall uses calibrated covariances if there are any: unlike the fits, it estimates no error model.
     stated = (
@@ -180,7 +180,9 @@ def measure(track: Track, die: Die, camera: Camera | None = None, *, every: int 
     priors = Priors(prior, TABLE_SIGMA_M if camera else UNKNOWN_TABLE_M)
     chain, impacts, flying = _flights_and_impacts(track, observations, use, flying, die, priors)
     flights = chain.flights
-    shared_covariance = _shared_covariance(track, bias_jacobian, sigma, use, flying)
+    # The contour of a supported die lies amid its shadow: flights do not determine its error.
+    left = np.where((np.arange(len(use)) < flying)[:, None], undetermined, sigma)
+    shared_covariance = _shared_covariance(track, bias_jacobian, left, use, flying)
     # A chain none of whose flights is believed knows nothing of the errors that frames share.
     in_flight = use[:flying]
     believed = _believed(track.time_s[in_flight], track.quaternion[in_flight], chain)
@@ -335,19 +337,15 @@ def _independent(track: Track, throw: Throw, chain: FlightChain, shared_covarian
     return replace(track, covariance=covariance, pixel_covariance=None)
 
 
-def _shared_covariance(track: Track, bias_jacobian: Array, sigma: Array, use: NDArray[np.int64], flying: int) -> Array:
+def _shared_covariance(track: Track, bias_jacobian: Array, left: Array, use: NDArray[np.int64], flying: int) -> Array:
     """(track rows, 6, 6) covariance of the pose errors that all frames share, of the rows in use, the first `flying` of them in
     flight; other rows take that of the nearest.
 
-    For poses on edges it follows from their bias Jacobian (track rows, 6, m) and its priors `sigma` (m,), empty without a camera;
-    for poses on marks it is the track's own."""
+    For poses on edges it follows from their bias Jacobian (track rows, 6, m) and the standard deviations `left` (rows in use, m)
+    of its errors, both empty without a camera; for poses on marks it is the track's own."""
     covariance = np.zeros((len(track), 6, 6))
-    if len(sigma):
-        left = np.tile(np.append(CONTOUR_UNDETERMINED_PX, sigma[1:]), (len(use), 1))
-        # The contour of a supported die lies amid its shadow: flights do not determine its error.
-        left[flying:, 0] = sigma[0]
-        jacobian = bias_jacobian[use]
-        covariance[use] = (jacobian * left[:, None] ** 2) @ np.swapaxes(jacobian, 1, 2)
+    jacobian = bias_jacobian[use]
+    covariance[use] = (jacobian * left[:, None] ** 2) @ np.swapaxes(jacobian, 1, 2)
     if track.shared_covariance is not None and np.isfinite(track.shared_covariance[use]).any():
         # Poses on marks share the errors of the marks' places instead of those of edges. Poses of a supported die rest on edges.
         by_edges = np.isnan(track.shared_covariance[use]).any((1, 2)) & (np.arange(len(use)) >= flying)

@@ -36,6 +36,10 @@ pixel."""
 CONTOUR_UNDETERMINED_PX = 0.008
 """Standard deviation [px] of the part of δ that neither fall nor table determines: δ at the top of a flight differs from δ at the
 table, because the light on the faces that form the contour changes."""
+CONTOUR_UNDETERMINED_SHARE = 0.015
+"""Additional standard deviation of that part for a rounded die, as a share of the radius: root mean square between the flights
+of 23 random clips, of whole surfaces refined from the true poses. The median is half of it; on tetrahedra and octahedra, whose
+bevels turn furthest, it comes to 0.035."""
 CONTOUR_SHARE = 0.1
 """Additional prior standard deviation of δ for a rounded die, as a share of the radius: how far down its bevel the contour
 appears."""
@@ -77,11 +81,22 @@ def shared_bias_jacobian(track: Track, camera: Camera, die: Die) -> Array:
 
 def shared_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
     """(SHARED_ERRORS,) prior standard deviations [px] of the shared errors."""
-    sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
-    radius_px = die.corner_radius_m * camera.matrix[0, 0] / float(np.median(sight))
+    radius_px = _radius_px(track, camera, die)
     contour = np.sqrt(CONTOUR_SIGMA_PX**2 + (CONTOUR_SHARE * radius_px) ** 2 + track.contour_sigma_px**2)
     lateral = np.hypot(LATERAL_SIGMA_PX, LATERAL_SHARE * radius_px)
     return np.array([contour, lateral, lateral, *[ROTATION_SHARE * lateral] * 3])
+
+
+def undetermined_bias_sigma(track: Track, camera: Camera, die: Die) -> Array:
+    """(SHARED_ERRORS,) standard deviations [px] of the part of the shared errors that a throw in flight does not determine."""
+    contour = np.hypot(CONTOUR_UNDETERMINED_PX, CONTOUR_UNDETERMINED_SHARE * _radius_px(track, camera, die))
+    return np.append(contour, shared_bias_sigma(track, camera, die)[1:])
+
+
+def _radius_px(track: Track, camera: Camera, die: Die) -> float:
+    """Radius of the die's corners in the picture [px]."""
+    sight = np.linalg.norm(track.position_m[track.tracked] - camera.centre_m, axis=1)
+    return float(die.corner_radius_m * camera.matrix[0, 0] / np.median(sight))
 
 
 def without_shared_bias(track: Track, jacobian: Array, shared: Array) -> Track:
