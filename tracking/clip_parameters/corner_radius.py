@@ -317,14 +317,12 @@ def _misfits(view: View, frames: SampledFrames, settings: RefinementSettings) ->
         STRETCH_INTENSITIES if view.die.corner_radius_m * scale_px_per_m(view, frames) > 2.0 * SHARP_PX else 0.0
     )
 
-    loose = weak_prior(view)
-
     def one(k: int) -> tuple[float, Array, Array]:
         equations, motion = new_equations(), frames.motion[k]
         start = PoseState(frames.position_m[k], frames.rotation[k], motion[:3], motion[3:])
         p, R, _ = refine_and_score(
-            whole_frame_windows(view, frames.pictures[k]), view.model(settings, rig), start, loose, 0,
-            new_workspace(view.shape, view.rig), equations,
+            whole_frame_windows(view, frames.pictures[k]), view.model(settings, rig), start,
+            weak_prior(view, start.position), 0, new_workspace(view.shape, view.rig), equations,
         )  # fmt: skip
         cost, pixels, stretches, log_noise = equations.statistics[[ROBUST_COST, PIXELS, STRETCHES, LOG_NOISE]]
         if not (pixels > 0.0 and equations.H[0, 0] > 0.0):

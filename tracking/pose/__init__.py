@@ -30,6 +30,7 @@ from .refine import covariances as covariances
 from .refine import pose_state as pose_state
 from .refine import refine_pose as refine_pose
 from .refine import weak_prior as weak_prior
+from .refine import weak_priors as weak_priors
 from .refine_kernels import LEAST_CONTOUR_PX as LEAST_CONTOUR_PX
 from .refine_kernels import WELL_SEEN as WELL_SEEN
 from .refine_kernels import refine_and_score as refine_and_score

@@ -192,7 +192,7 @@ def as_track(view: View, source: FrameSource, poses: ClipPoses, use: Mask | None
     status = np.where(known, TRACKED, LOST).astype("<U7")
     frames = source.first_frame + np.arange(n)
     jacobian = np.full((n, 6), np.nan)
-    jacobian[known] = contour_bias_jacobians(poses.H[known], view.settings)
+    jacobian[known] = contour_bias_jacobians(view, poses.H[known], poses.position_m[known])
     jacobian = np.where(np.isfinite(poses.contour_bias_jacobian), poses.contour_bias_jacobian, jacobian)
     times_s = exposure_times_s(view, source, poses)
     return Track(frames, times_s, position, continuous_sign(quaternion), covariance, status, jacobian)

@@ -18,7 +18,6 @@ from ..picture import (
     Image,
     NormalEquations,
     PoseState,
-    RefinementSettings,
     View,
     Workspace,
     costs_with_edge_noise,
@@ -26,7 +25,7 @@ from ..picture import (
     new_workspace,
     whole_frame_windows,
 )
-from .refine_kernels import isotropic_prior, refine_and_score
+from .refine_kernels import isotropic_prior, loose_prior, refine_and_score
 
 CONVERGED_STEPS = 12
 """Most steps of a refinement that is run until it converges."""
@@ -94,26 +93,35 @@ def covariances(information: Array) -> Array:
     return np.where(good[:, None, None], inverse, np.nan)
 
 
-def contour_bias_jacobians(H: Array, settings: RefinementSettings) -> Array:
-    """(n, 6) [m/px, rad/px] change of each pose per pixel of contour error, from normal equations (n, 8, 8); zero if
-    nothing was solved. The refinement's loose prior holds directions that the pixels leave open, and so their bias."""
-    return np.asarray(np.linalg.solve(H[:, :6, :6] + _loose_prior(settings), H[:, :6, CONTOUR, None])[..., 0])
+def contour_bias_jacobians(view: View, H: Array, positions_m: Array) -> Array:
+    """(n, 6) [m/px, rad/px] change of each pose per pixel of contour error, from normal equations (n, 8, 8) at positions (n, 3);
+    zero if nothing was solved. The refinement's loose prior holds directions that the pixels leave open, and so their bias."""
+    return np.asarray(np.linalg.solve(H[:, :6, :6] + weak_priors(view, positions_m), H[:, :6, CONTOUR, None])[..., 0])
 
 
-def weak_prior(view: View) -> Array:
-    """(6, 6) information of the loose prior, which holds what the pixels of a frame leave open if nothing is known of
-    the motion."""
-    return _loose_prior(view.settings)
+def weak_priors(view: View, positions_m: Array) -> Array:
+    """(n, 6, 6) information of the loose prior about poses at positions (n, 3), which holds what the pixels of a frame leave open
+    if nothing is known of the motion."""
+    return np.array([weak_prior(view, position) for position in positions_m]).reshape(-1, 6, 6)
+
+
+def weak_prior(view: View, position_m: Array) -> Array:
+    """The same (6, 6) about one pose."""
+    return np.asarray(loose_prior(view.rig, view.settings, np.ascontiguousarray(position_m, float), view.reach_m))
+
+
+def tracking_prior(view: View) -> Array:
+    """(6, 6) information of the loose prior while the die is searched and tracked from frame to frame: as tight along the line of
+    sight as across it. A tetrahedron that shows one face has no distance of its own, and was lost; another was taken inside out,
+    since a depth reversal fits better if its distance is free."""
+    return pose_prior(view.settings.loose_m, view.settings.loose_rad)
 
 
 def pose_prior(sigma_m: float, sigma_rad: float) -> Array:
     """(6, 6) information of an isotropic prior: standard deviations of each coordinate of the centre, and of the rotation about
-    each axis. It keeps directions that the pixels leave open near the initial pose, and is too weak to pull the others."""
+    each axis. It keeps directions that the pixels leave open near the initial pose. The distance of a small die is nearly open:
+    it is pulled to the initial one."""
     return np.asarray(isotropic_prior(sigma_m, sigma_rad))
-
-
-def _loose_prior(settings: RefinementSettings) -> Array:
-    return pose_prior(settings.loose_m, settings.loose_rad)
 
 
 def pose_state(
@@ -142,11 +150,11 @@ def refine_pose(
 ) -> Pose:
     """The pose near an initial one, `start`, that explains a frame best, by its edges or its whole surface.
 
-    `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` is
-    the number of steps at larger blurs before those at the lens blur. `prior` is the (6, 6) information of the prior
-    about the initial pose, the loose one of the view if it is None. `roughly` stops where the view's quality says, not
-    at convergence. `edges_alone` compares the edges of a well-rounded die instead of its whole surface, which takes a
-    small part of the time: for many trials, the best of which are refined once more.
+    `image` is the whole frame as float32, (height, width), or (cameras, height, width) for several cameras. `coarse` steps are
+    done at larger blurs before those at the lens blur. `prior` (6, 6) is the information of the prior about the initial pose,
+    `tracking_prior` if it is None. `roughly` stops where the view's quality says, not at convergence. `edges_alone` compares the
+    edges of a well-rounded die instead of its whole surface, which takes a small part of the time: for many trials, the best of
+    which are refined once more.
     """
     converged = view.settings._replace(fine_steps=CONVERGED_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0)
     settings = view.tracking_settings if roughly else converged
@@ -154,16 +162,15 @@ def refine_pose(
     work = new_workspace(view.shape, view.rig) if work is None else work
     work.shared_grey[:] = 0.0
     equations = new_equations()
+    if prior is None:
+        prior = tracking_prior(view)
     p, Q, cost = refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), start, _loose_prior(settings) if prior is None else prior,
-        coarse, work, equations,
-    )  # fmt: skip
-    return _pose_from(p, Q, cost, equations, settings)
+        whole_frame_windows(view, image), view.model(settings), start, prior, coarse, work, equations
+    )
+    return _pose_from(view, p, Q, cost, equations)
 
 
-def _pose_from(
-    position_m: Array, rotation: Array, cost: float, equations: NormalEquations, settings: RefinementSettings
-) -> Pose:
+def _pose_from(view: View, position_m: Array, rotation: Array, cost: float, equations: NormalEquations) -> Pose:
     """A pose from what the kernels return."""
     H, statistics = equations.H, equations.statistics
     pixels, contour_px = max(statistics[PIXELS], 1.0), statistics[CONTOUR_PX]
@@ -171,7 +178,7 @@ def _pose_from(
         position_m.copy(),
         rotation.copy(),
         H[:6, :6].copy(),
-        contour_bias_jacobians(H[None], settings)[0],
+        contour_bias_jacobians(view, H[None], position_m[None])[0],
         unexplained=float(statistics[ROBUST_COST] / pixels),
         support=float(statistics[CLEAR_PX] / max(contour_px, 1e-9)),
         contour_px=float(contour_px),
@@ -188,13 +195,13 @@ def blur_step(view: View, image: Image, start: PoseState) -> tuple[float, float]
     settings = view.settings._replace(
         fine_steps=BLUR_STEPS, min_gain=CONVERGED_GAIN, min_step_px=0.0, with_blur=True, region_pixels=0
     )
-    equations = new_equations()
+    equations, prior = new_equations(), weak_prior(view, start.position)
     refine_and_score(
-        whole_frame_windows(view, image), view.model(settings), start, _loose_prior(settings), 0,
+        whole_frame_windows(view, image), view.model(settings), start, prior, 0,
         new_workspace(view.shape, view.rig), equations,
     )  # fmt: skip
     H, g = equations.H, equations.g
-    A = H[:6, :6] + _loose_prior(settings)
+    A = H[:6, :6] + prior
     response = np.linalg.solve(A, np.stack([H[:6, BLUR], g[:6]], axis=1))
     information = float(H[BLUR, BLUR] - H[:6, BLUR] @ response[:, 0])
     right = float(g[BLUR] - H[:6, BLUR] @ response[:, 1])

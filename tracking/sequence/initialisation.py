@@ -36,7 +36,7 @@ from ..pose import (
     refine_pose,
     same_picture,
     seen_distance_m,
-    weak_prior,
+    weak_priors,
 )
 from ..throw import TABLE_REACH
 from .acceptance import HEIGHT_SIGMAS
@@ -447,7 +447,7 @@ def _standard_errors(view: View, poses: ClipPoses, rows: Rows) -> tuple[Array, A
     """Standard errors of the poses on some rows (n,), across the line of sight [m] and of the rotation [rad], times
     UNEVEN_SIGMAS."""
     camera = view.camera
-    covariance = np.linalg.inv(poses.H[rows, :6, :6] + weak_prior(view))
+    covariance = np.linalg.inv(poses.H[rows, :6, :6] + weak_priors(view, poses.position_m[rows]))
     sight = poses.position_m[rows] - camera.centre_m
     sight /= np.linalg.norm(sight, axis=1)[:, None]
     across = np.trace(covariance[:, :3, :3], axis1=1, axis2=2) - np.einsum(

@@ -30,7 +30,7 @@ from ..picture import (
     refinement_boxes,
     shares_in_view,
 )
-from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_prior
+from ..pose import LEAST_CONTOUR_PX, ClipPoses, covariances, refine_frames, seen_distance_m, weak_priors
 from .acceptance import KNOWN_RAD, MIN_SUPPORT, MIN_SUPPORT_CUT
 from .labelling import with_labels_of_flights
 from .motion_filter import DELAY_ITERATIONS
@@ -210,13 +210,13 @@ class _Attempt:
         """The accepted poses, as rows of a clip of so many frames."""
         # Of a tetrahedron with two faces in view, one of them edge-on, only two lines of the contour are visible: the
         # refinement's own loose prior holds what they leave undetermined.
-        information, prior = self._found.H[:, :6, :6], weak_prior(self._view)
+        information, prior = self._found.H[:, :6, :6], weak_priors(self._view, self.position_m)
         covariance = covariances(information)
         singular = np.flatnonzero(self._found.H.any((1, 2)) & _are_singular(covariance))
-        covariance[singular] = covariances(information[singular] + prior)
+        covariance[singular] = covariances(information[singular] + prior[singular])
         out, accepted = ClipPoses.empty(count), self._are_accepted(covariance)
         for share in PRIOR_SHARES:
-            with_prior = information[singular] + share * prior
+            with_prior = information[singular] + share * prior[singular]
             is_invertible = ~_are_singular(covariances(with_prior))
             self._found.H[singular[is_invertible], :6, :6] = with_prior[is_invertible]
             singular = singular[~is_invertible]

@@ -166,7 +166,8 @@ def _frame_poses(view: View, edges: Track, poses: ClipPoses, rows: Rows) -> Fram
     """The poses on edges of some tracked frames, with their information."""
     return FramePoses(
         edges.position_m[rows], matrix_from_quat(edges.quaternion[rows]),
-        np.linalg.inv(edges.covariance[rows]).astype(np.float64), contour_bias_jacobians(poses.H[rows], view.settings),
+        np.linalg.inv(edges.covariance[rows]).astype(np.float64),
+        contour_bias_jacobians(view, poses.H[rows], poses.position_m[rows]),
     )  # fmt: skip
 
 

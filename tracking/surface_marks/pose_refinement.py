@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
 from ..picture import BIWEIGHT_CUT, THREADS, View
-from ..pose import weak_prior
+from ..pose import weak_priors
 from ..throw import transition_matrices
 from .bundle_adjustment import contour_covariance, rotation_vectors
 from .mark_equations import RefinedRows, refine_rows
@@ -126,7 +126,9 @@ class FrameRefinement:
         information = rows.mark_information + rows.edge_information
         # Marks do not depend on the contour: the pose inherits its error by the edges' share of the information.
         share = np.einsum("nij,nj->ni", rows.edge_information, self._edges.contour_bias_jacobian)
-        contour_bias_jacobian = np.linalg.solve(information + weak_prior(self._view), share[..., None])[..., 0]
+        contour_bias_jacobian = np.linalg.solve(information + weak_priors(self._view, position), share[..., None])[
+            ..., 0
+        ]
         return FramePoses(position, rotation, information, contour_bias_jacobian)
 
 

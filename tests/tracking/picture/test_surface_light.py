@@ -135,7 +135,7 @@ def test_light_kept_from_earlier_pictures_reduces_errors_and_stated_errors() -> 
         for k, (state, image) in enumerate(shown(40, 3)):
             start = pose_state(state.position_m, matrix_from_quat(state.quaternion))
             p, R, _ = refine_and_score(
-                whole_frame_windows(view, image), view.model(settings), start, weak_prior(view), 0,
+                whole_frame_windows(view, image), view.model(settings), start, weak_prior(view, start.position), 0,
                 work, equations,
             )  # fmt: skip
             if keep:
@@ -158,7 +158,7 @@ def test_light_is_that_of_the_lamp() -> None:
     for state, image in shown(20, 4):
         start = pose_state(state.position_m, matrix_from_quat(state.quaternion))
         refine_and_score(
-            whole_frame_windows(view, image), view.model(settings), start, weak_prior(view), 0, work,
+            whole_frame_windows(view, image), view.model(settings), start, weak_prior(view, start.position), 0, work,
             equations,
         )  # fmt: skip
         keep_light(work.light, equations.H[:6, :6].copy())
