@@ -69,6 +69,10 @@ LEAST_PIVOT = 1e-13
 """Part of its diagonal that a pivot of the pose's equations keeps at the least."""
 REGION_MARGIN_PX = 8.0
 """Margin about the outline of the pixels that the region cost is taken over."""
+MOST_LOOSER = 4.0
+"""Most that the loose prior is looser along the line of sight than across it. Of an error of the start one part in
+twenty stays where a frame's standard error is a fifth of the reach; from 6 on, a tetrahedron with a face edge-on, which shows two
+lines of its contour, was lost."""
 COARSE_RESTART_PX = 1.0
 """A refinement that moves the die by more than this began too far off to start at the lens blur: its band missed what a
 coarser one sees."""
@@ -94,7 +98,8 @@ def isotropic_prior(sigma_m: float, sigma_rad: float) -> Any:
 @compiled(nogil=True)
 def loose_prior(rig: CameraRig, settings: RefinementSettings, pos: Any, reach: float) -> Any:
     """(6, 6) information of the loose prior about a pose at `pos` (3,): as loose along the line of sight of the first camera as
-    across it, in the picture. A step along it by a share of the distance changes the size of the die by this share.
+    across it, in the picture, but no more than MOST_LOOSER times as loose in metres. A step along it by a share of the distance
+    changes the size of the die by this share.
 
     As tight in metres along it as across, the prior decided how far away a small die was: of an error of 5 mm at the start half
     or more remained in every frame.
@@ -110,7 +115,8 @@ def loose_prior(rig: CameraRig, settings: RefinementSettings, pos: Any, reach: f
             sight[b] += rig.rotation[0, a, b] * seen
     distance2 = sight[0] ** 2 + sight[1] ** 2 + sight[2] ** 2
     if depth > LEAST_DEPTH_M:
-        along = (min(reach**2 / distance2, 1.0) - 1.0) / settings.loose_m**2 / distance2
+        share = min(max(reach / sqrt(distance2), 1.0 / MOST_LOOSER), 1.0)
+        along = (share**2 - 1.0) / settings.loose_m**2 / distance2
         for a in range(3):
             for b in range(3):
                 prior[a, b] += along * sight[a] * sight[b]
