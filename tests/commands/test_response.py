@@ -55,10 +55,12 @@ def curved_scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
 def median_depth_m(scene: Scene, tracking: Tracking) -> float:
     """Error along the line of sight."""
     with (ROOT / "tests" / "data" / "cube_wood" / "truth.csv").open(newline="") as file:
-        true_m = np.array([[float(row[name]) for name in "xyz"] for row in csv.DictReader(file)])
+        truth = list(csv.DictReader(file))
+    true_m = np.array([[float(row[name]) for name in "xyz"] for row in truth])
+    is_whole = np.array([row["fully_visible"] == "1" for row in truth])
     track = tracking.unbiased
     rows = np.flatnonzero(track.tracked)
-    assert len(rows) > 0.75 * FRAMES  # at half the size frames beside bounces are lost
+    assert track.tracked[is_whole[track.frame]].mean() > 0.95
     moved = track.position_m[rows] - true_m[track.frame[rows]]
     return float(np.median(np.abs(moved @ scene.views()[0].camera.rotation[2])))
 
@@ -74,6 +76,8 @@ def test_a_clip_with_a_display_curve_is_as_accurate_as_the_linear_one_and_kept_a
     (clip,), (before,) = tracking.clips, linear.clips
     assert clip.bit_depth == 8
     if shrink == 1:
+        # At half the size a few frames that show the die in part come and go with the last bit.
+        assert min(one.unbiased.tracked.sum() for one in (linear, tracking)) > 0.8 * FRAMES
         np.testing.assert_array_equal(clip.frame(0), curved(before.frame(0).astype(np.uint8)))
 
 

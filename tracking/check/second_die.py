@@ -21,10 +21,10 @@ from ..camera import Camera
 from ..footage import Clip
 from ..picture import (
     Image,
-    Mask,
     PixelNoise,
     differs_from_background,
     largest_blob,
+    outline_mask,
     pixel_noise,
     without_rims,
     without_shadow,
@@ -93,8 +93,8 @@ def _shows_another(picture: Image, background: Image, noise: PixelNoise, camera:
     """Whether a picture shows another die than that with these corners (n, 3)."""
     mask = differs_from_background(picture, background, noise.noise_grey, noise.level_grey)
     lit = without_shadow(picture, background, noise.noise_grey, mask)
-    die = _outline(camera, corners_m, mask.shape)
-    reflection = _outline(camera, corners_m * [1.0, 1.0, -1.0], mask.shape)
+    die = outline_mask(camera, corners_m)
+    reflection = outline_mask(camera, corners_m * [1.0, 1.0, -1.0])
     reach = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * MARGIN_PX + 1, 2 * MARGIN_PX + 1))
     covered = cv2.dilate((die | reflection).astype(np.uint8), reach).astype(bool)
     beside = without_rims(picture, background, mask, lit) & ~covered
@@ -105,11 +105,3 @@ def _shows_another(picture: Image, background: Image, noise: PixelNoise, camera:
     x0, y0, x1, y1 = other.box
     bright = np.count_nonzero((beside & (picture > background))[y0:y1, x0:x1])
     return bool(low * die.sum() <= other.area_px <= high * die.sum() and bright >= BRIGHT_SHARE * other.area_px)
-
-
-def _outline(camera: Camera, corners_m: Array, shape: tuple[int, ...]) -> Mask:
-    """Mask of the convex hull of some corners (n, 3)."""
-    px = np.rint(camera.project(corners_m)).astype(np.int32)
-    filled = np.zeros(shape, np.uint8)
-    cv2.fillConvexPoly(filled, cv2.convexHull(px), 1)
-    return filled.astype(bool)

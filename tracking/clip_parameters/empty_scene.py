@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import cross_matrix
 from ..footage import FrameSource
-from ..picture import Image, Mask, View, differs_from_background
+from ..picture import Image, Mask, View, differs_from_background, outline_mask
 from ..pose import ClipPoses
 
 Array = NDArray[np.float64]
@@ -57,17 +57,18 @@ def empty_scene(view: View, source: FrameSource, poses: ClipPoses) -> EmptyScene
 
 def _covered(view: View, c: int, poses: ClipPoses, k: int) -> Mask:
     """(height, width) the pixels of camera `c` that the die, moving during the exposure, or its reflection covers on a frame."""
-    camera, out = view.cameras[c], np.zeros((view.cameras[c].height_px, view.cameras[c].width_px), np.uint8)
+    camera = view.cameras[c]
     arms = view.die.solid.vertices @ poses.rotation[k].T
     velocity_m_s, omega_rad_s = np.split(poses.motion[k], 2)
     path = 0.5 * view.exposure_s * (velocity_m_s + arms @ cross_matrix(omega_rad_s).T)
     corners_m = np.concatenate([poses.position_m[k] + arms + path, poses.position_m[k] + arms - path])
-    for side in (1.0, -1.0) if view.mirror else (1.0,):
-        px = camera.project(corners_m * [1.0, 1.0, side])
-        if np.isfinite(px).all():
-            cv2.fillConvexPoly(out, cv2.convexHull(np.rint(px).astype(np.int32)), 1)
+    out = outline_mask(camera, corners_m)
+    if view.mirror:
+        out |= outline_mask(camera, corners_m * [1.0, 1.0, -1.0])
     reach = 2 * (MARGIN_PX + round(view.blur_px)) + 1
-    return np.asarray(cv2.dilate(out, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0)
+    return np.asarray(
+        cv2.dilate(out.astype(np.uint8), cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (reach, reach))) > 0
+    )
 
 
 def _median_where(use: Mask, samples: NDArray[np.generic], otherwise: Image) -> Image:

@@ -96,6 +96,7 @@ from .view import Image as Image
 from .view import View as View
 from .view import make_view as make_view
 from .view import outline_box as outline_box
+from .view import outline_mask as outline_mask
 from .view import refinement_boxes as refinement_boxes
 from .view import share_in_view as share_in_view
 from .view import shares_in_view as shares_in_view

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import sqrt
 
+import cv2
 import numpy as np
 from numba import config as numba_config
 from numpy.typing import NDArray
@@ -301,6 +302,15 @@ def outline_box(view: View, position_m: Array, rotation: Array, margin_px: float
     x1, y1 = min(x1, view.camera.width_px), min(y1, view.camera.height_px)
     large = x1 - x0 > SMALLEST_WINDOW_PX and y1 - y0 > SMALLEST_WINDOW_PX
     return (int(x0), int(y0), int(x1), int(y1)) if large else None
+
+
+def outline_mask(camera: Camera, corners_m: Array) -> NDArray[np.bool_]:
+    """(height, width) the pixels within the convex hull of some corners (n, 3); none if one of them is not before the camera."""
+    filled = np.zeros((camera.height_px, camera.width_px), np.uint8)
+    px = camera.project(corners_m)
+    if np.isfinite(px).all():
+        cv2.fillConvexPoly(filled, cv2.convexHull(np.rint(px).astype(np.int32)), 1)
+    return filled.astype(bool)
 
 
 def refinement_boxes(view: View, positions_m: Array, rotations: Array) -> NDArray[np.int64]:

@@ -77,8 +77,9 @@ class ClipFacts:
 
 NO_FACTS = ClipFacts()
 MOST_CHANGED = 0.02
-"""Share of the pixels behind the die whose background turns out to be another one, beyond which the clip is tracked again: one
-of random clips without such pictures of the die in it has .004, those with have .1 and more."""
+"""Share of the pixels behind the die whose background turns out to be another one, beyond which the clip is tracked again. Only
+time is lost if it is small. Of nine random clips seven have backgrounds of which at most 0.011 is off, and two, whose dice hardly
+move, 0.14 and 0.18."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,8 +38,8 @@ CONTOUR_UNDETERMINED_PX = 0.008
 table, because the light on the faces that form the contour changes."""
 CONTOUR_UNDETERMINED_SHARE = 0.015
 """Additional standard deviation of that part for a rounded die, as a share of the radius: root mean square between the flights
-of 23 random clips, of whole surfaces refined from the true poses. The median is half of it; on tetrahedra and octahedra, whose
-bevels turn furthest, it comes to 0.035."""
+of 23 random clips, of whole surfaces refined from the true poses. The median is half of it, the largest, of a
+tetrahedron, 0.035."""
 CONTOUR_SHARE = 0.1
 """Additional prior standard deviation of δ for a rounded die, as a share of the radius: how far down its bevel the contour
 appears."""
