@@ -13,7 +13,7 @@ from .model.die import Die
 from .model.throw import Throw
 from .tracking.camera import Camera
 from .tracking.check import SecondDie, fall_notices, measure_fall
-from .tracking.clip_parameters import ClockOffsets, CornerRadius
+from .tracking.clip_parameters import ClockOffsets, CornerRadius, EstimatedResponse
 from .tracking.footage import Clip
 from .tracking.surface_marks import FaceNumbers
 from .tracking.timing import FrameTimes
@@ -68,6 +68,8 @@ class Tracking:
     """A second die in view of the first camera."""
     doubts: tuple[str, ...] = ()
     """Sentences that name frames whose poses contradict each other."""
+    response: EstimatedResponse | None = None
+    """Estimated response of the cameras; None if the scene states it or the pictures do not show it."""
 
     @property
     def face_numbers(self) -> tuple[int | None, ...]:
@@ -83,6 +85,7 @@ class Tracking:
             *self.times.notices,
             *self.offsets.notices(1.0 / rate_hz(self.frames)),
             *((self.corners.notice,) if self.corners is not None else ()),
+            *((self.response.notice,) if self.response is not None and not self.response.is_linear else ()),
             *((self.second_die.notice,) if self.second_die is not None else ()),
             *((self.faces.verdict,) if self.die.marks is not None and not self.faces.complete else ()),
             *self.doubts,

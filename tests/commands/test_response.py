@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,12 +12,13 @@ import cv2
 import numpy as np
 import pytest
 from footage_files import write_tiff
+from footage_of_throws import DICE, FPS, falling_cube, film, studio
 from numpy.typing import NDArray
 
 from diethrow.analysis import Tracking
 from diethrow.commands.clip.check import check_clip
 from diethrow.commands.clip.footage import open_footage
-from diethrow.commands.clip.track import track_scene
+from diethrow.commands.clip.track import track_only, track_scene
 from diethrow.files.scene import Scene, read_scene
 from diethrow.tracking.footage import Decimation
 from diethrow.tracking.quality import FAST
@@ -79,6 +81,51 @@ def test_a_clip_with_a_display_curve_is_as_accurate_as_the_linear_one_and_kept_a
         # At half the size a few frames that show the die in part come and go with the last bit.
         assert min(one.unbiased.tracked.sum() for one in (linear, tracking)) > 0.8 * FRAMES
         np.testing.assert_array_equal(clip.frame(0), curved(before.frame(0).astype(np.uint8)))
+
+
+@pytest.fixture(scope="module")
+def unstated_scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    """A plain cube, filmed with a display curve that the scene does not state."""
+    folder, room, count = tmp_path_factory.mktemp("unstated"), replace(studio(), noise_grey=1.0), 40
+    write_tiff(folder / "clip.tif", curved(film(room, DICE["cube"], falling_cube(count / FPS), count).array))
+    cv2.imwrite(str(folder / "background.png"), curved(np.asarray(np.rint(room.table), np.uint8)))
+    camera, die = room.camera, DICE["cube"]
+    (folder / "scene.toml").write_text(
+        f"""
+        clip = {{path = "clip.tif", fps = {FPS}, background = "background.png"}}
+        die = {{shape = "cube", edge_m = {die.solid.edge_m}, mass_kg = {die.mass_kg}, corner_radius_m = 0.0}}
+        table = {{surface = "wood"}}
+        [camera]
+        width = {camera.width_px}
+        height = {camera.height_px}
+        matrix = {camera.matrix.tolist()}
+        distortion = {camera.distortion.tolist()}
+        rotation = {camera.rotation.tolist()}
+        translation_m = {camera.translation_m.tolist()}
+        """
+    )
+    return read_scene(folder / "scene.toml")
+
+
+def test_a_display_curve_that_the_scene_leaves_out_is_found_and_reported(unstated_scene: Scene, tmp_path: Path) -> None:
+    tracking = track_only(unstated_scene, tmp_path / "out")
+    response = tracking.response
+    assert response is not None
+    assert abs(response.exponent - RESPONSE) < 3.0 * response.sigma
+    assert response.notice in tracking.notices
+    found = json.loads((tmp_path / "out" / "provenance.json").read_text())["found"]
+    assert found["response"] == response.exponent
+    assert found["sigma_response"] == response.sigma
+    # The clip stays as filmed, and nothing else in it is taken for a die.
+    assert tracking.clips[0].bit_depth == 8
+    assert tracking.second_die is None
+
+
+def test_a_linear_clip_is_not_reported_to_have_a_display_curve() -> None:
+    tracking = track_scene(replace(linear_scene(), clip=replace(linear_scene().clip, frame_range=(0, 60))))
+    assert tracking.response is not None
+    assert tracking.response.is_linear
+    assert not any("display curve" in notice for notice in tracking.notices)
 
 
 def test_a_linear_response_changes_nothing() -> None:

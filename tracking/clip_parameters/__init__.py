@@ -1,4 +1,4 @@
-"""What all frames of a clip share, estimated from its pictures: empty scene, light, lens blur, corner radius,
+"""What all frames of a clip share, estimated from its pictures: empty scene, response, light, lens blur, corner radius,
 clock offsets.
 
 The tracker in `sequence` estimates them between its passes and gives them to the model of the picture; `check` reports them.
@@ -21,3 +21,5 @@ from .empty_scene import empty_scene as empty_scene
 from .lens_blur import BLUR_FRAMES as BLUR_FRAMES
 from .lens_blur import estimate_lens_blur as estimate_lens_blur
 from .light import with_light as with_light
+from .response import EstimatedResponse as EstimatedResponse
+from .response import estimate_response as estimate_response

@@ -64,6 +64,7 @@ from ..placed_die import turn_from as turn_from
 from ..placed_die import turned_within as turned_within
 from ..placed_die import unknown_light as unknown_light
 from ..placed_die import update_light as update_light
+from .edge_equations import SHADED_STRETCH_PX as SHADED_STRETCH_PX
 from .edge_equations import add_edge_equations as add_edge_equations
 from .edge_stretch import BIWEIGHT_CUT as BIWEIGHT_CUT
 from .edge_stretch import NORMAL_MAD as NORMAL_MAD

@@ -79,6 +79,8 @@ LEFT_SHARE = 0.3
 the edge. Between two faces nothing but the course of the strip shows where the edge is, so that deviations of the usual
 size count as well as what is seen beyond them. Single pictures of made dice, matt and glossy, refined from their true
 poses with the light of the clip, then had a NEES of 7 to 19; without it 14 to 140."""
+LEAST_FILE_NOISE = 0.5
+"""Least noise in the file's grey levels: rounding to whole levels leaves 0.3."""
 LEAST_PIVOT = 1e-9
 """Part of its diagonal that a pivot of the intensities keeps at the least; below, two of them cannot be separated."""
 LEAST_SHARED_PIVOT = 1e-12
@@ -182,9 +184,9 @@ def add_stretch(
         else:
             _four_residuals(n, c, phi, grey, res, size)
         if reweighting < REWEIGHTINGS - 1:
-            scale = max(noise_floor, NORMAL_MAD * _median_size(size, n))
+            scale = max(noise_floor, NORMAL_MAD * median_size(size, n))
         else:
-            scale = max(noise_floor, _robust_scale(n, icut, res))
+            scale = max(noise_floor, robust_scale(n, icut, res))
         icut = 1.0 / (BIWEIGHT_CUT * scale)
     iv = stretch.weight / (scale * scale)
     cost, used = _grey_slopes(n, K, c, icut, slope, res, rise, w)
@@ -281,7 +283,7 @@ def add_stretch(
         right[far] += iv * known_far * (c[1] - shared_grey[far, 0])
     stats[ROBUST_COST] += cost
     stats[WEIGHT_SUM] += used
-    stats[LOG_NOISE] += n * log(scale)
+    stats[LOG_NOISE] += n * log(_file_noise(n, settings, work.value, res, size) if settings.response > 0.0 else scale)
     contrast = abs(c[1] * base - c[0])
     clear = contrast > CLEAR_SIGMAS * scale or (contrast > FAINT_SIGMAS * scale and used > FAINT_PIXELS)
     if clear and not stretch.interior:
@@ -380,7 +382,7 @@ def update_shared_greys(work: Workspace, step: Any) -> None:
 
 
 @inner_fast_sums_no_memory
-def _median_size(values: Any, n: int) -> float:
+def median_size(values: Any, n: int) -> float:
     """Median of the first n of non-negative values, to a relative MEDIAN_TOLERANCE, by bisection: the processor counts
     eight values at a time, while sorting waits at every comparison."""
     total = 0.0
@@ -472,7 +474,7 @@ def _four_residuals(n: int, c: Any, phi: Any, grey: Any, res: Any, size: Any) ->
 
 
 @inner_fast_sums_no_memory
-def _robust_scale(n: int, icut: float, res: Any) -> float:
+def robust_scale(n: int, icut: float, res: Any) -> float:
     """Scale of residuals by one step of an M-estimate from the scale behind `icut`: three times as efficient as the
     median that it starts from."""
     total, weights = 0.0, 0.0
@@ -483,6 +485,22 @@ def _robust_scale(n: int, icut: float, res: Any) -> float:
         total += q * res[i] * res[i]
         weights += q
     return sqrt(total / (BIWEIGHT_VARIANCE * max(weights, 1.0)))
+
+
+@inner_no_memory
+def file_residual(value: float, residual: float, settings: RefinementSettings) -> float:
+    """A residual in the file's grey levels, of a pixel of some value."""
+    seen, predicted = max(value, 0.0) / settings.full_scale, max(value - residual, 0.0) / settings.full_scale
+    return settings.file_scale * (seen**settings.response - predicted**settings.response)
+
+
+@inner_no_memory
+def _file_noise(n: int, settings: RefinementSettings, value: Any, res: Any, size: Any) -> float:
+    """Noise of a stretch in the file's grey levels; `size` is overwritten."""
+    for i in range(n):
+        size[i] = abs(file_residual(value[i], res[i], settings))
+    scale = max(NORMAL_MAD * median_size(size, n), LEAST_FILE_NOISE)
+    return max(robust_scale(n, 1.0 / (BIWEIGHT_CUT * scale), size), LEAST_FILE_NOISE)
 
 
 @inner_fast_sums_no_memory

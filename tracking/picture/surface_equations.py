@@ -45,6 +45,7 @@ from ..placed_die import (
     NormalEquations,
     PictureModel,
     PoseState,
+    RefinementSettings,
     SurfaceGrid,
     Workspace,
     ball_px,
@@ -64,7 +65,15 @@ from ..placed_die import (
     solve_factored,
 )
 from .edge_equations import add_edge_equations
-from .edge_stretch import BIWEIGHT_CUT, CLEAR_SIGMAS, NORMAL_MAD
+from .edge_stretch import (
+    BIWEIGHT_CUT,
+    CLEAR_SIGMAS,
+    LEAST_FILE_NOISE,
+    NORMAL_MAD,
+    file_residual,
+    median_size,
+    robust_scale,
+)
 from .region_cost import DIFFERENT_SIGMAS, FACE_SHADING, FACE_SIGMAS, SHADOW_SQUARED_SIGMAS_CUT, SQUARED_SIGMAS_CUT
 
 PURE_SHARE = 0.98
@@ -275,7 +284,7 @@ def _add_pixels(
                 stats[PIXELS] += 1.0
                 stats[WEIGHT_SUM] += q * q
                 stats[ROBUST_COST] += 1.0 - q * q * q
-                stats[LOG_NOISE] += 0.5 * log(v)
+                stats[LOG_NOISE] += 0.5 * log(v) if settings.response == 0.0 else 0.0
             under = shades[k] * background[grid.y0 + i, grid.x0 + j]
             _add_cost(
                 e,
@@ -317,6 +326,8 @@ def _add_pixels(
                 for a in range(_ALL):
                     by[f, a] += t * row[a]
     stats[STRETCHES] += 1.0
+    if settings.response > 0.0:
+        stats[LOG_NOISE] += _file_log_noise(image, corner, grid, residual, settings, nf)
     for f in range(nf):
         if of_face[f, 0] > 0.0 and _fill_face_row(grid, f, row):
             _add_row(row, of_face[f, 0], of_face[f, 1] / of_face[f, 0], shared, right)
@@ -412,6 +423,22 @@ def _scale_of_residuals(grid: SurfaceGrid, residual: Any, noise: Any, faces: int
             return NORMAL_MAD * (k + (0.5 * counted - below) / cells[k]) * CELL_SIGMAS
         below += cells[k]
     return NORMAL_MAD * SCALE_CELLS * CELL_SIGMAS
+
+
+@inner_nogil
+def _file_log_noise(
+    image: Any, corner: Any, grid: SurfaceGrid, residual: Any, settings: RefinementSettings, faces: int
+) -> float:
+    """Sum over bevels and contours of the logarithm of their noise in the file's grey levels."""
+    sizes, n = np.zeros(residual.size), 0
+    for i in range(grid.part.shape[0]):
+        for j in range(grid.part.shape[1]):
+            if grid.side[i, j] != NOTHING and _is_telling(grid, i, j, faces):
+                value = image[grid.y0 + i - corner[1], grid.x0 + j - corner[0]]
+                sizes[n] = abs(file_residual(value, residual[i, j], settings))
+                n += 1
+    scale = max(NORMAL_MAD * median_size(sizes, n), LEAST_FILE_NOISE) if n > 0 else 1.0
+    return n * log(max(robust_scale(n, 1.0 / (BIWEIGHT_CUT * scale), sizes), LEAST_FILE_NOISE)) if n > 0 else 0.0
 
 
 @inner_nogil

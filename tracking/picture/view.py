@@ -27,6 +27,7 @@ from ..placed_die import (
     unknown_light,
 )
 from ..quality import STANDARD, Quality
+from .edge_equations import STRETCH_PX
 from .occluders import OccluderMask, new_occluder_mask
 from .segmentation import PixelNoise
 
@@ -145,6 +146,10 @@ class View:
             strip_prior_share=STRIP_SHARE,
             light=self.light,
             whole_surface=True,
+            contour_stretch_px=STRETCH_PX,
+            response=0.0,
+            full_scale=1.0,
+            file_scale=1.0,
         )
 
     @property

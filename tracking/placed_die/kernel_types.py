@@ -149,6 +149,15 @@ class RefinementSettings(NamedTuple):
     """What is known of the light before a frame is looked at, a `surface_light.LightPrior`."""
     whole_surface: bool
     """Whether steps at the lens blur compare all pixels of a well-rounded die, or the edges alone."""
+    contour_stretch_px: float
+    """Length of contour of a sharp die that shares one shade of the background."""
+    response: float
+    """Exponent of the response, grey = light ** response, if the statistics shall state the noise in the file's grey levels, in
+    which clips that were mapped by different responses compare; 0: the noise in the clip's own levels."""
+    full_scale: float
+    """Largest level of the clip."""
+    file_scale: float
+    """Largest grey level of the file."""
 
 
 class PictureModel(NamedTuple):
@@ -301,6 +310,8 @@ class Workspace(NamedTuple):
     """(3,) direction towards which the normal turns on a strip."""
     hull: Any
     """(edges, 5) lines (a, b, c) of an outline, and the ends of its edge on each, as values of b x - a y."""
+    value: Any
+    """(MAX_STRETCH_PIXELS,) what the pixels of a stretch show, known parts included."""
     basis: Any
     """(4, MAX_STRETCH_PIXELS) φ: what each pixel gets of each intensity of a stretch."""
     basis_slope: Any
@@ -379,7 +390,7 @@ def new_workspace(shape: Shape, rig: CameraRig) -> Workspace:
     return Workspace(
         np.zeros((nv, 2)), np.zeros((nv, 3)), np.zeros((nv, 3)), np.zeros((nf, 3)), np.zeros(nf), np.zeros((2, 3)),
         np.zeros(3), np.zeros(STRIP_CELLS + 1),
-        np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)),
+        np.zeros((STRIP_CELLS + 1, 5)), np.zeros(5), np.zeros(3), np.zeros((ne, 5)), np.zeros(most),
         np.zeros((4, most)), np.zeros((4, most)), np.zeros((4, most)), np.zeros(most), np.zeros(most), np.zeros(most),
         np.zeros(most), np.zeros(most), np.zeros(most), np.zeros((2, shape.face_edges.shape[1], 5)),
         np.zeros(MAX_STRETCH_ROWS, np.int64),

@@ -21,6 +21,7 @@ from ..picture import (
     CLEAR_PX,
     CONTOUR_PX,
     PARAMETERS,
+    SHADED_STRETCH_PX,
     STATISTICS,
     THREADS,
     CameraRig,
@@ -79,7 +80,8 @@ class EdgeRefinement:
     def refine(self, rows: Mask, report: Callable[[int], None]) -> ClipPoses:
         """Some frames (n,) of the clip, refined; the others are not known. `report` is called with the frames done."""
         view, tracked, count = self.view, self.tracked, len(self.source)
-        rows, settings = rows & self.usable, view.settings._replace(min_step_px=self.min_step_px)
+        rows = rows & self.usable
+        settings = view.settings._replace(min_step_px=self.min_step_px, contour_stretch_px=SHADED_STRETCH_PX)
         reference = tracked
         attempts = [_Attempt(view, settings, tracked, tracked.known & rows, self.offsets, np.zeros(count, bool))]
         if self.throw is not None:

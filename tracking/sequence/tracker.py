@@ -1,8 +1,9 @@
 """From a clip to a track: the die is found and tracked through its impacts, and every frame's pose is refined.
 
 1. Tracking (`tracking_pass`): from the first frame that shows the whole die, forwards to the end and backwards to where it came
-   in; again if the background was estimated and turns out to show the die (`empty_scene`). Then impacts are found, each flight
-   is fitted, and the lens blur is estimated; the light as well for a rounded die.
+   in; again if the background was estimated and turns out to show the die (`empty_scene`), and in light if edges show a display
+   curve that the scene does not state (`response`). Then impacts are found, each flight is fitted, and the lens blur is
+   estimated; the light as well for a rounded die.
 2. Refinement on edges (`refine_on_edges`): every frame, along its flight.
 3. Refinement on surface marks (`refine_on_marks`): once more, on what is printed on the faces.
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +28,14 @@ from ..clip_parameters import (
     ClockOffsets,
     CornerRadius,
     CornerRounding,
+    EstimatedResponse,
     empty_scene,
     estimate_clock_offsets,
     estimate_lens_blur,
+    estimate_response,
     with_light,
 )
-from ..footage import Clip, FrameSource, estimate_background
+from ..footage import Clip, FrameSource, clip_in_light, estimate_background, level_grey, picture_in_light
 from ..picture import PixelNoise, View, make_view, pixel_noise, share_in_view, with_corner_radius, with_reflections
 from ..pose import ClipPoses, ManualInitialisation, as_track, excluded_rows, exposure_times_s, wholly_in_view
 from ..quality import STANDARD, Quality
@@ -73,6 +77,10 @@ class ClipFacts:
     """Grey values per level of the file: above 1 for a clip mapped to light."""
     readout_s: float = 0.0
     """Time from the exposure of the first row to that of the last, of every camera; 0 for a global shutter."""
+    estimates_response: bool = False
+    """Whether the response of the cameras is not known, and is estimated."""
+    contour_sigma_px: float = 0.0
+    """Standard deviation of the contour that what was estimated before leaves."""
 
 
 NO_FACTS = ClipFacts()
@@ -96,7 +104,9 @@ class TrackedClip:
     corners: CornerRadius | None
     """That radius with its standard error; None if it was given, or the corners look sharp."""
     background: Background
-    """(height, width) what the first camera sees without the die, given or estimated."""
+    """(height, width) what the first camera sees without the die, given or estimated, in grey levels of `response`."""
+    response: EstimatedResponse | None = None
+    """Of the cameras, if that was wanted and the pictures show it."""
 
 
 def track_clip(
@@ -125,6 +135,16 @@ def track_clip(
     unused[list(excluded_rows(facts.excluded, source.first_frame, len(source)))] = True
     task = TrackingTask(source, unused, facts.start, report.at_least)
     empty, (view, poses, corners) = _track_before_empty_scene(view, task, facts.rounding, given)
+    response = _response(view, source, poses) if facts.estimates_response and quality.second_pass else None
+    if response is not None and not response.is_linear:
+        pictures = [None if one is None else picture_in_light(one, clips[0], response.exponent) for one in given]
+        known = replace(
+            facts, estimates_response=False, contour_sigma_px=response.contour_sigma_px,
+            level_grey=facts.level_grey * level_grey(clips[0], response.exponent),
+        )  # fmt: skip
+        light = [clip_in_light(one, response.exponent) for one in clips]
+        found = track_clip(light, cameras, die, background=pictures, facts=known, quality=quality, progress=progress)
+        return replace(found, response=response)
     throw = _measured(view, source, poses)
     if throw is not None and any(impact.contact == "unresolved" for impact in throw.impacts):
         poses = with_consistent_labels(view, poses, throw, exposure_times_s(view, source, poses))
@@ -136,14 +156,25 @@ def track_clip(
         view, offsets, result = _refined(view, source, poses, throw, ~unused, report)
     else:
         offsets, result = ClockOffsets.none(len(clips)), MarkRefinement(poses, None, None)
-    track = replace(_track(source, view, result.poses, throw), shared_covariance=result.shared_covariance)
+    left_px = facts.contour_sigma_px if response is None else response.contour_sigma_px
+    track = replace(
+        _track(source, view, result.poses, throw),
+        shared_covariance=result.shared_covariance,
+        contour_sigma_px=left_px,
+    )
     if corners is not None:
         corners, sigma_px = radius_in_flight(view, source, track, corners)
-        view, track = with_corner_radius(view, corners.radius_m), replace(track, contour_sigma_px=sigma_px)
+        view = with_corner_radius(view, corners.radius_m)
+        track = replace(track, contour_sigma_px=float(np.hypot(sigma_px, left_px)))
     calibrated = with_calibrated_covariance(track, view.die, view.camera, every=decimation_factor(track, view.die))
     if view.readout_s != 0.0:
         calibrated = _at_frame_times(view, source, calibrated, throw)
-    return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty)
+    return TrackedClip(calibrated, result.marks, offsets, view.die, corners, empty, response)
+
+
+def _response(view: View, source: FrameSource, poses: ClipPoses) -> EstimatedResponse | None:
+    """The response of the cameras, from tracked poses; None if too few frames show the die whole."""
+    return estimate_response(view, partial(poses.sample, source.frame, wholly_in_view(view, poses)), source.clips[0])
 
 
 # --- the view of the scene ---------------------------------------------------------------------------------------------

@@ -31,7 +31,7 @@ def encoded(light: Array, response: Response) -> Array:
 
 
 @cache
-def depth_and_nees(filmed: Response, given: Response) -> tuple[float, float]:
+def depth_and_nees(filmed: Response, given: Response, *, estimated: bool = False) -> tuple[float, float]:
     """Median error [m] along the line of sight, and median squared distance from the truth in standard errors."""
     throw = falling_cube(FRAMES / FPS)
     linear = film(ROOM, CUBE, throw, FRAMES, bit_depth=BITS)
@@ -42,7 +42,7 @@ def depth_and_nees(filmed: Response, given: Response) -> tuple[float, float]:
         ROOM.camera,
         CUBE,
         background=picture_in_light(table, clip, given),
-        facts=ClipFacts(level_grey=level_grey(clip, given)),
+        facts=ClipFacts(level_grey=level_grey(clip, given), estimates_response=estimated),
     ).track
     assert track.tracked.all()
     positions, quaternions = throw.poses(track.time_s)
@@ -62,6 +62,21 @@ def test_a_display_curve_that_is_given_costs_no_accuracy(response: Response) -> 
     # The curves resolve bright light in steps of two linear levels of 8 bits; the noise dithers them.
     assert depth_m < 1.2 * linear_m
     assert nees < 1.5 * linear_nees
+
+
+@pytest.mark.parametrize("response", ["srgb", 0.45])
+def test_a_display_curve_that_is_not_given_is_estimated(response: Response) -> None:
+    # From 0.95 mm off to less than a third of that, and the covariance knows what the exponent leaves open.
+    depth_m, nees = depth_and_nees(response, None, estimated=True)
+    assert depth_m < 0.3 * depth_and_nees(response, None)[0]
+    assert nees < 12.0
+
+
+def test_an_estimate_changes_nothing_of_a_linear_clip_but_its_covariance() -> None:
+    depth_m, nees = depth_and_nees("linear", None, estimated=True)
+    linear_m, linear_nees = depth_and_nees("linear", None)
+    assert depth_m < 1.2 * linear_m
+    assert nees < 1.2 * linear_nees
 
 
 def test_an_unknown_display_curve_moves_the_die_in_depth() -> None:

@@ -128,6 +128,9 @@ def track_scene(
             timed = _follow(scene, light, cameras, backgrounds, how, progress)
             followed, times = timed.tracked, timed.times
             clips = [clip_at_times(clip, times.times_s) for clip in clips]
+        if followed.response is not None:
+            unit_grey *= level_grey(light[0], followed.response.exponent)
+            light = [clip_in_light(clip, followed.response.exponent) for clip in light]
         faces = read_faces(followed.die, followed.marks)
         die = with_numbers(followed.die, faces)
         second = find_second_die(light[0], followed.track, cameras[0], followed.die, followed.background, unit_grey)
@@ -141,6 +144,7 @@ def track_scene(
     return Tracking(
         tuple(clips), cameras, die, faces, frames, found.independent, found.throw, found.smoothed, followed.offsets,
         followed.corners, times.renumbered(clips[0].first_frame, decimation.every), second, found.doubts,
+        followed.response,
     )  # fmt: skip
 
 
@@ -206,7 +210,7 @@ def _follow(
     mirror = scene.table.surface == "mirror"
     facts = ClipFacts(
         scene.clip.exposure_s, mirror, scene.start, scene.clip.excluded, scene.rounding, level_grey=how.unit_grey,
-        readout_s=scene.clip.readout_s,
+        readout_s=scene.clip.readout_s, estimates_response=scene.clip.response is None,
     )  # fmt: skip
     try:
         return track_clip_in_time(
@@ -285,6 +289,8 @@ def write_origin(
     found: dict[str, object] = {}
     if tracking is not None and tracking.corners is not None:
         found |= {"corner_radius_m": tracking.corners.radius_m, "sigma_corner_radius_m": tracking.corners.sigma_m}
+    if tracking is not None and tracking.response is not None and not tracking.response.is_linear:
+        found |= {"response": tracking.response.exponent, "sigma_response": tracking.response.sigma}
     if tracking is not None and tracking.times.faults:
         found |= {"times_corrected": tracking.times.corrected}
         found |= {"frame_time_faults": [fault.record for fault in tracking.times.faults]}

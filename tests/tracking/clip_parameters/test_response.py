@@ -1,0 +1,101 @@
+"""Laws of the response estimated from a clip: a display curve is found with the stated error, and none where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from footage_of_throws import DICE, photograph, studio
+from numpy.typing import NDArray
+from random_throws import random_quaternion
+from replay_records import ArrayClip
+from rounded_dice import photograph_rounded
+
+from diethrow.model.die import Die
+from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec
+from diethrow.model.throw import State
+from diethrow.tracking.clip_parameters.response import (
+    FEWEST_FRAMES,
+    UNKNOWN_SIGMA,
+    EstimatedResponse,
+    estimate_response,
+)
+from diethrow.tracking.footage.response import Response, grey_of
+from diethrow.tracking.picture.view import View
+from diethrow.tracking.pose.clip_poses import SampledFrames
+
+Array = NDArray[np.float64]
+
+ROOM = replace(studio(), noise_grey=1.0)
+FRAMES = 24
+WELL_ROUNDED = replace(DICE["cube"], corner_radius_m=2.4e-3)
+
+
+def die_of(name: str) -> Die:
+    return WELL_ROUNDED if name == "well rounded" else DICE[name]
+
+
+def states(count: int) -> list[State]:
+    rng, none = np.random.default_rng(3), np.zeros(3)
+    return [
+        State(0.0, np.array([*rng.uniform(-2e-3, 2e-3, 2), 0.018]), random_quaternion(rng), none, none)
+        for _ in range(count)
+    ]
+
+
+@cache
+def light(name: str, count: int = FRAMES) -> Array:
+    """(count, height, width) light of dice at rest, in levels of 8 bits, not rounded."""
+    shoot = photograph_rounded if name == "well rounded" else photograph
+    shots = [shoot(ROOM, die_of(name), state, np.random.default_rng([3, k])) for k, state in enumerate(states(count))]
+    return np.asarray(shots, float)
+
+
+def found(name: str, response: Response, count: int = FRAMES, off_m: float = 0.0) -> EstimatedResponse | None:
+    """The response of a clip of resting dice, from poses that are off by some distance and a tenth of a degree."""
+    grey = 255.0 * grey_of(np.clip(light(name, count) / 255.0, 0.0, 1.0), response)
+    pictures = np.rint(grey).astype(np.uint8)
+    clip = ArrayClip(pictures, np.arange(count) / 1000.0)
+    table = np.rint(255.0 * grey_of(ROOM.table / 255.0, response)).astype(np.float32)
+    view: View = replace(ROOM, table=table).view(die_of(name))
+    rng = np.random.default_rng(5)
+    turn = matrix_from_quat(quat_from_rotvec(np.radians(0.1) * rng.normal(size=(count, 3))))
+    positions = np.array([state.position_m for state in states(count)]) + off_m * rng.normal(size=(count, 3))
+    rotations = turn @ matrix_from_quat(np.array([state.quaternion for state in states(count)]))
+
+    def looks(most: int) -> SampledFrames:
+        rows = np.arange(count)
+        return SampledFrames.at(rows, lambda k: pictures[k][None], positions, rotations, np.zeros((count, 6)), most)
+
+    return estimate_response(view, looks, clip)
+
+
+@pytest.mark.parametrize("exponent", [0.45, 0.6])
+@pytest.mark.parametrize("name", ["cube", "icosahedron", "well rounded"])
+def test_a_display_curve_is_found_within_its_error(name: str, exponent: float) -> None:
+    response = found(name, exponent, off_m=2e-4)
+    assert response is not None
+    assert not response.is_linear
+    assert abs(response.exponent - exponent) < 3.0 * response.sigma
+    assert response.sigma < 0.15
+    assert f"{response.exponent:.2f}" in response.notice
+
+
+@pytest.mark.parametrize("name", ["cube", "tetrahedron", "octahedron", "dodecahedron", "icosahedron", "well rounded"])
+def test_a_linear_clip_is_left_as_it_is(name: str) -> None:
+    response = found(name, "linear", off_m=2e-4)
+    assert response is not None
+    assert response.is_linear
+    assert response.sigma <= UNKNOWN_SIGMA
+
+
+def test_the_srgb_curve_is_about_that_of_its_best_exponent() -> None:
+    response = found("cube", "srgb")
+    assert response is not None
+    assert 0.4 < response.exponent < 0.6
+
+
+def test_too_few_frames_say_nothing() -> None:
+    assert found("cube", 0.45, count=FEWEST_FRAMES - 1) is None

@@ -1,0 +1,217 @@
+"""The camera's response from a clip whose scene does not give it: grey = light ** exponent, from how edges look.
+
+Lens, motion and pixel average light. If grey levels follow a curve of it, a blurred edge is skewed and lies towards its darker
+side, by more the more the two sides differ. With the curve undone, the edges of one rigid body fit their pictures better. Some
+frames are mapped by each of several exponents, their poses refined, and the noise that is left is compared frame by frame, in
+grey levels of the file: mapped levels have no unit in common. The gain of an exponent is the mean over frames of ln s(1) - ln s,
+with s the noise of a stretch of edge, or of the bevels and the contour of a well-rounded die; its standard error comes from the
+frames. A curve is undone if its gain is certain; most clips lose with either of two exponents, and need no more. The exponent is
+the maximum of a parabola through the best that was tried and those beside it.
+
+How noise grows with the level is not used: grain of faces, codecs and denoising hide it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..footage import Clip, level_grey, picture_in_light
+from ..picture import (
+    LOG_NOISE,
+    NORMAL_MAD,
+    PIXELS,
+    View,
+    new_equations,
+    new_workspace,
+    pixel_noise,
+    whole_frame_windows,
+)
+from ..pose import SampledFrames, pose_state, refine_and_score, weak_prior
+from ..throw import outline_growth
+
+Array = NDArray[np.float64]
+Looks = Callable[[int], SampledFrames]
+"""At most so many frames with their poses."""
+
+RESPONSE_FRAMES = 16
+"""Frames that are used."""
+MORE_FRAMES = 48
+"""Frames that are used if those leave it open whether there is a curve."""
+TRIED = (1.0, 0.75, 0.5)
+"""Exponents that are tried, the linear response first."""
+TRIED_FURTHER = (0.87, 0.62, 0.42)
+"""Exponents that are tried if one of those gains. Displays have 0.4 to 0.5."""
+FEWEST_FRAMES = 6
+"""Frames below which nothing is said."""
+CERTAIN_SIGMAS = 2.5
+"""Gain of an exponent over the linear response, in standard errors, from which the curve is undone."""
+UNKNOWN_SIGMA = 0.2
+"""Standard deviation of the exponent of a response of which nothing is known."""
+LEAST_SIGMA = 0.03
+"""Least standard error of an exponent: curves of cameras are no powers. The sRGB curve, for one, is within 0.03 of full scale
+of that with exponent 0.45."""
+LEAST_GAIN = 1e-9
+"""Least standard error of a gain."""
+OUTLIER_DEVIATIONS = 3.0
+"""Median absolute deviations to which the gain of a frame is limited."""
+REFINED_STEPS = 8
+"""Most steps of the refinement of a pose."""
+REFINED_GAIN = 1e-3
+"""Gain [squared sigmas] of the last of them."""
+
+
+@dataclass(frozen=True)
+class EstimatedResponse:
+    """The exponent of a clip's response, grey = light ** exponent."""
+
+    exponent: float
+    """1 unless another explains the pictures better for certain."""
+    sigma: float
+    """Standard error."""
+    contour_sigma_px: float
+    """Standard deviation of the contour of the die that this leaves."""
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the clip is used as it is."""
+        return self.exponent == 1.0
+
+    @property
+    def notice(self) -> str:
+        """What was found, for the notes of a run."""
+        return (
+            f"Edges of the die show a display curve, grey = light ** {self.exponent:.2f} ± {self.sigma:.2f}, which was undone; "
+            "if you know the response of the camera, state it as `response` in [clip]."
+        )
+
+
+def estimate_response(view: View, looks: Looks, clip: Clip) -> EstimatedResponse | None:
+    """The response of a clip; None if too few frames show edges.
+
+    `looks` gives at most so many frames with their poses; these and `view` have the levels of `clip`."""
+    trials = _Trials.of(view, looks(RESPONSE_FRAMES), clip)
+    if trials is not None and 0.0 < trials.best_sigmas < CERTAIN_SIGMAS:
+        trials = _Trials.of(view, looks(MORE_FRAMES), clip)
+    if trials is None:
+        return None
+    certain = trials.best_sigmas > CERTAIN_SIGMAS
+    exponent = trials.best_exponent if certain else 1.0
+    sigma = trials.sigma_of(exponent)
+    return EstimatedResponse(exponent, sigma, abs(trials.contour_shift_px) * sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trials:
+    """Frames mapped by several exponents."""
+
+    exponents: Array
+    """(m,) the linear response first, then in falling order."""
+    gains: Array
+    """(m, n) of each exponent on each frame; 0 for the linear response."""
+    contour_shift_px: float
+    """Displacement of the contour by a departure of 1 from the linear response."""
+
+    @staticmethod
+    def of(view: View, frames: SampledFrames, clip: Clip) -> _Trials | None:
+        """The trials of a clip; None if too few frames have poses with each of the exponents."""
+        found = {exponent: _noise_and_poses(view, frames, clip, exponent) for exponent in TRIED}
+        first = np.array([noise for noise, _ in found.values()])
+        if np.isfinite(first).all(axis=0).sum() < FEWEST_FRAMES:
+            return None
+        if np.nanmean(first[0] - first[1:], axis=1).max() > 0.0:
+            found |= {exponent: _noise_and_poses(view, frames, clip, exponent) for exponent in TRIED_FURTHER}
+        exponents = sorted(found, reverse=True)
+        log_noise = np.array([found[exponent][0] for exponent in exponents])
+        good = np.flatnonzero(np.isfinite(log_noise).all(axis=0))
+        if len(good) < FEWEST_FRAMES:
+            return None
+        shift_px = _contour_shift_px(view, frames, [found[exponent][1] for exponent in TRIED[:2]], good)
+        return _Trials(np.array(exponents), _without_outliers(log_noise[0, good] - log_noise[:, good]), shift_px)
+
+    @property
+    def sigmas(self) -> Array:
+        """(m,) mean gains in their standard errors."""
+        error = np.std(self.gains, axis=1, ddof=1) / np.sqrt(self.gains.shape[1])
+        return np.asarray(self.gains.mean(axis=1) / np.maximum(error, LEAST_GAIN))
+
+    @property
+    def best_sigmas(self) -> float:
+        """Gain of the best exponent that was tried in its standard errors."""
+        return float(self.sigmas[np.argmax(self.gains.mean(axis=1))])
+
+    @property
+    def best_exponent(self) -> float:
+        """The maximum of the parabola through the best exponent that was tried and those beside it."""
+        gains = self.gains.mean(axis=1)
+        k = int(np.clip(np.argmax(gains), 1, len(gains) - 2))
+        curvature, slope, _ = np.polyfit(self.exponents[k - 1 : k + 2], gains[k - 1 : k + 2], 2)
+        if not curvature < 0.0:
+            return float(self.exponents[np.argmax(gains)])
+        return float(np.clip(-0.5 * slope / curvature, self.exponents[-1], 1.0))
+
+    def sigma_of(self, exponent: float) -> float:
+        """Standard error of an exponent: how far off those lie that explain the frames worse by a standard error of the
+        difference."""
+        off = np.abs(self.exponents - exponent)
+        near = int(np.argmin(off))
+        change = self.gains - self.gains[near]
+        error = np.std(change, axis=1, ddof=1) / np.sqrt(change.shape[1])
+        worse = np.maximum(-change.mean(axis=1) / np.maximum(error, LEAST_GAIN), 1e-9)
+        sigma = float((off / worse)[np.arange(len(off)) != near].min())
+        return float(np.clip(sigma, 0.0 if exponent == 1.0 else LEAST_SIGMA, UNKNOWN_SIGMA))
+
+
+def _noise_and_poses(view: View, frames: SampledFrames, clip: Clip, exponent: float) -> tuple[Array, Array]:
+    """(n,) mean logarithm of the noise [grey levels of the file] that refined poses leave in frames mapped by an exponent, NaN
+    where there is no pose, and the positions (n, 3) of these."""
+    backgrounds = np.array([picture_in_light(picture, clip, exponent) for picture in view.backgrounds])
+    pictures = [picture_in_light(picture, clip, exponent).reshape(backgrounds.shape) for picture in frames.pictures]
+    unit_grey = view.level_grey * level_grey(clip, exponent)
+    noises = [pixel_noise([one[c] for one in pictures], backgrounds[c], unit_grey) for c in range(len(backgrounds))]
+    view = replace(
+        view,
+        backgrounds=backgrounds,
+        noise_grey=max(noise.noise_grey for noise in noises),
+        rounding_grey=max(noise.rounding_grey for noise in noises),
+        level_grey=unit_grey,
+    )
+    file_scale = float(2**clip.bit_depth - 1)
+    settings = view.settings._replace(
+        fine_steps=REFINED_STEPS, min_gain=REFINED_GAIN, region_pixels=0, response=exponent,
+        full_scale=file_scale * level_grey(clip, exponent), file_scale=file_scale,
+    )  # fmt: skip
+    log_noise, positions_m = np.full(len(frames), np.nan), np.full((len(frames), 3), np.nan)
+    work, equations = new_workspace(view.shape, view.rig), new_equations()
+    for k, picture in enumerate(pictures):
+        start = pose_state(frames.position_m[k], frames.rotation[k], frames.motion[k, :3], frames.motion[k, 3:])
+        windows, prior = whole_frame_windows(view, picture), weak_prior(view, start.position)
+        work.shared_grey[:] = 0.0
+        positions_m[k], _, _ = refine_and_score(windows, view.model(settings), start, prior, 0, work, equations)
+        if equations.H.any() and equations.statistics[PIXELS] > 0:
+            log_noise[k] = equations.statistics[LOG_NOISE] / equations.statistics[PIXELS]
+    return log_noise, positions_m
+
+
+def _without_outliers(gains: Array) -> Array:
+    """Gains (exponents, n), each row limited to OUTLIER_DEVIATIONS about its median."""
+    middle = np.median(gains, axis=1, keepdims=True)
+    spread = OUTLIER_DEVIATIONS * NORMAL_MAD * np.median(np.abs(gains - middle), axis=1, keepdims=True)
+    return np.asarray(np.clip(gains, middle - spread, middle + spread))
+
+
+def _contour_shift_px(
+    view: View, frames: SampledFrames, positions_m: Sequence[Array], good: NDArray[np.int64]
+) -> float:
+    """Displacement of the contour [px] by a departure of 1 from the linear response: the median over frames of what the distances
+    of poses (n, 3) with each of the first two exponents mean."""
+    near, far = positions_m[0][good], positions_m[1][good]
+    sight = near - view.camera.centre_m
+    growth = outline_growth(view.camera, view.die, near, frames.rotation[good])
+    nearer = -np.einsum("ni,ni->n", far - near, sight) / np.einsum("ni,ni->n", sight, sight)
+    seen = growth > 0.0
+    shifts = nearer[seen] / growth[seen] / (TRIED[0] - TRIED[1])
+    return float(np.median(shifts)) if len(shifts) else 0.0
