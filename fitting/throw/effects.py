@@ -62,6 +62,8 @@ class Trial:
     """What the gain must exceed."""
     predictive_gain: float
     """Units of log-likelihood by which frames that are left out are predicted better; 0 where the effect was not fitted."""
+    unexplained: float = 1.0
+    """s² τ of the residuals with the effect: the unit of the gain in half the cost."""
 
     @property
     def is_accepted(self) -> bool:
@@ -70,10 +72,11 @@ class Trial:
             return False
         return self.trajectory.physics.exceeds_calibration(self.effect)
 
-    @property
-    def net_gain(self) -> float:
-        """Gain beyond the penalty."""
-        return self.gain - self.penalty
+    def net_gain(self, unexplained: float) -> float:
+        """Gain beyond the penalty, in units of what another effect leaves unexplained. Effects are compared in one unit: of two
+        that explain a bounce equally well, whose gains are thousands, chance decides which leaves residuals a few per cent
+        smaller or less correlated."""
+        return self.gain * self.unexplained / unexplained - self.penalty
 
     @property
     def as_effect(self) -> Effect:
@@ -223,7 +226,7 @@ def _compared(trajectory: Trajectory, wider: Trajectory, effect: str, k2: float)
     gain = 0.5 * (trajectory.cost(k2) - wider.cost(k2)) / scale
     # nansum: blocks without which either fit is undetermined do not enter the comparison.
     predicted = 0.5 * float(np.nansum(left_out_costs(trajectory, k2) - left_out_costs(wider, k2))) / scale
-    return Trial(effect, wider, gain, _penalty(trajectory, effect), predicted)
+    return Trial(effect, wider, gain, _penalty(trajectory, effect), predicted, scale)
 
 
 def _penalty(trajectory: Trajectory, effect: str) -> float:

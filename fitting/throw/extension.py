@@ -281,21 +281,26 @@ def _same_parameters(one: Trajectory, other: Trajectory) -> bool:
     return all(abs(value - other.physics.values[name]) < _SAME_VALUE for name, value in one.physics.values.items())
 
 
-def friction_alternatives(trajectory: Trajectory, free: FreeFlights) -> list[Trajectory]:
+def friction_alternatives(
+    trajectory: Trajectory, free: FreeFlights, *, by_every_definition: bool = False
+) -> list[Trajectory]:
     """The trajectory with the friction that its frames support best, then others that agree with them as well.
 
     Where no slip stops within an impact there is one alternative. Where one does, more friction may fit equally well, the
     least cost may lie behind a bend that a descent does not pass, and the definitions of restitution differ. The first
-    definition, in the order of `RESTITUTIONS`, is taken that no other clearly beats.
+    definition, in the order of `RESTITUTIONS`, is taken that no other clearly beats. `by_every_definition` adds the others that
+    are not clearly beaten, the best trajectory of each.
     """
     kinds = [replace(trajectory, physics=kind) for kind in trajectory.physics.with_other_restitutions()]
     if all(_same_residuals(kind, trajectory) for kind in kinds):
         return [trajectory]
     k2 = free.huber_threshold
     found = {kind: [_with_restitution(kind, trajectory, k2)] for kind in RESTITUTIONS}
+    for kind in RESTITUTIONS if by_every_definition else ():
+        found[kind] += _from_other_friction(kind, trajectory, free)
     for kind in RESTITUTIONS:
         # Other starts only for the definitions that may still be chosen.
-        found[kind] += _from_other_friction(kind, trajectory, free)
+        found[kind] += [] if by_every_definition else _from_other_friction(kind, trajectory, free)
         best = min((one for fits in found.values() for one in fits), key=lambda one: one.cost(k2))
         allowed = best.cost(k2) + CLEAR_DIFFERENCE * max(1.0, best.mean_square)
         preferred = found[kind]
@@ -305,6 +310,8 @@ def friction_alternatives(trajectory: Trajectory, free: FreeFlights) -> list[Tra
     least = min(one.cost(k2) for one in preferred)
     unusual = {id(one): abs(np.log(max(one.physics.values["mu"], _SAME_VALUE) / _USUAL_FRICTION)) for one in preferred}
     ranked = sorted(preferred, key=lambda one: (one.cost(k2) > least + COARSE_TOLERANCE, unusual[id(one)]))
+    others = [min(found[kind], key=lambda one: one.cost(k2)) for kind in RESTITUTIONS if found[kind] is not preferred]
+    ranked += others if by_every_definition else []
     return [one for one in ranked if one.cost(k2) <= allowed]
 
 

@@ -18,6 +18,13 @@ _NOTABLE_VARIANCE = 1.5
 _NOTABLE_INFLATION = 1.2
 """Variance or correlation time from which a message states that sigmas were scaled up: by a tenth."""
 
+_DEFINITIONS = {
+    "stronge": "energies (Stronge)",
+    "newton": "normal velocities (Newton)",
+    "poisson": "impulses (Poisson)",
+}
+"""How a restitution is the ratio of what comes after the impact, or its second part, to what was before."""
+
 
 def frame_messages(free: FreeFlights) -> list[str]:
     """What the free flights show of the frames, before any impact law is fitted."""
@@ -59,6 +66,20 @@ def bounce_messages(trajectories: list[Trajectory], free: FreeFlights, total: in
             f"{_listed(simulated) or 'none'} instead of {_listed(best.vertices)}."
         )
     return messages
+
+
+def restitution_messages(alternatives: list[Trajectory]) -> list[str]:
+    """What the definitions of restitution that agree with the frames make of χ; nothing where one alone does, or all are the
+    same."""
+    values = {one.physics.restitution: one.physics.values["chi"] for one in reversed(alternatives)}
+    if len(values) < 2:
+        return []
+    mine = alternatives[0].physics.restitution
+    others = [f"{chi:.4f} by {_DEFINITIONS[kind]}" for kind, chi in values.items() if kind != mine]
+    return [
+        f"The frames do not tell how restitution is defined where a slip stops: χ is {values[mine]:.4f} by "
+        f"{_DEFINITIONS[mine]}, {' and '.join(others)}; an interval from the profile holds them all."
+    ]
 
 
 def _listed(vertices: Vertices) -> str:

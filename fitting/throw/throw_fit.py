@@ -27,7 +27,14 @@ from .clock_and_scale import as_tracked
 from .effects import Trial, superseded_effect, try_effects, try_effects_on_next_flight
 from .extension import at_its_limit, best_attempt, can_go_on, extend_through_bounces, friction_alternatives
 from .landing import continued, landing_odds, resting_face
-from .messages import bounce_messages, frame_messages, inflation_messages, ratio_message, unexplained_message
+from .messages import (
+    bounce_messages,
+    frame_messages,
+    inflation_messages,
+    ratio_message,
+    restitution_messages,
+    unexplained_message,
+)
 from .physics import Physics
 from .shooting import Trajectory, first_flight_trajectory, mean_squares, refitted, refitted_with, with_physics
 
@@ -130,7 +137,7 @@ def _with_effects(task: _Task, physics: Physics) -> tuple[list[Trajectory], list
         if longer is None:
             break
         trajectories = _without_superseded(task, longer)
-        alternatives = friction_alternatives(trajectories[0], task.free)
+        alternatives = friction_alternatives(trajectories[0], task.free, by_every_definition=True)
         trajectories = [alternatives[0], *trajectories[1:]]
         trials = _trials(task, trajectories[0])
     return trajectories, alternatives, trials
@@ -158,12 +165,13 @@ def _best_with_one_more(task: _Task, trajectories: list[Trajectory], trials: lis
     the one that gains more is taken.
     """
     best, found = (trajectories[0].reached - 1, 0.0), None
-    accepted = sorted((trial for trial in trials if trial.is_accepted), key=lambda t: t.net_gain, reverse=True)
-    for trial in accepted:
+    accepted = [trial for trial in trials if trial.is_accepted]
+    unit = min((trial.unexplained for trial in accepted), default=1.0)
+    for trial in sorted(accepted, key=lambda t: t.net_gain(unit), reverse=True):
         assert trial.trajectory is not None
-        longer = _with_held_freed(task, trial.trajectory.physics)
-        if longer[0].reached >= trajectories[0].reached and (longer[0].reached, trial.net_gain) > best:
-            best, found = (longer[0].reached, trial.net_gain), longer
+        longer, gain = _with_held_freed(task, trial.trajectory.physics), trial.net_gain(unit)
+        if longer[0].reached >= trajectories[0].reached and (longer[0].reached, gain) > best:
+            best, found = (longer[0].reached, gain), longer
         if not can_go_on(task.free, best[0]) or (found is not None and at_its_limit(found[0])):
             break  # no other effect can lead farther, and those that follow gain less
     return found
@@ -211,6 +219,7 @@ def _result_with_bounces(
     messages += bounce_messages(trajectories, task.free, total, explained)
     variance, tau = best.inflation
     messages += inflation_messages(variance, tau)
+    messages += restitution_messages(alternatives)
     parameters = _parameters(alternatives, task, variance * tau, messages)
     covariance = best.inflated_covariance
     throw = as_tracked(best.physics, continued(best.physics, best.throw, float(task.track.time_s[-1])))

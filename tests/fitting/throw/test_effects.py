@@ -17,7 +17,7 @@ from diethrow.fitting.throw.physics import EFFECTS, Physics
 from diethrow.fitting.throw.throw_fit import fit_throw
 from diethrow.model.die import SHAPES
 from diethrow.model.die.die import make_die
-from diethrow.model.laws import LEVEL, CoulombImpact, RestitutionBySpeed, SmoothImpact, Table
+from diethrow.model.laws import LEVEL, CoulombImpact, Restitution, RestitutionBySpeed, SmoothImpact, Table
 from diethrow.model.rotations import matrix_from_quat
 from diethrow.model.throw.motion import Throw
 from diethrow.tracking.track import Track
@@ -53,9 +53,10 @@ def test_friction_is_found_where_a_slip_stops(
     assert_inside(fit, "mu", law.mu, mu_within)
 
 
-def test_the_interval_of_friction_is_open_above_where_any_larger_one_sticks_too() -> None:
+@pytest.mark.parametrize("definition", ["stronge", "newton", "poisson"])
+def test_intervals_hold_all_friction_and_every_definition_that_agree_with_a_bounce(definition: Restitution) -> None:
     """The slip of this one bounce stops for every mu from 0.15 on, and chi varies little with it."""
-    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.535, 0.27), 8, impacts=1), CUBE)
+    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.535, 0.27, definition), 8, impacts=1), CUBE)
     assert fit.chosen == ("friction",)
     chi, mu = fit.parameters["chi"], fit.parameters["mu"]
     assert chi.low is not None
@@ -65,6 +66,22 @@ def test_the_interval_of_friction_is_open_above_where_any_larger_one_sticks_too(
     assert 0.1 < mu.low < 0.27
     assert mu.high == 3.0
     assert not mu.at_bound
+    assert any("The frames do not tell how restitution is defined" in message for message in fit.messages)
+
+
+def test_a_slip_that_goes_on_leaves_no_doubt_of_the_definition() -> None:
+    fit = fit_throw(*thrown(CUBE, CoulombImpact(0.6, 0.2), 4), CUBE)
+    assert not any("restitution is defined" in message for message in fit.messages)
+
+
+def test_friction_is_preferred_to_a_tilt_that_explains_one_bounce_as_well_with_more_parameters() -> None:
+    """Their gains, thousands each, must not be compared in the unit of what each leaves unexplained: here the tilt's is smaller
+    by a few per cent, and with it chi would be off by 0.013."""
+    die = make_die("dodecahedron", 0.008, 0.0048)
+    fit = fit_throw(*thrown(die, CoulombImpact(0.63, 0.15), 1, impacts=1), die)
+    assert fit.chosen == ("friction",)
+    assert_inside(fit, "chi", 0.63, 2e-3)
+    assert_inside(fit, "mu", 0.15, 5e-3)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
