@@ -95,9 +95,11 @@ def clip_errors(clips: Path, seed: int, number: int) -> tuple[tuple[str, ...], A
     return draw.kinds, np.array([[frame_errors(*way, source, poses, int(k)) for k in rows] for way in ways])
 
 
-def view_of(folder: Path) -> tuple[View, FrameSource]:
-    """What the tracker knows of a clip before it begins, and its frames."""
+def view_of(folder: Path, *, states_response: bool = True) -> tuple[View, FrameSource]:
+    """What the tracker knows of a clip before it begins, and its frames; without the response of the scene if that is wanted."""
     scene = read_scene(folder / "scene.toml")
+    if not states_response:
+        scene = replace(scene, clip=replace(scene.clip, response=None))
     first = scene.views()[0]
     filmed = open_footage(scene, first)
     clip = clip_in_light(filmed, scene.clip.response)

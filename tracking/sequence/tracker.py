@@ -137,7 +137,10 @@ def track_clip(
     empty, (view, poses, corners) = _track_before_empty_scene(view, task, facts.rounding, given)
     response = _response(view, source, poses) if facts.estimates_response and quality.second_pass else None
     if response is not None and not response.is_linear:
-        pictures = [None if one is None else picture_in_light(one, clips[0], response.exponent) for one in given]
+        pictures = [
+            None if picture is None else picture_in_light(picture, one, response.exponent)
+            for picture, one in zip(given, clips, strict=True)
+        ]
         known = replace(
             facts, estimates_response=False, contour_sigma_px=response.contour_sigma_px,
             level_grey=facts.level_grey * level_grey(clips[0], response.exponent),
@@ -173,7 +176,9 @@ def track_clip(
 
 
 def _response(view: View, source: FrameSource, poses: ClipPoses) -> EstimatedResponse | None:
-    """The response of the cameras, from tracked poses; None if too few frames show the die whole."""
+    """The response of the cameras, from tracked poses; None if too few frames show the die whole, or cameras differ in kind."""
+    if len({clip.bit_depth for clip in source.clips}) > 1:
+        return None
     return estimate_response(view, partial(poses.sample, source.frame, wholly_in_view(view, poses)), source.clips[0])
 
 
