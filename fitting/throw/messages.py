@@ -23,7 +23,7 @@ _DEFINITIONS = {
     "newton": "normal velocities (Newton)",
     "poisson": "impulses (Poisson)",
 }
-"""How a restitution is the ratio of what comes after the impact, or its second part, to what was before."""
+"""What each definition of restitution compares before and after an impact."""
 
 
 def frame_messages(free: FreeFlights) -> list[str]:

@@ -3,10 +3,14 @@
 Lens, motion and pixel average light. If grey levels follow a curve of it, a blurred edge is skewed and lies towards its darker
 side, by more the more the two sides differ. With the curve undone, the edges of one rigid body fit their pictures better. Some
 frames are mapped by each of several exponents, their poses refined, and the noise that is left is compared frame by frame, in
-grey levels of the file: mapped levels have no unit in common. The gain of an exponent is the mean over frames of ln s(1) - ln s,
-with s the noise of a stretch of edge, or of the bevels and the contour of a well-rounded die; its standard error comes from the
-frames. A curve is undone if its gain is certain; most clips lose with either of two exponents, and need no more. The exponent is
-the maximum of a parabola through the best that was tried and those beside it.
+grey levels of the file: mapped levels have no unit in common. The gain of an exponent is the mean of ln s(1) - ln s, with s the
+noise of a stretch of edge, or of the bevels and the contour of a well-rounded die. Frames that show the die from nearly the same
+side share what the model does not know of it, marks and light: they count as one, and the standard error comes from the sides
+that differ. A curve is undone if its gain is certain; most clips lose with either of two exponents, and need no more. The
+exponent is the maximum of a parabola through the best that was tried and those beside it.
+
+A well-rounded tetrahedron may be mistaken: the light on it is less of a polynomial than on other dice, and a curve makes up for
+some of that.
 
 How noise grows with the level is not used: grain of faces, codecs and denoising hide it.
 """
@@ -19,6 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...model.rotations import angle_between
 from ..footage import Clip, level_grey, picture_in_light
 from ..picture import (
     LOG_NOISE,
@@ -46,14 +51,16 @@ TRIED = (1.0, 0.75, 0.5)
 TRIED_FURTHER = (0.87, 0.62, 0.42)
 """Exponents that are tried if one of those gains. Displays have 0.4 to 0.5."""
 FEWEST_FRAMES = 6
-"""Frames below which nothing is said."""
-CERTAIN_SIGMAS = 2.5
+"""Frames, and sides of the die that they show, below which nothing is said."""
+SAME_SIDE_RAD = 0.4
+"""Rotation of a die over which frames show the same side of it."""
+CERTAIN_SIGMAS = 3.0
 """Gain of an exponent over the linear response, in standard errors, from which the curve is undone."""
 UNKNOWN_SIGMA = 0.2
 """Standard deviation of the exponent of a response of which nothing is known."""
 LEAST_SIGMA = 0.03
-"""Least standard error of an exponent: curves of cameras are no powers. The sRGB curve, for one, is within 0.03 of full scale
-of that with exponent 0.45."""
+"""Least standard error of an exponent: curves of cameras are no powers. The sRGB curve, for one, differs from that with the
+exponent 0.45 by up to 0.035 of full scale in the dark."""
 LEAST_GAIN = 1e-9
 """Least standard error of a gain."""
 OUTLIER_DEVIATIONS = 3.0
@@ -111,7 +118,7 @@ class _Trials:
     exponents: Array
     """(m,) the linear response first, then in falling order."""
     gains: Array
-    """(m, n) of each exponent on each frame; 0 for the linear response."""
+    """(m, n) of each exponent on each of n sides of the die, means over frames; 0 for the linear response."""
     contour_shift_px: float
     """Displacement of the contour by a departure of 1 from the linear response."""
 
@@ -127,10 +134,12 @@ class _Trials:
         exponents = sorted(found, reverse=True)
         log_noise = np.array([found[exponent][0] for exponent in exponents])
         good = np.flatnonzero(np.isfinite(log_noise).all(axis=0))
-        if len(good) < FEWEST_FRAMES:
+        sides = _sides(frames.rotation[good])
+        if len(sides) < FEWEST_FRAMES:
             return None
         shift_px = _contour_shift_px(view, frames, [found[exponent][1] for exponent in TRIED[:2]], good)
-        return _Trials(np.array(exponents), _without_outliers(log_noise[0, good] - log_noise[:, good]), shift_px)
+        gains = _without_outliers(log_noise[0, good] - log_noise[:, good])
+        return _Trials(np.array(exponents), np.stack([gains[:, side].mean(axis=1) for side in sides], axis=1), shift_px)
 
     @property
     def sigmas(self) -> Array:
@@ -194,6 +203,17 @@ def _noise_and_poses(view: View, frames: SampledFrames, clip: Clip, exponent: fl
         if equations.H.any() and equations.statistics[PIXELS] > 0:
             log_noise[k] = equations.statistics[LOG_NOISE] / equations.statistics[PIXELS]
     return log_noise, positions_m
+
+
+def _sides(rotations: Array) -> list[NDArray[np.int64]]:
+    """Rows of rotations (n, 3, 3) in groups that follow each other while the die turns by SAME_SIDE_RAD."""
+    groups: list[list[int]] = []
+    for k, rotation in enumerate(rotations):
+        if groups and angle_between(rotations[groups[-1][0]], rotation) < SAME_SIDE_RAD:
+            groups[-1].append(k)
+        else:
+            groups.append([k])
+    return [np.array(group) for group in groups]
 
 
 def _without_outliers(gains: Array) -> Array:
