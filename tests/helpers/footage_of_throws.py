@@ -130,11 +130,12 @@ def still(rng: np.random.Generator, height_m: float = 0.018) -> State:
     return State(0.0, np.array([0.001, -0.002, height_m]), random_quaternion(rng), np.zeros(3), np.zeros(3))
 
 
-def falling_cube(duration_s: float, height_m: float = 0.028, fall_m_s: float = 0.6) -> Throw:
-    """A cube that falls, and by default bounces once in the first 64 frames, at 24.3 ms, and stays in the picture."""
+def falling_cube(duration_s: float, height_m: float = 0.028, fall_m_s: float = 0.6, spin_rad_s: float = 20.0) -> Throw:
+    """A cube that falls, and by default bounces once in the first 64 frames, at 24.3 ms, and stays in the picture. The components
+    of its angular velocity have the standard deviation `spin_rad_s`."""
     rng = np.random.default_rng(1)
     above, down = np.array([-0.002, 0.0, height_m]), np.array([0.05, 0.05, -fall_m_s])
-    release = State(0.0, above, random_quaternion(rng), down, 20.0 * rng.normal(size=3))
+    release = State(0.0, above, random_quaternion(rng), down, spin_rad_s * rng.normal(size=3))
     return throw_die(DICE["cube"], release, SmoothImpact(0.6), until=Until(time_s=duration_s)).throw
 
 

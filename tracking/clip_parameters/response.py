@@ -22,6 +22,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import norm
+from scipy.stats import t as student_t
 
 from ...model.rotations import angle_between
 from ..footage import Clip, level_grey, picture_in_light
@@ -51,11 +53,14 @@ TRIED = (1.0, 0.75, 0.5)
 TRIED_FURTHER = (0.87, 0.62, 0.42)
 """Exponents that are tried if one of those gains. Displays have 0.4 to 0.5."""
 FEWEST_FRAMES = 6
-"""Frames, and sides of the die that they show, below which nothing is said."""
+"""Frames below which nothing is said."""
+FEWEST_SIDES = 4
+"""Sides of the die that they show, below which nothing is said."""
 SAME_SIDE_RAD = 0.4
 """Rotation of a die over which frames show the same side of it."""
 CERTAIN_SIGMAS = 3.0
-"""Gain of an exponent over the linear response, in standard errors, from which the curve is undone."""
+"""Gain of an exponent over the linear response from which the curve is undone: standard errors where there are many sides, and
+where there are few, as many as are exceeded as rarely by Student's distribution."""
 UNKNOWN_SIGMA = 0.2
 """Standard deviation of the exponent of a response of which nothing is known."""
 LEAST_SIGMA = 0.03
@@ -105,8 +110,7 @@ def estimate_response(view: View, looks: Looks, clip: Clip) -> EstimatedResponse
         trials = _Trials.of(view, looks(MORE_FRAMES), clip)
     if trials is None:
         return None
-    certain = trials.best_sigmas > CERTAIN_SIGMAS
-    exponent = trials.best_exponent if certain else 1.0
+    exponent = trials.best_exponent if trials.is_certain else 1.0
     sigma = trials.sigma_of(exponent)
     return EstimatedResponse(exponent, sigma, abs(trials.contour_shift_px) * sigma)
 
@@ -135,7 +139,7 @@ class _Trials:
         log_noise = np.array([found[exponent][0] for exponent in exponents])
         good = np.flatnonzero(np.isfinite(log_noise).all(axis=0))
         sides = _sides(frames.rotation[good])
-        if len(sides) < FEWEST_FRAMES:
+        if len(sides) < FEWEST_SIDES:
             return None
         shift_px = _contour_shift_px(view, frames, [found[exponent][1] for exponent in TRIED[:2]], good)
         gains = _without_outliers(log_noise[0, good] - log_noise[:, good])
@@ -151,6 +155,11 @@ class _Trials:
     def best_sigmas(self) -> float:
         """Gain of the best exponent that was tried in its standard errors."""
         return float(self.sigmas[np.argmax(self.gains.mean(axis=1))])
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether the best exponent that was tried explains the frames better for certain."""
+        return float(student_t.sf(self.best_sigmas, self.gains.shape[1] - 1)) < float(norm.sf(CERTAIN_SIGMAS))
 
     @property
     def best_exponent(self) -> float:

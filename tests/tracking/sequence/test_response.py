@@ -18,6 +18,8 @@ from diethrow.tracking.sequence.tracker import ClipFacts, track_clip
 Array = NDArray[np.float64]
 
 FRAMES = 40
+SPIN_RAD_S = 80.0
+"""Of each component: the frames show more than one side of the die."""
 BITS = 12
 """Of the linear film, which the curve turns into 8 bits."""
 LARGEST = 2.0**BITS - 1.0
@@ -33,7 +35,7 @@ def encoded(light: Array, response: Response) -> Array:
 @cache
 def depth_and_nees(filmed: Response, given: Response, *, estimated: bool = False) -> tuple[float, float]:
     """Median error [m] along the line of sight, and median squared distance from the truth in standard errors."""
-    throw = falling_cube(FRAMES / FPS)
+    throw = falling_cube(FRAMES / FPS, spin_rad_s=SPIN_RAD_S)
     linear = film(ROOM, CUBE, throw, FRAMES, bit_depth=BITS)
     clip = ArrayClip(np.rint(encoded(linear.array, filmed)).astype(np.uint8), linear.times_s)
     table = np.rint(encoded(2.0 ** (BITS - 8) * ROOM.table, filmed)).astype(np.float32)
