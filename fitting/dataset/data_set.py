@@ -18,7 +18,7 @@ from ...model.die import Die
 from ...model.rotations import rotation_between
 from ...model.throw import State
 from ...tracking.covariance import covariance_root
-from ...tracking.throw import perturbed
+from ...tracking.flights import perturbed
 from ...tracking.track import Track
 from ..predict import (
     MIN_FLIGHT_FRAMES,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ...model.rotations import rotation_between
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
-from ...tracking.throw import left_jacobians, perturbed, pose_jacobian
+from ...tracking.flights import left_jacobians, perturbed, pose_jacobian
 from ..estimation import (
     HUBER_THRESHOLD,
     MEDIAN_SQUARE,

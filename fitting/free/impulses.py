@@ -33,7 +33,7 @@ from scipy.stats import t as student
 from ...model.die import Die
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, Impact, State, energy_J
-from ...tracking.throw import perturbed, transition_matrix
+from ...tracking.flights import perturbed, transition_matrix
 from ..estimation import normal_quantile
 from .flights import FreeFlights
 

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
-from ...tracking.throw import pose_jacobian
+from ...tracking.flights import pose_jacobian
 from ..estimation import orthonormal_basis, pose_errors, variance_inflation, whitened, whitened_jacobian
 from .flights import FreeFlights
 

@@ -32,7 +32,7 @@ from ...model.throw import (
     world_poses,
 )
 from ...tracking.covariance import covariance_root
-from ...tracking.throw import perturbed
+from ...tracking.flights import perturbed
 from ...tracking.track import ABSENT, TRACKED, Track
 from ..estimation import normal_quantile
 from ..results import Parameter

@@ -23,7 +23,7 @@ from ...model.die import Die
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, State, touching_vertices
 from ...model.world import GRAVITY_M_S2
-from ...tracking.throw import perturbed, pose_jacobian
+from ...tracking.flights import perturbed, pose_jacobian
 from ...tracking.track import Track
 from ..estimation import covariance_of
 

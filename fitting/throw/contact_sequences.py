@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.throw import Impact, State
-from ...tracking.throw import perturbed
+from ...tracking.flights import perturbed
 from ..free import FreeFlights
 from .physics import Physics
 from .shooting import Trajectory

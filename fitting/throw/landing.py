@@ -15,7 +15,7 @@ from ...model.die import Die, lowest_face
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import State, Throw, Until
 from ...tracking.covariance import covariance_root
-from ...tracking.throw import perturbed
+from ...tracking.flights import perturbed
 from ...tracking.track import Track
 from .physics import COARSE, Physics
 

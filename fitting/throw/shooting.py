@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from ...model.throw import MAX_STATE_COMPONENT, Propagation, State, Throw
-from ...tracking.throw import left_jacobians, perturbed
+from ...tracking.flights import left_jacobians, perturbed
 from ..estimation import (
     COST_TOLERANCE,
     FlightObservations,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ...model.die import Die
 from ...model.laws import LEVEL, Table
 from ...model.throw import Throw
-from ...tracking.throw import perturbed
+from ...tracking.flights import perturbed
 from ...tracking.track import Track
 from ..estimation import flight_observations, normal_quantile, profile_interval, variance_inflation
 from ..free import Bounce, FreeFlights, common_restitution, fit_flights, measure_bounces

@@ -13,10 +13,10 @@ from throws import true_throw
 
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
+from diethrow.tracking.flights.flight_chain import VertexImpact
 from diethrow.tracking.picture import View
 from diethrow.tracking.surface_marks.learning import frames_to_learn_from, learn_marks
 from diethrow.tracking.surface_marks.textures import SurfaceMarks
-from diethrow.tracking.throw.flight_chain import VertexImpact
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]

@@ -13,8 +13,8 @@ from diethrow.model.laws import LEVEL, ImpactLaw, SmoothImpact, Table
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.throw.flight_chain import VertexImpact
-from diethrow.tracking.throw.flights import WeightedPoses
+from diethrow.tracking.flights.flight_chain import VertexImpact
+from diethrow.tracking.flights.single_flights import WeightedPoses
 from diethrow.tracking.track import TRACKED, Track
 
 Array = NDArray[np.float64]

@@ -28,6 +28,7 @@ from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight, State, Throw
 from ..camera import Camera
 from ..clip_parameters import CornerRadius
+from ..flights import transition_matrix
 from ..footage import Clip, Frame, estimate_background
 from ..picture import (
     PixelNoise,
@@ -44,7 +45,7 @@ from ..picture import (
 from ..pose import ManualInitialisation, die_blobs, pose_state, refine_pose
 from ..quality import FAST
 from ..sequence import NO_FACTS, ClipFacts, NoDieError
-from ..throw import NoFlightError, measure_throw, transition_matrix
+from ..throw import NoFlightError, measure_throw
 from ..timing import ITS_OWN, ClipClock, FrameTimes, track_clip_in_time
 from ..track import Track
 from .gravity import Fall, measure_fall

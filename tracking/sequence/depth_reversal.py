@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...model.die import inversion_rotation
+from ..flights import fit_flights
 from ..footage import FrameSource
 from ..picture import View
 from ..pose import ClipPoses, Pose, as_track, pose_state, refine_pose, same_picture
-from ..throw import UNMODELLED_SHARE, fit_flights, weighted_poses
+from ..throw import UNMODELLED_SHARE, weighted_poses
 from ..track import Track
 from .frame_to_frame import FrameTracker
 from .labelling import with_labels_continued

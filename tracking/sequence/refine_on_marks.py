@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
+from ..flights import transition_matrix
 from ..footage import Frames, FrameSource, Rows
 from ..picture import View
 from ..pose import ClipPoses, as_track, contour_bias_jacobians, wholly_in_view
@@ -38,7 +39,6 @@ from ..throw import (
     frames_in_flight,
     measure,
     shared_bias_jacobian,
-    transition_matrix,
     without_shared_bias,
 )
 from ..track import Track

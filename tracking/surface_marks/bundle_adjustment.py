@@ -24,16 +24,16 @@ from scipy.optimize import brentq
 
 from ...model.rotations import matrix_from_quat, rotation_between
 from ...model.throw import Flight, Throw
-from ..picture import THREADS, View
-from ..throw import (
+from ..flights import (
     CONTACT_SIGMA_M,
-    LATERAL_SHARE,
     TABLE_SIGMA_M,
     VertexImpact,
     perturbed,
     transition_matrix,
     vertex_impact_equations,
 )
+from ..picture import THREADS, View
+from ..throw import LATERAL_SHARE
 from .kernel_types import MOST_PIXELS, WARPS, new_workspace
 from .mark_equations import MarkEquations, mark_equations
 from .textures import FlightPoses, FrameWindow, SurfaceMarks, faces_of, flight_poses, optics_of

@@ -30,8 +30,8 @@ from scipy.ndimage import map_coordinates
 
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
+from ..flights import VertexImpact
 from ..picture import BIWEIGHT_CUT, View, outline_box
-from ..throw import VertexImpact
 from ..track import Track
 from .bundle_adjustment import adjust_flights, impact_constraints
 from .pose_refinement import WINDOW_PX

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Throw
+from ..flights import transition_matrices
 from ..picture import BIWEIGHT_CUT, THREADS, View
 from ..pose import weak_priors
-from ..throw import transition_matrices
 from .bundle_adjustment import contour_covariance, rotation_vectors
 from .mark_equations import RefinedRows, refine_rows
 from .textures import SurfaceMarks, faces_of, optics_of

@@ -23,8 +23,8 @@ from ...model.die import Solid
 from ...model.rotations import matrix_from_quat
 from ...model.throw import Flight
 from ..camera import Camera
+from ..flights import transition_matrices
 from ..picture import THREADS, PoseState, View
-from ..throw import transition_matrices
 from .kernel_types import LEAST_VIEW_COSINE, MARGIN_BLURS, MOST_OCCLUDED, Faces, Frame, Optics, new_workspace
 from .texture_sampling import UNBOUNDED_GREY, TextureSums, sample_texture
 

@@ -1,30 +1,18 @@
 """From the poses of single frames to a throw: flights, impacts and the end on the table.
 
-A track is segmented into flights (`flight_segmentation`), neighbouring flights are joined by impacts and fitted together
-(`flights`, `flight_chain`, `chain_solver`), `contacts` decides which of them are real and which are spurious
-(`contact_clusters`: those within a few frames), the error model and the errors common to all frames are estimated
-(`error_model`, `shared_bias`), and the end during which the table supports the die is set aside (`rest`). `measure` returns
-all of that; `measure_throw` the throw alone. Tracking uses these flights to refine poses and to calibrate covariances
+Flights are proposed in two ways: a track is segmented wherever its motion changes (`flight_segmentation`), and followed from one
+contact to the next (`contact_sequence`). `contacts` fits each proposal as a chain of `flights`, decides which contacts are real
+(`contact_clusters`: those within a few frames), and which proposal explains the frames better. The errors common to all frames
+are estimated on the way (`shared_bias`), and the end during which the table supports the die is set aside (`rest`). `measure`
+returns all of that; `measure_throw` the throw alone. Tracking uses these flights to refine poses and to calibrate covariances
 (`with_calibrated_covariance`), commands to smooth the track (`smoothing`), fitting as measured throws."""
 
-from .flight_chain import CONTACT_SIGMA_M as CONTACT_SIGMA_M
-from .flight_chain import TABLE_SIGMA_M as TABLE_SIGMA_M
-from .flight_chain import VertexImpact as VertexImpact
-from .flight_chain import vertex_impact_equations as vertex_impact_equations
 from .flight_segmentation import ENOUGH_FRAMES as ENOUGH_FRAMES
 from .flight_segmentation import SMALL_MOVE_REACH as SMALL_MOVE_REACH
 from .flight_segmentation import SMALL_TURN_RAD as SMALL_TURN_RAD
 from .flight_segmentation import TABLE_REACH as TABLE_REACH
 from .flight_segmentation import decimation_factor as decimation_factor
 from .flight_segmentation import rows_without_outliers as rows_without_outliers
-from .flights import WeightedPoses as WeightedPoses
-from .flights import fit_flights as fit_flights
-from .flights import fit_states as fit_states
-from .flights import left_jacobians as left_jacobians
-from .flights import perturbed as perturbed
-from .flights import pose_jacobian as pose_jacobian
-from .flights import transition_matrices as transition_matrices
-from .flights import transition_matrix as transition_matrix
 from .measurement import OFF_FLIGHT_RAD as OFF_FLIGHT_RAD
 from .measurement import UNMODELLED_SHARE as UNMODELLED_SHARE
 from .measurement import MeasuredThrow as MeasuredThrow

@@ -25,9 +25,8 @@ from ...model.die import Die, nearest_equivalent_rotation, symmetry_rotations
 from ...model.laws import CoulombImpact, ImpactLaw, SmoothImpact
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_matrix
 from ...model.throw import State, Throw, Until, throw_die
-from .flight_chain import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact
+from ..flights import CUTOFF_SIGMAS, FlightChain, Link, VertexImpact, WeightedPoses
 from .flight_segmentation import SHORTEST_WINDOW_S, WINDOW
-from .flights import WeightedPoses
 
 Array = NDArray[np.float64]
 Fit = Callable[[WeightedPoses, Sequence[State], Sequence[Link]], FlightChain]

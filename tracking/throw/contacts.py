@@ -20,11 +20,21 @@ from ...model.rotations import angle_between
 from ...model.throw import Flight, State
 from ...model.world import GRAVITY_M_S2
 from ..covariance import scaled_inverse
+from ..flights import (
+    JOINT,
+    ErrorModel,
+    FlightChain,
+    Link,
+    VertexImpact,
+    WeightedPoses,
+    estimate_error_model,
+    fit_chain,
+    fit_flight,
+    rms_residuals,
+    vertex_impact_cost,
+)
 from .contact_clusters import instant_limit_s, is_crowded, resolve_cluster
-from .error_model import estimate_error_model
-from .flight_chain import JOINT, FlightChain, Link, VertexImpact, fit_chain, vertex_impact_cost
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH
-from .flights import ErrorModel, WeightedPoses, fit_flight, rms_residuals
 from .rest import lowest_heights_m
 
 Array = NDArray[np.float64]
@@ -134,7 +144,7 @@ def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], di
             ratios.append(judged[pair])
         opened = [ratio > OPEN_RATIO for ratio in ratios]
         chain = _fit_parts(observations, alone, opened)
-        impossible = [not o and not _can_be_impact(observations, chain, k, die) for k, o in enumerate(opened)]
+        impossible = [not o and not can_be_impact(observations, chain, k, die) for k, o in enumerate(opened)]
         faulty = [bad and ratio > FAULTY_RATIO for bad, ratio in zip(impossible, ratios, strict=True)]
         if any(faulty):
             # Several contacts taken for one need not look like an impact; the misfit of a single instant shows them.
@@ -143,7 +153,7 @@ def join_flights(observations: WeightedPoses, parts: list[NDArray[np.int64]], di
         jumps = {
             k: _jump(chain, k, die)
             for k, o in enumerate(opened)
-            if not o and not _can_be_impact(observations, chain, k, die)
+            if not o and not can_be_impact(observations, chain, k, die)
         }
         if not jumps:
             return chain
@@ -183,7 +193,7 @@ def _residual_ratio(observations: WeightedPoses, before: _Part, after: _Part) ->
     return float(np.mean(np.sort(beside)[:-1])) / max(usual, LEAST_USUAL_SIGMAS)
 
 
-def _can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
+def can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die: Die) -> bool:
     """Whether a link is what a table does to a die: it pushes upwards, on a corner near the table that came down before and goes
     up after. Slow drifts of the pose, as marks and shading move over the edges, do none of this.
 
@@ -203,7 +213,7 @@ def _can_be_impact(observations: WeightedPoses, chain: FlightChain, k: int, die:
         return False
     return any(
         vertex_impact_cost(chain, k, impact, UNKNOWN_TABLE_M) < MAX_IMPACT_COST and _can_rebound(chain, k, impact)
-        for impact in _lowest(chain, k, _vertex_impacts(die))
+        for impact in _lowest(chain, k, vertex_impacts(die))
     )
 
 
@@ -387,7 +397,7 @@ def _with_vertex_impacts(observations: WeightedPoses, chain: FlightChain, die: D
 
     Links with one likely vertex become impacts at once, if that holds; the others one by one. Links that cost more than
     MAX_IMPACT_COST stay free: two simultaneous contacts, or an edge that struck along its length, push at no single vertex."""
-    impacts = _vertex_impacts(die)
+    impacts = vertex_impacts(die)
     candidates = [
         _candidates(observations, chain, k, _lowest(chain, k, impacts), priors) for k in range(len(chain.links))
     ]
@@ -430,7 +440,7 @@ def _has_known_flights(observations: WeightedPoses, chain: FlightChain, k: int) 
     return bool((chain.inlier_share(observations.time_s)[k : k + 2] > KNOWN_FLIGHT_SHARE).all())
 
 
-def _vertex_impacts(die: Die) -> list[VertexImpact]:
+def vertex_impacts(die: Die) -> list[VertexImpact]:
     """An impact at each vertex; none for an asymmetric body, whose impacts the conditions do not describe."""
     if not die.is_spherical_top:
         return []
@@ -495,7 +505,7 @@ def _without_link(observations: WeightedPoses, chain: FlightChain, k: int, prior
 def _without_spurious_impacts(observations: WeightedPoses, chain: FlightChain, die: Die, priors: Priors) -> FlightChain:
     """The chain without open links at which nothing can have struck: the motion before, continued to the first inlier of the next
     flight, stays clear of the table."""
-    impacts = _vertex_impacts(die)
+    impacts = vertex_impacts(die)
     for k, link in reversed(list(enumerate(chain.links))):
         if not link.is_open or not impacts:
             continue
@@ -517,7 +527,7 @@ def _with_resolved_clusters(
 ) -> tuple[WeightedPoses, FlightChain]:
     """The frames and the chain, with open links, and links with unexplained frames beside them, resolved into several impacts
     where the model determines these."""
-    impacts, errors = _vertex_impacts(die), chain.errors
+    impacts, errors = vertex_impacts(die), chain.errors
 
     def fit(own: WeightedPoses, starts: Sequence[State], links: Sequence[Link]) -> FlightChain:
         return priors.fit(own, starts, links, errors)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from ...model.die import Die
 from ...model.rotations import angle_between, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
+from ..flights import WeightedPoses, chain_residuals, fit_flights
 from ..track import Track
-from .flights import WeightedPoses, chain_residuals, fit_flights
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -1,9 +1,9 @@
 """The throw that a track shows: flights, impacts, and the end on the table.
 
 What follows the last flight on the table is set aside (`rest`), the remaining track is segmented into flights
-(`flight_segmentation`), and the contacts between them are resolved (`contacts`), twice if the first result leaves a doubt.
-Each contact is then described by its instant, its vertices and its restitution; several contacts that cannot be separated
-are one unresolved contact."""
+(`flight_segmentation`), or followed from contact to contact (`contact_sequence`), and the contacts between the flights are
+resolved (`contacts`); the chain of flights that explains the frames better remains. Each contact is then described by its
+instant, its vertices and its restitution; several contacts that cannot be separated are one unresolved contact."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from ...model.rotations import angle_between, cross_matrix, matrix_from_quat
 from ...model.throw import Flight, Impact, State, Throw, energy_J
 from ..camera import Camera
 from ..covariance import covariance_root
+from ..flights import TABLE_SIGMA_M, FlightChain, Link, WeightedPoses, rms_residuals
 from ..track import Track
 from .contact_clusters import instant_limit_s
+from .contact_sequence import ContactSearch, follow_contacts, white_errors
 from .contacts import (
     INCONSISTENT_SIGMAS,
     KNOWN_FLIGHT_SHARE,
@@ -30,19 +32,19 @@ from .contacts import (
     normal_velocity,
     normal_velocity_jacobian,
     resolve_contacts,
+    vertex_impacts,
 )
-from .flight_chain import TABLE_SIGMA_M, FlightChain, Link
 from .flight_segmentation import MIN_FRAMES, TABLE_REACH, decimation_factor, rows_without_outliers, segment_flights
-from .flights import WeightedPoses, rms_residuals
 from .rest import SupportedMotion, first_low_row, first_supported_row, on_table, resting_vertices
 from .shared_bias import shared_bias_jacobian, shared_bias_sigma, undetermined_bias_sigma, without_shared_bias
 from .smoothing import smooth
 
 Array = NDArray[np.float64]
+Rows = NDArray[np.int64]
 
 UNMODELLED_SHARE = 0.1
-"""Factor on the unmodelled pose error (`flights.UNMODELLED_POSITION_M`) where an error model is estimated: it bounds the weight
-of a frame that states no error."""
+"""Factor on the unmodelled pose error (`WeightedPoses.from_poses`) where an error model is estimated: it bounds the weight of a
+frame that states no error."""
 WIDER_SIGMAS = 4.0
 """Factor on the frames' sigmas for a second segmentation. Contacts close to each other are opened, joined and removed one after
 the other, and little decides which: where that fails with sigmas of one size, it may succeed with another."""
@@ -228,8 +230,10 @@ def _flights_and_impacts(
     while True:
         # Segmentation uses fewer frames than the fit, where so many show the motion.
         ahead = slice(0, flying)
-        some = weighted_poses(track, use[ahead][:: decimation_factor(track, die, use[ahead])])
-        chain = _resolved_chain(some, observations.rows(ahead), die, priors)
+        every = decimation_factor(track, die, use[ahead])
+        chain = _resolved_chain(
+            weighted_poses(track, use[ahead][::every]), observations.rows(ahead), die, priors, every
+        )
         believed = _believed(observations.time_s[ahead], observations.quaternion[ahead], chain)
         impacts = _impacts(chain, believed, die, limit_s)
         low_row = max(low, MIN_FRAMES)
@@ -240,15 +244,34 @@ def _flights_and_impacts(
         flying = int(np.searchsorted(observations.time_s, impacts[certain].time_s))
 
 
-def _resolved_chain(some: WeightedPoses, observations: WeightedPoses, die: Die, priors: Priors) -> FlightChain:
-    """The chain of flights through frames, segmented on `some` of them. If it leaves a doubt, it is compared with a chain
-    segmented with wider sigmas, and the one that explains the frames better is returned."""
-    found = resolve_contacts(observations, join_flights(some, segment_flights(some, die), die), die, priors)
+def _resolved_chain(
+    some: WeightedPoses, observations: WeightedPoses, die: Die, priors: Priors, every: int
+) -> FlightChain:
+    """The chain of flights through frames, segmented on `some`, one in `every` of them, or followed from contact to contact: the
+    one that explains the frames better. If that leaves a doubt, a chain segmented with wider sigmas competes as well."""
+    parts = segment_flights(some, die)
+    found = resolve_contacts(observations, join_flights(some, parts, die), die, priors)
+    followed = _followed(observations.rows(slice(None, None, every)), parts, die, priors)
+    if followed is not None:
+        other = resolve_contacts(observations, followed, die, priors)
+        found = other if explains_better(observations, other, found) else found
     if _is_beyond_doubt(found, die) or len(found.chain.links) > MAX_LINKS_TWICE:
         return found.chain
     wide = replace(some, whitener=some.whitener / WIDER_SIGMAS)
     other = resolve_contacts(observations, join_flights(wide, segment_flights(wide, die), die), die, priors)
     return other.chain if explains_better(observations, other, found) else found.chain
+
+
+def _followed(some: WeightedPoses, parts: list[Rows], die: Die, priors: Priors) -> FlightChain | None:
+    """The chain of flights followed from contact to contact; None for an asymmetric body, whose impacts it does not describe."""
+    impacts = vertex_impacts(die)
+    if not impacts or not parts:
+        return None
+    search = ContactSearch(
+        some, die, impacts, parts, white_errors(some), priors.shared_sigma[: some.bias_jacobian.shape[2]],
+        priors.table_sigma_m,
+    )  # fmt: skip
+    return follow_contacts(search)
 
 
 def _is_beyond_doubt(found: ResolvedChain, die: Die) -> bool:

@@ -25,9 +25,9 @@ from ...model.die import Die, inner_vertices
 from ...model.rotations import continuous_sign, matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.throw import Flight, State, Throw
 from ...model.world import GRAVITY_M_S2
+from ..flights import WeightedPoses
 from ..track import LOST, Track
 from .flight_segmentation import TABLE_REACH
-from .flights import WeightedPoses
 
 Array = NDArray[np.float64]
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from ...model.rotations import continuous_sign
 from ...model.throw import Throw
+from ..flights import pose_jacobian
 from ..track import LOST, TRACKED, Track
-from .flights import pose_jacobian
 
 Array = NDArray[np.float64]
 

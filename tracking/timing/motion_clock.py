@@ -43,7 +43,7 @@ from numpy.typing import NDArray
 
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply, rotation_between
 from ...model.world import GRAVITY_M_S2
-from ..throw import WeightedPoses, fit_states, left_jacobians
+from ..flights import WeightedPoses, fit_states, left_jacobians
 
 Array = NDArray[np.float64]
 Rows = NDArray[np.int64]

@@ -15,7 +15,7 @@ from diethrow.model.die.die import make_die
 from diethrow.model.laws import CoulombImpact
 from diethrow.model.throw.motion import Flight, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.throw.flights import perturbed
+from diethrow.tracking.flights.single_flights import perturbed
 
 CUBE = make_die("cube", 0.016, 0.0048)
 SIGMA = np.repeat([5e-6, 5e-4, 2e-3, 0.3], 3)

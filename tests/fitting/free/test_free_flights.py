@@ -11,7 +11,7 @@ from diethrow.fitting.free.flights import fit_flights
 from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, rotation_between
 from diethrow.model.throw.motion import Flight, State
-from diethrow.tracking.throw.flights import left_jacobians, perturbed, pose_jacobian
+from diethrow.tracking.flights.single_flights import left_jacobians, perturbed, pose_jacobian
 
 CUBE = make_die("cube", 0.016, 0.0048)
 

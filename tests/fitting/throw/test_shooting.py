@@ -9,7 +9,7 @@ from random_throws import random_quaternion
 from diethrow.fitting.throw.shooting import displacement_bounds
 from diethrow.model.throw.body import packed_state
 from diethrow.model.throw.motion import State, rotated_state
-from diethrow.tracking.throw.flights import perturbed
+from diethrow.tracking.flights.single_flights import perturbed
 
 
 @pytest.mark.parametrize("speed_m_s", [0.0, 3.0, 1e7])

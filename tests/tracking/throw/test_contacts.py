@@ -25,9 +25,7 @@ from diethrow.model.rotations import (
 )
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.model.throw.simulate import Until, throw_die
-from diethrow.tracking.throw import measurement
-from diethrow.tracking.throw.contacts import UNKNOWN_TABLE_M, Priors, ResolvedChain, explains_better, resolve_contacts
-from diethrow.tracking.throw.flight_chain import (
+from diethrow.tracking.flights.flight_chain import (
     LEVER_SHARE,
     MIN_LEVER_SIGMA_RAD_S,
     TABLE_SIGMA_M,
@@ -38,8 +36,7 @@ from diethrow.tracking.throw.flight_chain import (
     vertex_impact_cost,
     vertex_impact_equations,
 )
-from diethrow.tracking.throw.flight_segmentation import segment_flights
-from diethrow.tracking.throw.flights import (
+from diethrow.tracking.flights.single_flights import (
     ErrorModel,
     WeightedPoses,
     packed,
@@ -48,6 +45,9 @@ from diethrow.tracking.throw.flights import (
     transition_matrix,
     unpacked,
 )
+from diethrow.tracking.throw import measurement
+from diethrow.tracking.throw.contacts import UNKNOWN_TABLE_M, Priors, ResolvedChain, explains_better, resolve_contacts
+from diethrow.tracking.throw.flight_segmentation import segment_flights
 from diethrow.tracking.throw.measurement import determines_table_height, measure, measure_throw
 from diethrow.tracking.throw.rest import (
     FRAMES_LEFT_TO_FLIGHT,
@@ -244,18 +244,22 @@ def test_a_die_that_rolls_or_lies_is_not_fitted_with_flights(law: ImpactLaw, see
     last = found.impacts[-1]
     assert last.contact == "held"
     assert isinstance(found.flights[-1], SupportedMotion)
+
+    def height_m(time_s: float) -> float:
+        state = throw.at(time_s)
+        return float((state.rotation @ CUBE.solid.vertices.T)[2].min() + state.position_m[2])
+
     # While the table supports it, the lowest corner of the true die never leaves the table by more than a small hop.
-    behind = track.time_s[track.time_s >= last.time_s]
-    heights = [
-        (throw.at(float(t)).rotation @ CUBE.solid.vertices.T)[2].min() + throw.at(float(t)).position_m[2]
-        for t in behind
-    ]
-    assert max(heights) < 1e-3
-    # No impact is reported behind it, and each of those before has a true one within two frames.
-    reported = [impact.time_s for impact in found.impacts[:-1]]
+    assert max(height_m(float(t)) for t in track.time_s[track.time_s >= last.time_s]) < 1e-3
+    # No impact is reported behind it. Those before have true ones within three frames, as weak as they may be; where the die
+    # keeps touching the table, its motion is no flight, and contacts there are not resolved.
     true = np.array([impact.time_s for impact in throw.bounces])
-    assert all(np.abs(true - t).min() * FPS < 2.0 for t in reported)
-    assert all(t < last.time_s for t in reported)
+    for impact in found.impacts[:-1]:
+        assert impact.time_s < last.time_s
+        if impact.contact == "unresolved":
+            assert height_m(impact.time_s) < 1e-3
+        else:
+            assert np.abs(true - impact.time_s).min() * FPS < 3.0
 
 
 def test_frames_at_rest_keep_their_own_poses_and_are_left_out_of_fits() -> None:

@@ -14,8 +14,8 @@ from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.check.gravity import fall_notices, measure_fall
-from diethrow.tracking.throw.error_model import estimate_error_model
-from diethrow.tracking.throw.flights import (
+from diethrow.tracking.flights.error_model import estimate_error_model
+from diethrow.tracking.flights.single_flights import (
     ErrorModel,
     chain_residuals,
     fit_flight,
@@ -224,7 +224,7 @@ def test_a_die_of_another_size_is_not_taken_for_a_contour_error() -> None:
     found = measure(far, make_die("cube", 0.0176, 0.0048), camera)
     assert len(found.chain.shared) == 0
     (notice,) = fall_notices(measure_fall(far, found.throw))
-    assert "[die]" in notice
+    assert "die.edge_m by 0.909" in notice
 
 
 def test_without_a_contour_error_none_is_found() -> None:

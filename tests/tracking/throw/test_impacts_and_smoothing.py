@@ -15,7 +15,7 @@ from throws import FPS, random_release, seen, true_throw
 from diethrow.model.die.die import Die, make_die
 from diethrow.model.rotations import angle_between, quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, Impact, State, Throw
-from diethrow.tracking.throw.flights import perturbed
+from diethrow.tracking.flights.single_flights import perturbed
 from diethrow.tracking.throw.measurement import NoFlightError, measure, measure_throw
 from diethrow.tracking.throw.smoothing import smooth
 from diethrow.tracking.track import ABSENT, LOST, TRACKED, Track

@@ -48,9 +48,10 @@ from ...model.laws import SmoothImpact
 from ...model.rotations import matrix_from_quat, quat_from_rotvec, quat_multiply
 from ...model.throw import Precision, State, Throw
 from ...replay.pages import Setting, Trade, fastest_within, trade_page, write_trade_figures
+from ...tracking.flights import perturbed
 from ...tracking.footage import WHOLE_CLIP, Decimation
 from ...tracking.quality import QUALITIES, STANDARD, Quality
-from ...tracking.throw import frames_in_flight, perturbed
+from ...tracking.throw import frames_in_flight
 from ...tracking.track import Track
 from .track import check_scene, input_paths, track_scene
 

@@ -1,8 +1,7 @@
 """The error model of the frames: how large their errors about the flights are, and for how long they stay correlated.
 
 Each of a frame's six whitened errors is the sum of a white part of variance σ² and an AR(1) part of variance σ² a and correlation
-time T (`flights.ErrorModel`). The three numbers maximise the restricted likelihood (Patterson & Thompson, Biometrika 58, 545,
-1971),
+time T (`ErrorModel`). The three numbers maximise the restricted likelihood (Patterson & Thompson, Biometrika 58, 545, 1971),
 
     -2 l(a, T) = (N - P) ln σ² + Σ (ln |V| + ln |XᵀV⁻¹X|),     σ² = r V⁻¹ r/(N - P),
 
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 
 from ...model.compiled import compiled, inner
 from ...model.throw import State
-from .flights import ErrorModel, WeightedPoses, flight_residuals
+from .single_flights import ErrorModel, WeightedPoses, flight_residuals
 
 Array = NDArray[np.float64]
 

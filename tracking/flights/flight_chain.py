@@ -5,7 +5,7 @@ the jump Δω of the spin. Position and orientation are continuous at t, which i
 several contacts follow each other too fast to be separated, no single instant joins the flights: such a link is *open*, and the
 flight after it has twelve free numbers of its own.
 
-First-order changes at an impact, with those within a flight from `flights`:
+First-order changes at an impact, with those within a flight from `single_flights`:
 
     δp' = δp(t) - Δv δt     δv' = δv + δ(Δv)     δθ' = δθ(t) - Δω δt     δω' = δω + δ(Δω)
 
@@ -33,7 +33,7 @@ from ...model.world import GRAVITY_M_S2
 from . import flight_kernels as kernels
 from .chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
 from .flight_kernels import FrameInformation, ImpactEquations, VertexImpacts
-from .flights import (
+from .single_flights import (
     ErrorModel,
     WeightedPoses,
     chain_residuals,
@@ -396,7 +396,7 @@ class _Unknowns:
     """(N,) tolerance [rad/s] of each impact's spin; fixed by the guess, so that the cost means the same on every step."""
     errors: ErrorModel
     information: FrameInformation
-    """`flights.frame_information` with the error model of the guess."""
+    """`single_flights.frame_information` with the error model of the guess."""
     information_share: float
     """Share of the first whitened number in it."""
 
@@ -474,11 +474,12 @@ class _Unknowns:
         return float(frames) + self._cost_of_priors_and_impacts(trajectory)
 
     def robust_cost(self, trajectory: _Trajectory) -> float:
-        """The same with Tukey's loss for frames (`FlightChain.cost`)."""
+        """The same with Tukey's loss for frames (`FlightChain.cost`). What lies beyond the cutoff counts in full: errors that
+        stay for many frames, for which the others count less, explain no such frame."""
         ratio = np.minimum(np.sqrt(trajectory.squares(self.errors)) / CUTOFF_SIGMAS, 1.0)
-        share = float(np.mean(self.errors.variance * self._frame_share()))
-        frames = float((2.0 * CUTOFF_SIGMAS**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
-        return self._cost_of_priors_and_impacts(trajectory) + share * frames
+        share = np.where(ratio < 1.0, float(np.mean(self.errors.variance * self._frame_share())), 1.0)
+        frames = float((share * 2.0 * CUTOFF_SIGMAS**2 * (1.0 - (1.0 - ratio**2) ** 3)).sum())
+        return self._cost_of_priors_and_impacts(trajectory) + frames
 
     def equations(self, trajectory: _Trajectory, weights: Array) -> tuple[Array, Array, Stages]:
         """Normal equations of the flights, the priors included in those of the first, and the links between."""

@@ -1,4 +1,4 @@
-"""Compiled kernels of `flights` and `flight_chain`: residuals and normal equations of frames about exact motion, on plain arrays.
+"""Compiled kernels of the fits: residuals and normal equations of frames about exact motion, on plain arrays.
 
 A state is packed into 14 numbers: time, position, quaternion, velocity, angular velocity.
 """

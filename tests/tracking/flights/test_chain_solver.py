@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from diethrow.tracking.throw.chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
+from diethrow.tracking.flights.chain_solver import MAX_LINK_SIZE, Stages, chain_covariance, solve_chain
 
 Array = NDArray[np.float64]
 

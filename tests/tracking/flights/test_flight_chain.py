@@ -14,8 +14,8 @@ from diethrow.model.die.die import make_die
 from diethrow.model.rotations import quat_from_rotvec, quat_multiply, rotation_between
 from diethrow.model.throw.motion import Flight, State, Throw
 from diethrow.tracking.covariance import scaled_inverse
-from diethrow.tracking.throw.flight_chain import FlightChain, Link, fit_chain
-from diethrow.tracking.throw.flights import (
+from diethrow.tracking.flights.flight_chain import FlightChain, Link, fit_chain
+from diethrow.tracking.flights.single_flights import (
     UNMODELLED_POSITION_M,
     UNMODELLED_ROTATION_RAD,
     WeightedPoses,
