@@ -17,6 +17,7 @@ from diethrow.tracking.flights import FlightChain, WeightedPoses
 from diethrow.tracking.throw import measure_throw
 from diethrow.tracking.throw.contact_sequence import ContactSearch, follow_contacts, white_errors
 from diethrow.tracking.throw.flight_segmentation import segment_flights
+from diethrow.tracking.track import Track
 
 Array = NDArray[np.float64]
 
