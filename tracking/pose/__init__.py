@@ -10,6 +10,7 @@ from .candidate_poses import SAME_POSE_EDGES as SAME_POSE_EDGES
 from .candidate_poses import die_blobs as die_blobs
 from .candidate_poses import pose_candidates as pose_candidates
 from .candidate_poses import same_picture as same_picture
+from .candidate_poses import velocity_across_m_s as velocity_across_m_s
 from .clip_poses import ClipPoses as ClipPoses
 from .clip_poses import Picture as Picture
 from .clip_poses import SampledFrames as SampledFrames

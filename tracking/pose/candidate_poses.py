@@ -26,6 +26,7 @@ from ..picture import (
     Image,
     Mask,
     PixelNoise,
+    PoseState,
     View,
     differs_from_background,
     largest_blob,
@@ -43,6 +44,8 @@ from .refine_kernels import COARSE_STEPS
 
 Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
+
+STILL = np.zeros(2)
 
 SYMMETRY_ORDERS = {"tetrahedron": 12, "cube": 24, "octahedron": 24, "dodecahedron": 60, "icosahedron": 60}
 """Order of each die's rotation group: the grid needs that many times fewer orientations."""
@@ -86,6 +89,14 @@ SEARCHED_PX = 400
 """Size of the die there."""
 SHARPEST_PX = 0.3
 """Least lens blur of a smaller picture: the mean over a pixel."""
+FIRST_COARSE_STEPS = 2
+"""Coarse steps of the first refinement of a candidate."""
+MOST_ROUNDS = 12
+"""Refinements of a candidate one after the other, at the most."""
+SETTLED_EDGES = 0.02
+"""Movement of a corner by a refinement, in edges, below which a pose stays."""
+SAME_DISTANCE = 0.05
+"""Relative difference of distances below which two candidates may be one."""
 SAME_POSE_EDGES = 0.05
 """Distance of corners, in edges, below which two poses are the same."""
 LIT_SHARE = 0.2
@@ -101,21 +112,24 @@ ALL_CAMERAS_COARSE_STEPS = 3
 """Coarse steps of the refinement on all cameras that follows that on the first."""
 
 
-def pose_candidates(view: View, image: Image) -> list[tuple[float, Pose]]:
+def pose_candidates(view: View, image: Image, rate_px_s: Array = STILL) -> list[tuple[float, Pose]]:
     """Candidate poses of one frame (height, width), or (cameras, height, width) for several cameras: each with its cost
-    in the first camera's picture, the lowest first. Empty if the first camera shows no die."""
+    in the first camera's picture, the lowest first. Empty if the first camera shows no die.
+
+    `rate_px_s` (2,) is the velocity [px/s] of the die in the first camera's picture, whose blur within the exposure makes it
+    larger."""
     images = image if image.ndim == 3 else image[None]
     if not die_blobs(view, images[0]):
         return []
     found: list[tuple[float, Pose]] = []
     for blobs in _die_regions(view, images[0]):
-        found = sorted([*found, *_candidates_in_regions(view, images, blobs)], key=lambda pair: pair[0])
+        found = sorted([*found, *_candidates_in_regions(view, images, blobs, rate_px_s)], key=lambda pair: pair[0])
         if any(pose.support > PLAIN_SUPPORT for _, pose in found):
             break
     return found
 
 
-def _candidates_in_regions(view: View, images: Image, blobs: list[Blob]) -> list[tuple[float, Pose]]:
+def _candidates_in_regions(view: View, images: Image, blobs: list[Blob], rate_px_s: Array) -> list[tuple[float, Pose]]:
     """Candidates about some readings of one region, of which not all need be right."""
     if not blobs:
         return []
@@ -125,7 +139,7 @@ def _candidates_in_regions(view: View, images: Image, blobs: list[Blob]) -> list
     x1, y1 = (int(v) for v in corners[:, 2:].max(0))
     size_px = max(x1 - x0, y1 - y0)
     if size_px > LARGEST_PX:
-        return _candidates_in_smaller(view, images, round(size_px / SEARCHED_PX))
+        return _candidates_in_smaller(view, images, rate_px_s, round(size_px / SEARCHED_PX))
     margin = int(BOX_MARGIN_SHARE * size_px) + BOX_MARGIN_PX
     width, height = view.camera.width_px, view.camera.height_px
     box = (max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, width), min(y1 + margin, height))
@@ -134,10 +148,80 @@ def _candidates_in_regions(view: View, images: Image, blobs: list[Blob]) -> list
     distinct = _distinct(view, found)[: view.quality.max_initial_poses]
     limit = distinct[0][0] + ACCEPTED_EXCESS_COST if distinct else 0.0
     kept = distinct[:FEW_KEPT] + [pair for pair in distinct[FEW_KEPT:] if pair[0] < limit]
-    return [(cost, refine_pose(view, images, pose_state(pose.position_m, pose.rotation))) for cost, pose in kept]
+    return _settled(view, images, kept, rate_px_s)
 
 
-def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple[float, Pose]]:
+def _settled(view: View, images: Image, found: list[tuple[float, Pose]], rate_px_s: Array) -> list[tuple[float, Pose]]:
+    """Poses refined until they stay; of those that become the same but for their distance, one.
+
+    The prior of a refinement holds the distance of a small or well-rounded die, which its picture hardly shows, and with it
+    whatever depends on that: from poses a twentieth too far and ten degrees off, on a cube with corners rounded by a seventh of
+    its edge, ten refinements led to the right pose, and the first of them nowhere. Each begins where the one before ended."""
+    settled = [False] * len(found)
+    for k in range(MOST_ROUNDS):
+        moving = [pose for (_, pose), stays in zip(found, settled, strict=True) if not stays]
+        again = iter(_refined_once_more(view, images, moving, rate_px_s, coarse=0 if k else FIRST_COARSE_STEPS))
+        moved = [(cost, pose if stays else next(again)) for (cost, pose), stays in zip(found, settled, strict=True)]
+        settled = [_stays(view, before, after) for (_, before), (_, after) in zip(found, moved, strict=True)]
+        kept = _distinct_but_for_distance(view, moved)
+        found, settled = [moved[k] for k in kept], [settled[k] for k in kept]
+        if all(settled):
+            break
+    return found
+
+
+def _refined_once_more(view: View, images: Image, poses: list[Pose], rate_px_s: Array, *, coarse: int) -> list[Pose]:
+    """Poses refined with the blur of their motion."""
+
+    def refined(rows: NDArray[np.int64]) -> list[Pose]:
+        work = new_workspace(view.shape, view.rig)
+        return [refine_pose(view, images, _moving(view, poses[k], rate_px_s), coarse=coarse, work=work) for k in rows]
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        parts = pool.map(refined, np.array_split(np.arange(len(poses)), THREADS))
+        return [pose for part in parts for pose in part]
+
+
+def _moving(view: View, pose: Pose, rate_px_s: Array) -> PoseState:
+    """The state of a die that moves across the picture."""
+    velocity_m_s = velocity_across_m_s(view, pose.position_m, rate_px_s)
+    return pose_state(pose.position_m, pose.rotation, velocity_m_s, np.zeros(3))
+
+
+def velocity_across_m_s(view: View, position_m: Array, rate_px_s: Array) -> Array:
+    """(3,) velocity [m/s] across the line of sight of the first camera that moves a position by so many pixels a second (2,)."""
+    camera = view.camera
+    depth_m = float((camera.rotation @ (position_m - camera.centre_m))[2])
+    across = rate_px_s * depth_m / np.diag(camera.matrix)[:2]
+    return np.asarray(camera.rotation[:2].T @ across, float)
+
+
+def _stays(view: View, before: Pose, after: Pose) -> bool:
+    """Whether a refinement moved no corner by SETTLED_EDGES."""
+    here, there = (_corners(view, pose.position_m, pose.rotation) for pose in (before, after))
+    return bool(np.linalg.norm(there - here, axis=1).max() < SETTLED_EDGES * view.die.solid.edge_m)
+
+
+def _distinct_but_for_distance(view: View, found: list[tuple[float, Pose]]) -> list[int]:
+    """Of each group of poses that differ in nothing but a little in their distance, the first."""
+    centre_m, kept = view.camera.centre_m, []
+    for k, (_, pose) in enumerate(found):
+        sight = pose.position_m - centre_m
+        distance_m = float(np.linalg.norm(sight))
+        for j in kept:
+            other = found[j][1]
+            other_m = float(np.linalg.norm(other.position_m - centre_m))
+            moved = (centre_m + sight * (other_m / distance_m), pose.rotation)
+            if abs(other_m / distance_m - 1.0) < SAME_DISTANCE and same_picture(
+                view, moved, (other.position_m, other.rotation)
+            ):
+                break
+        else:
+            kept.append(k)
+    return kept
+
+
+def _candidates_in_smaller(view: View, images: Image, rate_px_s: Array, shrink: int) -> list[tuple[float, Pose]]:
     """The candidates of pictures reduced by a factor, each refined on the whole ones."""
     less = Decimation(shrink=shrink)
     sizes = [(camera.height_px, camera.width_px) for camera in view.cameras]
@@ -150,8 +234,7 @@ def _candidates_in_smaller(view: View, images: Image, shrink: int) -> list[tuple
         PixelNoise(view.noise_grey / shrink, level_grey=view.level_grey), view.exposure_s,
         max(view.blur_px / shrink, SHARPEST_PX), mirror=view.mirror, quality=view.quality,
     )  # fmt: skip
-    found = pose_candidates(small, stack_pictures(smaller))
-    return [(cost, refine_pose(view, images, pose_state(pose.position_m, pose.rotation))) for cost, pose in found]
+    return _settled(view, images, pose_candidates(small, stack_pictures(smaller), rate_px_s / shrink), rate_px_s)
 
 
 def die_blobs(view: View, image: Image) -> list[Blob]:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ...model.rotations import quat_from_matrix, rotation_between
 from ...model.world import GRAVITY_M_S2
 from ..footage import FrameSource
-from ..picture import Image, View
+from ..picture import View
 from ..pose import (
     SAME_POSE_EDGES,
     ClipPoses,
@@ -32,10 +32,9 @@ from ..pose import (
     die_blobs,
     manual_initial_pose,
     pose_candidates,
-    pose_state,
-    refine_pose,
     same_picture,
     seen_distance_m,
+    velocity_across_m_s,
     weak_priors,
 )
 from ..throw import TABLE_REACH
@@ -88,8 +87,6 @@ AGREEMENT_EDGES = 0.2
 uncertain."""
 SAME_AREA_LOG = 0.4
 """Logarithm of the ratio of areas beyond which the regions of two frames do not show the same."""
-VISIBLE_MOTION_PX = 0.5
-"""Motion within the exposure from which its blur shows: a third of the lens blur, in standard deviations."""
 UNEVEN_EDGES = 0.1
 """Rms departure from a parabola as the camera sees it, in edges, that no die in flight shows. A wrong hypothesis jumps, and so
 does a pose drawn into a shadow."""
@@ -309,8 +306,7 @@ def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hy
     left = min(STAGES[-1], _frames_ahead(unused, k))
     image, rate_px_s = np.asarray(source.frame(k), np.float32), _rate_px_s(view, source, k, unused)
     hypotheses = [
-        _new_hypothesis(view, source, k, _moving(view, image, pose, rate_px_s), unused, rate_px_s)
-        for _, pose in pose_candidates(view, image)
+        _new_hypothesis(view, source, k, pose, unused, rate_px_s) for _, pose in pose_candidates(view, image, rate_px_s)
     ]
     for stage in sorted({min(stage, left) for stage in STAGES}):
         scored = [(h, score) for h in hypotheses if (score := _tracked_to(h, view, source, k, stage)) is not None]
@@ -327,7 +323,7 @@ def best_hypothesis(view: View, source: FrameSource, k: int, unused: Mask) -> Hy
         hypotheses = _distinct(view, sorted(near, key=lambda h: h.score.total))
         uneven = [score.misfit for _, score in scored if score.unevenness >= UNEVEN]
         contradicting = sum(misfit < hypotheses[0].score.misfit - CONTRADICTING_MISFIT for misfit in uneven)
-        if len(hypotheses) == 1 and stage >= FULL_STAGE and hypotheses[0].score.unevenness < EVEN:
+        if len(hypotheses) == 1 and stage >= FULL_STAGE and hypotheses[0].is_certain:
             break
     return _winner(view, source, k, hypotheses, contradicting)
 
@@ -368,28 +364,17 @@ def _rate_px_s(view: View, source: FrameSource, k: int, unused: Mask) -> Array:
     return np.asarray((last[1] - first[1]) / (last[0] - first[0]), float)
 
 
-def _velocity_m_s(view: View, pose: Pose, rate_px_s: Array) -> Array:
-    """(3,) velocity [m/s] across the line of sight that moves the centre of a pose by so many pixels a second."""
-    camera = view.camera
-    depth_m = float((camera.rotation @ (pose.position_m - camera.centre_m))[2])
-    across = rate_px_s * depth_m / np.diag(camera.matrix)[:2]
-    return np.asarray(camera.rotation[:2].T @ across, float)
-
-
-def _moving(view: View, image: Image, pose: Pose, rate_px_s: Array) -> Pose:
-    """The pose refined with the blur of its motion, where that shows."""
-    if view.exposure_s * np.abs(rate_px_s).max() < VISIBLE_MOTION_PX:
-        return pose
-    velocity_m_s = _velocity_m_s(view, pose, rate_px_s)
-    return refine_pose(view, image, pose_state(pose.position_m, pose.rotation, velocity_m_s, np.zeros(3)))
-
-
 def _new_hypothesis(view: View, source: FrameSource, k: int, pose: Pose, unused: Mask, rate_px_s: Array) -> Hypothesis:
     """A hypothesis that has not been tracked yet."""
     poses = ClipPoses.empty(min(STAGES[-1], len(source) - k))
     poses.put(0, pose, np.zeros(6))
     tracker = FrameTracker.from_pose(
-        view, pose, source.times_s[k:], 0, unused[k:], velocity_m_s=_velocity_m_s(view, pose, rate_px_s)
+        view,
+        pose,
+        source.times_s[k:],
+        0,
+        unused[k:],
+        velocity_m_s=velocity_across_m_s(view, pose.position_m, rate_px_s),
     )
     return Hypothesis(tracker, poses, Score(pose.cost_with_edge_noise))
 
