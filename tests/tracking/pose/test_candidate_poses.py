@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from footage_of_throws import DICE, REACH_M, photograph, still, studio
 from random_throws import random_quaternion
+from rounded_dice import photograph_rounded
 from scipy.spatial import ConvexHull
 
+from diethrow.model.die import make_die
 from diethrow.model.die.die import Die
 from diethrow.model.die.solid import SHAPES, inner_vertices
 from diethrow.model.die.symmetry import nearest_equivalent_rotation
@@ -24,13 +26,19 @@ from diethrow.tracking.picture.segmentation import Blob, differs_from_background
 from diethrow.tracking.picture.view import make_view
 from diethrow.tracking.pose.candidate_poses import (
     DISTANCE_FACTORS,
+    STILL,
+    _distinct_but_for_distance,
+    _settled,
     _silhouettes,
     _trials,
     die_blobs,
     pose_candidates,
+    velocity_across_m_s,
 )
+from diethrow.tracking.pose.refine import pose_state, refine_pose
 
 ROOM = replace(studio(), noise_grey=2.0, shadow=0.4)
+WELL_ROUNDED = replace(DICE["cube"], corner_radius_m=2e-3)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -144,3 +152,42 @@ def test_a_die_cut_by_the_border_gives_no_initial_pose() -> None:
     state = still(rng)
     state = replace(state, position_m=state.position_m + 0.0265 * right)
     assert die_blobs(ROOM.view(DICE["cube"]), photograph(replace(ROOM, shadow=0.0), DICE["cube"], state, rng)) == []
+
+
+def test_where_a_candidate_ends_does_not_depend_on_where_it_began() -> None:
+    """From 5 % too near and 5 % too far, of a small, well-rounded and shiny cube. After a single refinement these poses still lie
+    half a circumradius apart, or more."""
+    small = replace(make_die("cube", 0.008, 0.0006), corner_radius_m=1e-3)
+    view = ROOM.view(small)
+    reach_m, eye_m = small.solid.circumradius, view.camera.centre_m
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        state = still(rng)
+        picture = photograph_rounded(ROOM, small, state, rng, gloss_grey=40.0)
+        starts = [pose_state(eye_m + share * (state.position_m - eye_m), state.rotation) for share in (0.95, 1.05)]
+        once = [refine_pose(view, picture, start) for start in starts]
+        near, far = (_settled(view, picture[None], [(0.0, pose)], STILL)[0][1] for pose in once)
+        assert np.linalg.norm(once[1].position_m - once[0].position_m) > 0.4 * reach_m
+        assert np.linalg.norm(far.position_m - near.position_m) < 0.02 * reach_m
+        assert np.linalg.norm(far.position_m - state.position_m) < 0.2 * reach_m
+
+
+def test_candidates_differ_in_more_than_their_distance() -> None:
+    view = ROOM.view(WELL_ROUNDED)
+    for seed in range(3, 6):
+        rng = np.random.default_rng(seed)
+        picture = photograph_rounded(ROOM, WELL_ROUNDED, still(rng), rng, gloss_grey=40.0)
+        found = pose_candidates(view, picture)
+        assert _distinct_but_for_distance(view, found) == list(range(len(found)))
+
+
+def test_a_region_that_moves_across_the_picture_gives_the_velocity_across_the_line_of_sight() -> None:
+    view = ROOM.view(DICE["cube"])
+    rng = np.random.default_rng(1)
+    position_m, rate_px_s = still(rng).position_m, np.array([300.0, -120.0])
+    velocity_m_s = velocity_across_m_s(view, position_m, rate_px_s)
+    dt = 1e-5
+    there = np.concatenate([position_m, position_m + dt * velocity_m_s]).reshape(2, 3)
+    moved = np.diff(replace(view.camera, distortion=np.zeros_like(view.camera.distortion)).project(there), axis=0)[0]
+    np.testing.assert_allclose(moved / dt, rate_px_s, rtol=1e-3)
+    assert abs(view.camera.rotation[2] @ velocity_m_s) < 1e-12

@@ -13,6 +13,7 @@ from diethrow.model.rotations import matrix_from_quat, quat_from_rotvec
 from diethrow.model.throw import Flight, State, Throw
 from diethrow.tracking.footage.frame_blocks import FrameSource
 from diethrow.tracking.picture.view import View, with_corner_radius
+from diethrow.tracking.pose.candidate_poses import velocity_across_m_s
 from diethrow.tracking.pose.refine import Pose, pose_state, refine_pose
 from diethrow.tracking.pose.refine_kernels import seen_distance_m
 from diethrow.tracking.sequence import initialisation
@@ -125,7 +126,7 @@ def test_the_velocity_of_a_region_is_that_of_the_die_in_it() -> None:
     state = throw.at(float(source.times_s[3]))
     pose = refine_pose(view, np.asarray(source.frame(3), np.float32), pose_state(state.position_m, state.rotation))
     rate = initialisation._rate_px_s(view, source, 3, np.zeros(len(source), bool))
-    across = initialisation._velocity_m_s(view, pose, rate)
+    across = velocity_across_m_s(view, pose.position_m, rate)
     true = throw.rates(source.times_s[3:4])[0, :3]
     ahead = view.camera.rotation[2]
     assert np.linalg.norm(across - (true - (true @ ahead) * ahead)) < 0.1 * np.linalg.norm(true)
